@@ -1,0 +1,1 @@
+"""Force controllers, friction observers, reference and disturbance signals, theoretical bounds."""

@@ -1,0 +1,85 @@
+"""A controller ready to run: its law compiled, its memory, and a change of tuning without a bump."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.composition import controller_kernel
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.controllers.base import STATUS_SIZE, Model
+
+BUMP_TIME = 0.02
+"""Time constant with which the command goes over from the old tuning to the new [s]."""
+
+
+class Controller:
+    """One controller of any kind, stepped once a cycle.
+
+    Attributes:
+        parameters: the tuning in force.
+        status: what the law said of its last step, by the indices of ``controllers.base``.
+    """
+
+    def __init__(self, name: str, parameters: Any, model: Model) -> None:
+        """Prepare and compile (or load) the law.
+
+        Args:
+            name: file name of the controller.
+            parameters: its tuning.
+            model: what it knows of the rig.
+        """
+        self._law = CONTROLLERS.load(name)
+        self._step = controller_kernel(name).step
+        self.parameters = parameters
+        self.model = model
+        self.uses_friction = self._law.FRICTION
+        self.status = np.zeros(STATUS_SIZE)
+        self._bump = 0.0
+        self._previous: Any = None
+        self._fade = math.exp(-model.period / BUMP_TIME)
+        self.reset()
+        self._step(np.zeros(7), np.zeros(3), np.zeros(2), parameters, model, self._memory, self.status)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything but the tuning."""
+        self._memory: Array = self._law.memory(self.parameters)
+        self._bump = 0.0
+        self._previous = None
+        self.status[:] = 0.0
+
+    def retune(self, parameters: Any) -> None:
+        """Put another tuning in force from the next step on.
+
+        The law acts on the new numbers at once; what the change alone would make the command jump by
+        is taken off and fades with :data:`BUMP_TIME`.
+        """
+        if self._previous is None:
+            self._previous = self.parameters
+        self.parameters = parameters
+
+    def step(self, measured: Array, reference: Array, friction: Array) -> float:
+        """Return the spool command [m] for one cycle.
+
+        Args:
+            measured: readings in the order of ``SENSED``, shape (7,).
+            reference: force and its first and second derivative, shape (3,).
+            friction: force of the elements and viscous force, shape (2,) or longer.
+        """
+        old: float | None = None
+        if self._previous is not None:
+            trial = self._memory.copy()
+            old = self._step(measured, reference, friction, self._previous, self.model, trial, self.status)
+            self._previous = None
+        command: float = self._step(
+            measured, reference, friction, self.parameters, self.model, self._memory, self.status
+        )
+        if old is not None:
+            self._bump += old - command
+        if self._bump != 0.0:
+            limit = self.model.spool_limit
+            command = min(max(command + self._bump, -limit), limit)
+            self._bump = self._bump * self._fade if abs(self._bump) > 1e-12 else 0.0
+        return command

@@ -1,0 +1,56 @@
+"""What a controller's file provides.
+
+``Parameters``, a named tuple declaring its parameters; ``FRICTION``, whether it uses the friction
+estimate; ``memory(parameters)``, its state before the first cycle; and a compiled
+
+``step(m, r, f, p, model, memory, status) -> spool command [m]``
+
+with ``m`` the measurement in the order of :data:`ehls_ros.physics.rig.SENSED`, ``r`` force reference and
+its first and second derivative [N, N/s, N/s^2], ``f`` friction of the elements and viscous friction [N],
+``p`` its parameters, ``model`` the :class:`Model`, ``memory`` updated in place, and ``status`` filled in
+place by the indices below. It keeps the command within ``model.spool_limit`` without winding up.
+"""
+
+from typing import Any, NamedTuple, Protocol
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.rig import Rig
+
+E3, S, ALPHA, BETA, DELTA, U1, U2, U3, FORCE_ERROR, FORCE_BOUND, SATURATED, STATUS_SIZE = range(12)
+"""Where a status holds its quantities, with the units of the ControllerStatus message; and its size."""
+
+ELEMENTS_FORCE, VISCOUS_FORCE = 0, 1
+"""Where a friction estimate holds its two forces."""
+
+
+class Model(NamedTuple):
+    """What a controller knows of the rig."""
+
+    plant: Plant
+    period: float
+    spool_limit: float
+
+
+class ControllerLaw(Protocol):
+    """The attributes of one controller's file."""
+
+    Parameters: Any
+    FRICTION: bool
+
+    def memory(self, p: Any) -> Array:
+        """Return the state before the first cycle."""
+
+    def step(self, m: Array, r: Array, f: Array, p: Any, model: Model, memory: Array, status: Array) -> float:
+        """Return the spool command [m]."""
+
+
+def model_of(rig: Rig, period: float) -> Model:
+    """Return what a controller may know of a rig: its parameters, not its effects."""
+    return Model(rig.plant, period, rig.limits.spool)
+
+
+@kernel
+def saturate(value: float, limit: float) -> float:
+    """Cut a value to [-limit, limit]."""
+    return min(max(value, -limit), limit)

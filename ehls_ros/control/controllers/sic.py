@@ -1,0 +1,72 @@
+"""Structure invariance compensation: the motion's flow fed forward, and a PI force loop.
+
+What the disturbance does to the load pressure it does through the piston's velocity, -e1 x2 in (25).
+The spool that passes just this flow makes the pressure invariant to the motion; the PI loop does the
+rest. There is no friction compensation.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.control.controllers import base
+from ehls_ros.control.controllers.base import Model, saturate
+from ehls_ros.physics import sensors
+from ehls_ros.schema import quantity
+
+FRICTION = False
+
+LEAST_DROP = 0.01
+"""The pressure drop over the valve is taken no smaller than this part of the supply pressure."""
+
+
+class Parameters(NamedTuple):
+    """Tuning of the compensation and of the loop."""
+
+    proportional: Annotated[float, quantity("1/s", "rate at which the loop takes the pressure error out", minimum=0.0, maximum=1e3)] = 80.0
+    integral: Annotated[float, quantity("1/s^2", "rate at which the remaining error is taken out", minimum=0.0, maximum=1e4)] = 200.0
+    compensation: Annotated[float, quantity("1", "part of the motion's flow that is fed forward", minimum=0.0, maximum=1.5)] = 1.0
+
+
+INTEGRAL, LAST_VELOCITY, STARTED = 0, 1, 2
+
+
+def memory(p: Parameters) -> Array:
+    """Return an empty integral."""
+    return np.zeros(3)
+
+
+@kernel
+def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Array, status: Array) -> float:
+    """Return the spool command [m]."""
+    plant, period = model.plant, model.period
+    supply, pressure, spool = m[sensors.SUPPLY_PRESSURE], m[sensors.LOAD_PRESSURE], m[sensors.SPOOL]
+    side = 1.0 if spool >= 0.0 else -1.0
+    root = math.sqrt(max(supply - side * pressure, LEAST_DROP * supply) / plant.oil_density)
+    flow_gain = plant.discharge_coefficient * plant.valve_area_gradient * root * plant.valve_gain
+    compliance = plant.total_volume / (4.0 * plant.bulk_modulus)
+
+    velocity = m[sensors.VELOCITY]
+    if memory[STARTED] == 0.0:
+        memory[LAST_VELOCITY], memory[STARTED] = velocity, 1.0
+    acceleration = (velocity - memory[LAST_VELOCITY]) / period
+    memory[LAST_VELOCITY] = velocity
+    # The valve's lag is made up for by the flow's rate.
+    motion = plant.piston_area * (velocity + acceleration / plant.valve_bandwidth)
+
+    error = pressure - r[0] / plant.piston_area
+    integral = memory[INTEGRAL] + period * error
+    wanted_rate = r[1] / plant.piston_area - p.proportional * error - p.integral * integral
+    wanted = (p.compensation * motion + plant.leakage_coefficient * pressure + compliance * wanted_rate) / flow_gain
+    command = saturate(wanted, model.spool_limit)
+    # At the limit, the integral moves only away from it.
+    if wanted == command or wanted * error > 0.0:
+        memory[INTEGRAL] = integral
+
+    status[:] = 0.0
+    status[base.E3] = error * 1e-6
+    status[base.FORCE_ERROR] = m[sensors.FORCE] - r[0]
+    status[base.SATURATED] = 1.0 if wanted != command else 0.0
+    return command

@@ -1,0 +1,53 @@
+"""What a friction observer's file provides.
+
+``state(friction)``, an :class:`ObserverState` before the first cycle, and a compiled
+``update(velocity, period, friction, state)`` that takes one more measured velocity [m/s] and leaves the
+estimate in ``state.estimate``: force of the elements together, viscous force [N], then each element's
+force [N], then for each 1 where it slips and 0 where it sticks.
+"""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.physics.integration import WORK_ROWS
+from ehls_ros.physics.parameters import Friction
+
+ELEMENTS = 2
+"""Where an estimate's element forces start."""
+
+
+class ObserverState(NamedTuple):
+    """Everything an observer keeps.
+
+    Attributes:
+        forces: forces of the elements [N].
+        mode: their modes, as in :mod:`ehls_ros.physics.friction.base`.
+        last: last velocity [m/s], and 1 once there was one.
+        work: scratch of the integrator.
+        estimate: the result, shape (2 + 2 elements,).
+    """
+
+    forces: Array
+    mode: Array
+    last: Array
+    work: Array
+    estimate: Array
+
+
+class FrictionObserver(Protocol):
+    """The attributes of one observer's file."""
+
+    def state(self, friction: Friction) -> ObserverState:
+        """Return the state before the first cycle."""
+
+    def update(self, velocity: float, period: float, friction: Friction, state: ObserverState) -> None:
+        """Take one more measurement."""
+
+
+def empty_state(elements: int) -> ObserverState:
+    """Return a state at rest for a number of elements."""
+    return ObserverState(
+        np.zeros(elements), np.zeros(elements), np.zeros(2), np.empty((WORK_ROWS, elements)), np.zeros(2 + 2 * elements)
+    )

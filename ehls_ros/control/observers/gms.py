@@ -1,0 +1,64 @@
+"""The identified GMS model run along the measured velocity: A^T B of (16)."""
+
+from typing import NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.control.observers.base import ELEMENTS, ObserverState, empty_state
+from ehls_ros.physics.friction import gms
+from ehls_ros.physics.friction.base import stribeck_level
+from ehls_ros.physics.integration import integrator
+from ehls_ros.physics.parameters import Friction
+
+STEPS = 4
+"""Integration steps between two measurements."""
+
+
+class Motion(NamedTuple):
+    """Velocity between two measurements: a straight line."""
+
+    friction: Friction
+    velocity: float
+    acceleration: float
+
+
+def state(friction: Friction) -> ObserverState:
+    """Return the elements at rest."""
+    return empty_state(len(friction.element_stiffness))
+
+
+@kernel
+def _derivatives(t: float, y: Array, mode: Array, c: Motion, rate: Array) -> None:
+    v = c.velocity + c.acceleration * t
+    gms.rates(v, stribeck_level(v, c.friction), y, mode, c.friction, rate)
+
+
+@kernel
+def _event(t: float, y: Array, mode: Array, c: Motion) -> float:
+    v = c.velocity + c.acceleration * t
+    return gms.event(v, 0.0, stribeck_level(v, c.friction), y, mode, c.friction)
+
+
+@kernel
+def _switch(t: float, y: Array, mode: Array, c: Motion) -> None:
+    v = c.velocity + c.acceleration * t
+    gms.switch(v, 0.0, stribeck_level(v, c.friction), y, mode, c.friction)
+
+
+_advance = integrator(_derivatives, _event, _switch)
+
+
+@kernel
+def update(velocity: float, period: float, friction: Friction, state: ObserverState) -> None:
+    """Run the elements from the last measurement to this one."""
+    if state.last[1] == 1.0:
+        motion = Motion(friction, state.last[0], (velocity - state.last[0]) / period)
+        _advance(0.0, state.forces, state.mode, motion, period / STEPS, STEPS, state.work)
+    state.last[0], state.last[1] = velocity, 1.0
+    elements = state.forces.size
+    total = 0.0
+    for i in range(elements):
+        total += state.forces[i]
+        state.estimate[ELEMENTS + i] = state.forces[i]
+        state.estimate[ELEMENTS + elements + i] = abs(state.mode[i])
+    state.estimate[0] = total
+    state.estimate[1] = friction.viscous_coefficient * velocity

@@ -1,0 +1,6 @@
+"""Reference signals, one file each; ``base`` says what a file provides."""
+
+from ehls_ros.control.references.base import ReferenceSignal
+from ehls_ros.families import Family
+
+REFERENCES: Family[ReferenceSignal] = Family("ehls_ros.control.references", "reference")

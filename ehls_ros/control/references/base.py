@@ -1,0 +1,54 @@
+"""What a reference's file provides.
+
+``Parameters``, a named tuple declaring its parameters, and ``sample(t, p)``: value and first and second
+time derivative, all analytic, at times ``t`` [s] of shape (n,), as an array of shape (n, 3). The value is a
+force [N] for the loader, and a displacement [m] where a position servo follows it.
+"""
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+
+
+class ReferenceSignal(Protocol):
+    """The attributes of one reference's file."""
+
+    Parameters: Any
+
+    def sample(self, t: Array, p: Any) -> Array:
+        """Return value, first and second derivative, shape (n, 3)."""
+
+
+class SampledReference:
+    """A reference by cycle number, sampled a block ahead at a time."""
+
+    BLOCK = 1024
+
+    def __init__(self, signal: ReferenceSignal, parameters: Any, period: float) -> None:
+        """Take a signal with its parameters; ``period`` is that of the cycles [s]."""
+        self._signal = signal
+        self._parameters = parameters
+        self._period = period
+        self._first = -1
+        self._rows = np.empty((0, 3))
+
+    def row(self, cycle: int) -> Array:
+        """Return value, first and second derivative at a cycle, shape (3,)."""
+        first = cycle - cycle % self.BLOCK
+        if first != self._first:
+            t = np.arange(first, first + self.BLOCK) * self._period
+            self._rows = self._signal.sample(t, self._parameters)
+            self._first = first
+        row: Array = self._rows[cycle - first]
+        return row
+
+    def rows(self, cycles: int) -> Array:
+        """Return the first cycles, shape (cycles, 3), bit for bit what :meth:`row` gives."""
+        out = np.empty((cycles, 3))
+        for first in range(0, cycles, self.BLOCK):
+            self.row(first)
+            part = out[first : first + self.BLOCK]
+            part[:] = self._rows[: len(part)]
+        return out

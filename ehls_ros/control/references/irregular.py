@@ -1,0 +1,43 @@
+"""An irregular smooth signal: sines of seeded random frequency and phase, faded in from zero."""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.references._harmonics import harmonics
+from ehls_ros.schema import quantity
+
+FADE = 0.5
+"""Time in which the signal grows from zero to its full size [s]."""
+
+
+class Parameters(NamedTuple):
+    """Size and band; the paper draws such a signal but does not define it."""
+
+    amplitude: Annotated[float, quantity("N or m", "largest value the sum of sines can reach")] = 1e4
+    lowest_frequency: Annotated[float, quantity("Hz", "lower end of the band", above=0.0, maximum=1e3)] = 0.1
+    highest_frequency: Annotated[float, quantity("Hz", "upper end of the band", above=0.0, maximum=1e3)] = 0.8
+    components: Annotated[int, quantity("1", "number of sines", minimum=1, maximum=1000)] = 6
+    seed: Annotated[int, quantity("1", "seed of frequencies and phases", minimum=0)] = 1
+
+
+def sample(t: Array, p: Parameters) -> Array:
+    """Return the signal and its derivatives."""
+    random = np.random.default_rng(p.seed)
+    frequency = np.sort(random.uniform(p.lowest_frequency, p.highest_frequency, p.components))
+    phase = random.uniform(0.0, 2.0 * np.pi, p.components)
+    weight = 1.0 / frequency
+    wave = harmonics(t, p.amplitude * weight / weight.sum(), frequency, phase)
+    # A quintic step: value, first and second derivative start at zero and end on the wave's own.
+    x = np.clip(t / FADE, 0.0, 1.0)
+    fade = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+    fade_rate = 30.0 * x**2 * (1.0 - x) ** 2 / FADE
+    fade_acceleration = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / FADE**2
+    return np.column_stack(
+        [
+            fade * wave[:, 0],
+            fade_rate * wave[:, 0] + fade * wave[:, 1],
+            fade_acceleration * wave[:, 0] + 2.0 * fade_rate * wave[:, 1] + fade * wave[:, 2],
+        ]
+    )

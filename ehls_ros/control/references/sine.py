@@ -1,0 +1,25 @@
+"""A sine."""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.schema import quantity
+
+
+class Parameters(NamedTuple):
+    """offset + amplitude sin(2 pi frequency t + phase)."""
+
+    amplitude: Annotated[float, quantity("N or m", "amplitude")] = 1e4
+    frequency: Annotated[float, quantity("Hz", "frequency", minimum=0.0, maximum=1e3)] = 0.5
+    offset: Annotated[float, quantity("N or m", "mean value")] = 0.0
+    phase: Annotated[float, quantity("rad", "phase at t = 0")] = 0.0
+
+
+def sample(t: Array, p: Parameters) -> Array:
+    """Return the sine and its derivatives."""
+    omega = 2.0 * np.pi * p.frequency
+    angle = omega * t + p.phase
+    wave = p.amplitude * np.sin(angle)
+    return np.column_stack([p.offset + wave, omega * p.amplitude * np.cos(angle), -(omega**2) * wave])

@@ -1,0 +1,38 @@
+"""A triangle wave whose corners are rounded by a parabola, so that the second derivative stays bounded."""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.schema import quantity
+
+
+class Parameters(NamedTuple):
+    """Zero-mean triangle starting upward from zero; the flanks keep the slope of the sharp triangle."""
+
+    amplitude: Annotated[float, quantity("N or m", "peak of the sharp triangle")] = 1e4
+    frequency: Annotated[float, quantity("Hz", "frequency", above=0.0, maximum=1e3)] = 0.5
+    corner: Annotated[float, quantity("1", "part of the period each corner's parabola takes", above=0.0, maximum=0.5)] = 0.02
+
+
+def sample(t: Array, p: Parameters) -> Array:
+    """Return the rounded triangle and its derivatives."""
+    period = 1.0 / p.frequency
+    slope = 4.0 * p.amplitude / period
+    half = 0.5 * p.corner * period
+    # Time from the nearest corner; corners lie at a quarter period and every half period after it.
+    half_periods = np.floor((t + 0.25 * period) / (0.5 * period))
+    after = t + 0.25 * period - half_periods * 0.5 * period
+    rising = np.where(half_periods % 2 == 0, 1.0, -1.0)
+    from_middle = after - 0.25 * period
+    value = rising * slope * from_middle
+    rate = rising * slope
+    acceleration = np.zeros_like(t)
+    distance = np.abs(from_middle) - (0.25 * period - half)
+    round_off = distance > 0.0
+    towards = np.sign(from_middle)
+    value = value - np.where(round_off, rising * towards * slope * distance**2 / (4.0 * half), 0.0)
+    rate = rate * np.where(round_off, 1.0 - distance / (2.0 * half), 1.0)
+    acceleration = np.where(round_off, -rising * towards * slope / (2.0 * half), 0.0)
+    return np.column_stack([value, rate, acceleration])

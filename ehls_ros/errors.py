@@ -1,0 +1,21 @@
+"""The one exception for what a user handed over wrongly."""
+
+
+class BadInput(ValueError):
+    """A user's input that cannot be used: one line saying what, where and what was expected.
+
+    The command line prints it and exits with code 2.
+    """
+
+    def __init__(self, what: str, where: str, expected: str) -> None:
+        """Make the one line.
+
+        Args:
+            what: the offending thing with its value, such as ``moving_mass is -70``.
+            where: file, section and key it stands in.
+            expected: what would have been accepted.
+        """
+        self.what = what
+        self.where = where
+        self.expected = expected
+        super().__init__(f"{where}: {what}; expected {expected}")

@@ -1,0 +1,1 @@
+"""Experiment specs, the runner without ROS, and metrics."""

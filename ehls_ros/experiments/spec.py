@@ -1,0 +1,217 @@
+"""One experiment: rig, reference, disturbance, controller, duration, seed."""
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import yaml
+
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.disturbances import DISTURBANCES
+from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.references import REFERENCES
+from ehls_ros.errors import BadInput
+from ehls_ros.physics.rig import Rig, effects_from_list, rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.simulator import DEFAULT_STEP
+from ehls_ros.schema import parse, quantity, text
+
+
+class Use(NamedTuple):
+    """A member of a family, by name, with its parameters."""
+
+    name: str
+    parameters: Any
+
+
+class DisturbanceUse(NamedTuple):
+    """A disturbance with the signal it follows."""
+
+    name: str
+    parameters: Any
+    signal: Use
+
+
+class Settings(NamedTuple):
+    """What a spec says in plain numbers and names."""
+
+    title: Annotated[str, text("what the experiment is called in reports")] = "experiment"
+    duration: Annotated[float, quantity("s", "plant time to run", above=0.0, maximum=1e6)] = 10.0
+    control_period: Annotated[float, quantity("s", "time between two control cycles", minimum=1e-5, maximum=0.1)] = 1e-3
+    integration_step: Annotated[float, quantity("s", "largest integration step of the plant", minimum=1e-7, maximum=1e-2)] = DEFAULT_STEP
+    initial_position: Annotated[float, quantity("m", "piston position at the start; it rests without pressure")] = 0.0
+    compensation: Annotated[str, text("friction observer: gms (FASMC II) or stribeck (FASMC I)")] = "gms"
+    seed: Annotated[int, quantity("1", "seed of the sensors' noise", minimum=0)] = 0
+
+
+class Spec(NamedTuple):
+    """A whole experiment."""
+
+    settings: Settings
+    rig: Rig
+    reference: Use
+    disturbance: DisturbanceUse
+    controller: Use
+
+    @property
+    def cycles(self) -> int:
+        """Number of control cycles, the one at the end included."""
+        return round(self.settings.duration / self.settings.control_period) + 1
+
+    def loader_rig(self) -> Rig:
+        """Return the rig with what the disturbance adds to the loader's plant."""
+        kind = DISTURBANCES.load(self.disturbance.name)
+        return self.rig.with_effects(kind.loader_effects(self.disturbance.parameters))
+
+
+SECTIONS = (*Settings._fields, "rig", "effects", "reference", "disturbance", "controller")
+
+
+def read_yaml(path: Path, what: str) -> Any:
+    """Read a YAML file.
+
+    Raises:
+        BadInput: it cannot be read or is no YAML.
+    """
+    try:
+        return yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadInput(f"{what} cannot be read ({error.strerror})", str(path), "a readable YAML file") from None
+    except UnicodeDecodeError:
+        raise BadInput(f"{what} is no text", str(path), "a YAML file in UTF-8") from None
+    except yaml.YAMLError as error:
+        line = getattr(getattr(error, "problem_mark", None), "line", None)
+        place = f"{path}:{line + 1}" if line is not None else str(path)
+        raise BadInput(f"{what} is no YAML ({getattr(error, 'problem', error)})", place, "valid YAML") from None
+
+
+def load_rig(path: Path) -> Rig:
+    """Read a rig file.
+
+    Raises:
+        BadInput: the file or one of its keys is wrong.
+    """
+    return rig_from_mapping(read_yaml(path, "rig file"), str(path))
+
+
+def load_spec(path: Path) -> Spec:
+    """Read an experiment's YAML file; files it names are looked for beside it.
+
+    Raises:
+        BadInput: the file or one of its keys is wrong.
+    """
+    return spec_from_mapping(read_yaml(path, "spec"), str(path), path.parent)
+
+
+def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
+    """Check a spec's content and build the spec.
+
+    Args:
+        data: the parsed file.
+        where: the file, for errors.
+        folder: where relative file names start.
+
+    Returns:
+        The spec.
+
+    Raises:
+        BadInput: the first key that is missing, unknown or out of range.
+    """
+    if not isinstance(data, Mapping):
+        raise BadInput(f"a spec is {type(data).__name__}", where, f"a mapping with keys of {', '.join(SECTIONS)}")
+    for key in data:
+        if key not in SECTIONS:
+            raise BadInput(f"key {key!r} is unknown", where, f"one of {', '.join(SECTIONS)}")
+    settings = parse(Settings, {key: data[key] for key in Settings._fields if key in data}, where)
+    OBSERVERS.load(settings.compensation, f"{where}: compensation")
+    rig = _rig(data.get("rig"), where, folder)
+    rig = rig.with_effects(effects_from_list(data.get("effects") or [], f"{where}: effects"))
+    spec = Spec(
+        settings=settings,
+        rig=rig,
+        reference=_use(REFERENCES, data.get("reference"), f"{where}: reference", folder),
+        disturbance=_disturbance(data.get("disturbance"), f"{where}: disturbance", folder),
+        controller=_use(CONTROLLERS, data.get("controller"), f"{where}: controller", folder),
+    )
+    _sampled_once(spec.reference, f"{where}: reference")
+    _sampled_once(spec.disturbance.signal, f"{where}: disturbance: signal")
+    return spec
+
+
+def _rig(data: Any, where: str, folder: Path) -> Rig:
+    if isinstance(data, str):
+        return load_rig(folder / data)
+    if data is None:
+        raise BadInput("key 'rig' is missing", where, "a rig file's name or its content")
+    return rig_from_mapping(data, f"{where}: rig")
+
+
+def _use(family: Any, data: Any, where: str, folder: Path) -> Use:
+    if not isinstance(data, Mapping) or "name" not in data:
+        raise BadInput(f"section is {data!r}", where, f"a mapping with a name, one of {', '.join(family.names())}")
+    member = family.load(data["name"], where)
+    values = {key: value for key, value in data.items() if key != "name"}
+    if "file" in values and "points" in member.Parameters._fields:
+        values["points"] = read_points(folder / str(values.pop("file")))
+    return Use(data["name"], parse(member.Parameters, values, f"{where}: {data['name']}"))
+
+
+def _disturbance(data: Any, where: str, folder: Path) -> DisturbanceUse:
+    if data is None:
+        data = {"name": "force", "signal": {"name": "constant", "value": 0.0}}
+    if not isinstance(data, Mapping):
+        raise BadInput(f"section is {data!r}", where, f"a mapping with a name, one of {', '.join(DISTURBANCES.names())}")
+    rest = {key: value for key, value in data.items() if key != "signal"}
+    use = _use(DISTURBANCES, rest, where, folder)
+    return DisturbanceUse(use.name, use.parameters, _use(REFERENCES, data.get("signal"), f"{where}: signal", folder))
+
+
+def _sampled_once(use: Use, where: str) -> None:
+    """Let a signal complain now about parameters that only make sense together."""
+    rows = REFERENCES.load(use.name).sample(np.zeros(1), use.parameters)
+    if not np.all(np.isfinite(rows)):
+        raise BadInput(f"{use.name} is not finite at its start", where, "parameters that give finite numbers")
+
+
+def read_points(path: Path) -> list[tuple[float, float]]:
+    """Read a load spectrum: a CSV with the columns ``time_s`` and ``value``.
+
+    Raises:
+        BadInput: a column is missing, a cell is no finite number, or time does not increase.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise BadInput(f"reference file cannot be read ({error})", str(path), "a CSV file") from None
+    points: list[tuple[float, float]] = []
+    for number, row in enumerate(rows, start=2):
+        try:
+            time, value = float(row["time_s"]), float(row["value"])
+        except (KeyError, TypeError, ValueError):
+            raise BadInput(f"row is {row}", f"{path}:{number}", "numbers in the columns time_s and value") from None
+        if not (abs(time) < float("inf") and abs(value) < float("inf")):
+            raise BadInput(f"row holds {time}, {value}", f"{path}:{number}", "finite numbers")
+        if points and time <= points[-1][0]:
+            raise BadInput(f"time_s is {time} after {points[-1][0]}", f"{path}:{number}", "increasing times")
+        points.append((time, value))
+    if len(points) < 2:
+        raise BadInput(f"{len(points)} rows", str(path), "a header time_s,value and at least two rows")
+    return points
+
+
+def spec_to_mapping(spec: Spec) -> dict[str, Any]:
+    """Return a spec with everything it names written out; :func:`spec_from_mapping` turns it back."""
+
+    def plain(use: Use) -> dict[str, Any]:
+        return {"name": use.name, **use.parameters._asdict()}
+
+    disturbance = plain(Use(spec.disturbance.name, spec.disturbance.parameters))
+    return {
+        **spec.settings._asdict(),
+        "rig": rig_to_mapping(spec.rig),
+        "reference": plain(spec.reference),
+        "disturbance": {**disturbance, "signal": plain(spec.disturbance.signal)},
+        "controller": plain(spec.controller),
+    }

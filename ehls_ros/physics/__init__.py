@@ -1,0 +1,1 @@
+"""The rig's physics: rig description, plant, friction, effects, integration, sensors."""

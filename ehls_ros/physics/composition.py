@@ -1,0 +1,162 @@
+"""Putting chosen parts into one compiled kernel, and keeping the machine code between processes.
+
+Numba caches machine code by source file, not by the functions handed to it. So the parts chosen are
+written down as a small module that imports them and names them in one compiled entry function. The
+module lies in the user's cache folder under a name made of its own text and of the package's sources:
+any change of either makes a new module, and a cached kernel is never stale.
+"""
+
+import hashlib
+import importlib.util
+import os
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+import numba
+import numpy as np
+
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.effects.base import HOOKS
+from ehls_ros.physics.friction import FRICTION_MODELS
+from ehls_ros.physics.rig import Rig
+
+PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def cache_folder() -> Path:
+    """Return where generated kernels lie: ``$EHLS_CACHE_DIR``, or ``ehls_ros`` in the user's cache folder."""
+    chosen = os.environ.get("EHLS_CACHE_DIR")
+    if chosen:
+        return Path(chosen)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ehls_ros"
+
+
+@cache
+def _sources_digest() -> str:
+    """Return a digest of everything a kernel's machine code is made from."""
+    digest = hashlib.sha256(f"{sys.version} {numba.__version__} {np.__version__}".encode())
+    for folder in ("physics", "control"):
+        for path in sorted((PACKAGE / folder).rglob("*.py")):
+            digest.update(str(path.relative_to(PACKAGE)).encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def kernel_module(source: str) -> ModuleType:
+    """Import a generated module, writing it first where it is new.
+
+    Args:
+        source: text of the module; its compiled entry functions say ``cache=True``.
+
+    Returns:
+        The module. Its entry functions compile at their first call ever, and load at later ones.
+    """
+    digest = hashlib.sha256((_sources_digest() + source).encode()).hexdigest()[:16]
+    name = f"ehls_kernel_{digest}"
+    if name in sys.modules:
+        return sys.modules[name]
+    path = _written(cache_folder(), name, source)
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} cannot be imported as a kernel module")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def _written(folder: Path, name: str, source: str) -> Path:
+    """Write the module unless it is there; a folder that cannot be written gives way to a temporary one."""
+    path = folder / f"{name}.py"
+    if path.is_file():
+        return path
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle, scratch = tempfile.mkstemp(dir=folder, suffix=".py")
+    except OSError:
+        folder = Path(tempfile.mkdtemp(prefix="ehls_ros_"))
+        path = folder / f"{name}.py"
+        handle, scratch = tempfile.mkstemp(dir=folder, suffix=".py")
+    # Several nodes may start at once: each writes its own file, the last rename wins with the same text.
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(source)
+    os.replace(scratch, path)
+    return path
+
+
+def plant_source(rig: Rig) -> str:
+    """Return the text of the kernel module for a rig's friction model and effects.
+
+    The module's ``advance(t, y, mode, plant, friction, inputs, effects, step, steps, work)`` moves the
+    plant on, ``sense(cycle, y, temperature, plant, sensors, noise, truth, measured)`` reads its sensors; ``EFFECT_STATES`` counts the effects' own states.
+    """
+    elements = rig_elements(rig)
+    imports, chains, rates, states, offset = [], {hook: list[str]() for hook in HOOKS}, list[str](), 0, 0
+    for index, use in enumerate(rig.effects):
+        effect = EFFECTS.load(use.name)
+        own = getattr(effect, "STATES", 0)
+        count = len(use.parameters)
+        view = f"z[{states}:{states + own}], p[{offset}:{offset + count}]"
+        imports.append(f"from ehls_ros.physics.effects import {use.name} as effect_{index}")
+        for hook in HOOKS:
+            if hasattr(effect, hook):
+                chains[hook].append(f"    value = effect_{index}.{hook}(value, t, y, w, {view})")
+        if own:
+            rates.append(f"    effect_{index}.derivatives(t, y, w, {view}, dz[{states}:{states + own}])")
+        states += own
+        offset += count
+    hooks = "\n\n".join(
+        "\n".join(["@kernel", f"def {hook}(value, t, y, w, z, p):", *chains[hook], "    return value", ""])
+        for hook in HOOKS
+    )
+    return _PLANT.format(
+        friction=rig.friction_model,
+        imports="\n".join(imports),
+        hooks=hooks,
+        rates="\n".join(rates) or "    pass",
+        elements=elements,
+        states=states,
+    )
+
+
+def rig_elements(rig: Rig) -> int:
+    """Return how many forces the rig's friction model integrates."""
+    return FRICTION_MODELS.load(rig.friction_model).states(rig.friction)
+
+
+_PLANT = '''"""Plant kernel, generated."""
+from numba import njit
+from ehls_ros.arrays import kernel
+from ehls_ros.physics import integration, plant as model, sensors
+from ehls_ros.physics.friction import {friction} as friction_model
+{imports}
+
+EFFECT_STATES = {states}
+
+
+{hooks}
+
+@kernel
+def effect_rates(t, y, w, z, p, dz):
+{rates}
+
+
+run = integration.integrator(*model.system(model.Parts(
+    friction_model, {elements},
+    command, opening, supply_pressure, bulk_modulus, leakage, friction_level, force, effect_rates,
+)))
+
+
+@njit(cache=True, error_model="numpy")
+def advance(t, y, mode, plant, friction, inputs, effects, step, steps, work):
+    return run(t, y, mode, model.Coefficients(plant, friction, inputs, effects), step, steps, work)
+
+
+@njit(cache=True, error_model="numpy")
+def sense(cycle, y, temperature, plant, state, noise, truth, measured):
+    sensors.true_signals(y, temperature, plant, truth)
+    sensors.measure(cycle, truth, noise, state, measured)
+'''

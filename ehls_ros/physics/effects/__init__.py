@@ -1,0 +1,6 @@
+"""Physical effects beyond the paper's model, one file each; ``base`` says what a file provides."""
+
+from ehls_ros.families import Family
+from ehls_ros.physics.effects.base import Effect
+
+EFFECTS: Family[Effect] = Family("ehls_ros.physics.effects", "effect")

@@ -1,0 +1,25 @@
+"""The position servo's displacement enters through the elasticity of beam and hinges."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects.base import Stage
+from ehls_ros.physics.plant import V, X, servo_displacement, servo_velocity
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "environment"
+EQUATION = "F = stiffness (x_servo - x) + damping (v_servo - v)"
+SOURCE = "two masses on an elastic beam; Kang et al. 2018, Fig. 1"
+
+
+class Parameters(NamedTuple):
+    """The beam as a spring and a damper between both pistons."""
+
+    stiffness: Annotated[float, quantity("N/m", "stiffness between the pistons", minimum=0.0, maximum=1e9)] = 0.0
+    damping: Annotated[float, quantity("N s/m", "damping between the pistons", minimum=0.0, maximum=1e6)] = 0.0
+
+
+@kernel
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+    """Pull the loader toward the servo."""
+    return value + p[0] * (servo_displacement(t, w) - y[X]) + p[1] * (servo_velocity(w) - y[V])

@@ -1,0 +1,6 @@
+"""Friction models, one file each; ``base`` says what a model provides."""
+
+from ehls_ros.families import Family
+from ehls_ros.physics.friction.base import FrictionModel
+
+FRICTION_MODELS: Family[FrictionModel] = Family("ehls_ros.physics.friction", "friction model")

@@ -1,0 +1,58 @@
+"""The rig's coefficients: declared here once, with unit, range and help."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.schema import quantity, text
+
+
+class Plant(NamedTuple):
+    """Hydraulics, valve and beam load: the coefficients of equations (1)-(4)."""
+
+    supply_pressure: Annotated[float, quantity("Pa", "supply pressure ps", above=0.0)]
+    oil_density: Annotated[float, quantity("kg/m^3", "density of the oil, rho", above=0.0)]
+    bulk_modulus: Annotated[float, quantity("Pa", "effective bulk modulus of the oil, beta_e", above=0.0)]
+    discharge_coefficient: Annotated[float, quantity("1", "discharge coefficient of the valve, Cd", above=0.0)]
+    valve_area_gradient: Annotated[float, quantity("m", "valve area per spool displacement, w", above=0.0)]
+    leakage_coefficient: Annotated[float, quantity("m^5/(N s)", "internal leakage of the cylinder, Ctc", minimum=0.0)]
+    total_volume: Annotated[float, quantity("m^3", "oil volume of both chambers and lines, Vt", above=0.0)]
+    moving_mass: Annotated[float, quantity("kg", "equivalent mass of piston and load, m0", above=0.0)]
+    piston_area: Annotated[float, quantity("m^2", "ram area, Ac", above=0.0)]
+    arm_length: Annotated[float, quantity("m", "arm of the beam, L", above=0.0)]
+    spring_stiffness: Annotated[float, quantity("N/m", "equivalent spring of the beam load, ks", minimum=0.0)]
+    viscous_damping: Annotated[float, quantity("N s/m", "viscous damping of the friction loading device, B0", minimum=0.0)]
+    valve_bandwidth: Annotated[float, quantity("rad/s", "bandwidth of the servo valve, omega_v", above=0.0)]
+    valve_gain: Annotated[float, quantity("1", "spool displacement per spool command, Kv", above=0.0)]
+    gravity: Annotated[float, quantity("m/s^2", "gravity along -x as (3) has it; negative turns it round", minimum=-20.0, maximum=20.0)]
+
+
+class Friction(NamedTuple):
+    """Coefficients of the cylinder's friction, equations (5)-(8)."""
+
+    coulomb_force: Annotated[float, quantity("N", "Coulomb friction Fc", minimum=0.0)]
+    static_force: Annotated[float, quantity("N", "static friction Fs", above=0.0)]
+    stribeck_velocity: Annotated[float, quantity("m/s", "Stribeck velocity Vs", above=0.0)]
+    stribeck_exponent: Annotated[float, quantity("1", "shape of the Stribeck curve, delta", above=0.0, maximum=4.0)]
+    viscous_coefficient: Annotated[float, quantity("N s/m", "viscous friction sigma_f", minimum=0.0)]
+    element_stiffness: Annotated[tuple[float, ...], text("presliding stiffness k_i of each element [N/m]")]
+    element_weight: Annotated[tuple[float, ...], text("share alpha_i of each element; they sum to 1")]
+    attraction_rate: Annotated[float, quantity("N/s", "rate C at which a slipping element nears the Stribeck curve", above=0.0)]
+
+
+class Sensor(NamedTuple):
+    """One sensor's imperfections; the defaults are those of a perfect one."""
+
+    noise_std: Annotated[float, quantity("signal", "standard deviation of white noise per sample", minimum=0.0)] = 0.0
+    resolution: Annotated[float, quantity("signal", "step of the converter; 0: none", minimum=0.0)] = 0.0
+    bias: Annotated[float, quantity("signal", "constant offset")] = 0.0
+    bandwidth: Annotated[float, quantity("rad/s", "first-order bandwidth; 0: no lag", minimum=0.0)] = 0.0
+    delay: Annotated[float, quantity("s", "pure delay", minimum=0.0, maximum=1.0)] = 0.0
+
+
+class Limits(NamedTuple):
+    """What the rig may not exceed."""
+
+    spool: Annotated[float, quantity("m", "largest spool command", above=0.0)]
+    force: Annotated[float, quantity("N", "largest driving force", above=0.0)]
+    load_pressure: Annotated[float, quantity("Pa", "largest load pressure", above=0.0)]
+    position: Annotated[tuple[float, float], text("smallest and largest piston position [m]")]
+    velocity: Annotated[float, quantity("m/s", "largest piston velocity", above=0.0)]

@@ -1,0 +1,88 @@
+"""What the rig's sensors make of the truth: lag, delay, bias, noise, resolution, in this order."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.parameters import Plant, Sensor
+from ehls_ros.physics.plant import PL, XV, V, X
+from ehls_ros.physics.rig import SENSED
+
+POSITION, VELOCITY, LOAD_PRESSURE, SPOOL, FORCE, SUPPLY_PRESSURE, OIL_TEMPERATURE = range(len(SENSED))
+"""Where a measurement holds each signal, in the order of a loader_state."""
+
+
+class SensorState(NamedTuple):
+    """Sensors prepared for the kernel; one row a signal of :data:`SENSED`.
+
+    Attributes:
+        table: columns smoothing factor of the lag, delay [cycles], bias, noise_std, resolution.
+        lagged: output of the first-order lag.
+        past: ring buffer of lagged values, shape (signals, cycles of the longest delay + 2).
+    """
+
+    table: Array
+    lagged: Array
+    past: Array
+
+
+def prepare(sensors: Mapping[str, Sensor], period: float) -> SensorState:
+    """Lay out sensors for :func:`measure`.
+
+    Args:
+        sensors: imperfect sensors by signal; a signal left out is perfect.
+        period: sampling period [s].
+
+    Returns:
+        Their state, before the first sample.
+    """
+    table = np.zeros((len(SENSED), 5))
+    for row, signal in enumerate(SENSED):
+        sensor = sensors.get(signal, Sensor())
+        smoothing = 1.0 - np.exp(-sensor.bandwidth * period) if sensor.bandwidth > 0.0 else 1.0
+        table[row] = smoothing, sensor.delay / period, sensor.bias, sensor.noise_std, sensor.resolution
+    longest = int(np.ceil(table[:, 1].max()))
+    return SensorState(table, np.zeros(len(SENSED)), np.zeros((len(SENSED), longest + 2)))
+
+
+@kernel
+def true_signals(y: Array, temperature: float, plant: Plant, truth: Array) -> None:
+    """Write the true values of what the sensors read, shape (signals,), from the plant's state."""
+    truth[POSITION] = y[X]
+    truth[VELOCITY] = y[V]
+    truth[LOAD_PRESSURE] = y[PL]
+    truth[SPOOL] = y[XV]
+    truth[FORCE] = plant.piston_area * y[PL]
+    truth[SUPPLY_PRESSURE] = plant.supply_pressure
+    truth[OIL_TEMPERATURE] = temperature
+
+
+@kernel
+def measure(cycle: int, truth: Array, noise: Array, state: SensorState, measured: Array) -> None:
+    """Sample every sensor once.
+
+    Args:
+        cycle: number of the sample, counted up from 0; sample 0 fills lag and delay with the truth.
+        truth: true values, shape (signals,).
+        noise: standard normal numbers, shape (signals,).
+        state: from :func:`prepare`, updated in place.
+        measured: where the readings go, shape (signals,).
+    """
+    columns = state.past.shape[1]
+    for row in range(truth.size):
+        smoothing, delay, bias, deviation, resolution = state.table[row]
+        if cycle == 0:
+            state.lagged[row] = truth[row]
+            state.past[row, :] = truth[row]
+        state.lagged[row] += smoothing * (truth[row] - state.lagged[row])
+        state.past[row, cycle % columns] = state.lagged[row]
+        whole = int(delay)
+        part = delay - whole
+        newer = state.past[row, (cycle - whole) % columns]
+        older = state.past[row, (cycle - whole - 1) % columns]
+        value = newer + part * (older - newer) + bias + deviation * noise[row]
+        if resolution > 0.0:
+            value = np.round(value / resolution) * resolution
+        measured[row] = value

@@ -1,0 +1,1 @@
+"""Bags and CSV files to and from one Trajectory type."""

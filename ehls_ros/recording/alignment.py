@@ -1,0 +1,90 @@
+"""Recorded messages of several topics on one time base: the control cycle they belong to."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.errors import BadInput
+from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE, RESPONSE, VALVE_COMMAND
+
+CYCLE = "cycle"
+SECONDS = "header.stamp.sec"
+NANOSECONDS = "header.stamp.nanosec"
+RECEIVED = "received_ns"
+
+UNIX_TIME_NS = 10**18
+"""Stamps from here on are a wall clock's. As a float, seconds since 1970 would resolve 0.2 µs only."""
+
+Columns = Mapping[str, NDArray[Any]]
+"""The messages of one topic in order of arrival: their fields and their receive times :data:`RECEIVED` [ns]."""
+
+
+def align(topics: Mapping[str, Columns], where: str) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+    """Put the signals of all topics on the cycles of ``loader_state``.
+
+    Args:
+        topics: the messages by the topic's name; ``loader_state`` must be among them and not empty.
+        where: the bag, for the error.
+
+    Returns:
+        The sample times, shape (n,) [s], and the signals, shape (n,) or (n, elements).
+
+    Raises:
+        BadInput: the snapshots are those of several runs.
+    """
+    loader = topics[LOADER_STATE.name]
+    cycles, first = _first_of_each_cycle(loader)
+    _check_duplicates(loader, first[np.searchsorted(cycles, loader[CYCLE])], where)
+    stamps_ns = loader[SECONDS][first].astype(np.int64) * 10**9 + loader[NANOSECONDS][first]
+    backwards = np.flatnonzero(np.diff(stamps_ns) <= 0)
+    if len(backwards):
+        what = f"time does not grow from cycle {cycles[backwards[0]]} to cycle {cycles[backwards[0] + 1]}"
+        raise BadInput(what, where, "the snapshots of one run")
+    time_s = (stamps_ns - (stamps_ns[0] if stamps_ns[0] >= UNIX_TIME_NS else 0)) / 1e9
+
+    signals: dict[str, NDArray[np.float64]] = {}
+    for topic in CYCLE_TOPICS:
+        if topic.name not in topics:
+            continue
+        columns = topics[topic.name]
+        target, source = _matches(cycles, columns)
+        for field, signal in topic.signals.items():
+            if field in columns:
+                signals[signal] = _scatter(columns[field][source], target, len(cycles))
+        if topic is VALVE_COMMAND:
+            response_ns = columns[RECEIVED][source] - loader[RECEIVED][first][target]
+            signals[RESPONSE] = _scatter(response_ns / 1e9, target, len(cycles))
+    return time_s, signals
+
+
+def _first_of_each_cycle(columns: Columns) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
+    """Return the cycles in their order and, for each, the index of the message that came first."""
+    cycles, first = np.unique(columns[CYCLE], return_index=True)
+    return cycles, first
+
+
+def _check_duplicates(loader: Columns, original: NDArray[np.intp], where: str) -> None:
+    """Refuse two snapshots of a cycle that say different things, since one of them is of another run."""
+    repeated = np.flatnonzero(original != np.arange(len(original)))
+    for field, values in loader.items():
+        same = np.array_equal(values[repeated], values[original[repeated]], equal_nan=True)
+        if field != RECEIVED and not same:
+            cycle = loader[CYCLE][repeated[0]]
+            raise BadInput(f"cycle {cycle} has two snapshots that differ", where, "the snapshots of one run")
+
+
+def _matches(cycles: NDArray[np.uint64], columns: Columns) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return pairs of sample and message with the same cycle."""
+    own, first = _first_of_each_cycle(columns)
+    target = np.searchsorted(cycles, own)
+    known = target < len(cycles)
+    known[known] = cycles[target[known]] == own[known]
+    return target[known], first[known]
+
+
+def _scatter(values: NDArray[Any], target: NDArray[np.intp], samples: int) -> NDArray[np.float64]:
+    column = np.full((samples, *values.shape[1:]), np.nan)
+    column[target] = values
+    return column

@@ -1,0 +1,138 @@
+"""Reading of rosbag2: ours or of ROS's own recorder, whole or not at all."""
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import Reader
+
+from ehls_ros.errors import BadInput
+from ehls_ros.recording.alignment import CYCLE, Columns, align
+from ehls_ros.recording.bag_topic import BagTopic
+from ehls_ros.recording.provenance import Provenance, provenance_in
+from ehls_ros.recording.storage_file import CLOSED_BAG, custom_data_in
+from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE
+from ehls_ros.trajectory import SIGNALS, Trajectory
+
+STORAGE_SUFFIXES = (".mcap", ".db3")
+METADATA_FILE = "metadata.yaml"
+
+
+def read_bag(path: Path) -> Trajectory:
+    """Read a rosbag2 made by the recorder node, by ``ros2 bag record`` or from a trajectory.
+
+    The samples are the cycles of ``loader_state``, in whatever namespace. Messages of the other topics belong to the
+    sample of their cycle, the first to arrive where there are several. A signal is NaN where its cycle has no message
+    and absent where the whole bag has no value of it.
+
+    Args:
+        path: folder of the bag, or one storage file (``.mcap``, ``.db3``).
+
+    Returns:
+        The trajectory. Its times are the header stamps of the snapshots; those of a wall clock count from the first.
+
+    Raises:
+        BadInput: the bag is missing, cut, damaged, never closed, without ``loader_state`` or of several runs.
+    """
+    where = str(path)
+    custom_data = [custom_data_in(file) for file in _storage_files(path)]
+    with closing(_open(path)) as reader:
+        provenance = _provenance([*custom_data, reader.storage.metadata.custom or {}], where)
+        columns = _read_topics(reader, provenance, where)
+    if not len(columns[LOADER_STATE.name][CYCLE]):
+        raise BadInput(f"there is no message of {LOADER_STATE.name}", where, "one snapshot or more")
+    time_s, signals = align(columns, where)
+    return Trajectory(time_s, _recorded(signals, len(time_s), provenance), provenance.configuration if provenance else {})
+
+
+def _storage_files(path: Path) -> list[Path]:
+    """Return the storage files that can be checked by themselves; compressed ones cannot."""
+    if path.is_dir():
+        if not (path / METADATA_FILE).exists():
+            raise BadInput(f"{METADATA_FILE} is missing", str(path), CLOSED_BAG)
+        return sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)
+    if not path.exists():
+        raise BadInput("it does not exist", str(path), "a folder of a rosbag2, or a file .mcap or .db3")
+    if path.suffix not in STORAGE_SUFFIXES:
+        raise BadInput("it is no bag", str(path), "a folder of a rosbag2, or a file .mcap or .db3")
+    return [path]
+
+
+@contextmanager
+def _damage_reported(where: str) -> Iterator[None]:
+    """Turn whatever rosbags stumbles over in a damaged bag, which can be any exception, into a bad input."""
+    try:
+        yield
+    except BadInput:
+        raise
+    except Exception as error:
+        reason = " ".join((getattr(error, "strerror", None) or str(error) or type(error).__name__).split())
+        raise BadInput(f"the bag cannot be read ({reason})", where, CLOSED_BAG) from error
+
+
+def _open(path: Path) -> Reader:
+    with _damage_reported(str(path)):
+        reader = Reader(path)
+        reader.open()
+        return reader
+
+
+def _messages(reader: Reader, connections: Sequence[Connection], where: str) -> Iterator[tuple[Connection, int, bytes]]:
+    with _damage_reported(where):
+        yield from reader.messages(connections)
+
+
+def _provenance(custom_data: Sequence[Mapping[str, str]], where: str) -> Provenance | None:
+    """Return what the copies of the metadata agree on."""
+    found = [provenance for entries in custom_data if (provenance := provenance_in(entries, where))]
+    if any(provenance != found[0] for provenance in found):
+        raise BadInput("its metadata are those of another bag", where, "a bag as it was written")
+    return found[0] if found else None
+
+
+def _read_topics(reader: Reader, provenance: Provenance | None, where: str) -> dict[str, Columns]:
+    """Return the messages of the cycle topics the bag has, by the topic's name."""
+    by_path: dict[str, list[Connection]] = defaultdict(list)
+    for connection in reader.connections:
+        by_path[connection.topic].append(connection)
+    namespace = _namespace(by_path, where)
+    seals = provenance.seals if provenance else {}
+    topics: list[BagTopic] = []
+    sinks: dict[int, BagTopic] = {}
+    for topic in CYCLE_TOPICS:
+        name = topic.resolve(namespace)
+        if name in by_path:
+            with _damage_reported(where):
+                topics.append(BagTopic(topic, by_path[name], seals.get(name), f"{where}, {name}"))
+            sinks |= {connection.id: topics[-1] for connection in by_path[name]}
+        if (name in by_path) != (name in seals) and provenance:
+            raise BadInput(f"topic {name} was not recorded with the others", where, "a bag as it was written")
+    connections = [connection for connection in reader.connections if connection.id in sinks]
+    for connection, stamp_ns, message in _messages(reader, connections, where):
+        sinks[connection.id].add(stamp_ns, message)
+    return {topic.topic.name: topic.columns() for topic in topics}
+
+
+def _namespace(by_path: Mapping[str, Sequence[Connection]], where: str) -> str:
+    """Return the one namespace that has a ``loader_state``."""
+    ending = f"/{LOADER_STATE.name}"
+    namespaces = [path.removesuffix(ending) for path in by_path if path.endswith(ending)]
+    if not namespaces:
+        found = ", ".join(sorted(by_path)) or "none"
+        raise BadInput(f"topic {LOADER_STATE.name} is missing among {found}", where, f"a topic of {LOADER_STATE.type}")
+    if len(namespaces) > 1:
+        raise BadInput(f"it holds several rigs: {', '.join(sorted(namespaces))}", where, "one rig a bag")
+    return namespaces[0]
+
+
+def _recorded(
+    signals: Mapping[str, NDArray[np.float64]], samples: int, provenance: Provenance | None
+) -> dict[str, NDArray[np.float64]]:
+    """Return the signals somebody measured, in the order of the data contract."""
+    if provenance is not None and provenance.signals is not None:
+        return {name: signals.get(name, np.full(samples, np.nan)) for name in SIGNALS if name in provenance.signals}
+    return {name: signals[name] for name in SIGNALS if name in signals and not np.isnan(signals[name]).all()}

@@ -1,0 +1,126 @@
+"""One topic of a bag being read: its messages turned into columns and checked against what the bag says of itself."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Connection
+
+from ehls_ros.errors import BadInput
+from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, RECEIVED, SECONDS, Columns
+from ehls_ros.recording.cdr import CdrError, Field, decode, flatten
+from ehls_ros.recording.provenance import Seal, message_checksum
+from ehls_ros.recording.storage_file import CLOSED_BAG
+from ehls_ros.recording.topics import Topic
+from ehls_ros.recording.typestore import typestore, typestore_of
+
+BLOCK = 16384
+"""Messages decoded together: enough to hide the overhead, few enough to keep a long bag out of memory."""
+
+
+class BagTopic:
+    """The messages of one topic, in order of arrival."""
+
+    def __init__(self, topic: Topic, connections: Sequence[Connection], seal: Seal | None, where: str) -> None:
+        """Find out what the messages look like.
+
+        Args:
+            topic: which topic it is.
+            connections: the bag's entries for it, one or more.
+            seal: what it was when the bag was closed, where that is known.
+            where: bag and full name of the topic, for errors.
+
+        Raises:
+            BadInput: the bag has another type under this name, or a definition that cannot be read.
+        """
+        self.topic = topic
+        self._where = where
+        self._expected = sum(connection.msgcount for connection in connections)
+        self._seal = seal
+        self._fields = _fields(topic, connections[0], seal, where)
+        self._wanted = {CYCLE, SECONDS, NANOSECONDS, *topic.signals} & {field.name for field in self._fields}
+        self._checksum = 0
+        self._count = 0
+        self._stamps_ns: list[int] = []
+        self._messages: list[bytes] = []
+        self._blocks: list[dict[str, NDArray[Any]]] = []
+
+    def add(self, stamp_ns: int, message: bytes) -> None:
+        """Take the next message.
+
+        Args:
+            stamp_ns: receive time [ns].
+            message: the message as CDR.
+
+        Raises:
+            BadInput: a message is not of the topic's type.
+        """
+        self._checksum += message_checksum(stamp_ns, message)
+        self._stamps_ns.append(stamp_ns)
+        self._messages.append(message)
+        if len(self._messages) == BLOCK:
+            self._decode()
+
+    def columns(self) -> Columns:
+        """Return all messages.
+
+        Raises:
+            BadInput: the messages are not those the bag was closed with.
+        """
+        self._decode()
+        if self._count != self._expected:
+            raise BadInput(f"{self._count} of {self._expected} messages are there", self._where, CLOSED_BAG)
+        if self._seal is not None and self._seal.checksum != self._checksum:
+            raise BadInput("messages are not as they were written", self._where, "an undamaged bag")
+        return {name: _stacked([block[name] for block in self._blocks]) for name in self._blocks[0]}
+
+    def _decode(self) -> None:
+        try:
+            block = decode(self._messages, self._fields, self._wanted)
+        except CdrError as error:
+            raise BadInput(str(error), self._where, f"messages of type {self.topic.type}") from None
+        block[RECEIVED] = np.array(self._stamps_ns, np.int64)
+        self._blocks.append(block)
+        self._count += len(self._messages)
+        self._stamps_ns, self._messages = [], []
+
+
+def _fields(topic: Topic, connection: Connection, seal: Seal | None, where: str) -> list[Field]:
+    """Return the fields of a topic's messages as the bag's own definition has them."""
+    if connection.msgtype != topic.type:
+        raise BadInput(f"its messages are {connection.msgtype}", where, topic.type)
+    own = typestore()
+    own_fields = flatten(own.fielddefs, topic.type)
+    type_hash = seal.type_hash if seal else connection.digest
+    if type_hash == own.hash_rihs01(topic.type):
+        return own_fields
+    store = typestore_of(connection.msgdef, topic.type)
+    if type_hash and type_hash != store.hash_rihs01(topic.type):
+        raise BadInput(f"the bag does not hold its definition of {topic.type}", where, f"a type with hash {type_hash}")
+    try:
+        fields = flatten(store.fielddefs, topic.type)
+    except CdrError as error:
+        raise BadInput(str(error), where, f"{topic.type} of numbers") from None
+    for field in own_fields:
+        found = next((other for other in fields if other.name == field.name), None)
+        if found is None and field.name not in topic.signals:
+            raise BadInput(f"{topic.type} has no field {field.name} in this bag", where, "a header and a cycle")
+        if found is not None and found != field:
+            what = f"{topic.type} has {_kind(found)} {field.name} in this bag"
+            raise BadInput(what, where, f"{_kind(field)} {field.name}")
+    return fields
+
+
+def _kind(field: Field) -> str:
+    return field.kind + ("[]" if field.many else "")
+
+
+def _stacked(blocks: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Put blocks of messages together, filling up shorter sequences with NaN."""
+    longest = max(block.shape[1:] for block in blocks)
+    if all(block.shape[1:] == longest for block in blocks):
+        return np.concatenate(blocks)
+    return np.concatenate(
+        [np.pad(block, ((0, 0), (0, longest[0] - block.shape[1])), constant_values=np.nan) for block in blocks]
+    )

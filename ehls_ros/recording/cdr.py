@@ -1,0 +1,243 @@
+"""Messages of one type to arrays and back, thousands at a time.
+
+ROS 2 puts messages on the wire and into bags as CDR: an encapsulation of four bytes, then the fields in order, each
+aligned to its own size, strings and sequences preceded by their length. Messages of one type whose strings and
+sequences have the same lengths therefore have the same layout, and each field of all of them is one slice of bytes.
+"""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
+from rosbags.interfaces.typing import Typesdict
+
+ENCAPSULATION = 4
+LITTLE_ENDIAN = b"\x00\x01"
+BYTE_ORDERS = {LITTLE_ENDIAN: "<", b"\x00\x00": ">"}
+PADDING = 8
+"""A message may be longer than its fields by less than this: senders round up to the largest alignment."""
+
+NUMPY_TYPES = {
+    "bool": "u1",
+    "byte": "u1",
+    "char": "u1",
+    "uint8": "u1",
+    "int8": "i1",
+    "uint16": "u2",
+    "int16": "i2",
+    "uint32": "u4",
+    "int32": "i4",
+    "uint64": "u8",
+    "int64": "i8",
+    "float32": "f4",
+    "float64": "f8",
+    "string": "u1",
+}
+
+
+class CdrError(ValueError):
+    """Bytes that are no message of the type they are said to be."""
+
+
+class Field(NamedTuple):
+    """A field that holds no further fields.
+
+    Attributes:
+        name: dotted path from the message, such as ``header.stamp.sec``.
+        kind: ROS name of the primitive type.
+        many: a sequence of that type.
+    """
+
+    name: str
+    kind: str
+    many: bool
+
+    @property
+    def width(self) -> int:
+        """Size of one value, which is also its alignment [bytes]."""
+        return int(NUMPY_TYPES[self.kind][1])
+
+
+class _Place(NamedTuple):
+    field: Field
+    start: int
+    length: int
+
+    @property
+    def stop(self) -> int:
+        return self.start + self.length * self.field.width
+
+
+class _Layout(NamedTuple):
+    places: list[_Place]
+    lengths: dict[int, int]
+    """Value of each length word by its offset."""
+    size: int
+
+
+def flatten(types: Typesdict, message_type: str, prefix: str = "") -> list[Field]:
+    """List the fields of a message type in their order.
+
+    Args:
+        types: definitions by type name, such as ``Typestore.fielddefs``.
+        message_type: name of the type.
+        prefix: path the type stands under.
+
+    Returns:
+        The fields, nested ones by their dotted path.
+
+    Raises:
+        CdrError: the type is not defined, or has a field that is no number, text or sequence of numbers.
+    """
+    if message_type not in types:
+        raise CdrError(f"type {message_type} is not defined")
+    fields: list[Field] = []
+    for name, description in types[message_type][1]:
+        match description:
+            case (Nodetype.NAME, str(nested)):
+                fields += flatten(types, nested, f"{prefix}{name}.")
+            case (Nodetype.BASE, (str(kind), _)) if kind in NUMPY_TYPES:
+                fields.append(Field(prefix + name, kind, many=False))
+            case (Nodetype.SEQUENCE, ((Nodetype.BASE, (str(kind), _)), _)) if kind in NUMPY_TYPES and kind != "string":
+                fields.append(Field(prefix + name, kind, many=True))
+            case _:
+                raise CdrError(f"field {prefix}{name} of {message_type} is of a kind that is not read here")
+    return fields
+
+
+def decode(messages: Sequence[bytes], fields: Sequence[Field], wanted: Collection[str]) -> dict[str, NDArray[Any]]:
+    """Turn messages into one array a field.
+
+    Args:
+        messages: serialized messages of one type, n of them.
+        fields: the fields of that type, from :func:`flatten`.
+        wanted: names of the fields to return; none of them a text.
+
+    Returns:
+        Arrays of shape (n,) in the field's own type, by name; for a sequence floats of shape (n, longest), NaN after
+        the end of a shorter one.
+
+    Raises:
+        CdrError: a message is cut, too long, or in no plain CDR.
+    """
+    parts = [part for rows, which in _by_size(messages) for part in _decode_equally_long(rows, which, fields, wanted)]
+    arrays: dict[str, NDArray[Any]] = {}
+    for field in fields:
+        if field.name not in wanted:
+            continue
+        pieces = [(which, values[field.name]) for which, values in parts]
+        if field.many:
+            longest = max((piece.shape[1] for _, piece in pieces), default=0)
+            column = np.full((len(messages), longest), np.nan)
+            for which, piece in pieces:
+                column[which, : piece.shape[1]] = piece
+        else:
+            column = np.empty(len(messages), NUMPY_TYPES[field.kind])
+            for which, piece in pieces:
+                column[which] = piece[:, 0]
+        arrays[field.name] = column
+    return arrays
+
+
+def encode(fields: Sequence[Field], values: Mapping[str, NDArray[Any] | str]) -> list[bytes]:
+    """Serialize n messages of one type.
+
+    Args:
+        fields: the fields of that type, from :func:`flatten`.
+        values: for every field an array of shape (n,), for a sequence (n, length), for a text one text.
+
+    Returns:
+        The serialized messages.
+    """
+    encoded = {name: _encode_values(value) for name, value in values.items()}
+    count = max(len(value) for value in values.values() if not isinstance(value, str))
+    layout = _layout(fields, lambda field, _: encoded[field.name].shape[1])
+    rows = np.zeros((count, layout.size), np.uint8)
+    rows[:, : len(LITTLE_ENDIAN)] = np.frombuffer(LITTLE_ENDIAN, np.uint8)
+    for offset, length in layout.lengths.items():
+        rows[:, offset : offset + 4] = np.frombuffer(length.to_bytes(4, "little"), np.uint8)
+    for field, start, length in layout.places:
+        numbers = np.ascontiguousarray(encoded[field.name], "<" + NUMPY_TYPES[field.kind])
+        rows[:, start : start + length * field.width] = numbers.view(np.uint8)
+    blob = rows.tobytes()
+    return [blob[start : start + layout.size] for start in range(0, len(blob), layout.size)]
+
+
+def _encode_values(values: NDArray[Any] | str) -> NDArray[Any]:
+    if isinstance(values, str):
+        return np.frombuffer(values.encode() + b"\0", np.uint8)[np.newaxis]
+    return values if values.ndim > 1 else values[:, np.newaxis]
+
+
+def _by_size(messages: Sequence[bytes]) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.intp]]]:
+    """Yield the messages of each size as rows of bytes, with their indices."""
+    sizes = np.fromiter(map(len, messages), np.intp, len(messages))
+    for size in np.unique(sizes):
+        which = np.flatnonzero(sizes == size)
+        joined = b"".join(messages if len(which) == len(messages) else [messages[index] for index in which.tolist()])
+        yield np.frombuffer(joined, np.uint8).reshape(len(which), size), which
+
+
+def _decode_equally_long(
+    rows: NDArray[np.uint8], which: NDArray[np.intp], fields: Sequence[Field], wanted: Collection[str]
+) -> Iterator[tuple[NDArray[np.intp], dict[str, NDArray[Any]]]]:
+    """Yield the wanted fields, shape (messages, values), of each group of messages that share a layout."""
+    while len(rows):
+        first = rows[0].tobytes()
+        order = BYTE_ORDERS.get(first[:2])
+        if order is None:
+            raise CdrError(f"message starts with {first[:ENCAPSULATION].hex() or 'nothing'}, which is no plain CDR")
+        layout = _layout(fields, partial(_length_at, first, order))
+        if not layout.size <= len(first) < layout.size + PADDING:
+            raise CdrError(f"message has {len(first)} bytes where its fields need {layout.size}")
+        alike = (rows[:, :2] == rows[0, :2]).all(axis=1)
+        for offset in layout.lengths:
+            alike &= (rows[:, offset : offset + 4] == rows[0, offset : offset + 4]).all(axis=1)
+        chosen = rows[alike]
+        yield (
+            which[alike],
+            {
+                place.field.name: _values(chosen[:, place.start : place.stop], place, order)
+                for place in layout.places
+                if place.field.name in wanted
+            },
+        )
+        rows, which = rows[~alike], which[~alike]
+
+
+def _values(block: NDArray[np.uint8], place: _Place, order: str) -> NDArray[Any]:
+    numbers = np.ascontiguousarray(block).view(order + NUMPY_TYPES[place.field.kind])
+    return numbers != 0 if place.field.kind == "bool" else numbers
+
+
+def _length_at(message: bytes, order: str, _: Field, offset: int) -> int:
+    word = message[offset : offset + 4]
+    if len(word) < 4:
+        raise CdrError(f"message has {len(message)} bytes and is cut off")
+    return int.from_bytes(word, "little" if order == "<" else "big")
+
+
+def _layout(fields: Sequence[Field], length_at: Callable[[Field, int], int]) -> _Layout:
+    """Place the fields, given the length of each string and sequence and where that length stands."""
+    places: list[_Place] = []
+    lengths: dict[int, int] = {}
+    end = ENCAPSULATION
+    for field in fields:
+        length = 1
+        if field.many or field.kind == "string":
+            end = _aligned(end, 4)
+            lengths[end] = length = length_at(field, end)
+            end += 4
+        # an empty sequence is not followed by the alignment of its values
+        start = _aligned(end, field.width) if length else end
+        places.append(_Place(field, start, length))
+        end = places[-1].stop
+    return _Layout(places, lengths, end)
+
+
+def _aligned(offset: int, width: int) -> int:
+    """Round up to the next multiple of the width, counted from the end of the encapsulation."""
+    return offset + (ENCAPSULATION - offset) % width

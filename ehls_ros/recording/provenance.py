@@ -1,0 +1,93 @@
+"""What ehls_ros itself keeps in a bag: the configuration, and seals that show whether every message is as written.
+
+It stands in the ``custom_data`` of the bag's metadata as one JSON text and the checksum of that text. rosbags writes no
+checksums of its own, so that without the seals a flipped bit in a bag would be a measured value.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+from zlib import crc32
+
+from ehls_ros.errors import BadInput
+
+KEY = "ehls_ros"
+CHECKSUM_KEY = "ehls_ros_checksum"
+
+
+class Seal(NamedTuple):
+    """What one topic of a bag was when the bag was closed.
+
+    Attributes:
+        type_hash: RIHS01 hash of its message type.
+        checksum: sum of :func:`message_checksum` over its messages, so that their order does not matter.
+    """
+
+    type_hash: str
+    checksum: int
+
+
+class Provenance(NamedTuple):
+    """Where a bag comes from.
+
+    Attributes:
+        configuration: what the run was made with: rig, spec, controller, versions; JSON values.
+        seals: one a topic, by its full name.
+        signals: the signals the bag was written from, when it was written from a trajectory: a message has all its
+            fields even where the trajectory had not all signals.
+    """
+
+    configuration: Mapping[str, Any]
+    seals: Mapping[str, Seal]
+    signals: Sequence[str] | None
+
+    def custom_data(self) -> dict[str, str]:
+        """Return the entries for the bag's metadata."""
+        seals = {topic: seal._asdict() for topic, seal in self.seals.items()}
+        content = json.dumps({**self._asdict(), "seals": seals}, default=_plain)
+        return {KEY: content, CHECKSUM_KEY: _text_checksum(content)}
+
+
+def provenance_in(custom_data: Mapping[str, str], where: str) -> Provenance | None:
+    """Read the entries back.
+
+    Args:
+        custom_data: entries of a bag's metadata, ours or not.
+        where: the bag, for the error.
+
+    Returns:
+        The provenance, or None when another recorder wrote the bag.
+
+    Raises:
+        BadInput: the entries are damaged.
+    """
+    if KEY not in custom_data and CHECKSUM_KEY not in custom_data:
+        return None
+    content = str(custom_data.get(KEY, ""))
+    if custom_data.get(CHECKSUM_KEY) != _text_checksum(content):
+        raise BadInput("the configuration kept in the bag is damaged", where, "a bag as it was written")
+    fields = json.loads(content)
+    seals = {topic: Seal(**seal) for topic, seal in fields.pop("seals").items()}
+    return Provenance(seals=seals, **fields)
+
+
+def message_checksum(stamp_ns: int, serialized: bytes) -> int:
+    """Return the checksum of one message together with its receive time.
+
+    Args:
+        stamp_ns: receive time [ns].
+        serialized: the message as CDR.
+    """
+    return crc32(serialized, stamp_ns & 0xFFFFFFFF)
+
+
+def _text_checksum(content: str) -> str:
+    # the letters keep a YAML parser from taking it for a number
+    return f"crc32-{crc32(content.encode()):08x}"
+
+
+def _plain(value: Any) -> Any:
+    """Turn numpy's scalars and arrays into what JSON knows."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{value!r} in a bag's configuration is no JSON value")

@@ -1,0 +1,118 @@
+"""What can be told from one storage file of a bag alone: whether it is whole, and the metadata it carries.
+
+A closed bag keeps its metadata twice: in metadata.yaml and within the storage file, where rosbags does not look. With
+the second copy a storage file that was taken out of its folder still tells where it comes from.
+"""
+
+import sqlite3
+import struct
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+
+import yaml
+
+from ehls_ros.errors import BadInput
+
+CLOSED_BAG = "a bag whose recorder was closed"
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+MCAP_RECORD = struct.Struct("<BQ")
+MCAP_FOOTER = struct.Struct("<BQQQI8s")
+MCAP_METADATA_INDEX = 0x0D
+
+SQLITE_MAGIC = b"SQLite format 3\0"
+
+
+def custom_data_in(file: Path) -> Mapping[str, str]:
+    """Check that a storage file is whole, and read the custom data it carries.
+
+    Args:
+        file: a ``.mcap`` or ``.db3`` file.
+
+    Returns:
+        The entries; none where the recorder stored no metadata in the file.
+
+    Raises:
+        BadInput: the file is cut, damaged or was never closed.
+    """
+    try:
+        text = _mcap_metadata(file) if file.suffix == ".mcap" else _sqlite_metadata(file)
+        metadata = yaml.safe_load(text)
+    except OSError as error:
+        raise BadInput(f"the file cannot be read ({error.strerror})", str(file), CLOSED_BAG) from None
+    except (ValueError, struct.error, sqlite3.Error, yaml.YAMLError):
+        raise BadInput("the file is damaged", str(file), CLOSED_BAG) from None
+    custom_data = metadata.get("custom_data") if isinstance(metadata, dict) else None
+    return custom_data if isinstance(custom_data, dict) else {}
+
+
+def _cut(file: Path) -> BadInput:
+    return BadInput("the file is truncated or still being written", str(file), CLOSED_BAG)
+
+
+def _mcap_metadata(file: Path) -> str:
+    """Return the metadata.yaml within an mcap file, from the last metadata record its summary points to."""
+    with file.open("rb") as stream:
+        content_end = stream.seek(0, 2) - MCAP_FOOTER.size
+        if content_end < 0:
+            raise _cut(file)
+        stream.seek(content_end)
+        _, _, summary_start, _, _, magic = MCAP_FOOTER.unpack(stream.read())
+        if magic != MCAP_MAGIC:
+            raise _cut(file)
+        record = b""
+        if 0 < summary_start < content_end:
+            stream.seek(summary_start)
+            summary = stream.read(content_end - summary_start)
+            offset = 0
+            while offset < len(summary):
+                kind, length = MCAP_RECORD.unpack_from(summary, offset)
+                offset += MCAP_RECORD.size
+                if kind == MCAP_METADATA_INDEX:
+                    start, size = struct.unpack_from("<QQ", summary, offset)
+                    stream.seek(min(start, content_end))
+                    record = stream.read(min(size, content_end))
+                offset += length
+    return _mcap_entries(record[MCAP_RECORD.size :]).get("serialized_metadata", "")
+
+
+def _mcap_entries(content: bytes) -> dict[str, str]:
+    """Return the entries of a metadata record: a name, the size of what follows, then keys and values."""
+    texts: list[str] = []
+    _, offset = _mcap_text(content, 0) if content else ("", 0)
+    offset += 4
+    while offset < len(content):
+        text, offset = _mcap_text(content, offset)
+        texts.append(text)
+    return dict(zip(texts[::2], texts[1::2], strict=True))
+
+
+def _mcap_text(content: bytes, offset: int) -> tuple[str, int]:
+    (length,) = struct.unpack_from("<I", content, offset)
+    end = offset + 4 + length
+    return content[offset + 4 : end].decode(), end
+
+
+def _sqlite_metadata(file: Path) -> str:
+    """Return the metadata.yaml within a SQLite file."""
+    with file.open("rb") as stream:
+        header = stream.read(100)
+    if len(header) < 100:
+        raise _cut(file)
+    if not header.startswith(SQLITE_MAGIC):
+        raise BadInput("the file is no SQLite database", str(file), CLOSED_BAG)
+    page_size = int.from_bytes(header[16:18], "big")
+    pages = int.from_bytes(header[28:32], "big")
+    if file.stat().st_size < (page_size if page_size > 1 else 65536) * pages:
+        raise _cut(file)
+    for journal in (f"{file}-journal", f"{file}-wal"):
+        if Path(journal).exists() and Path(journal).stat().st_size:
+            raise BadInput(f"the file was never closed: {Path(journal).name} is beside it", str(file), CLOSED_BAG)
+    with closing(sqlite3.connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as database:
+        if database.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
+            raise ValueError("quick_check")
+        if not database.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'metadata'").fetchone():
+            return ""
+        row = database.execute("SELECT metadata FROM metadata ORDER BY id DESC LIMIT 1").fetchone()
+        return str(row[0]) if row else ""

@@ -1,0 +1,111 @@
+"""Named columns of whatever file format, turned into a trajectory by the data contract."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.errors import BadInput
+from ehls_ros.recording.columns import TIME, Column, Columns, element_of, is_contract_name
+from ehls_ros.trajectory import Trajectory
+
+
+def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, Column]:
+    """Decide which columns of a file are read, and as what.
+
+    Args:
+        available: names of the file's columns.
+        columns: the user's map; columns that carry a name of the contract need no entry.
+        where: the file, for errors.
+
+    Returns:
+        The columns by contract name: ``time_s`` and one signal or more.
+
+    Raises:
+        BadInput: a mapped column, the time or every signal is missing, or a name stands twice.
+    """
+    chosen = {name: Column(name) for name in available if is_contract_name(name)} | dict(columns)
+    found = ", ".join(available) or "none"
+    for name, column in chosen.items():
+        if column.name not in available:
+            raise BadInput(f"column '{column.name}' for {name} is missing among {found}", where, "a column of that name")
+        if available.count(column.name) > 1:
+            raise BadInput(f"column '{column.name}' is there more than once", where, "one column of that name")
+    if TIME not in chosen:
+        raise BadInput(f"column {TIME} is missing among {found}", where, f"a column {TIME}, or a map (--columns) to it")
+    if len(chosen) == 1:
+        expected = "a signal by its name in the data contract, or a map (--columns) to one"
+        raise BadInput(f"no signal is among {found}", where, expected)
+    return chosen
+
+
+def assemble(
+    values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, row_name: Callable[[int], str]
+) -> Trajectory:
+    """Make a trajectory of columns.
+
+    Args:
+        values: what the file holds, by contract name: shape (n,), or (n, elements) for a signal of the friction
+            elements.
+        chosen: the columns by contract name, for their scales.
+        where: the file, for errors.
+        row_name: how a user finds the row with an index, such as ``line 12``.
+
+    Returns:
+        The trajectory, without metadata.
+
+    Raises:
+        BadInput: a column is no real numbers or has another length, or time is not strictly increasing.
+    """
+    scaled = {name: _scaled(values[name], column, name, where) for name, column in chosen.items()}
+    time_s = scaled.pop(TIME)
+    _check_time(time_s, where, row_name)
+    for name, signal in scaled.items():
+        if len(signal) != len(time_s):
+            raise BadInput(f"{name} has {len(signal)} values", where, f"{len(time_s)} as {TIME}")
+    return Trajectory(time_s, _with_elements_joined(scaled, where))
+
+
+def _scaled(values: NDArray[Any], column: Column, name: str, where: str) -> NDArray[np.float64]:
+    if values.dtype.kind not in "fiub":
+        raise BadInput(f"column '{column.name}' for {name} is not of real numbers", where, "a column of real numbers")
+    if values.ndim != 1 and not (values.ndim == 2 and element_of(f"{name}_1")):
+        raise BadInput(f"column '{column.name}' for {name} has the shape {values.shape}", where, "one value a sample")
+    numbers = values.astype(np.float64)
+    if column.scale != 1:
+        numbers *= column.scale
+    if column.offset != 0:
+        numbers += column.offset
+    return numbers
+
+
+def _check_time(time_s: NDArray[np.float64], where: str, row_name: Callable[[int], str]) -> None:
+    if not len(time_s):
+        raise BadInput("there is no sample", where, "one sample or more")
+    unknown = np.flatnonzero(~np.isfinite(time_s))
+    if len(unknown):
+        raise BadInput(f"{TIME} is {time_s[unknown[0]]}", f"{where}, {row_name(int(unknown[0]))}", "a finite time")
+    backwards = np.flatnonzero(np.diff(time_s) <= 0)
+    if len(backwards):
+        row = int(backwards[0]) + 1
+        what = f"{TIME} is {time_s[row]} after {time_s[row - 1]}"
+        raise BadInput(what, f"{where}, {row_name(row)}", "a time that grows with every row")
+
+
+def _with_elements_joined(signals: Mapping[str, NDArray[np.float64]], where: str) -> dict[str, NDArray[np.float64]]:
+    """Put the columns of one friction element each together, shape (n, elements)."""
+    joined: dict[str, NDArray[np.float64]] = {}
+    elements: dict[str, dict[int, NDArray[np.float64]]] = {}
+    for name, values in signals.items():
+        element = element_of(name)
+        if element is None:
+            joined[name] = values
+        else:
+            elements.setdefault(element[0], {})[element[1]] = values
+    for signal, by_number in elements.items():
+        if signal in joined or set(by_number) != set(range(1, len(by_number) + 1)):
+            numbers = ", ".join(str(number) for number in sorted(by_number))
+            raise BadInput(f"{signal} has columns {numbers}", where, "one column for each element from 1 up")
+        joined[signal] = np.column_stack([by_number[number] for number in sorted(by_number)])
+    return joined

@@ -1,0 +1,60 @@
+"""Fewer samples for the same picture."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+BUCKETS = 4000
+"""Parts a long series is cut into: about three a pixel, so that there is something left to zoom into."""
+
+
+def kept_samples(values: NDArray[np.float64], buckets: int = BUCKETS) -> NDArray[np.intp]:
+    """Choose the samples that draw the same line as all of them.
+
+    A series of up to three samples a bucket is kept whole. Of a longer one the lowest and the highest
+    sample of every bucket stay, so that no peak is lost, and a missing sample wherever half a bucket or
+    more is missing, so that gaps stay gaps. Shorter gaps are bridged: breaking the line at every single
+    missed cycle would leave little of it. Samples inside a run of equal values draw nothing and go.
+
+    Args:
+        values: one signal, shape (n,), with NaN where a sample is missing.
+        buckets: number of parts of equal length.
+
+    Returns:
+        Indices to keep, increasing, at most three a bucket.
+    """
+    count = len(values)
+    kept = np.arange(count) if count <= 3 * buckets else _extremes(values, -(-count // buckets))
+    shown = values[kept]
+    same = (shown[1:] == shown[:-1]) | ~(np.isfinite(shown[1:]) | np.isfinite(shown[:-1]))
+    draws = np.ones(len(kept), dtype=bool)
+    draws[1:-1] = ~(same[1:] & same[:-1])
+    return kept[draws]
+
+
+def _extremes(values: NDArray[np.float64], size: int) -> NDArray[np.intp]:
+    count = len(values)
+    padded = np.full(-(-count // size) * size, np.nan)
+    padded[:count] = values
+    parts = padded.reshape(-1, size)
+    known = np.isfinite(parts)
+    start = np.arange(len(parts)) * size
+    lowest = start + np.where(known, parts, np.inf).argmin(axis=1)
+    highest = start + np.where(known, parts, -np.inf).argmax(axis=1)
+    gap = (start + known.argmin(axis=1))[known.mean(axis=1) <= 0.5]
+    kept = np.unique(np.concatenate([[0, count - 1], lowest, highest, gap]))
+    return kept[kept < count]
+
+
+def part_means(values: NDArray[np.float64], parts: int) -> NDArray[np.float64]:
+    """Average over consecutive parts of equal length.
+
+    Args:
+        values: shape (n,); the mean of a part with NaN is NaN.
+        parts: number of parts, at most n.
+
+    Returns:
+        The mean of each part, shape (parts,).
+    """
+    starts = np.arange(parts) * len(values) // parts
+    means: NDArray[np.float64] = np.add.reduceat(values, starts) / np.diff(starts, append=len(values))
+    return means

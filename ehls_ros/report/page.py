@@ -1,0 +1,287 @@
+"""A self-contained HTML page: blocks of text, tables and figures, with plotly.js inside.
+
+Every report is made of these blocks. All text that enters them is escaped here.
+"""
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from plotly.offline import get_plotlyjs
+
+from ehls_ros.report.plot import FONT, Layout, Trace
+
+MISSING_NUMBER = "–"
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A figure with its heading.
+
+    Attributes:
+        title: heading.
+        traces: plotly traces.
+        layout: plotly layout.
+        note: what a reader has to know to read the figure; one or two sentences.
+        height: height of the figure in pixels.
+        over_time: its horizontal axis is the time of the run, so that it zooms together with the others.
+    """
+
+    title: str
+    traces: Sequence[Trace]
+    layout: Layout
+    note: str = ""
+    height: int = 260
+    over_time: bool = True
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A figure that could not be drawn.
+
+    Attributes:
+        title: heading it would have had.
+        reason: what is missing.
+    """
+
+    title: str
+    reason: str
+
+
+def number(value: object, digits: int = 3) -> str:
+    """Write a number for reading: fixed point, thousands apart, a dash for what is no finite number.
+
+    Args:
+        value: the number.
+        digits: significant digits; digits before the point are never cut.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not math.isfinite(value):
+        return MISSING_NUMBER
+    if isinstance(value, int | np.integer) or value == 0:
+        return f"{int(value):,}".replace(",", "\u202f")
+    magnitude = int(f"{value:.{digits - 1}e}".split("e")[1])
+    if not -4 <= magnitude < 15:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:,.{max(digits - 1 - magnitude, 0)}f}".replace(",", "\u202f")
+
+
+def verdict(text: str, *, good: bool | None) -> str:
+    """Make the sentence that sums the page up.
+
+    Args:
+        text: the sentence.
+        good: True if all is well, False if there is something to look into, None if it cannot be told.
+    """
+    kind = {True: "good", False: "look", None: "open"}[good]
+    return f'<p class="verdict {kind}">{escape(text)}</p>'
+
+
+def paragraph(text: str) -> str:
+    """Make a paragraph."""
+    return f"<p>{escape(text)}</p>"
+
+
+def facts(items: Iterable[tuple[str, str]]) -> str:
+    """Make a compact table of figures, one a cell.
+
+    Args:
+        items: label and value of each.
+    """
+    cells = "".join(f"<div><dt>{escape(label)}</dt><dd>{escape(value)}</dd></div>" for label, value in items)
+    return f'<dl class="facts">{cells}</dl>'
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Make a table whose first column names the row.
+
+    Args:
+        header: one title a column.
+        rows: one text a cell.
+    """
+    head = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in header)
+    body = "".join(
+        f'<tr><th scope="row">{escape(row[0])}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:]) + "</tr>"
+        for row in rows
+    )
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def figures(panels: Iterable[Panel | LeftOut], *, columns: int = 1) -> str:
+    """Make the figures that could be drawn.
+
+    Args:
+        panels: what to show, in this order.
+        columns: how many stand side by side.
+    """
+    drawn = [panel for panel in panels if isinstance(panel, Panel)]
+    if not drawn:
+        return ""
+    hint = f'<p class="hint">{_HINT}</p>' if sum(panel.over_time for panel in drawn) > 1 else ""
+    style = f"--columns: {min(columns, len(drawn))}"
+    return "\n".join([hint, f'<div class="figures" style="{style}">', *map(_figure, drawn), "</div>"])
+
+
+def left_out(panels: Iterable[Panel | LeftOut]) -> str:
+    """Name the figures that could not be drawn, a line each."""
+    return "".join(
+        f'<p class="left-out"><b>{escape(panel.title)}</b> is left out: {escape(panel.reason)}.</p>'
+        for panel in panels
+        if isinstance(panel, LeftOut)
+    )
+
+
+def _figure(panel: Panel) -> str:
+    description = json.dumps({"data": list(panel.traces), "layout": panel.layout}, separators=(",", ":"))
+    note = f"<p>{escape(panel.note)}</p>" if panel.note else ""
+    kind = "figure over-time" if panel.over_time else "figure"
+    return (
+        f"<section><header><h2>{escape(panel.title)}</h2>{note}</header>"
+        f'<div class="{kind}" style="height: {panel.height}px"></div>'
+        f'<script type="application/json">{description.replace("<", chr(92) + "u003c")}</script></section>'
+    )
+
+
+def collapsed(title: str, text: str) -> str:
+    """Make a block of preformatted text that opens on a click.
+
+    Args:
+        title: what is inside.
+        text: shown as it is.
+    """
+    return f"<details><summary>{escape(title)}</summary><pre>{escape(text)}</pre></details>"
+
+
+def as_yaml(configuration: Mapping[str, Any]) -> str:
+    """Write a configuration as YAML.
+
+    Args:
+        configuration: nested mappings, sequences, scalars and arrays.
+    """
+    plain = json.loads(json.dumps(configuration, default=_plain))
+    return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return dict(value)
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
+
+
+def write_page(path: Path, title: str, subtitle: str, blocks: Iterable[str]) -> None:
+    """Write the page.
+
+    Args:
+        path: file to write; its folder must exist.
+        title: heading.
+        subtitle: one line below it.
+        blocks: what the functions of this module made.
+    """
+    path.write_text(
+        f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
+<title>{escape(title)}</title>
+<style>{_STYLE.replace("FONT", FONT)}</style>
+</head>
+<body>
+<main>
+<h1>{escape(title)}</h1>
+<p class="subtitle">{escape(subtitle)}</p>
+{chr(10).join(blocks)}
+</main>
+<script>{get_plotlyjs()}</script>
+<script>{_SCRIPT}</script>
+</body>
+</html>
+""",
+        encoding="utf-8",
+    )
+
+
+_HINT = "Drag across a figure to zoom in; all figures over time follow. Double-click to go back."
+
+_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+
+_STYLE = """
+:root { color-scheme: light; }
+body { margin: 0; background: #f4f5f6; color: #1a1a1a; font: 14px/1.45 FONT; }
+main { max-width: 1300px; margin: 0 auto; padding: 20px 24px 48px; }
+h1 { font-size: 24px; line-height: 1.25; margin: 0; overflow-wrap: anywhere; }
+.subtitle { margin: 2px 0 14px; color: #555; overflow-wrap: anywhere; }
+.verdict { margin: 0 0 14px; padding: 12px 16px; font-size: 16px; background: #fff; border-left: 6px solid; }
+.verdict.good { border-color: #009E73; }
+.verdict.look { border-color: #D55E00; }
+.verdict.open { border-color: #767676; }
+.facts { display: grid; grid-template-columns: repeat(auto-fill, minmax(195px, 1fr)); margin: 0 0 14px; padding: 0;
+         background: #fff; border: 1px solid #dcdcdc; overflow: hidden; }
+.facts div { padding: 7px 12px; margin: 0 -1px -1px 0; border: solid #dcdcdc; border-width: 0 1px 1px 0; }
+.facts dt { color: #555; font-size: 12px; }
+.facts dd { margin: 0; font-size: 15px; font-weight: 600; overflow-wrap: anywhere; }
+.figures { display: grid; grid-template-columns: repeat(var(--columns), minmax(0, 1fr)); gap: 12px; margin: 0 0 12px; }
+section { background: #fff; border: 1px solid #dcdcdc; padding: 10px 10px 4px; break-inside: avoid; min-width: 0; }
+section header { padding: 0 190px 0 8px; }
+section .modebar-container { top: -26px !important; }
+section h2 { display: inline; font-size: 15px; margin: 0 10px 0 0; }
+section header p { display: inline; color: #555; font-size: 12.5px; }
+.hint { margin: 0 0 8px; color: #555; }
+.left-out { margin: 0 0 3px; color: #555; font-size: 13px; }
+.left-out + details { margin-top: 12px; }
+table { border-collapse: collapse; background: #fff; margin: 0 0 14px; font-variant-numeric: tabular-nums; }
+th, td { border: 1px solid #dcdcdc; padding: 4px 10px; text-align: right; }
+tbody th, thead th:first-child { text-align: left; }
+thead th { background: #f4f5f6; }
+details { background: #fff; border: 1px solid #dcdcdc; padding: 10px 16px; margin-bottom: 12px; }
+summary { cursor: pointer; font-weight: 600; }
+pre { margin: 10px 0 4px; font-size: 12.5px; white-space: pre-wrap; overflow-wrap: anywhere; }
+@page { size: A4 landscape; margin: 12mm; }
+@media print {
+  body { background: #fff; }
+  main { max-width: none; padding: 0; }
+  .hint, .modebar-container { display: none; }
+  section header { padding-right: 8px; }
+}
+"""
+
+_SCRIPT = """
+const figures = [...document.querySelectorAll('.figure')];
+const options = {
+  responsive: true,
+  displaylogo: false,
+  modeBarButtons: [['toImage'], ['zoom2d', 'pan2d'], ['zoomIn2d', 'zoomOut2d', 'autoScale2d', 'resetScale2d']],
+  toImageButtonOptions: {format: 'svg'},
+};
+for (const figure of figures) {
+  const {data, layout} = JSON.parse(figure.nextElementSibling.textContent);
+  Plotly.newPlot(figure, data, layout, options);
+}
+
+// A zoom in time of one figure is a zoom of all.
+const overTime = figures.filter(figure => figure.classList.contains('over-time'));
+const wholeRun = overTime.length ? [...overTime[0].layout.xaxis.range] : [];
+let following = false;
+for (const source of overTime) {
+  source.on('plotly_relayout', async change => {
+    if (following || !Object.keys(change).some(key => key.startsWith('xaxis.'))) return;
+    following = true;
+    const range = change['xaxis.autorange'] ? wholeRun : [...source.layout.xaxis.range];
+    const others = change['xaxis.autorange'] ? overTime : overTime.filter(figure => figure !== source);
+    await Promise.all(others.map(figure => Plotly.relayout(figure, {'xaxis.range': [...range]})));
+    following = false;
+  });
+}
+
+// Figures keep the width they have on the screen, so the whole page is scaled to the width of paper.
+const main = document.querySelector('main');
+const paperWidth = 1000;
+addEventListener('beforeprint', () => { main.style.zoom = paperWidth / main.offsetWidth; });
+addEventListener('afterprint', () => { main.style.zoom = ''; });
+"""

@@ -1,0 +1,322 @@
+"""The vocabulary of the figures: units, colours, lines and axes as plotly's plain dictionaries.
+
+Dictionaries instead of plotly's Python objects, because building and checking those takes longer than
+everything else a report does.
+"""
+
+import base64
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.report.decimation import BUCKETS, kept_samples
+
+Trace = dict[str, Any]
+Layout = dict[str, Any]
+
+BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE = "#0072B2", "#D55E00", "#009E73", "#B85C92", "#56B4E9", "#E69F00"
+BLACK, GREY, LIGHT_GREY = "#1a1a1a", "#767676", "#dcdcdc"
+"""After Okabe and Ito, so that the colour-blind can tell them apart."""
+
+FONT = "system-ui, -apple-system, 'Segoe UI', 'Liberation Sans', 'DejaVu Sans', sans-serif"
+BACKDROP = "y9"
+"""Axis from 0 to 1 behind the first row, for marks that belong to a time and not to a value."""
+
+
+class Unit(NamedTuple):
+    """A unit quantities are shown in.
+
+    Attributes:
+        symbol: as printed.
+        factor: what a value is multiplied with on its way from the trajectory to the picture.
+    """
+
+    symbol: str
+    factor: float = 1.0
+
+
+NEWTON, KILONEWTON = Unit("N"), Unit("kN", 1e-3)
+MILLIMETRE, MILLIMETRE_PER_SECOND = Unit("mm", 1e3), Unit("mm/s", 1e3)
+MEGAPASCAL = Unit("MPa", 1e-6)
+PAPER_PRESSURE, PAPER_PRESSURE_RATE = Unit("MPa"), Unit("MPa/s")
+SECOND, MICROSECOND = Unit("s"), Unit("µs", 1e6)
+CYCLES, PURE_NUMBER = Unit("cycles"), Unit("–")
+
+
+class Axis(NamedTuple):
+    """An axis of a figure.
+
+    Attributes:
+        quantity: what it shows.
+        unit: the unit it shows it in.
+        span: lowest and highest value shown, in that unit; None to fit the data.
+        share: height relative to the other rows of the figure.
+        logarithmic: decades instead of equal steps; needs a span.
+        names: what 1, 2, 3, … on the axis stand for, where it counts things.
+    """
+
+    quantity: str
+    unit: Unit
+    span: tuple[float, float] | None = None
+    share: float = 1.0
+    logarithmic: bool = False
+    names: tuple[str, ...] = ()
+
+
+def packed(values: NDArray[Any]) -> dict[str, str]:
+    """Encode numbers the way plotly.js reads them fastest: base64 of single precision, NaN for a gap.
+
+    Args:
+        values: shape (n,) or (rows, columns).
+
+    Returns:
+        Plotly's description of a typed array.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        single = np.asarray(values).astype("<f4")
+    single[~np.isfinite(single)] = np.nan
+    shape = {"shape": ", ".join(map(str, single.shape))} if single.ndim > 1 else {}
+    return {"dtype": "f4", "bdata": base64.b64encode(single.tobytes()).decode("ascii"), **shape}
+
+
+def line(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    name: str,
+    unit: Unit,
+    color: str,
+    *,
+    row: int = 1,
+    width: float = 1.5,
+    dash: str = "solid",
+) -> Trace:
+    """Draw every sample of y against x.
+
+    Args:
+        x: abscissa as shown, shape (n,).
+        y: ordinate in the trajectory's unit, shape (n,), NaN where the line is to break.
+        name: entry in the legend.
+        unit: unit to show y in.
+        color: colour of the line.
+        row: row of the figure, 1 on top.
+        width: line width in pixels.
+        dash: plotly's name of the pattern.
+
+    Returns:
+        A plotly trace. Samples without neighbours, which a line cannot show, make it show dots.
+    """
+    known = np.concatenate([[False], np.isfinite(y), [False]])
+    alone = bool(np.any(known[1:-1] & ~known[:-2] & ~known[2:]))
+    return {
+        "type": "scatter",
+        "mode": "lines+markers" if alone else "lines",
+        "x": packed(x),
+        "y": packed(y * unit.factor),
+        "yaxis": "y" if row == 1 else f"y{row}",
+        "name": name,
+        "line": {"color": color, "width": width, "dash": dash},
+        "marker": {"color": color, "size": 4},
+        "hovertemplate": f"%{{y:,.5~g}} {unit.symbol}",
+    }
+
+
+def time_line(
+    time: NDArray[np.float64],
+    values: NDArray[np.float64],
+    name: str,
+    unit: Unit,
+    color: str,
+    *,
+    row: int = 1,
+    width: float = 1.5,
+    dash: str = "solid",
+) -> Trace:
+    """Draw a signal over time with as many samples as the picture can show.
+
+    Args:
+        time: time since the start, shape (n,) [s].
+        values: the signal in the trajectory's unit, shape (n,), NaN where it has gaps.
+        name: entry in the legend.
+        unit: unit to show it in.
+        color: colour of the line.
+        row: row of the figure, 1 on top.
+        width: line width in pixels.
+        dash: plotly's name of the pattern.
+
+    Returns:
+        A plotly trace.
+    """
+    kept = kept_samples(values)
+    return line(time[kept], values[kept], name, unit, color, row=row, width=width, dash=dash)
+
+
+def band(time: NDArray[np.float64], half_width: NDArray[np.float64], name: str, unit: Unit) -> list[Trace]:
+    """Shade what lies between plus and minus a bound.
+
+    Args:
+        time: time since the start, shape (n,) [s].
+        half_width: the bound in the trajectory's unit, shape (n,); gaps are bridged.
+        name: entry in the legend.
+        unit: unit to show it in.
+
+    Returns:
+        Two plotly traces, the lower and the upper edge.
+    """
+    known = np.isfinite(half_width)
+    lower = time_line(time[known], -half_width[known], name, unit, GREY, width=0.8)
+    upper = time_line(time[known], half_width[known], name, unit, GREY, width=0.8)
+    fill = {"fill": "tonexty", "fillcolor": "rgba(0, 158, 115, 0.16)"}
+    return [lower | {"showlegend": False, "hoverinfo": "skip", "hovertemplate": None}, upper | fill]
+
+
+def limits(time: NDArray[np.float64], value: NDArray[np.float64], name: str, unit: Unit) -> list[Trace]:
+    """Draw plus and minus a limit as dashed lines.
+
+    Args:
+        time: time since the start, shape (n,) [s].
+        value: the limit in the trajectory's unit, shape (n,).
+        name: entry in the legend.
+        unit: unit to show it in.
+
+    Returns:
+        Two plotly traces with one entry in the legend.
+    """
+    upper = time_line(time, value, name, unit, GREY, width=1.2, dash="dash") | {"legendgroup": name}
+    lower = time_line(time, -value, name, unit, GREY, width=1.2, dash="dash") | {"legendgroup": name}
+    return [upper, lower | {"showlegend": False}]
+
+
+def event_marks(time: NDArray[np.float64], happened: NDArray[np.bool_], name: str, color: str) -> list[Trace]:
+    """Mark the times at which something happened with ticks along the upper edge.
+
+    Args:
+        time: time since the start, shape (n,) [s].
+        happened: shape (n,).
+        name: entry in the legend; the number of samples is added.
+        color: colour of the ticks.
+
+    Returns:
+        One plotly trace, or none where nothing happened.
+    """
+    at = time[happened]
+    if not at.size:
+        return []
+    distinct = np.unique((at / max(time[-1], 1e-9) * BUCKETS).astype(np.int64), return_index=True)[1]
+    return [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "x": packed(at[distinct]),
+            "y": packed(np.full(distinct.size, 0.965)),
+            "yaxis": BACKDROP,
+            "name": f"{name} ({at.size:,})".replace(",", "\u202f"),
+            "marker": {"symbol": "line-ns-open", "size": 9, "color": color, "line": {"width": 1.6, "color": color}},
+            "hoverinfo": "skip",
+        }
+    ]
+
+
+def time_mark(at: float, name: str) -> Trace:
+    """Draw a vertical line at a time, explained in the legend.
+
+    Args:
+        at: time since the start [s].
+        name: entry in the legend.
+    """
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": [at, at],
+        "y": [0.0, 1.0],
+        "yaxis": BACKDROP,
+        "name": name,
+        "line": {"color": BLACK, "width": 1.3, "dash": "dot"},
+        "hoverinfo": "skip",
+    }
+
+
+def time_layout(duration: float, rows: Sequence[Axis]) -> Layout:
+    """Arrange rows over one time axis.
+
+    Args:
+        duration: length of the run [s].
+        rows: vertical axes from top to bottom.
+
+    Returns:
+        A plotly layout.
+    """
+    last = "y" if len(rows) == 1 else f"y{len(rows)}"
+    layout = _layout() | {
+        "hovermode": "x unified",
+        "hoversubplots": "axis",
+        "xaxis": _axis(Axis("time since start", SECOND, (0.0, duration or 1.0))) | {"anchor": last, "hoverformat": ",.7~g"},
+        "yaxis9": {"overlaying": "y", "range": [0, 1], "visible": False, "fixedrange": True},
+    }
+    space = 0.06
+    unit_height = (1 - space * (len(rows) - 1)) / sum(row.share for row in rows)
+    top = 1.0
+    for number, row in enumerate(rows, start=1):
+        bottom = max(top - row.share * unit_height, 0.0)
+        layout["yaxis" if number == 1 else f"yaxis{number}"] = _axis(row) | {"domain": [bottom, top], "anchor": "x"}
+        top = bottom - space
+    return layout
+
+
+def plane_layout(x: Axis, y: Axis) -> Layout:
+    """Arrange one signal against another.
+
+    Args:
+        x: horizontal axis.
+        y: vertical axis.
+
+    Returns:
+        A plotly layout.
+    """
+    return _layout() | {"hovermode": "closest", "xaxis": _axis(x), "yaxis": _axis(y)}
+
+
+def _layout() -> Layout:
+    return {
+        "font": {"family": FONT, "size": 12, "color": BLACK},
+        "margin": {"l": 78, "r": 18, "t": 30, "b": 44},
+        "paper_bgcolor": "white",
+        "plot_bgcolor": "white",
+        "legend": {
+            "orientation": "h",
+            "x": 0,
+            "xanchor": "left",
+            "y": 1.0,
+            "yanchor": "bottom",
+            "traceorder": "normal",
+        },
+        "showlegend": True,
+        "separators": ".\u202f",
+    }
+
+
+def _axis(axis: Axis) -> Layout:
+    layout: Layout = {
+        "title": {"text": f"{axis.quantity} [{axis.unit.symbol}]", "standoff": 8},
+        "gridcolor": "#ebebeb",
+        "zerolinecolor": "#b0b0b0",
+        "zerolinewidth": 1,
+        "linecolor": GREY,
+        "showline": True,
+        "ticks": "outside",
+        "ticklen": 4,
+        "exponentformat": "none",
+        "separatethousands": True,
+    }
+    if axis.span is not None and axis.logarithmic:
+        low, high = (float(np.log10(end)) for end in axis.span)
+        layout |= {"type": "log", "range": [low, high]}
+        if high - low > 0.7:
+            steps = (1, 2, 5) if high - low < 4 else (1,)
+            layout["tickvals"] = [step * 10.0**decade for decade in range(9) for step in steps]
+    elif axis.span is not None:
+        layout["range"] = list(axis.span)
+    if axis.names:
+        layout |= {"tickvals": list(range(1, len(axis.names) + 1)), "ticktext": list(axis.names)}
+    return layout

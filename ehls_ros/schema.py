@@ -1,0 +1,144 @@
+"""Parameters: declared once with unit, range and help, checked by pydantic.
+
+A parameter set is a ``NamedTuple`` whose fields are annotated with :func:`quantity`. A named tuple is
+what a compiled kernel can take as it is; the annotation is what the YAML check, the ROS descriptors,
+the command line's help and the tables of the documentation are made of.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+
+from pydantic import Field, TypeAdapter, ValidationError
+from pydantic.fields import FieldInfo
+
+from ehls_ros.errors import BadInput
+
+Parameters = TypeVar("Parameters")
+
+
+def quantity(
+    unit: str,
+    description: str,
+    *,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    above: float | None = None,
+) -> Any:
+    """Declare a finite number with a unit, for use inside ``Annotated[float, ...]``.
+
+    Args:
+        unit: unit in SI notation, ``1`` for a pure number.
+        description: one sentence of help.
+        minimum: smallest accepted value.
+        maximum: largest accepted value.
+        above: the value must be larger than this.
+
+    Returns:
+        The field description pydantic reads.
+    """
+    return Field(
+        ge=minimum,
+        le=maximum,
+        gt=above,
+        allow_inf_nan=False,
+        description=description,
+        json_schema_extra={"unit": unit},
+    )
+
+
+def text(description: str) -> Any:
+    """Declare a field that is no number (a name, a list), with one sentence of help."""
+    return Field(description=description)
+
+
+class Declaration(NamedTuple):
+    """What is declared of one parameter."""
+
+    name: str
+    kind: Any
+    default: Any
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    description: str
+
+
+def declarations(parameters: type) -> Iterator[Declaration]:
+    """Read the declarations of a parameter set, in their order.
+
+    Args:
+        parameters: a ``NamedTuple`` class whose fields carry :func:`quantity`.
+
+    Yields:
+        One entry a field; ``default`` is ``None`` where the field has none.
+    """
+    defaults: Mapping[str, Any] = getattr(parameters, "_field_defaults", {})
+    for name, hint in get_type_hints(parameters, include_extras=True).items():
+        kind, *notes = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        field = next((note for note in notes if isinstance(note, FieldInfo)), FieldInfo())
+        extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
+        limits = {key: getattr(item, key) for item in field.metadata for key in ("ge", "gt", "le") if hasattr(item, key)}
+        yield Declaration(
+            name=name,
+            kind=kind,
+            default=defaults.get(name),
+            unit=str(extra.get("unit", "")),
+            minimum=limits.get("ge", limits.get("gt")),
+            maximum=limits.get("le"),
+            description=field.description or "",
+        )
+
+
+def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> Parameters:
+    """Check a mapping against a parameter set and build it.
+
+    Args:
+        parameters: the ``NamedTuple`` class to build.
+        data: what the user wrote; an int stands for a float.
+        where: file and section, for the error.
+
+    Returns:
+        The parameter set.
+
+    Raises:
+        BadInput: naming the first offending key, its value and what was expected.
+    """
+    try:
+        return TypeAdapter(parameters).validate_python(dict(data))
+    except ValidationError as error:
+        raise bad_input(error, where, parameters) from None
+
+
+def bad_input(error: ValidationError, where: str, parameters: type) -> BadInput:
+    """Turn pydantic's first complaint into one line."""
+    first = error.errors(include_url=False)[0]
+    key = ".".join(str(part) for part in first["loc"])
+    match first["type"]:
+        case "missing" | "missing_argument":
+            return BadInput(f"key '{key}' is missing", where, f"a value for it {_help(parameters, first['loc'])}".rstrip())
+        case "extra_forbidden" | "unexpected_keyword_argument":
+            known = ", ".join(_fields_at(parameters, first["loc"][:-1]))
+            return BadInput(f"key '{key}' is unknown", where, f"one of {known}" if known else "no such key")
+        case _:
+            wanted = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+            return BadInput(f"{key} is {first['input']!r}", where, f"{wanted} {_help(parameters, first['loc'])}".rstrip())
+
+
+def _fields_at(parameters: Any, location: tuple[int | str, ...]) -> tuple[str, ...]:
+    for part in location:
+        hints = get_type_hints(parameters) if hasattr(parameters, "_fields") else {}
+        parameters = hints.get(str(part))
+    return tuple(getattr(parameters, "_fields", ()))
+
+
+def _help(parameters: Any, location: tuple[int | str, ...]) -> str:
+    for part in location[:-1]:
+        hints = get_type_hints(parameters) if hasattr(parameters, "_fields") else {}
+        parameters = hints.get(str(part))
+    if not hasattr(parameters, "_fields"):
+        return ""
+    for declared in declarations(parameters):
+        if declared.name == location[-1] and declared.description:
+            unit = f" [{declared.unit}]" if declared.unit else ""
+            return f"({declared.description}{unit})"
+    return ""
