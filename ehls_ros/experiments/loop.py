@@ -3,9 +3,12 @@
 Every part is the one the nodes run, in the same order, so that both give the same trajectory.
 """
 
+import platform
+import sys
 from collections.abc import Callable
 from typing import Any
 
+import numba
 import numpy as np
 
 from ehls_ros import __version__
@@ -22,6 +25,7 @@ from ehls_ros.physics.composition import kernel_module, plant_source
 from ehls_ros.physics.plant import TEMPERATURE
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.simulator import Simulator
+from ehls_ros.recording.topics import CONTROLLER_STATUS, DISTURBANCE, FORCE_REFERENCE, LOADER_STATE
 from ehls_ros.trajectory import Trajectory
 
 CHUNK = 2000
@@ -63,37 +67,6 @@ def loop(
         dense += run(k * period, y, mode, c, step, steps, work)
     return dense
 '''
-
-SENSED_SIGNALS = (
-    "position_m",
-    "velocity_m_s",
-    "load_pressure_pa",
-    "spool_m",
-    "force_n",
-    "supply_pressure_pa",
-    "oil_temperature_k",
-)
-REFERENCE_SIGNALS = ("force_reference_n", "force_reference_rate_n_s", "force_reference_acceleration_n_s2")
-DISTURBANCE_SIGNALS = (
-    "disturbance_force_n",
-    "disturbance_force_rate_n_s",
-    "disturbance_displacement_m",
-    "disturbance_velocity_m_s",
-)
-STATUS_SIGNALS = (
-    "e3_mpa",
-    "s_mpa_s",
-    "alpha",
-    "beta",
-    "delta_n",
-    "u1",
-    "u2",
-    "u3",
-    "force_error_n",
-    "force_bound_n",
-    "saturated",
-)
-
 
 def sampled(use: Use, period: float) -> SampledReference:
     """Return a reference ready to be asked by cycle; ``period`` in s."""
@@ -172,29 +145,25 @@ def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = Non
 
 def _trajectory(spec: Spec, record: Array, reference: Array, disturbance: Array, estimate_size: int) -> Trajectory:
     signals: dict[str, Array] = {}
-    signals.update(zip(SENSED_SIGNALS, record.T, strict=False))
+    signals.update(zip(LOADER_STATE.signals.values(), record.T, strict=False))
     column = len(SENSED)
     signals["valve_command_m"] = record[:, column]
+    signals["friction_fallback"] = np.zeros(len(record))
     estimate = record[:, column + 1 : column + 1 + estimate_size]
     elements = (estimate_size - 2) // 2
     if CONTROLLERS.load(spec.controller.name).FRICTION:
         signals["friction_gms_n"], signals["friction_viscous_n"] = estimate[:, 0], estimate[:, 1]
         signals["friction_elements_n"] = estimate[:, 2 : 2 + elements]
         signals["friction_slipping"] = estimate[:, 2 + elements :]
-    signals.update(zip(STATUS_SIGNALS, record[:, column + 1 + estimate_size :].T, strict=True))
-    signals.update(zip(REFERENCE_SIGNALS, reference.T, strict=True))
-    signals.update(zip(DISTURBANCE_SIGNALS, disturbance.T, strict=True))
+    signals.update(zip(CONTROLLER_STATUS.signals.values(), record[:, column + 1 + estimate_size :].T, strict=False))
+    signals.update(zip(FORCE_REFERENCE.signals.values(), reference.T, strict=True))
+    signals.update(zip(DISTURBANCE.signals.values(), disturbance.T, strict=True))
     time = np.arange(len(record)) * spec.settings.control_period
     return Trajectory(time, signals, metadata(spec, "in-process"))
 
 
 def metadata(spec: Spec, timing: str) -> dict[str, Any]:
     """Return what a recording says of how it was made: spec, rig, versions, timing mode."""
-    import platform
-    import sys
-
-    import numba
-
     mapping = spec_to_mapping(spec)
     rig = mapping.pop("rig")
     return {

@@ -46,7 +46,7 @@ def evaluate(trajectory: Trajectory) -> Metrics:
     error = np.abs(trajectory["force_n"] - trajectory["force_reference_n"])
     known = np.isfinite(error)
     steady = error[known & (time >= time[0] + 0.5 * (time[-1] - time[0]))]
-    missed = int(np.sum(~np.isfinite(trajectory["valve_command_m"])))
+    missed = int(np.sum(~np.isfinite(trajectory["valve_command_m"]))) if "valve_command_m" in trajectory else 0
     if not steady.size:
         return Metrics(np.nan, np.nan, None, len(time), missed, float(time[-1] - time[0]))
     largest_reference = float(np.nanmax(np.abs(trajectory["force_reference_n"])))

@@ -169,7 +169,10 @@ def _disturbance(data: Any, where: str, folder: Path) -> DisturbanceUse:
 
 def _sampled_once(use: Use, where: str) -> None:
     """Let a signal complain now about parameters that only make sense together."""
-    rows = REFERENCES.load(use.name).sample(np.zeros(1), use.parameters)
+    try:
+        rows = REFERENCES.load(use.name).sample(np.zeros(1), use.parameters)
+    except BadInput as error:
+        raise BadInput(error.what, f"{where}: {error.where}", error.expected) from None
     if not np.all(np.isfinite(rows)):
         raise BadInput(f"{use.name} is not finite at its start", where, "parameters that give finite numbers")
 

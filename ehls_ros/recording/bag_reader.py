@@ -14,6 +14,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.recording.alignment import CYCLE, Columns, align
 from ehls_ros.recording.bag_topic import BagTopic
 from ehls_ros.recording.provenance import Provenance, provenance_in
+from ehls_ros.recording.reason import reason
 from ehls_ros.recording.storage_file import CLOSED_BAG, custom_data_in
 from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE
 from ehls_ros.trajectory import SIGNALS, Trajectory
@@ -41,7 +42,8 @@ def read_bag(path: Path) -> Trajectory:
     where = str(path)
     custom_data = [custom_data_in(file) for file in _storage_files(path)]
     with closing(_open(path)) as reader:
-        provenance = _provenance([*custom_data, reader.storage.metadata.custom or {}], where)
+        entries = reader.storage.metadata.custom
+        provenance = _provenance([*custom_data, entries if isinstance(entries, dict) else {}], where)
         columns = _read_topics(reader, provenance, where)
     if not len(columns[LOADER_STATE.name][CYCLE]):
         raise BadInput(f"there is no message of {LOADER_STATE.name}", where, "one snapshot or more")
@@ -70,8 +72,7 @@ def _damage_reported(where: str) -> Iterator[None]:
     except BadInput:
         raise
     except Exception as error:
-        reason = " ".join((getattr(error, "strerror", None) or str(error) or type(error).__name__).split())
-        raise BadInput(f"the bag cannot be read ({reason})", where, CLOSED_BAG) from error
+        raise BadInput(f"the bag cannot be read ({reason(error)})", where, CLOSED_BAG) from error
 
 
 def _open(path: Path) -> Reader:

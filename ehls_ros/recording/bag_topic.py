@@ -11,6 +11,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, RECEIVED, SECONDS, Columns
 from ehls_ros.recording.cdr import CdrError, Field, decode, flatten
 from ehls_ros.recording.provenance import Seal, message_checksum
+from ehls_ros.recording.reason import reason
 from ehls_ros.recording.storage_file import CLOSED_BAG
 from ehls_ros.recording.topics import Topic
 from ehls_ros.recording.typestore import typestore, typestore_of
@@ -54,9 +55,8 @@ class BagTopic:
             message: the message as CDR.
 
         Raises:
-            BadInput: a message is not of the topic's type.
+            BadInput: a message before is not of the topic's type.
         """
-        self._checksum += message_checksum(stamp_ns, message)
         self._stamps_ns.append(stamp_ns)
         self._messages.append(message)
         if len(self._messages) == BLOCK:
@@ -78,9 +78,11 @@ class BagTopic:
     def _decode(self) -> None:
         try:
             block = decode(self._messages, self._fields, self._wanted)
-        except CdrError as error:
-            raise BadInput(str(error), self._where, f"messages of type {self.topic.type}") from None
-        block[RECEIVED] = np.array(self._stamps_ns, np.int64)
+            block[RECEIVED] = np.array(self._stamps_ns, np.int64)
+            self._checksum += sum(map(message_checksum, self._stamps_ns, self._messages))
+        except (TypeError, ValueError, OverflowError) as error:
+            # CdrError, or SQLite holds text or nothing where a number or bytes should be
+            raise BadInput(reason(error), self._where, f"messages of type {self.topic.type}") from None
         self._blocks.append(block)
         self._count += len(self._messages)
         self._stamps_ns, self._messages = [], []

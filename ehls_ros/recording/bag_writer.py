@@ -11,7 +11,8 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.provenance import Provenance, Seal, message_checksum
+from ehls_ros.recording.provenance import Provenance, Seal, as_json, message_checksum
+from ehls_ros.recording.reason import reason
 from ehls_ros.recording.topics import NAMESPACE, TOPICS, Topic
 from ehls_ros.recording.trajectory_messages import streams_of
 from ehls_ros.recording.typestore import typestore
@@ -36,8 +37,7 @@ class BagWriter:
         self._checksums = {topic.name: 0 for topic in topics}
         self._paths = {topic.name: topic.resolve(namespace) for topic in topics}
         self._connections = {
-            topic.name: writer.add_connection(self._paths[topic.name], topic.type, typestore=typestore())
-            for topic in topics
+            topic.name: writer.add_connection(self._paths[topic.name], topic.type, typestore=typestore()) for topic in topics
         }
         self._open = True
 
@@ -57,7 +57,7 @@ class BagWriter:
         Args:
             path: folder to make; its parents are made as well.
             storage: rosbag2 storage plugin.
-            metadata: configuration of the run, JSON values; it is kept in the bag.
+            metadata: configuration of the run, kept in the bag as JSON.
             namespace: namespace the topics are in.
             topics: the topics that will be written.
             signals: signals of the trajectory the bag is written from, None when it is recorded.
@@ -67,7 +67,9 @@ class BagWriter:
 
         Raises:
             BadInput: the folder exists or cannot be made, or the storage is unknown.
+            TypeError: the metadata hold what JSON does not know.
         """
+        provenance = Provenance(as_json(metadata), {}, signals)
         if storage not in get_args(Storage):
             raise BadInput(f"storage is {storage!r}", str(path), f"one of {', '.join(get_args(Storage))}")
         if storage == "sqlite3" and set("?#%") & set(str(path)):
@@ -80,8 +82,8 @@ class BagWriter:
             writer.open()
         except (OSError, sqlite3.Error) as error:
             where = getattr(error, "filename", None) or path
-            raise BadInput(f"the output cannot be made ({_reason(error)})", str(where), NEW_FOLDER) from None
-        return cls(writer, topics, namespace, Provenance(metadata, {}, signals))
+            raise BadInput(f"the output cannot be made ({reason(error)})", str(where), NEW_FOLDER) from None
+        return cls(writer, topics, namespace, provenance)
 
     def write(self, topic: str, stamp_ns: int, serialized: bytes) -> None:
         """Write one message.
@@ -111,8 +113,7 @@ class BagWriter:
         if not self._open:
             return
         seals = {
-            self._paths[name]: Seal(connection.digest, self._checksums[name])
-            for name, connection in self._connections.items()
+            self._paths[name]: Seal(connection.digest, self._checksums[name]) for name, connection in self._connections.items()
         }
         for key, value in self._provenance._replace(seals=seals).custom_data().items():
             self._writer.set_custom_data(key, value)
@@ -134,9 +135,7 @@ class BagWriter:
         """Return the writer itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Close the bag."""
         self.close()
 
@@ -144,12 +143,8 @@ class BagWriter:
         self.abort()
         written = sum(self._writer.counts.values())
         number = (isinstance(error, OSError) and error.errno) or (errno.ENOSPC if "full" in str(error) else errno.EIO)
-        what = f"{_reason(error)}; the bag is incomplete after {written} messages"
+        what = f"{reason(error)}; the bag is incomplete after {written} messages"
         raise OSError(number, what, str(self._writer.path)) from error
-
-
-def _reason(error: OSError | sqlite3.Error) -> str:
-    return getattr(error, "strerror", None) or str(error)
 
 
 def write_trajectory(path: Path, trajectory: Trajectory, storage: Storage = "mcap") -> None:

@@ -7,6 +7,7 @@ from typing import Annotated, NamedTuple
 import yaml
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording.reason import reason
 from ehls_ros.schema import parse, quantity, text
 from ehls_ros.trajectory import SIGNALS
 
@@ -45,9 +46,9 @@ def read_columns(path: Path) -> Columns:
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise BadInput(f"the file cannot be read ({error.strerror})", str(path), EXPECTED_MAP) from None
+        raise BadInput(f"the file cannot be read ({reason(error)})", str(path), EXPECTED_MAP) from None
     except (UnicodeDecodeError, yaml.YAMLError) as error:
-        raise BadInput(f"it is no YAML ({' '.join(str(error).split())})", str(path), EXPECTED_MAP) from None
+        raise BadInput(f"it is no YAML ({reason(error)})", str(path), EXPECTED_MAP) from None
     if not isinstance(content, dict):
         raise BadInput(f"it holds {content!r}", str(path), EXPECTED_MAP)
     return {str(name): _column(str(name), entry, path) for name, entry in content.items()}

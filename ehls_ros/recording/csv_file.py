@@ -1,16 +1,22 @@
-"""CSV files by the data contract: a header row with the names of the signals, SI units."""
+"""CSV files by the data contract: a header row with the names of the signals, values in SI units."""
 
 import csv
+import math
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import chain
 from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
+from typing import TextIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.columns import ELEMENT_SIGNALS, TIME, Columns
+from ehls_ros.recording.columns import TIME, Column, Columns
+from ehls_ros.recording.reason import reason
 from ehls_ros.recording.table import assemble, choose
 from ehls_ros.trajectory import Trajectory
 
@@ -22,7 +28,7 @@ BLOCK = 16384
 def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
     """Read a CSV file.
 
-    Columns without a name of the data contract are not read, unless the map names them. An empty cell is NaN.
+    Columns without a name of the data contract are left out unless the map names them. An empty cell is NaN.
 
     Args:
         path: the file, UTF-8, with a header row; separated by commas, semicolons or tabs.
@@ -32,15 +38,92 @@ def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
         The trajectory, without metadata.
 
     Raises:
-        BadInput: the file cannot be read, a column or cell is wrong, or time is not strictly increasing.
+        BadInput: the file cannot be read, a column or cell is wrong, or time does not grow with every row.
     """
     where = str(path)
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
-            header_line = stream.readline()
-            delimiter = max(DELIMITERS, key=header_line.count)
-            header = [name.strip() for name in next(csv.reader([header_line], delimiter=delimiter), [])]
-            chosen = choose(header, columns, where)
-            ...
+            chosen, values = _read(stream, columns, where)
     except OSError as error:
-        raise
+        raise BadInput(f"the file cannot be read ({reason(error)})", where, "a CSV file") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise BadInput(f"it is no CSV ({reason(error)})", where, "a CSV file in UTF-8") from None
+    return assemble(values, chosen, where, _line)
+
+
+def write_csv(path: Path, trajectory: Trajectory) -> None:
+    """Write a CSV file from which :func:`read_csv` gets every bit of every value back.
+
+    Signals of the friction elements become a column for each, such as ``friction_elements_n_1``. Metadata are not
+    written.
+
+    Args:
+        path: the file, replaced where there is one.
+        trajectory: what to write.
+
+    Raises:
+        BadInput: the file cannot be made.
+        OSError: the disk is full or fails.
+    """
+    columns = dict(_columns(trajectory))
+    try:
+        stream = path.open("w", encoding="utf-8", newline="")
+    except OSError as error:
+        raise BadInput(f"the output cannot be made ({reason(error)})", str(path), "a file that may be written") from None
+    with stream:
+        stream.write(",".join(columns) + "\n")
+        for start in range(0, len(trajectory), BLOCK):
+            block = np.column_stack([column[start : start + BLOCK] for column in columns.values()])
+            stream.writelines(",".join(map(repr, row)) + "\n" for row in block.tolist())
+
+
+def _columns(trajectory: Trajectory) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    yield TIME, trajectory.time_s
+    for name, values in trajectory.signals.items():
+        if values.ndim == 1:
+            yield name, values
+        else:
+            yield from ((f"{name}_{number}", column) for number, column in enumerate(values.T, start=1))
+
+
+def _read(stream: TextIO, columns: Columns, where: str) -> tuple[dict[str, Column], dict[str, NDArray[np.float64]]]:
+    """Return the chosen columns and their values by contract name."""
+    first_line = stream.readline()
+    delimiter = max(DELIMITERS, key=first_line.count)
+    rows = csv.reader(chain([first_line], stream), delimiter=delimiter, strict=True)
+    header = [name.strip() for name in next(rows, [])]
+    chosen = choose(header, columns, where)
+    pick = itemgetter(*(header.index(column.name) for column in chosen.values()))
+    numbers = array("d")
+    for row in rows:
+        if len(row) != len(header):
+            if not row and not any(rows):
+                break
+            line = f"{where}, {_line(len(numbers) // len(chosen))}"
+            raise BadInput(f"the row has {len(row)} cells", line, f"{len(header)} as the header")
+        cells = pick(row)
+        try:
+            values = list(map(float, cells))
+        except ValueError:
+            values = []
+        if not values or "_" in "".join(cells):
+            line = f"{where}, {_line(len(numbers) // len(chosen))}"
+            values = [_number(cell, column, line) for cell, column in zip(cells, chosen.values(), strict=True)]
+        numbers.extend(values)
+    table = np.frombuffer(numbers).reshape(-1, len(chosen))
+    return chosen, dict(zip(chosen, table.T, strict=True))
+
+
+def _number(cell: str, column: Column, where: str) -> float:
+    if not cell.strip():
+        return math.nan
+    # Python reads 1_000 as a number, which nobody who exports data means
+    with suppress(ValueError):
+        if "_" not in cell:
+            return float(cell)
+    raise BadInput(f"column '{column.name}' is {cell[:40]!r}", where, "a number")
+
+
+def _line(row: int) -> str:
+    """Return how an editor numbers a row of values, the header being line 1."""
+    return f"line {row + 2}"

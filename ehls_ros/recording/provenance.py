@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 from zlib import crc32
 
+import numpy as np
+
 from ehls_ros.errors import BadInput
 
 KEY = "ehls_ros"
@@ -44,7 +46,7 @@ class Provenance(NamedTuple):
     def custom_data(self) -> dict[str, str]:
         """Return the entries for the bag's metadata."""
         seals = {topic: seal._asdict() for topic, seal in self.seals.items()}
-        content = json.dumps({**self._asdict(), "seals": seals}, default=_plain)
+        content = json.dumps({**self._asdict(), "seals": seals})
         return {KEY: content, CHECKSUM_KEY: _text_checksum(content)}
 
 
@@ -86,8 +88,22 @@ def _text_checksum(content: str) -> str:
     return f"crc32-{crc32(content.encode()):08x}"
 
 
+def as_json(configuration: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a configuration as JSON gives it back: tuples as lists, numpy's numbers and arrays as plain ones.
+
+    Args:
+        configuration: nested mappings, sequences, texts and numbers.
+
+    Raises:
+        TypeError: it holds something else.
+    """
+    content: dict[str, Any] = json.loads(json.dumps(dict(configuration), default=_plain))
+    return content
+
+
 def _plain(value: Any) -> Any:
-    """Turn numpy's scalars and arrays into what JSON knows."""
-    if hasattr(value, "tolist"):
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     raise TypeError(f"{value!r} in a bag's configuration is no JSON value")

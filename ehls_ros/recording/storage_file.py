@@ -13,6 +13,7 @@ from pathlib import Path
 import yaml
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording.reason import reason
 
 CLOSED_BAG = "a bag whose recorder was closed"
 
@@ -39,8 +40,10 @@ def custom_data_in(file: Path) -> Mapping[str, str]:
     try:
         text = _mcap_metadata(file) if file.suffix == ".mcap" else _sqlite_metadata(file)
         metadata = yaml.safe_load(text)
+    except BadInput:
+        raise
     except OSError as error:
-        raise BadInput(f"the file cannot be read ({error.strerror})", str(file), CLOSED_BAG) from None
+        raise BadInput(f"the file cannot be read ({reason(error)})", str(file), CLOSED_BAG) from None
     except (ValueError, struct.error, sqlite3.Error, yaml.YAMLError):
         raise BadInput("the file is damaged", str(file), CLOSED_BAG) from None
     custom_data = metadata.get("custom_data") if isinstance(metadata, dict) else None

@@ -40,9 +40,7 @@ def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, 
     return chosen
 
 
-def assemble(
-    values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, row_name: Callable[[int], str]
-) -> Trajectory:
+def assemble(values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, row_name: Callable[[int], str]) -> Trajectory:
     """Make a trajectory of columns.
 
     Args:

@@ -78,7 +78,8 @@ def summary(trajectory: Trajectory, metrics: Mapping[str, Any]) -> tuple[str, bo
         metrics: what ``metrics.json`` holds.
 
     Returns:
-        The sentence, and whether the error converged without a missed cycle; None if the error is unknown.
+        The sentence, and whether the error converged and stayed inside its bound without a missed cycle; None if there is
+        no bound to judge it by.
     """
     max_error, converged = metrics.get("max_error_n"), metrics.get("convergence_s")
     missed, cycles = metrics.get("missed_cycles"), metrics.get("cycles")
@@ -93,7 +94,10 @@ def summary(trajectory: Trajectory, metrics: Mapping[str, Any]) -> tuple[str, bo
         convergence = f"the error converged after {number(converged)} s"
     accuracy = f"Over the last half the force stayed within {number(max_error)} N of the reference"
     share = _share_of_reference(trajectory, float(max_error))
-    return f"{accuracy}{share}; {convergence}; {loop}.", converged is not None and missed == 0
+    outside = _cycles_outside_bound(trajectory)
+    bound = f" and left its bound (44) in {number(outside)} cycles" if outside else ""
+    flawless = converged is not None and missed == 0 and not outside
+    return f"{accuracy}{share}{bound}; {convergence}; {loop}.", None if flawless and outside is None else flawless
 
 
 def _facts(trajectory: Trajectory, metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -111,7 +115,7 @@ def _facts(trajectory: Trajectory, metrics: Mapping[str, Any]) -> list[tuple[str
         ("Missed cycles", number(metrics.get("missed_cycles"))),
     ]
     for name, label in (("saturated", "Command at its limit"), ("friction_fallback", "Static friction stood in")):
-        if name in trajectory and np.isfinite(trajectory[name]).any():
+        if figures.known(trajectory, name):
             items.append((label, f"{number(int(np.sum(trajectory[name] > 0.5)))} cycles"))
     response = trajectory.signals.get("response_s", np.empty(0))
     response = response[np.isfinite(response)]
@@ -161,7 +165,7 @@ def _share_of_reference(trajectory: Trajectory, error_n: float) -> str:
 
 def _cycles_outside_bound(trajectory: Trajectory) -> int | None:
     error = figures.error_of(trajectory)
-    if error is None or "force_bound_n" not in trajectory:
+    if error is None or not figures.known(trajectory, "force_bound_n"):
         return None
     half = len(trajectory) // 2
     return int(np.sum(np.abs(error[half:]) > trajectory["force_bound_n"][half:]))

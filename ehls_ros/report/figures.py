@@ -52,22 +52,24 @@ PLANE_SAMPLES = 8000
 """Samples of a plot of one signal against another: some periods, not a blot."""
 RASTER_COLUMNS = 1500
 ELEMENT_LINES = ((BLUE, "solid"), (ORANGE, "solid"), (GREEN, "dash"), (SKY, "solid"), (PURPLE, "dash"))
+UNUSED_AT_ZERO = frozenset({"e3_mpa", "s_mpa_s", "alpha", "beta", "delta_n", "force_error_n", "force_bound_n"})
+"""What a controller without a sliding mode fills with zeros."""
 RESPONSE_QUANTILES = {"median": 0.5, "99 %": 0.99, "99.9 %": 0.999, "largest": 1.0}
 
 
 def force_tracking(run: Trajectory) -> Panel | LeftOut:
-    """Draw reference, force and disturbance."""
+    """Draw force and reference, and the disturbance behind them."""
     title = "Force tracking"
-    if missing := _missing(run, "force_reference_n", "force_n"):
+    if missing := _missing(run, "force_n"):
         return LeftOut(title, missing)
     time = _since_start(run)
     traces: list[Trace] = []
-    if _known(run, "disturbance_force_n"):
+    if known(run, "disturbance_force_n"):
         traces.append(time_line(time, run["disturbance_force_n"], "disturbance", KILONEWTON, ORANGE, width=1.2))
-    traces += [
-        time_line(time, run["force_n"], "force", KILONEWTON, BLUE, width=2.2),
-        time_line(time, run["force_reference_n"], "reference", KILONEWTON, BLACK, width=1.2, dash="dash"),
-    ]
+    traces.append(time_line(time, run["force_n"], "force", KILONEWTON, BLUE, width=2.2))
+    if known(run, "force_reference_n"):
+        reference = run["force_reference_n"]
+        traces.append(time_line(time, reference, "reference", KILONEWTON, BLACK, width=1.2, dash="dash"))
     return Panel(title, traces, time_layout(time[-1], [Axis("force", KILONEWTON)]), height=290)
 
 
@@ -85,7 +87,7 @@ def force_error(run: Trajectory, convergence_s: float | None) -> Panel | LeftOut
     time = _since_start(run)
     traces: list[Trace] = []
     bound = 0.0
-    if _known(run, "force_bound_n"):
+    if known(run, "force_bound_n"):
         bound = _largest(run["force_bound_n"])
         traces += band(time, run["force_bound_n"], "bound (44)", NEWTON)
     traces.append(time_line(time, error, "force − reference", NEWTON, BLUE))
@@ -98,19 +100,19 @@ def force_error(run: Trajectory, convergence_s: float | None) -> Panel | LeftOut
 def valve(run: Trajectory) -> Panel | LeftOut:
     """Draw spool command and spool between the limits of the rig."""
     title = "Valve"
-    if not _known(run, "valve_command_m") and not _known(run, "spool_m"):
+    if not known(run, "valve_command_m") and not known(run, "spool_m"):
         return LeftOut(title, _missing(run, "valve_command_m", "spool_m"))
     time = _since_start(run)
     traces: list[Trace] = []
     largest = 0.0
     for name, label, color in (("valve_command_m", "command", SKY), ("spool_m", "spool", BLUE)):
-        if _known(run, name):
+        if known(run, name):
             traces.append(time_line(time, run[name], label, MILLIMETRE, color))
             largest = max(largest, _largest(run[name]))
     limit = np.full(time.shape, setting(run.metadata, "rig", "limits", "spool") or np.nan)
-    lines, note = _limits(time, limit, largest, "limit", MILLIMETRE)
+    lines, note = _limits(time, limit, largest, "limit of the spool", MILLIMETRE)
     traces += lines
-    if _known(run, "saturated"):
+    if known(run, "saturated"):
         traces += event_marks(time, run["saturated"] > 0.5, "command cut at its limit", VERMILION)
     return Panel(title, traces, time_layout(time[-1], [Axis("spool displacement", MILLIMETRE)]), note)
 
@@ -122,7 +124,7 @@ def load_pressure(run: Trajectory) -> Panel | LeftOut:
         return LeftOut(title, missing)
     time = _since_start(run)
     traces = [time_line(time, run["load_pressure_pa"], "load pressure", MEGAPASCAL, BLUE)]
-    if _known(run, "supply_pressure_pa"):
+    if known(run, "supply_pressure_pa"):
         supply, name = run["supply_pressure_pa"], "supply pressure"
     else:
         nominal = setting(run.metadata, "rig", "plant", "supply_pressure")
@@ -134,18 +136,18 @@ def load_pressure(run: Trajectory) -> Panel | LeftOut:
 def motion(run: Trajectory) -> Panel | LeftOut:
     """Draw position and velocity of the piston, and the displacement the position servo made."""
     title = "Motion"
-    if not _known(run, "position_m") and not _known(run, "velocity_m_s"):
+    if not known(run, "position_m") and not known(run, "velocity_m_s"):
         return LeftOut(title, _missing(run, "position_m", "velocity_m_s"))
     time = _since_start(run)
     traces: list[Trace] = []
     rows: list[Axis] = []
-    if _known(run, "position_m"):
+    if known(run, "position_m"):
         rows.append(Axis("position", MILLIMETRE))
         traces.append(time_line(time, run["position_m"], "piston position", MILLIMETRE, BLUE))
-        if _known(run, "disturbance_displacement_m"):
-            servo = run["disturbance_displacement_m"]
+        servo = run.signals.get("disturbance_displacement_m", np.zeros(1))
+        if _largest(servo) > 0:
             traces.append(time_line(time, servo, "position servo", MILLIMETRE, ORANGE, width=1.2))
-    if _known(run, "velocity_m_s"):
+    if known(run, "velocity_m_s"):
         rows.append(Axis("velocity", MILLIMETRE_PER_SECOND))
         velocity = run["velocity_m_s"]
         traces.append(time_line(time, velocity, "piston velocity", MILLIMETRE_PER_SECOND, GREEN, row=len(rows)))
@@ -156,29 +158,29 @@ def friction(run: Trajectory) -> Panel | LeftOut:
     """Draw the estimated friction, its elements, and when each of them slips."""
     title = "Estimated friction"
     parts = ("friction_gms_n", "friction_viscous_n", "friction_elements_n")
-    if not any(_known(run, name) for name in parts):
+    if not any(known(run, name) for name in parts):
         return LeftOut(title, _missing(run, *parts))
     time = _since_start(run)
     traces: list[Trace] = []
     rows: list[Axis] = []
-    if _known(run, "friction_gms_n") or _known(run, "friction_viscous_n"):
+    if known(run, "friction_gms_n") or known(run, "friction_viscous_n"):
         rows.append(Axis("friction", NEWTON, share=2.0))
     for name, label, color, width in (
         ("friction_viscous_n", "viscous", PURPLE, 1.5),
         ("friction_gms_n", "all elements", BLACK, 1.8),
     ):
-        if _known(run, name):
+        if known(run, name):
             traces.append(time_line(time, run[name], label, NEWTON, color, width=width))
-    if _known(run, "friction_elements_n"):
+    if known(run, "friction_elements_n"):
         rows.append(Axis("each element", NEWTON, share=2.0))
         for index, force in enumerate(_columns(run["friction_elements_n"])):
             color, dash = ELEMENT_LINES[index % len(ELEMENT_LINES)]
             label = f"element {index + 1}"
             traces.append(time_line(time, force, label, NEWTON, color, row=len(rows), dash=dash))
-    if _known(run, "friction_fallback"):
+    if known(run, "friction_fallback"):
         traces += event_marks(time, run["friction_fallback"] > 0.5, "static curve stood in", VERMILION)
     note = ""
-    if _known(run, "friction_slipping"):
+    if known(run, "friction_slipping"):
         slipping = run["friction_slipping"].reshape(len(run), -1)
         names = tuple(str(index + 1) for index in range(slipping.shape[1]))
         rows.append(Axis("element", PURE_NUMBER, (len(names) + 0.5, 0.5), share=1.3, names=names))
@@ -190,17 +192,17 @@ def friction(run: Trajectory) -> Panel | LeftOut:
 def adaptation(run: Trajectory) -> Panel | LeftOut:
     """Draw what the controller adapts: the scales of friction and the remaining disturbance."""
     title = "Adaptation"
-    if not any(_known(run, name) for name in ("alpha", "beta", "delta_n")):
+    if not any(known(run, name) for name in ("alpha", "beta", "delta_n")):
         return LeftOut(title, _missing(run, "alpha", "beta", "delta_n"))
     time = _since_start(run)
     traces: list[Trace] = []
     rows: list[Axis] = []
-    if _known(run, "alpha") or _known(run, "beta"):
+    if known(run, "alpha") or known(run, "beta"):
         rows.append(Axis("scale", PURE_NUMBER))
     for name, label, color in (("alpha", "α̂, friction elements", BLUE), ("beta", "β̂, viscous friction", VERMILION)):
-        if _known(run, name):
+        if known(run, name):
             traces.append(time_line(time, run[name], label, PURE_NUMBER, color))
-    if _known(run, "delta_n"):
+    if known(run, "delta_n"):
         rows.append(Axis("D̂", KILONEWTON))
         label = "D̂, remaining disturbance"
         traces.append(time_line(time, run["delta_n"], label, KILONEWTON, GREEN, row=len(rows)))
@@ -243,7 +245,7 @@ def response_time(run: Trajectory) -> Panel | LeftOut:
     rows = [Axis("response", MICROSECOND, shown, logarithmic=True)]
     note = {
         "lockstep": "The plant waited for every answer, so a late one costs time and not accuracy.",
-        "realtime": "The plant did not wait: an answer later than the period acts one cycle late.",
+        "realtime": "The plant did not wait: past the period it held the last command.",
     }.get(str(run.metadata.get("timing")), "")
     return Panel(title, traces, time_layout(time[-1], rows), note)
 
@@ -307,7 +309,7 @@ def sliding_plane(run: Trajectory) -> Panel | LeftOut:
     width, height = _largest(error[steady]), _largest(sliding[steady])
     area = setting(run.metadata, "rig", "plant", "piston_area")
     bound = sliding_bound(run.metadata)
-    if bound is not None and area is not None and _known(run, "force_bound_n"):
+    if bound is not None and area is not None and known(run, "force_bound_n"):
         half = _largest(run["force_bound_n"]) / area * MEGAPASCAL.factor
         width, height = max(width, half), max(height, bound)
         corners = np.array([[-half, -bound], [half, -bound], [half, bound], [-half, bound], [-half, -bound]])
@@ -329,7 +331,7 @@ def friction_against_velocity(run: Trajectory) -> Panel | LeftOut:
     velocity = run["velocity_m_s"][steady] * MILLIMETRE_PER_SECOND.factor
     elements = run["friction_gms_n"][steady]
     traces = []
-    if _known(run, "friction_viscous_n"):
+    if known(run, "friction_viscous_n"):
         total = elements + run["friction_viscous_n"][steady]
         traces.append(line(velocity, total, "with viscous friction", NEWTON, PURPLE, width=1.2))
     traces.append(line(velocity, elements, "all elements", NEWTON, BLACK, width=1.4))
@@ -349,13 +351,19 @@ def force_against_position(run: Trajectory) -> Panel | LeftOut:
     return Panel(title, traces, layout, f"The {_last_seconds(run)}.", height=340, over_time=False)
 
 
+def known(run: Trajectory, name: str) -> bool:
+    """Tell whether a signal was recorded and says something."""
+    return not _absence(run, name)
+
+
 def error_of(run: Trajectory) -> NDArray[np.float64] | None:
     """Give force minus reference [N], shape (n,), measured rather than as the controller saw it; None if unknown."""
     if "force_n" in run and "force_reference_n" in run:
-        error: NDArray[np.float64] = run["force_n"] - run["force_reference_n"]
+        with np.errstate(invalid="ignore"):
+            error: NDArray[np.float64] = run["force_n"] - run["force_reference_n"]
         if np.isfinite(error).any():
             return error
-    return run["force_error_n"] if _known(run, "force_error_n") else None
+    return run["force_error_n"] if known(run, "force_error_n") else None
 
 
 def setting(metadata: Mapping[str, Any], *keys: str) -> float | None:
@@ -378,19 +386,23 @@ def sliding_bound(metadata: Mapping[str, Any]) -> float | None:
     return b / h if b is not None and h else None
 
 
-def _known(run: Trajectory, name: str) -> bool:
-    return name in run and bool(np.isfinite(run[name]).any())
+def _absence(run: Trajectory, name: str) -> str:
+    if name not in run:
+        return "not been recorded"
+    values = run[name][np.isfinite(run[name])]
+    if not values.size:
+        return "no values"
+    return "no values but zero" if name in UNUSED_AT_ZERO and not values.any() else ""
 
 
 def _missing(run: Trajectory, *names: str) -> str:
-    absent = [name for name in names if name not in run]
-    empty = [name for name in names if name in run and not _known(run, name)]
-    reasons = [
-        f"{' and '.join(which)} {'has' if len(which) == 1 else 'have'} {what}"
-        for which, what in ((absent, "not been recorded"), (empty, "no values"))
-        if which
-    ]
-    return ", ".join(reasons)
+    reasons: dict[str, list[str]] = {}
+    for name in names:
+        if absence := _absence(run, name):
+            reasons.setdefault(absence, []).append(name)
+    return ", ".join(
+        f"{' and '.join(which)} {'has' if len(which) == 1 else 'have'} {absence}" for absence, which in reasons.items()
+    )
 
 
 def _missing_together(run: Trajectory, samples: slice, *names: str) -> str:
@@ -411,7 +423,7 @@ def _columns(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _response(run: Trajectory) -> NDArray[np.float64] | None:
-    if not _known(run, "response_s"):
+    if not known(run, "response_s"):
         return None
     # a logarithmic axis has no place for the zero of a loop that was not timed
     response = np.where(np.isfinite(run["response_s"]) & (run["response_s"] > 0), run["response_s"], np.nan)
@@ -427,12 +439,12 @@ def _limits(
     time: NDArray[np.float64], limit: NDArray[np.float64], largest: float, name: str, unit: Unit
 ) -> tuple[list[Trace], str]:
     """Draw a limit unless it is so far away that the signal would become a flat line."""
-    text = f"{name} ±{number(_largest(limit) * unit.factor)} {unit.symbol}"
     if not np.isfinite(limit).any():
         return [], ""
     if _largest(limit) > 2.5 * largest:
-        return [], f"{text[0].upper()}{text[1:]} is outside the picture."
-    return limits(time, limit, text, unit), ""
+        shown = number(_largest(limit) * unit.factor)
+        return [], f"The {name}, ±{shown} {unit.symbol}, lies outside the picture."
+    return limits(time, limit, f"± {name}", unit), ""
 
 
 def _last_samples(run: Trajectory) -> slice:

@@ -164,7 +164,7 @@ def as_yaml(configuration: Mapping[str, Any]) -> str:
         configuration: nested mappings, sequences, scalars and arrays.
     """
     plain = json.loads(json.dumps(configuration, default=_plain))
-    return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
+    return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True)
 
 
 def _plain(value: object) -> object:
@@ -228,6 +228,7 @@ h1 { font-size: 24px; line-height: 1.25; margin: 0; overflow-wrap: anywhere; }
 .facts dd { margin: 0; font-size: 15px; font-weight: 600; overflow-wrap: anywhere; }
 .figures { display: grid; grid-template-columns: repeat(var(--columns), minmax(0, 1fr)); gap: 12px; margin: 0 0 12px; }
 section { background: #fff; border: 1px solid #dcdcdc; padding: 10px 10px 4px; break-inside: avoid; min-width: 0; }
+.figures > section:last-child:nth-child(odd) { grid-column: 1 / -1; }
 section header { padding: 0 190px 0 8px; }
 section .modebar-container { top: -26px !important; }
 section h2 { display: inline; font-size: 15px; margin: 0 10px 0 0; }
@@ -242,10 +243,10 @@ thead th { background: #f4f5f6; }
 details { background: #fff; border: 1px solid #dcdcdc; padding: 10px 16px; margin-bottom: 12px; }
 summary { cursor: pointer; font-weight: 600; }
 pre { margin: 10px 0 4px; font-size: 12.5px; white-space: pre-wrap; overflow-wrap: anywhere; }
-@page { size: A4 landscape; margin: 12mm; }
+@page { size: A4 landscape; margin: 8mm; }
 @media print {
   body { background: #fff; }
-  main { max-width: none; padding: 0; }
+  main { max-width: none; padding: 0 24px; }
   .hint, .modebar-container { display: none; }
   section header { padding-right: 8px; }
 }
@@ -281,7 +282,7 @@ for (const source of overTime) {
 
 // Figures keep the width they have on the screen, so the whole page is scaled to the width of paper.
 const main = document.querySelector('main');
-const paperWidth = 1000;
+const paperWidth = 1060;
 addEventListener('beforeprint', () => { main.style.zoom = paperWidth / main.offsetWidth; });
 addEventListener('afterprint', () => { main.style.zoom = ''; });
 """

@@ -24,6 +24,8 @@ FONT = "system-ui, -apple-system, 'Segoe UI', 'Liberation Sans', 'DejaVu Sans', 
 BACKDROP = "y9"
 """Axis from 0 to 1 behind the first row, for marks that belong to a time and not to a value."""
 
+_SILENT = {"showlegend": False, "hoverinfo": "skip", "hovertemplate": None}
+
 
 class Unit(NamedTuple):
     """A unit quantities are shown in.
@@ -168,7 +170,7 @@ def band(time: NDArray[np.float64], half_width: NDArray[np.float64], name: str, 
     lower = time_line(time[known], -half_width[known], name, unit, GREY, width=0.8)
     upper = time_line(time[known], half_width[known], name, unit, GREY, width=0.8)
     fill = {"fill": "tonexty", "fillcolor": "rgba(0, 158, 115, 0.16)"}
-    return [lower | {"showlegend": False, "hoverinfo": "skip", "hovertemplate": None}, upper | fill]
+    return [lower | _SILENT, upper | fill]
 
 
 def limits(time: NDArray[np.float64], value: NDArray[np.float64], name: str, unit: Unit) -> list[Trace]:
@@ -185,7 +187,7 @@ def limits(time: NDArray[np.float64], value: NDArray[np.float64], name: str, uni
     """
     upper = time_line(time, value, name, unit, GREY, width=1.2, dash="dash") | {"legendgroup": name}
     lower = time_line(time, -value, name, unit, GREY, width=1.2, dash="dash") | {"legendgroup": name}
-    return [upper, lower | {"showlegend": False}]
+    return [upper, lower | _SILENT]
 
 
 def event_marks(time: NDArray[np.float64], happened: NDArray[np.bool_], name: str, color: str) -> list[Trace]:
@@ -248,10 +250,12 @@ def time_layout(duration: float, rows: Sequence[Axis]) -> Layout:
         A plotly layout.
     """
     last = "y" if len(rows) == 1 else f"y{len(rows)}"
+    time_axis = _axis(Axis("time since start", SECOND, (0.0, duration or 1.0)))
     layout = _layout() | {
         "hovermode": "x unified",
+        "hoverdistance": -1,
         "hoversubplots": "axis",
-        "xaxis": _axis(Axis("time since start", SECOND, (0.0, duration or 1.0))) | {"anchor": last, "hoverformat": ",.7~g"},
+        "xaxis": time_axis | {"anchor": last, "unifiedhovertitle": {"text": "%{x:,.7~g} s"}},
         "yaxis9": {"overlaying": "y", "range": [0, 1], "visible": False, "fixedrange": True},
     }
     space = 0.06
@@ -280,7 +284,7 @@ def plane_layout(x: Axis, y: Axis) -> Layout:
 def _layout() -> Layout:
     return {
         "font": {"family": FONT, "size": 12, "color": BLACK},
-        "margin": {"l": 78, "r": 18, "t": 30, "b": 44},
+        "margin": {"l": 78, "r": 18, "t": 26, "b": 44},
         "paper_bgcolor": "white",
         "plot_bgcolor": "white",
         "legend": {

@@ -101,10 +101,12 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     x3d, x3d_rate, x3d_acceleration = r[0] / area, r[1] / area, r[2] / area
 
     side = 1.0 if x4 >= 0.0 else -1.0
-    root = math.sqrt(max(supply - side * x3, LEAST_DROP * supply))
+    drop = supply - side * x3
+    root = math.sqrt(max(drop, LEAST_DROP * supply))
     g1 = (-plant.spring_stiffness * x1 - plant.viscous_damping * x2 + area * x3) / m0 - plant.gravity
     g3 = e3 * root
-    g3_slope = -side * e3 / (2.0 * root)
+    # Zero where the drop is held up: a steep slope there would keep the spool at its limit for good.
+    g3_slope = -side * e3 / (2.0 * root) if drop > LEAST_DROP * supply else 0.0
 
     x3_rate = -e1 * x2 - e2 * x3 + g3 * x4  # (25)
     error = x3 - x3d  # (26)
@@ -122,6 +124,9 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     alpha = min(max(memory[ALPHA] + p.phi1 * elements * change, p.scale_minimum), p.scale_maximum)  # (36)
     beta = min(max(memory[BETA] + p.phi2 * viscous * change, p.scale_minimum), p.scale_maximum)  # (37)
     delta = saturate(memory[DELTA] + p.phi3 * change, p.delta_maximum)  # (38)
+    # Where a limit has cut the adaptation, less of s is foreseen to go by it and u3 has to take the rest.
+    adapted = (alpha - memory[ALPHA]) * elements + (beta - memory[BETA]) * viscous + (delta - memory[DELTA])
+    s_next = (s - period * p.xi * e1 / m0 * adapted) / (1.0 + rate * period)
 
     psi = (
         m0

@@ -6,6 +6,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.references._harmonics import harmonics
+from ehls_ros.errors import BadInput
 from ehls_ros.schema import quantity
 
 FADE = 0.5
@@ -23,7 +24,14 @@ class Parameters(NamedTuple):
 
 
 def sample(t: Array, p: Parameters) -> Array:
-    """Return the signal and its derivatives."""
+    """Return the signal and its derivatives.
+
+    Raises:
+        BadInput: the band's ends are the wrong way round.
+    """
+    if p.lowest_frequency > p.highest_frequency:
+        what = f"lowest_frequency is {p.lowest_frequency:g}"
+        raise BadInput(what, "irregular", f"at most highest_frequency = {p.highest_frequency:g} Hz")
     random = np.random.default_rng(p.seed)
     frequency = np.sort(random.uniform(p.lowest_frequency, p.highest_frequency, p.components))
     phase = random.uniform(0.0, 2.0 * np.pi, p.components)

@@ -1,9 +1,10 @@
 """A recorded load spectrum: points of time and value, joined by a quintic spline."""
 
+from functools import lru_cache
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
@@ -12,11 +13,30 @@ from ehls_ros.schema import text
 DEGREE = 5
 """Its second derivative is smooth, as the sliding mode law needs it."""
 
+AT_REST = [(1, 0.0), (2, 0.0)]
+"""First and second derivative at both ends: holding before and after joins on without a step."""
+
 
 class Parameters(NamedTuple):
     """The points; a spec names a CSV ``file`` with the columns time_s and value in their place."""
 
     points: Annotated[tuple[tuple[float, float], ...], text("time [s] and value [N or m] of each point, in order of time")]
+
+
+@lru_cache(maxsize=4)
+def _spline(p: Parameters) -> BSpline:
+    """Return the spline through the points; it is asked for once a block of cycles."""
+    points = np.asarray(p.points, dtype=np.float64)
+    if len(points) < 2:
+        raise BadInput(f"points holds {len(points)}", "load_spectrum", "two or more points")
+    for index, (time, value) in enumerate(points):
+        if not (np.isfinite(time) and np.isfinite(value)):
+            raise BadInput(f"points[{index}] is {time:g}, {value:g}", "load_spectrum", "finite numbers")
+        if index and time <= points[index - 1, 0]:
+            raise BadInput(
+                f"points[{index}] is at {time:g} s after {points[index - 1, 0]:g} s", "load_spectrum", "increasing times"
+            )
+    return make_interp_spline(points[:, 0], points[:, 1], k=DEGREE, bc_type=(AT_REST, AT_REST))
 
 
 def sample(t: Array, p: Parameters) -> Array:
@@ -25,13 +45,10 @@ def sample(t: Array, p: Parameters) -> Array:
     Raises:
         BadInput: fewer than two points, or times that do not increase.
     """
-    points = np.asarray(p.points, dtype=np.float64)
-    if len(points) < 2 or not np.all(np.isfinite(points)) or not np.all(np.diff(points[:, 0]) > 0.0):
-        raise BadInput(f"{len(points)} points", "reference: load_spectrum", "two or more finite points, time increasing")
-    highest_odd = len(points) - 1 - len(points) % 2
-    spline = make_interp_spline(points[:, 0], points[:, 1], k=min(DEGREE, highest_odd))
-    inside = (t >= points[0, 0]) & (t <= points[-1, 0])
-    held = np.clip(t, points[0, 0], points[-1, 0])
-    out = np.column_stack([spline(held), spline(held, 1), spline(held, 2) if spline.k > 1 else np.zeros_like(t)])
+    spline = _spline(p)
+    first, last = p.points[0][0], p.points[-1][0]
+    inside = (t >= first) & (t <= last)
+    held = np.clip(t, first, last)
+    out = np.column_stack([spline(held), spline(held, 1), spline(held, 2)])
     out[~inside, 1:] = 0.0
     return out

@@ -32,7 +32,7 @@ def sample(t: Array, p: Parameters) -> Array:
     distance = np.abs(from_middle) - (0.25 * period - half)
     round_off = distance > 0.0
     towards = np.sign(from_middle)
-    value = value - np.where(round_off, rising * towards * slope * distance**2 / (4.0 * half), 0.0)
-    rate = rate * np.where(round_off, 1.0 - distance / (2.0 * half), 1.0)
-    acceleration = np.where(round_off, -rising * towards * slope / (2.0 * half), 0.0)
+    value = value - np.where(round_off, rising * towards * slope * distance**2 / (2.0 * half), 0.0)
+    rate = rate * np.where(round_off, 1.0 - distance / half, 1.0)
+    acceleration = np.where(round_off, -rising * towards * slope / half, 0.0)
     return np.column_stack([value, rate, acceleration])

@@ -1,0 +1,45 @@
+# Everything runs in .venv/, which every target brings up to date first. PYTHON picks the interpreter to make it with.
+PYTHON ?= python3
+PYTEST_ARGS ?=
+
+# A shell in another environment of ROS wheels hands on their guard, with which this one would not find its libraries.
+ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
+endif
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint lock clean
+
+help:  ## show this list
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
+
+setup:  ## make .venv/ with everything in it, or bring it up to date
+	@command -v $(PYTHON) >/dev/null || { echo "setup: no $(PYTHON) found: set PYTHON to CPython 3.11, 3.12 or 3.13" >&2; exit 1; }
+	@$(PYTHON) tools/setup_environment.py $(if $(filter file,$(origin PYTHON)),,--python-was-chosen)
+
+demo: setup  ## run one experiment over DDS; bag, metrics and report go to runs/demo/
+	.venv/bin/ehls experiment config/experiments/sine_fd2.yaml --out runs/demo
+
+# Plug-ins by name only: a sourced ROS brings some that do not work with this pytest.
+test: setup  ## run the tests; PYTEST_ARGS='-k name' picks some
+	PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/python -m pytest -p xdist -p timeout -n 2 --dist loadfile --timeout 300 \
+		$(PYTEST_ARGS)
+
+lint: setup  ## check style, types and import contracts
+	.venv/bin/ruff check
+	.venv/bin/ruff format --check
+	.venv/bin/mypy
+	.venv/bin/lint-imports
+
+LOCK := uv pip compile --quiet --universal --python-version 3.11 --fork-strategy fewest --generate-hashes --no-annotate \
+	--custom-compile-command "make lock"
+lock:  ## pin requirements/*.in anew (needs uv)
+	@command -v uv >/dev/null || { echo "lock: no uv found: https://docs.astral.sh/uv" >&2; exit 1; }
+	$(LOCK) --upgrade requirements/base.in -o requirements/base.txt
+	$(LOCK) --upgrade requirements/ros.in requirements/ros_build.in -c requirements/base.txt -o requirements/ros.txt
+	$(LOCK) --upgrade requirements/dev.in -c requirements/base.txt -c requirements/ros.txt -o requirements/dev.txt
+	sed -i "s/ ; python_full_version < '3.14' and platform_machine == 'x86_64' and sys_platform == 'linux'//" requirements/*.txt
+
+clean:  ## remove .venv/ and everything built, but no recordings
+	rm -rf .venv build install log dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

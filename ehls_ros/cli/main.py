@@ -1,0 +1,47 @@
+"""Entry of the `ehls` command: finds the verb, runs it, turns errors into exit codes."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from ehls_ros import __version__
+from ehls_ros.cli.verbs import VERBS
+from ehls_ros.errors import BadInput
+
+DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+"""Exit codes."""
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser with all verbs."""
+    top = argparse.ArgumentParser(prog="ehls", description="Electro-hydraulic load simulator: run, record, report.")
+    top.add_argument("--version", action="version", version=__version__)
+    verbs = top.add_subparsers(dest="verb", metavar="VERB", required=True)
+    for name in VERBS.names():
+        verb = VERBS.load(name)
+        verb.arguments(verbs.add_parser(name, help=verb.HELP, description=verb.HELP))
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        arguments: what stands behind `ehls`; that of the process by default.
+
+    Returns:
+        The exit code.
+    """
+    options = parser().parse_args(arguments)
+    try:
+        return VERBS.load(options.verb).run(options)
+    except BadInput as error:
+        print(f"ehls {options.verb}: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print(f"ehls {options.verb}: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

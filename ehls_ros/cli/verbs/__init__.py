@@ -1,0 +1,6 @@
+"""The verbs of `ehls`, one file each; ``base`` says what a file provides."""
+
+from ehls_ros.cli.verbs.base import Verb
+from ehls_ros.families import Family
+
+VERBS: Family[Verb] = Family("ehls_ros.cli.verbs", "verb")

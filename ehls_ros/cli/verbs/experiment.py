@@ -1,0 +1,101 @@
+"""`ehls experiment`: run one experiment, record it, judge it, show it."""
+
+import json
+import sys
+import time
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ehls_ros.cli.progress import progress_bar
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.loop import run_in_process
+from ehls_ros.experiments.metrics import Metrics, evaluate
+from ehls_ros.experiments.run_folder import RunFolder
+from ehls_ros.experiments.spec import Spec, load_spec
+from ehls_ros.recording.bag_reader import read_bag
+from ehls_ros.recording.bag_writer import write_trajectory
+from ehls_ros.report.experiment import write_experiment_report
+from ehls_ros.trajectory import Trajectory
+
+HELP = "Run an experiment over DDS, record a bag, print metrics and write a report."
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("spec", type=Path, help="experiment file (YAML), such as config/experiments/sine_fd2.yaml")
+    parser.add_argument("--out", type=Path, help="run folder (default: runs/<spec>-<time>)")
+    parser.add_argument("--overwrite", action="store_true", help="replace a run that --out already holds")
+    parser.add_argument("--in-process", action="store_true", help="without ROS: the same loop in one process")
+    parser.add_argument(
+        "--timing",
+        choices=("lockstep", "realtime"),
+        default="lockstep",
+        help="lockstep: deterministic, as fast as the machine goes; realtime: wall clock, last command held",
+    )
+    parser.add_argument("--duration", type=float, help="plant time in s, in place of the spec's")
+    parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="format of the bag")
+    parser.add_argument("--json", action="store_true", help="end with one line of JSON: the metrics")
+
+
+def run(options: Namespace) -> int:
+    """Run it."""
+    spec = load_spec(options.spec)
+    if options.duration is not None:
+        spec = _with_duration(spec, options.duration)
+    folder = RunFolder.create(options.out, options.spec.stem, overwrite=options.overwrite)
+    folder.write_spec(spec)
+    with progress_bar(spec.settings.title) as progress:
+        trajectory, wall = (_in_process if options.in_process else _over_dds)(spec, folder, options, progress)
+    metrics = evaluate(trajectory)._replace(wall_s=wall, bag=str(folder.bag), report=str(folder.report))
+    folder.write_metrics(metrics)
+    write_experiment_report(trajectory, metrics.as_json(), folder.report)
+    _print(spec, metrics, trajectory, machine=options.json)
+    return 0
+
+
+def _with_duration(spec: Spec, duration: float) -> Spec:
+    if not 0.0 < duration < 1e6:
+        raise BadInput(f"--duration is {duration:g}", "command line", "seconds above 0 and below 1e6")
+    return spec._replace(settings=spec.settings._replace(duration=duration))
+
+
+def _in_process(
+    spec: Spec, folder: RunFolder, options: Namespace, progress: Callable[[int, int], None]
+) -> tuple[Trajectory, float]:
+    start = time.perf_counter()
+    trajectory = run_in_process(spec, progress)
+    wall = time.perf_counter() - start
+    write_trajectory(folder.bag, trajectory, options.storage)
+    return trajectory, wall
+
+
+def _over_dds(
+    spec: Spec, folder: RunFolder, options: Namespace, progress: Callable[[int, int], None]
+) -> tuple[Trajectory, float]:
+    try:
+        from ehls_ros.nodes.graph import run_graph
+    except ImportError as error:
+        raise BadInput(
+            f"ROS 2 cannot be imported ({error})", "this Python", "ROS 2 Jazzy sourced or `make setup`; or --in-process"
+        ) from None
+    wall = run_graph(spec, folder, options.timing, options.storage, progress)
+    return read_bag(folder.bag), wall
+
+
+def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, *, machine: bool) -> None:
+    converged = f"{metrics.convergence_s:.2f} s" if metrics.convergence_s is not None else "never"
+    wall = metrics.wall_s or float("nan")
+    print(f"{spec.settings.title}")
+    print(f"  largest error in the last half  {metrics.max_error_n:10.1f} N")
+    print(f"  rms error in the last half      {metrics.rms_error_n:10.1f} N")
+    print(f"  converged after                 {converged:>12}")
+    print(f"  cycles, of them unanswered      {metrics.cycles:8d}, {metrics.missed_cycles}")
+    print(f"  wall time                       {wall:10.2f} s ({metrics.duration_s / wall:.1f} x real time)")
+    print(f"  bag                             {metrics.bag}")
+    print(f"  report                          {metrics.report}")
+    sys.stdout.flush()
+    if machine:
+        line: dict[str, Any] = metrics.as_json()
+        print(json.dumps(line))

@@ -1,0 +1,33 @@
+"""`ehls report`: show recorded data."""
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.metrics import evaluate
+from ehls_ros.recording.load import load
+from ehls_ros.report.experiment import write_experiment_report
+
+HELP = "Write the HTML report of a bag, a CSV file or a run folder."
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("data", type=Path, help="bag folder, .mcap, .db3, .csv or the folder of a run")
+    parser.add_argument("--columns", type=Path, help="YAML that maps the data's own column names and units")
+    parser.add_argument("--out", type=Path, help="HTML file (default: report.html beside the data)")
+
+
+def run(options: Namespace) -> int:
+    """Write it."""
+    data: Path = options.data
+    bag = data / "bag"
+    trajectory = load(bag if bag.is_dir() else data, options.columns)
+    out: Path = options.out or (data if bag.is_dir() else data.parent) / "report.html"
+    metrics = evaluate(trajectory).as_json() if {"force_n", "force_reference_n"} <= trajectory.signals.keys() else {}
+    try:
+        write_experiment_report(trajectory, metrics, out)
+    except OSError as error:
+        raise BadInput(f"the report cannot be written ({error.strerror})", str(out), "a writable place (--out)") from None
+    print(out)
+    return 0

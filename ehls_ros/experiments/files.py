@@ -1,0 +1,20 @@
+"""Where the files that come with the package lie, in a checkout as in an installation."""
+
+from pathlib import Path
+
+from ehls_ros.errors import BadInput
+
+PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def config_folder() -> Path:
+    """Return the folder of the rig files and experiment specs that come with the package.
+
+    Raises:
+        BadInput: the installation lacks it.
+    """
+    for parent in PACKAGE.parents:
+        for folder in (parent / "config", parent / "share" / "ehls_ros" / "config"):
+            if (folder / "rig_paper.yaml").is_file():
+                return folder
+    raise BadInput("the installation has no config folder", str(PACKAGE), "share/ehls_ros/config as setup.py installs it")

@@ -1,0 +1,81 @@
+"""The folder a run leaves: spec, bag, metrics, report."""
+
+import json
+import shutil
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import yaml
+
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.metrics import Metrics
+from ehls_ros.experiments.spec import Spec, spec_to_mapping
+
+HOLDS = ("spec.yaml", "bag", "metrics.json", "report.html", "logs")
+"""What a run folder may hold."""
+
+
+class RunFolder(NamedTuple):
+    """Where one run keeps its files."""
+
+    path: Path
+
+    @classmethod
+    def create(cls, path: Path | None, name: str, *, overwrite: bool) -> "RunFolder":
+        """Make the folder of a new run.
+
+        Args:
+            path: the folder; None makes a new one below ``runs/``.
+            name: what the run is called where ``path`` is None.
+            overwrite: replace a run the folder already holds. Nothing but a run is ever replaced.
+
+        Raises:
+            BadInput: the folder cannot be written, or holds something that may not be replaced.
+        """
+        if path is None:
+            path = Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            present = sorted(entry.name for entry in path.iterdir())
+            strangers = [entry for entry in present if entry not in HOLDS]
+            if strangers:
+                raise BadInput(f"the run folder holds '{strangers[0]}'", str(path), "a new or empty folder")
+            if present and not overwrite:
+                raise BadInput("the folder already holds a run", str(path), "a new folder, or --overwrite")
+            for entry in present:
+                inside = path / entry
+                shutil.rmtree(inside) if inside.is_dir() else inside.unlink()
+            (path / "spec.yaml").touch()
+        except OSError as error:
+            raise BadInput(f"the run folder cannot be written ({error.strerror})", str(path), "a writable folder") from None
+        return cls(path)
+
+    @property
+    def bag(self) -> Path:
+        """The bag's folder."""
+        return self.path / "bag"
+
+    @property
+    def report(self) -> Path:
+        """The report."""
+        return self.path / "report.html"
+
+    @property
+    def spec(self) -> Path:
+        """The spec with everything it names written out."""
+        return self.path / "spec.yaml"
+
+    @property
+    def logs(self) -> Path:
+        """What the nodes printed, a file each."""
+        return self.path / "logs"
+
+    def write_spec(self, spec: Spec) -> None:
+        """Keep the spec."""
+        plain = json.loads(json.dumps(spec_to_mapping(spec)))
+        self.spec.write_text(yaml.safe_dump(plain, sort_keys=False), encoding="utf-8")
+
+    def write_metrics(self, metrics: Metrics) -> None:
+        """Keep the metrics."""
+        (self.path / "metrics.json").write_text(json.dumps(metrics.as_json(), indent=2) + "\n", encoding="utf-8")

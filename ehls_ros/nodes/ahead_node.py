@@ -1,0 +1,85 @@
+"""What reference and disturbance share: they know time, so they run ahead of the cycles and cost no latency."""
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from ehls_msgs.msg import LoaderState
+from ehls_ros.nodes.control_node import OK, WAIT, ControlNode
+from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
+
+LEAD = 50
+"""Cycles a signal of time alone runs ahead."""
+
+REST = 0.005
+"""How long a node that runs far ahead lets snapshots gather before it looks again [s]."""
+
+
+class AheadNode(ControlNode):
+    """Publishes one row a cycle, ahead of it.
+
+    Subclasses implement :meth:`open_outbox`, :meth:`first` and :meth:`following`, and set ``lead`` to 1 where
+    a row depends on the loader's state one cycle before.
+    """
+
+    lead = LEAD
+
+    def open_outbox(self) -> Outbox:
+        """Compile what is needed and return where the rows go."""
+        raise NotImplementedError
+
+    def row(self, cycle: int, state: tuple[Any, ...] | None) -> list[float]:
+        """Return the row of a cycle.
+
+        Args:
+            cycle: the cycle.
+            state: loader_state of the cycle before, for ``lead`` 1; None at the start.
+        """
+        raise NotImplementedError
+
+    def prepare(self) -> None:
+        """Open the topics."""
+        self.period_ns = self.spec.settings.control_period * 1e9
+        self.outbox = self.open_outbox()
+        self.states = Inbox(self, LoaderState, "loader_state")
+        self.waiter = Waiter([self.states])
+        self.next = 0
+        self.last = -1
+
+    def release(self) -> None:
+        """Close the topics."""
+        if hasattr(self, "waiter"):
+            self.waiter.destroy()
+            self.states.destroy()
+            self.outbox.destroy()
+            del self.waiter
+
+    def start(self) -> None:
+        """Publish what is wanted before the first snapshot."""
+        self._publish_to(self.lead - 1, 0, None)
+
+    def once(self) -> None:
+        """Publish what the snapshots that came ask for."""
+        self.waiter.wait(WAIT)
+        while (state := self.states.take()) is not None:
+            stamp, cycle = state[:2]
+            if cycle < self.last or cycle > self.next:
+                # The plant began anew, or this node came late.
+                self.next = cycle + 1 if self.lead == 1 else cycle
+            self.last = cycle
+            if cycle + self.lead >= self.next + self.lead // 2:
+                self._publish_to(cycle + self.lead, stamp - round(cycle * self.period_ns), state)
+        if self.lead > 1:
+            time.sleep(REST)
+
+    def _publish_to(self, cycle: int, epoch_ns: int, state: tuple[Any, ...] | None) -> None:
+        while self.next <= cycle:
+            self.outbox.send(epoch_ns + round(self.next * self.period_ns), self.next, *self.row(self.next, state))
+            self.next += 1
+
+    def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        """Say how far it is ahead."""
+        if not hasattr(self, "waiter"):
+            return OK, "unconfigured", {}
+        figures = {"cycle": self.last, "ahead": self.next - 1 - self.last}
+        return OK, "running" if self._active.is_set() else "inactive", figures

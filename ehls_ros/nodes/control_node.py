@@ -1,0 +1,218 @@
+"""What the control-path nodes share: lifecycle, spec, the loop in the main thread, diagnostics, shutdown."""
+
+import gc
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Any, NamedTuple
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.experimental import EventsExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.signals import SignalHandlerOptions
+
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.files import config_folder
+from ehls_ros.experiments.spec import Spec, load_rig, load_spec
+from ehls_ros.nodes.parameters import declare
+from ehls_ros.schema import quantity, text
+
+NAMESPACE = "ehls"
+
+WAIT = 0.1
+"""Longest time a loop waits before it looks whether it should stop [s]."""
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+class Common(NamedTuple):
+    """Parameters every node has."""
+
+    spec: Annotated[str, text("experiment file; empty: the 10 kN sine that comes with the package")] = ""
+    rig: Annotated[str, text("rig file in place of the spec's; empty: the spec's")] = ""
+    autostart: Annotated[bool, text("configure and activate at start, as when started by hand")] = True
+    nice: Annotated[int, quantity("1", "how far the process steps back for others", minimum=0, maximum=19)] = 0
+
+
+class ControlNode(LifecycleNode):
+    """A lifecycle node whose loop runs in the main thread while it is active.
+
+    Subclasses implement :meth:`prepare`, :meth:`start`, :meth:`once`, :meth:`stop`, :meth:`release` and
+    :meth:`health`.
+    """
+
+    def __init__(self, name: str) -> None:
+        """Declare the common parameters and read the spec.
+
+        Raises:
+            BadInput: the spec or rig file is wrong.
+        """
+        super().__init__(name, namespace=NAMESPACE)
+        declare(self, Common, live=False)
+        self.spec = self._load_spec()
+        self._active = threading.Event()
+        self._idle = threading.Event()
+        self._idle.set()
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._reported: tuple[bytes, str] | None = None
+        self.create_timer(1.0, self._report)
+
+    def text_parameter(self, name: str) -> str:
+        """Return a text parameter's value."""
+        return str(self.get_parameter(name).value)
+
+    def _load_spec(self) -> Spec:
+        chosen = self.text_parameter("spec")
+        path = Path(chosen) if chosen else config_folder() / "experiments" / "sine_fd2.yaml"
+        spec = load_spec(path)
+        rig = self.text_parameter("rig")
+        return spec._replace(rig=load_rig(Path(rig))) if rig else spec
+
+    def prepare(self) -> None:
+        """Build what the loop needs: compile, publish, subscribe."""
+        raise NotImplementedError
+
+    def start(self) -> None:
+        """Do what precedes the first turn of the loop."""
+
+    def once(self) -> None:
+        """Take one turn of the loop, waiting no longer than :data:`WAIT`."""
+        raise NotImplementedError
+
+    def stop(self) -> None:
+        """Do what follows the last turn of the loop."""
+
+    def release(self) -> None:
+        """Give back what :meth:`prepare` built."""
+
+    def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        """Return level, message and figures for diagnostics."""
+        return OK, "running" if self._active.is_set() else "inactive", {}
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Prepare; a wrong configuration leaves the node unconfigured, with the reason in the log."""
+        try:
+            self.prepare()
+        except (BadInput, OSError) as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let the loop run."""
+        self._idle.clear()
+        self._active.set()
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let the loop end its turn and wait for that."""
+        self._active.clear()
+        self._idle.wait()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Give everything back."""
+        self.release()
+        return TransitionCallbackReturn.SUCCESS
+
+    def work(self, stopping: threading.Event) -> None:
+        """Run the loop whenever the node is active, until told to stop."""
+        while not stopping.is_set():
+            if not self._active.wait(WAIT):
+                continue
+            self.start()
+            # A collection in the middle of a cycle would be a late answer; the loops make no cyclic garbage.
+            gc.collect()
+            gc.freeze()
+            gc.disable()
+            while self._active.is_set() and not stopping.is_set():
+                self.once()
+            gc.enable()
+            self.stop()
+            self._idle.set()
+
+    def finish(self) -> None:
+        """End the loop from inside: its task is done."""
+        self._active.clear()
+
+    def _report(self) -> None:
+        level, message, figures = self.health()
+        status = DiagnosticStatus(
+            level=level,
+            name=self.get_name(),
+            message=message,
+            hardware_id="ehls",
+            values=[KeyValue(key=key, value=f"{value:.6g}" if isinstance(value, float) else str(value)) for key, value in figures.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+        if (level, message) != self._reported and level != OK:
+            self.get_logger().warning(message)
+        self._reported = (level, message)
+
+    def report_change(self) -> None:
+        """Publish diagnostics at once when level or message are other than last time."""
+        level, message, _ = self.health()
+        if (level, message) != self._reported:
+            self._report()
+
+
+def run_node(make: Callable[[], ControlNode]) -> int:
+    """Run one node as a process: main thread for the loop, a second one for lifecycle and parameters.
+
+    Args:
+        make: builds the node, after ROS is up.
+
+    Returns:
+        The exit code: 0 after SIGINT or SIGTERM, 2 for bad input.
+    """
+    stopping = threading.Event()
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        stopping.set()
+
+    signal.signal(signal.SIGINT, on_signal)
+    signal.signal(signal.SIGTERM, on_signal)
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = make()
+    except BadInput as error:
+        print(error, file=sys.stderr)
+        rclpy.try_shutdown()
+        return 2
+    os.nice(int(node.get_parameter("nice").value))
+    executor = EventsExecutor()
+    executor.add_node(node)
+
+    def serve() -> None:
+        while not stopping.is_set():
+            executor.spin_once(timeout_sec=WAIT)
+
+    server = threading.Thread(target=serve, name="services")
+    server.start()
+    try:
+        if node.get_parameter("autostart").value:
+            node.trigger_configure()
+            node.trigger_activate()
+        node.get_logger().info("up")
+        node.work(stopping)
+    finally:
+        stopping.set()
+        server.join()
+        executor.shutdown()
+        node.release()
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def now_ns() -> int:
+    """Return the time of day [ns]."""
+    return time.time_ns()

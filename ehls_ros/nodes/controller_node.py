@@ -1,0 +1,174 @@
+"""The node around any controller: it answers each loader_state with a valve_command.
+
+`fasmc_node`, `sic_node` and `pid_node` are this node with the law they are named after.
+"""
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ehls_msgs.msg import ControllerStatus, ForceReference, FrictionEstimate, LoaderState, ValveCommand
+from ehls_ros.control.controller import Controller
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.controllers.base import SATURATED, model_of
+from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.nodes.control_node import OK, WAIT, WARN, ControlNode
+from ehls_ros.nodes.latency import Latency
+from ehls_ros.nodes.parameters import declare, follow, values_of
+from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
+from ehls_ros.physics import sensors
+
+PATIENCE = 1.0
+"""How long a friction estimate that has been coming is waited for [s]; afterwards, not until it comes again."""
+
+KEPT = 4000
+"""References and estimates kept ahead of their cycle."""
+
+
+class ControllerNode(ControlNode):
+    """Runs one control law.
+
+    While the friction estimate comes, a cycle is answered when it is there. When it stays away, the static
+    Stribeck curve of the rig stands in, and status and diagnostics say so.
+    """
+
+    def __init__(self, law: str) -> None:
+        """Declare the law's parameters, with the spec's values where it names this law."""
+        super().__init__(f"{law}_node")
+        self.law = law
+        self.kind = CONTROLLERS.load(law)
+        given = self.spec.controller
+        values = given.parameters._asdict() if given.name == law else {}
+        declare(self, self.kind.Parameters, values, live=True)
+        self.tuning = values_of(self, self.kind.Parameters, self.get_name())
+        self.new_tuning: Any = None
+        self.tuned_at = -1
+        follow(self, self.kind.Parameters, self._retune)
+
+    def _retune(self, tuning: Any) -> None:
+        self.new_tuning = tuning
+
+    def prepare(self) -> None:
+        """Compile the law and open the topics."""
+        period = self.spec.settings.control_period
+        self.period = period
+        self.controller = Controller(self.law, self.tuning, model_of(self.spec.rig, period))
+        self.static_friction = FrictionEstimator("stribeck", self.spec.rig.friction, period)
+        self.state: tuple[Any, ...] | None = None
+        self.references: dict[int, tuple[float, float, float]] = {}
+        self.frictions: dict[int, tuple[float, float]] = {}
+        self.friction_comes = self.kind.FRICTION
+        self.state_since = 0.0
+        self.answered = -1
+        self.fallbacks = 0
+        self.no_reference = 0
+        self.saturated = False
+        self.latency = Latency()
+        self.states = Inbox(self, LoaderState, "loader_state")
+        self.reference = Inbox(self, ForceReference, "force_reference")
+        self.commands = Outbox(self, ValveCommand, "valve_command")
+        self.status = Outbox(self, ControllerStatus, "controller_status")
+        self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
+        self.on_state = Waiter([self.states])
+        self.on_friction = Waiter([self.friction])
+        self.on_anything = Waiter([self.states, self.friction, self.reference])
+        self.measured = np.zeros(7)
+        self.wanted = np.zeros(3)
+        self.estimate = np.zeros(2)
+
+    def release(self) -> None:
+        """Close the topics."""
+        if not hasattr(self, "on_state"):
+            return
+        for part in (self.on_state, self.on_friction, self.on_anything, self.states, self.reference, self.friction):
+            part.destroy()
+        self.commands.destroy()
+        self.status.destroy()
+        del self.on_state
+
+    def once(self) -> None:
+        """Wait for what the next cycle lacks; answer once all of it is there."""
+        self._wait()
+        arrived = time.perf_counter()
+        while (message := self.friction.take()) is not None:
+            self.frictions[message[1]] = message[2:4]
+            self.friction_comes = self.kind.FRICTION
+        while (message := self.states.take()) is not None:
+            self.state = message
+            self.state_since = arrived
+        while (message := self.reference.take()) is not None:
+            self.references[message[1]] = message[2:5]
+        if self.state is not None:
+            self._answer(self.state, arrived)
+
+    def _wait(self) -> None:
+        """Wait on the one message that comes last, so that a cycle wakes this process once."""
+        if self.state is not None:
+            self.on_anything.wait(0.01)
+        elif self.friction_comes:
+            self.on_friction.wait(0.005)
+        else:
+            self.on_state.wait(WAIT)
+
+    def _answer(self, state: tuple[Any, ...], arrived: float) -> None:
+        stamp, cycle = state[:2]
+        reference = self.references.get(cycle)
+        if reference is None:
+            self.no_reference += 1
+            return
+        friction = self.frictions.get(cycle)
+        if friction is None and self.friction_comes:
+            if time.perf_counter() - self.state_since < PATIENCE:
+                return
+            self.friction_comes = False
+        self.state = None
+        if cycle < self.answered:
+            self.controller.reset()
+        if self.new_tuning is not None:
+            self.controller.retune(self.new_tuning)
+            self.new_tuning = None
+            self.tuned_at = cycle
+        fallback = friction is None and self.kind.FRICTION
+        self.measured[:] = state[2:]
+        self.wanted[:] = reference
+        if friction is not None:
+            self.estimate[:] = friction
+        elif fallback:
+            self.estimate[:] = self.static_friction.update(state[2 + sensors.VELOCITY])[:2]
+            self.fallbacks += 1
+        command = self.controller.step(self.measured, self.wanted, self.estimate)
+        self.commands.send(stamp, cycle, command)
+        values = self.controller.status.tolist()
+        self.saturated = values[SATURATED] != 0.0
+        self.status.send(stamp, cycle, *values[:SATURATED], self.saturated, fallback)
+        self.answered = cycle
+        self.latency.add(time.perf_counter() - arrived)
+        self._forget(cycle)
+
+    def _forget(self, cycle: int) -> None:
+        """Drop what earlier cycles left, now and then."""
+        self.references.pop(cycle, None)
+        self.frictions.pop(cycle, None)
+        if len(self.references) > KEPT:
+            self.references = {k: v for k, v in self.references.items() if k > cycle}
+        if len(self.frictions) > KEPT:
+            self.frictions = {k: v for k, v in self.frictions.items() if k > cycle}
+
+    def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        """Say how answering goes."""
+        if not hasattr(self, "on_state"):
+            return OK, "unconfigured", {}
+        figures = {
+            "cycle": self.answered,
+            "friction_fallbacks": self.fallbacks,
+            "tuned_at_cycle": self.tuned_at,
+            "saturated": self.saturated,
+            **self.latency.figures(),
+        }
+        if self.kind.FRICTION and not self.friction_comes:
+            return WARN, "no friction estimate comes: the static Stribeck curve stands in", figures
+        if self.state is not None and time.perf_counter() - self.state_since > PATIENCE:
+            return WARN, "no force reference for the cycle under way", figures
+        return OK, "running" if self._active.is_set() else "inactive", figures

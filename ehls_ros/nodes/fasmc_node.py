@@ -1,0 +1,15 @@
+"""`fasmc_node`: finite-time adaptive sliding mode force control."""
+
+import sys
+
+from ehls_ros.nodes.control_node import run_node
+from ehls_ros.nodes.controller_node import ControllerNode
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(lambda: ControllerNode("fasmc"))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

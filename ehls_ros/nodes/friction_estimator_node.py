@@ -1,0 +1,86 @@
+"""`friction_estimator_node`: answers each loader_state with the friction of the identified model."""
+
+import sys
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple
+
+from ehls_msgs.msg import FrictionEstimate, LoaderState
+from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.nodes.control_node import OK, WAIT, WARN, ControlNode, run_node
+from ehls_ros.nodes.parameters import declare
+from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
+from ehls_ros.physics import sensors
+from ehls_ros.schema import text
+
+
+class Parameters(NamedTuple):
+    """Which model is run."""
+
+    model: Annotated[str, text("friction observer: gms, stribeck, ...; empty: the spec's compensation")] = ""
+
+
+class FrictionEstimatorNode(ControlNode):
+    """Runs a friction observer along the measured velocity."""
+
+    def __init__(self) -> None:
+        """Declare the parameters."""
+        super().__init__("friction_estimator_node")
+        declare(self, Parameters, live=False)
+        self.model = self.text_parameter("model") or self.spec.settings.compensation
+        OBSERVERS.load(self.model, f"{self.get_name()}: model")
+
+    def prepare(self) -> None:
+        """Compile the observer and open the topics."""
+        self.estimator = FrictionEstimator(self.model, self.spec.rig.friction, self.spec.settings.control_period)
+        elements = self.estimator.element_forces.size
+        self.elements = elements
+        self.last = -1
+        self.gaps = 0
+        self.states = Inbox(self, LoaderState, "loader_state")
+        self.estimates = Outbox(
+            self, FrictionEstimate, "friction_estimate", lengths={"element_forces": elements, "slipping": elements}
+        )
+        self.waiter = Waiter([self.states])
+
+    def release(self) -> None:
+        """Close the topics."""
+        if hasattr(self, "waiter"):
+            self.waiter.destroy()
+            self.states.destroy()
+            self.estimates.destroy()
+            del self.waiter
+
+    def once(self) -> None:
+        """Answer every snapshot that is there."""
+        self.waiter.wait(WAIT)
+        while (message := self.states.take()) is not None:
+            stamp, cycle = message[:2]
+            if cycle <= self.last:
+                # The plant began anew.
+                self.estimator.reset()
+            elif cycle != self.last + 1 and self.last >= 0:
+                self.gaps += 1
+            self.last = cycle
+            estimate = self.estimator.update(message[2 + sensors.VELOCITY]).tolist()
+            n = self.elements
+            slipping = [flag != 0.0 for flag in estimate[2 + n :]]
+            self.estimates.send(stamp, cycle, estimate[0], estimate[1], n, *estimate[2 : 2 + n], n, *slipping)
+
+    def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        """Say which model runs and whether it missed a snapshot."""
+        if not hasattr(self, "waiter"):
+            return OK, "unconfigured", {}
+        figures = {"model": self.model, "cycle": self.last, "gaps": self.gaps, "malformed": self.states.malformed}
+        if not self.estimator.memory_is_finite():
+            return WARN, "a measured velocity was not finite: the elements have to be reset", figures
+        return OK, "running" if self._active.is_set() else "inactive", figures
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(FrictionEstimatorNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,268 @@
+"""One experiment on the node graph: start the nodes, take them through their lifecycle, record, shut down.
+
+What ``launch/ehls.launch.py`` does where there is ``launch``, with a beginning and an end.
+"""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition, TransitionEvent
+from lifecycle_msgs.srv import ChangeState
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.experiments.run_folder import RunFolder
+from ehls_ros.experiments.spec import Spec
+from ehls_ros.nodes.control_node import NAMESPACE
+
+PLANT, RECORDER = "plant_sim_node", "recorder_node"
+
+UP_TIME = 120.0
+"""Longest time a node may take to come up and compile [s]."""
+
+SHUTDOWN_TIME = 10.0
+"""Time a node is given to end by itself after SIGINT [s]."""
+
+BACKGROUND = 10
+"""How far the nodes that only have to keep up step back for those that have to answer."""
+
+DOMAINS = range(1, 102)
+"""Domains whose ports lie below the ephemeral ones of Linux."""
+
+
+class GraphError(RuntimeError):
+    """The graph could not do its work; the message says which node and where it tells why."""
+
+
+class Running(NamedTuple):
+    """One node's process."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+
+def nodes_of(spec: Spec) -> list[str]:
+    """Return the executables an experiment needs, in the order they are activated; the plant comes last."""
+    friction = ["friction_estimator_node"] if CONTROLLERS.load(spec.controller.name).FRICTION else []
+    return [RECORDER, "reference_node", "disturbance_node", *friction, f"{spec.controller.name}_node", PLANT]
+
+
+def run_graph(
+    spec: Spec, folder: RunFolder, timing: str, storage: str, progress: Callable[[int, int], None] | None = None
+) -> float:
+    """Run an experiment over DDS, each node its own process.
+
+    Args:
+        spec: the experiment; the run folder holds it already.
+        folder: where the bag and the nodes' logs go.
+        timing: lockstep or realtime.
+        storage: format of the bag.
+        progress: called now and then with the cycles done and the cycles in all.
+
+    Returns:
+        Wall time from the plant's first to its last cycle [s].
+
+    Raises:
+        GraphError: a node did not come up, died, or ended with an error.
+    """
+    environment = graph_environment()
+    os.environ.update({key: environment[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
+    folder.logs.mkdir()
+    parameters = _parameters(spec, folder, timing, storage)
+    # The nodes end together with this process even when it is asked to end in the middle.
+    with _sigterm_as_interrupt(), _processes(nodes_of(spec), parameters, folder.logs, environment) as running:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            conductor = Conductor(running)
+            wall = conductor.run(spec.cycles, progress)
+            conductor.close()
+        finally:
+            rclpy.try_shutdown()
+    for node in running:
+        if node.process.returncode != 0:
+            raise GraphError(f"{node.name} ended with exit code {node.process.returncode}: see {node.log}")
+    return wall
+
+
+def graph_environment() -> dict[str, str]:
+    """Return the environment nodes are started in: this host only, a free domain unless one is chosen."""
+    environment = dict(os.environ)
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(Path(__file__).with_name("fastdds.xml")))
+    environment.setdefault("PYTHONUNBUFFERED", "1")
+    if "ROS_DOMAIN_ID" not in environment:
+        environment["ROS_DOMAIN_ID"] = str(free_domain())
+    return environment
+
+
+def free_domain() -> int:
+    """Return a domain that no participant on this host uses, starting somewhere else in every process."""
+    for offset in range(len(DOMAINS)):
+        domain = DOMAINS[(os.getpid() + offset) % len(DOMAINS)]
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                # The first participant's port for discovery, as RTPS lays ports out.
+                probe.bind(("", 7400 + 250 * domain + 10))
+            except OSError:
+                continue
+        return domain
+    raise GraphError("every ROS domain from 1 to 101 is in use on this host: end other graphs or set ROS_DOMAIN_ID")
+
+
+def _parameters(spec: Spec, folder: RunFolder, timing: str, storage: str) -> dict[str, dict[str, Any]]:
+    common = {"spec": str(folder.spec.resolve()), "autostart": False}
+    parameters: dict[str, dict[str, Any]] = {name: dict(common) for name in nodes_of(spec)}
+    parameters[PLANT] |= {"timing": timing, "cycles": spec.cycles}
+    parameters[RECORDER] |= {
+        "bag": str(folder.bag.resolve()),
+        "storage": storage,
+        "timing": timing,
+        "nice": BACKGROUND,
+    }
+    for name in ("reference_node", "disturbance_node"):
+        parameters[name]["nice"] = BACKGROUND
+    return parameters
+
+
+@contextmanager
+def _sigterm_as_interrupt() -> Iterator[None]:
+    """Let SIGTERM end the work the way Ctrl-C does."""
+
+    def interrupt(number: int, frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def _processes(
+    names: list[str], parameters: Mapping[str, Mapping[str, Any]], logs: Path, environment: Mapping[str, str]
+) -> Iterator[list[Running]]:
+    """Start the nodes; on leaving, end them by SIGINT, and by force what does not end."""
+    running: list[Running] = []
+    try:
+        for name in names:
+            file = logs / f"{name}.yaml"
+            file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(parameters[name])}}), encoding="utf-8")
+            command = [sys.executable, "-m", f"ehls_ros.nodes.{name}", "--ros-args", "--params-file", str(file)]
+            log = logs / f"{name}.log"
+            with log.open("wb") as output:
+                # A session of its own: Ctrl-C reaches this process, which then ends the nodes in order.
+                process = subprocess.Popen(
+                    command, stdout=output, stderr=subprocess.STDOUT, env=environment, start_new_session=True
+                )
+            running.append(Running(name, process, log))
+        yield running
+    finally:
+        for node in running:
+            if node.process.poll() is None:
+                node.process.send_signal(signal.SIGINT)
+        deadline = time.monotonic() + SHUTDOWN_TIME
+        for node in running:
+            try:
+                node.process.wait(max(0.1, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                node.process.kill()
+                node.process.wait()
+
+
+class Conductor:
+    """Takes running nodes through their lifecycle and watches them."""
+
+    def __init__(self, running: list[Running]) -> None:
+        """Join the graph."""
+        self._running = running
+        self._node = Node("conductor", namespace=NAMESPACE)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._clients = {
+            node.name: self._node.create_client(ChangeState, f"{node.name}/change_state") for node in running
+        }
+        self._ended = False
+        self._cycle = 0
+        self._node.create_subscription(TransitionEvent, f"{PLANT}/transition_event", self._on_transition, 10)
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def run(self, cycles: int, progress: Callable[[int, int], None] | None) -> float:
+        """Configure all nodes at once, activate them in order, wait for the plant's last cycle, close the bag.
+
+        Returns:
+            Wall time of the cycles [s].
+        """
+        configuring = [self._transition(node, Transition.TRANSITION_CONFIGURE) for node in self._running]
+        for done in configuring:
+            done()
+        start = time.perf_counter()
+        for node in self._running:
+            start = time.perf_counter()
+            self._transition(node, Transition.TRANSITION_ACTIVATE)()
+        while not self._ended:
+            self._spin()
+            if progress is not None:
+                progress(self._cycle, cycles)
+        wall = time.perf_counter() - start
+        recorder = next(node for node in self._running if node.name == RECORDER)
+        self._transition(recorder, Transition.TRANSITION_DEACTIVATE)()
+        return wall
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def _spin(self) -> None:
+        self._executor.spin_once(timeout_sec=0.05)
+        for node in self._running:
+            if node.process.poll() is not None:
+                raise GraphError(f"{node.name} ended with exit code {node.process.returncode}: {_last_line(node.log)}")
+
+    def _transition(self, node: Running, transition: int) -> Callable[[], None]:
+        """Ask for a transition and return a function that waits for it."""
+        client = self._clients[node.name]
+        deadline = time.monotonic() + UP_TIME
+        while not client.service_is_ready():
+            self._spin()
+            if time.monotonic() > deadline:
+                raise GraphError(f"{node.name} did not come up in {UP_TIME:.0f} s: see {node.log}")
+        future = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
+
+        def wait() -> None:
+            while not future.done():
+                self._spin()
+                if time.monotonic() > deadline:
+                    raise GraphError(f"{node.name} did not answer in {UP_TIME:.0f} s: see {node.log}")
+            if not future.result().success:
+                raise GraphError(f"{node.name} refused to go on: {_last_line(node.log)}")
+
+        return wait
+
+    def _on_transition(self, event: TransitionEvent) -> None:
+        self._ended |= (event.start_state.label, event.goal_state.label) == ("deactivating", "inactive")
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            if status.name == PLANT:
+                self._cycle = next((int(v.value) for v in status.values if v.key == "cycle"), self._cycle)
+
+
+def _last_line(log: Path) -> str:
+    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    return f"{lines[-1]} (in {log})" if lines else f"see {log}"

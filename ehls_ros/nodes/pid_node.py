@@ -1,0 +1,15 @@
+"""`pid_node`: the rod at constant velocity."""
+
+import sys
+
+from ehls_ros.nodes.control_node import run_node
+from ehls_ros.nodes.controller_node import ControllerNode
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(lambda: ControllerNode("pid"))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,144 @@
+"""`recorder_node`: every topic into a rosbag2, with the configuration of the run inside."""
+
+import sys
+import time
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+from rclpy.qos import QoSProfile
+
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.loop import metadata
+from ehls_ros.nodes.control_node import ERROR, OK, ControlNode, run_node
+from ehls_ros.nodes.parameters import declare
+from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos
+from ehls_ros.recording.bag_writer import BagWriter
+from ehls_ros.recording.topics import CYCLE_TOPICS, TOPICS
+from ehls_ros.schema import text
+
+REST = 0.02
+"""How long messages gather before they are taken in bulk [s]; the middleware keeps them meanwhile."""
+
+QUIET = 0.3
+"""At the end: nothing more comes once it was quiet for so long [s]."""
+
+
+class Parameters(NamedTuple):
+    """Where the bag goes."""
+
+    bag: Annotated[str, text("folder of the bag; empty: bags/<time>")] = ""
+    storage: Annotated[str, text("mcap or sqlite3")] = "mcap"
+    timing: Annotated[str, text("timing mode of the run, kept in the bag")] = "realtime"
+
+
+class RecorderNode(ControlNode):
+    """Writes what is published, byte for byte, stamped with the sender's time of publishing."""
+
+    def __init__(self) -> None:
+        """Declare the parameters."""
+        super().__init__("recorder_node")
+        declare(self, Parameters, live=False)
+        self.storage = self.text_parameter("storage")
+        if self.storage not in ("mcap", "sqlite3"):
+            raise BadInput(f"storage is '{self.storage}'", self.get_name(), "mcap or sqlite3")
+
+    def prepare(self) -> None:
+        """Open the bag and subscribe."""
+        chosen = self.text_parameter("bag")
+        self.path = Path(chosen) if chosen else Path("bags") / time.strftime("%Y%m%d-%H%M%S")
+        self.written = 0
+        self.inboxes = {
+            topic.name: Inbox(
+                self,
+                _message_class(topic.type),
+                topic.name,
+                control_qos(RECORDER_DEPTH) if topic in CYCLE_TOPICS else QoSProfile(depth=1000),
+            )
+            for topic in TOPICS
+        }
+        self.failure = ""
+        self.writer: BagWriter | None = None
+
+    def release(self) -> None:
+        """Unsubscribe."""
+        for inbox in getattr(self, "inboxes", {}).values():
+            inbox.destroy()
+        self.inboxes = {}
+
+    def start(self) -> None:
+        """Open the bag; it belongs to the thread that writes it."""
+        namespace = self.get_namespace()
+        described = metadata(self.spec, self.text_parameter("timing"))
+        try:
+            self.writer = BagWriter.create(self.path, self.storage, described, namespace=namespace)
+        except BadInput as error:
+            self.fail(str(error))
+
+    def once(self) -> None:
+        """Write what gathered."""
+        time.sleep(REST)
+        self._drain()
+
+    def _drain(self) -> int:
+        """Write everything that is there and return how much it was."""
+        before = self.written
+        for name, inbox in self.inboxes.items():
+            while (taken := inbox.take_raw()) is not None:
+                message, stamps = taken
+                self._write(name, stamps["source_timestamp"], message)
+        return self.written - before
+
+    def _write(self, name: str, stamp_ns: int, message: bytes) -> None:
+        if self.writer is None:
+            return
+        try:
+            self.writer.write(name, stamp_ns, message)
+            self.written += 1
+        except OSError as error:
+            self.fail(str(error))
+
+    def fail(self, reason: str) -> None:
+        """Stop recording and say why; the graph goes on."""
+        self.writer = None
+        self.failure = reason
+        self.get_logger().error(reason)
+        self.report_change()
+
+    def stop(self) -> None:
+        """Take what is still under way and close the bag."""
+        quiet_since = time.perf_counter()
+        while time.perf_counter() - quiet_since < QUIET:
+            if self._drain():
+                quiet_since = time.perf_counter()
+            time.sleep(REST)
+        if self.writer is not None:
+            try:
+                self.writer.close()
+            except OSError as error:
+                self.fail(str(error))
+            self.writer = None
+        self.get_logger().info(f"{self.written} messages in {self.path}")
+
+    def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        """Say how much is written."""
+        figures = {"bag": getattr(self, "path", ""), "written": getattr(self, "written", 0)}
+        if getattr(self, "failure", ""):
+            return ERROR, f"not recording: {self.failure}", figures
+        return OK, "recording" if self._active.is_set() else "inactive", figures
+
+
+def _message_class(name: str) -> Any:
+    """Return the class of a type named like ``std_msgs/msg/Float64``."""
+    package, folder, kind = name.split("/")
+    return getattr(import_module(f"{package}.{folder}"), kind)
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(RecorderNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

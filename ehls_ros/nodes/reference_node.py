@@ -1,0 +1,37 @@
+"""`reference_node`: the wanted force with its derivatives."""
+
+import sys
+from typing import Any
+
+from ehls_msgs.msg import ForceReference
+from ehls_ros.experiments.loop import sampled
+from ehls_ros.nodes.ahead_node import AheadNode
+from ehls_ros.nodes.control_node import run_node
+from ehls_ros.nodes.transport import Outbox
+
+
+class ReferenceNode(AheadNode):
+    """Publishes the spec's reference."""
+
+    def __init__(self) -> None:
+        """Name the node."""
+        super().__init__("reference_node")
+
+    def open_outbox(self) -> Outbox:
+        """Open the topic."""
+        self.signal = sampled(self.spec.reference, self.spec.settings.control_period)
+        return Outbox(self, ForceReference, "force_reference")
+
+    def row(self, cycle: int, state: tuple[Any, ...] | None) -> list[float]:
+        """Return force and its first and second derivative."""
+        row: list[float] = self.signal.row(cycle).tolist()
+        return row
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(ReferenceNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,43 @@
+"""Recorded or measured data in any of the formats of the data contract."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from ehls_ros.errors import BadInput
+from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES, read_bag
+from ehls_ros.recording.columns import Columns
+from ehls_ros.recording.csv_file import read_csv
+from ehls_ros.recording.mat_file import read_mat
+from ehls_ros.recording.parquet_file import read_parquet
+from ehls_ros.trajectory import Trajectory
+
+TABLES: Mapping[str, Callable[[Path, Columns], Trajectory]] = {
+    ".csv": read_csv,
+    ".mat": read_mat,
+    ".parquet": read_parquet,
+}
+"""Readers of files with named columns, by suffix."""
+
+
+def load(path: Path, columns: Columns | None = None) -> Trajectory:
+    """Read data from whatever holds them.
+
+    Args:
+        path: folder of a rosbag2, or a file ``.mcap``, ``.db3``, ``.csv``, ``.mat`` or ``.parquet``.
+        columns: the user's own names and units; for files with named columns only.
+
+    Returns:
+        The trajectory.
+
+    Raises:
+        BadInput: there are no data in any of these formats.
+    """
+    suffix = path.suffix.lower()
+    if suffix in TABLES and not path.is_dir():
+        return TABLES[suffix](path, columns or {})
+    if columns:
+        raise BadInput("a map of columns is given for a bag", str(path), "a .csv, .mat or .parquet file with it")
+    if path.exists() and not path.is_dir() and suffix not in STORAGE_SUFFIXES:
+        expected = f"the folder of a rosbag2 or a file {', '.join((*STORAGE_SUFFIXES, *TABLES))}"
+        raise BadInput("its format is unknown", str(path), expected)
+    return read_bag(path)

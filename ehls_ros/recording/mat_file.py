@@ -1,0 +1,52 @@
+"""MATLAB files by the data contract: a variable for each signal."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from scipy.io import loadmat
+
+from ehls_ros.errors import BadInput
+from ehls_ros.recording.columns import Columns
+from ehls_ros.recording.reason import reason
+from ehls_ros.recording.table import assemble, choose
+from ehls_ros.trajectory import Trajectory
+
+EXPECTED_FILE = "a MAT file as MATLAB's save -v7 writes it"
+
+
+def read_mat(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
+    """Read a MAT file of version 4 to 7.
+
+    Args:
+        path: the file. A variable is a column; the fields of a structure ``s`` are columns ``s.field``.
+        columns: the user's own names and units.
+
+    Returns:
+        The trajectory, without metadata.
+
+    Raises:
+        BadInput: the file cannot be read, a column is wrong, or time does not grow with every sample.
+    """
+    where = str(path)
+    try:
+        variables = dict(_flatten(loadmat(path, simplify_cells=True)))
+    except OSError as error:
+        raise BadInput(f"the file cannot be read ({reason(error)})", where, EXPECTED_FILE) from None
+    except NotImplementedError:
+        raise BadInput("it is a MAT file of version 7.3", where, EXPECTED_FILE) from None
+    except Exception as error:  # noqa: BLE001 - scipy raises whatever it stumbles over in a damaged file
+        raise BadInput(f"it is no MAT file ({reason(error)})", where, EXPECTED_FILE) from None
+    chosen = choose(list(variables), columns, where)
+    values = {name: np.atleast_1d(np.asarray(variables[column.name])) for name, column in chosen.items()}
+    return assemble(values, chosen, where, lambda row: f"sample {row + 1}")
+
+
+def _flatten(variables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in variables.items():
+        if isinstance(value, dict):
+            yield from _flatten(value, f"{prefix}{name}.")
+        elif not name.startswith("__"):
+            yield prefix + name, value

@@ -1,0 +1,63 @@
+"""Build of the ament_python package ehls_ros; ``pip install .`` without ROS gives its offline half."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = "ehls_ros"
+ROOT = Path(__file__).resolve().parent
+NODES = (
+    "plant_sim_node",
+    "hardware_bridge_node",
+    "disturbance_node",
+    "friction_estimator_node",
+    "fasmc_node",
+    "sic_node",
+    "pid_node",
+    "reference_node",
+    "recorder_node",
+)
+
+
+def requirements(name: str) -> list[str]:
+    """Return the requirements of ``requirements/<name>.in``, without comments."""
+    lines = (ROOT / "requirements" / f"{name}.in").read_text(encoding="utf-8").splitlines()
+    return [requirement for line in lines if (requirement := line.partition("#")[0].strip())]
+
+
+def installed_tree(top: str) -> list[tuple[str, list[str]]]:
+    """Return the files under ``top`` as data_files, each folder below ``share/ehls_ros``."""
+    files: dict[str, list[str]] = {}
+    for path in sorted((ROOT / top).rglob("*")):
+        relative = path.relative_to(ROOT)
+        if path.is_file() and "__pycache__" not in relative.parts:
+            files.setdefault(f"share/{PACKAGE}/{relative.parent}", []).append(str(relative))
+    return list(files.items())
+
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Node graph, identification and diagnosis for an electro-hydraulic load simulator",
+    license="Apache-2.0",
+    maintainer="ehls_ros maintainers",
+    maintainer_email="maintainers@ehls-ros.example",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    package_data={PACKAGE: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        *installed_tree("config"),
+        *installed_tree("launch"),
+    ],
+    python_requires=">=3.11",
+    install_requires=requirements("base"),
+    extras_require={"ros": requirements("ros"), "dev": requirements("dev")},
+    entry_points={
+        "console_scripts": [
+            f"ehls = {PACKAGE}.cli.main:main",
+            *(f"{node} = {PACKAGE}.nodes.{node}:main" for node in NODES),
+        ],
+    },
+    zip_safe=False,
+)

@@ -1,0 +1,198 @@
+import errno
+import json
+import os
+import resource
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import yaml
+from recorded_runs import METADATA, Message, loader_state, make_trajectory, serialized, storage_file, valve_command
+from rosbags.rosbag2 import Reader
+
+from ehls_ros.errors import BadInput
+from ehls_ros.recording.bag_reader import read_bag
+from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
+from ehls_ros.recording.topics import TOPICS
+
+STORAGES: list[Storage] = ["mcap", "sqlite3"]
+
+
+def write(writer: BagWriter, message: Message) -> None:
+    writer.write(message.topic.rpartition("/")[2], message.received_ns, serialized(message))
+
+
+@contextmanager
+def no_file_larger_than(size: int) -> Iterator[None]:
+    """Let writing fail as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.fixture
+def write_protected() -> Iterator[Path]:
+    """Yield a folder in which this process may not write, also when it runs as root."""
+    folder = Path(tempfile.mkdtemp())
+    folder.chmod(0o555)
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(65534)
+    yield folder
+    os.seteuid(user)
+    folder.rmdir()
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_every_message_is_in_the_bag_with_its_time(tmp_path: Path, storage: Storage):
+    commands = 20_000
+    command = serialized(valve_command(0))
+    with BagWriter.create(tmp_path / "bag", storage) as writer:
+        write(writer, loader_state(0))
+        for stamp_ns in range(commands):
+            writer.write("valve_command", stamp_ns, command)
+        writer.write("/diagnostics", 5, b"\x00\x01\x00\x00 as it came")
+    with Reader(tmp_path / "bag") as reader:
+        assert {connection.topic: connection.msgtype for connection in reader.connections} == {
+            topic.resolve(): topic.type for topic in TOPICS
+        }
+        messages = [(connection.topic, stamp_ns, data) for connection, stamp_ns, data in reader.messages()]
+    assert [stamp_ns for topic, stamp_ns, _ in messages if topic == "/ehls/valve_command"] == list(range(commands))
+    assert all(data == command for topic, _, data in messages if topic == "/ehls/valve_command")
+    assert ("/diagnostics", 5, b"\x00\x01\x00\x00 as it came") in messages
+    assert len(messages) == commands + 2
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_the_configuration_stands_in_the_metadata_as_json(tmp_path: Path, storage: Storage):
+    BagWriter.create(tmp_path / "bag", storage, METADATA).close()
+    content = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text(encoding="utf-8"))
+    custom_data = content["rosbag2_bagfile_information"]["custom_data"]
+    assert json.loads(custom_data["ehls_ros"])["configuration"] == METADATA
+
+
+def test_topics_are_below_the_namespace(tmp_path: Path):
+    with BagWriter.create(tmp_path / "bag", namespace="/rig7/ehls") as writer:
+        write(writer, loader_state(0, force=2.0))
+    assert read_bag(tmp_path / "bag")["force_n"].tolist() == [2.0]
+    with Reader(tmp_path / "bag") as reader:
+        assert "/rig7/ehls/loader_state" in reader.topics
+        assert "/diagnostics" in reader.topics
+
+
+def test_what_was_recorded_before_an_exception_is_kept(tmp_path: Path):
+    def interrupted() -> None:
+        with BagWriter.create(tmp_path / "bag") as writer:
+            write(writer, loader_state(3, force=7.0))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert read_bag(tmp_path / "bag")["force_n"].tolist() == [7.0]
+
+
+def test_closing_twice_is_closing_once(tmp_path: Path):
+    with BagWriter.create(tmp_path / "bag") as writer:
+        write(writer, loader_state(0))
+        writer.close()
+    assert len(read_bag(tmp_path / "bag")) == 1
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_an_aborted_bag_is_no_bag(tmp_path: Path, storage: Storage):
+    with BagWriter.create(tmp_path / "bag", storage) as writer:
+        write(writer, loader_state(0))
+        writer.abort()
+    for path in (tmp_path / "bag", storage_file(tmp_path / "bag")):
+        with pytest.raises(BadInput):
+            read_bag(path)
+
+
+def test_a_stamp_before_the_epoch_leaves_the_bag_as_it_was(tmp_path: Path):
+    with BagWriter.create(tmp_path / "bag") as writer:
+        write(writer, loader_state(0))
+        with pytest.raises(ValueError, match="loader_state is -1 ns"):
+            writer.write("loader_state", -1, serialized(loader_state(1)))
+    assert len(read_bag(tmp_path / "bag")) == 1
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_full_disk_is_reported_and_leaves_no_bag(tmp_path: Path, storage: Storage):
+    message = serialized(loader_state(0))
+
+    def fill() -> None:
+        with BagWriter.create(tmp_path / "bag", storage) as writer:
+            for stamp_ns in range(30_000):
+                writer.write("loader_state", stamp_ns, message)
+
+    with no_file_larger_than(200_000), pytest.raises(OSError, match="the bag is incomplete after") as caught:
+        fill()
+    assert caught.value.filename == str(tmp_path / "bag")
+    assert caught.value.errno in {errno.EFBIG, errno.EIO, errno.ENOSPC}
+    with pytest.raises(BadInput, match=r"metadata\.yaml is missing"):
+        read_bag(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_disk_that_is_full_at_the_end_is_reported_too(tmp_path: Path, storage: Storage):
+    with no_file_larger_than(100_000), pytest.raises(OSError, match="the bag is incomplete after"):
+        write_trajectory(tmp_path / "bag", make_trajectory(300), storage)
+    with pytest.raises(BadInput, match=r"metadata\.yaml is missing"):
+        read_bag(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_an_output_without_write_permission_is_bad_input(write_protected: Path, storage: Storage):
+    with pytest.raises(BadInput, match="Permission denied") as caught:
+        BagWriter.create(write_protected / "runs" / "bag", storage)
+    assert caught.value.where == str(write_protected / "runs")
+    assert caught.value.expected == "a folder that does not exist yet, where it may be written"
+
+
+def a_folder(path: Path) -> Path:
+    path.mkdir()
+    return path
+
+
+def a_file(path: Path) -> Path:
+    path.touch()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("make", "complaint"),
+    [
+        (a_folder, "the output exists already"),
+        (a_file, "the output exists already"),
+        (lambda path: a_file(path) / "bag", "Not a directory"),
+        (lambda path: path / ("x" * 300), "File name too long"),
+    ],
+)
+def test_an_output_that_cannot_be_made_is_bad_input(tmp_path: Path, make: Callable[[Path], Path], complaint: str):
+    with pytest.raises(BadInput, match=complaint):
+        BagWriter.create(make(tmp_path / "there"))
+
+
+def test_an_unknown_storage_is_bad_input(tmp_path: Path):
+    with pytest.raises(BadInput, match="storage is 'hdf5'; expected one of mcap, sqlite3"):
+        BagWriter.create(tmp_path / "bag", "hdf5")
+
+
+@pytest.mark.parametrize("name", ["run#1", "run?", "50%25"])
+def test_a_path_that_sqlite_would_misread_is_bad_input(tmp_path: Path, name: str):
+    with pytest.raises(BadInput, match="holds one of"):
+        BagWriter.create(tmp_path / name, "sqlite3")
+    assert not list(tmp_path.iterdir())
+    write_trajectory(tmp_path / name, make_trajectory(1))
+    assert len(read_bag(tmp_path / name)) == 1
+
+
+def test_metadata_that_are_no_json_stop_the_recording_before_it_starts(tmp_path: Path):
+    with pytest.raises(TypeError, match="is no JSON value"):
+        BagWriter.create(tmp_path / "bag", metadata={"rig": object()})
+    assert not list(tmp_path.iterdir())

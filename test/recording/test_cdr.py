@@ -1,0 +1,125 @@
+"""Against rosbags, which reads and writes one message at a time, and against what Fast DDS put on the wire."""
+
+import numpy as np
+import pytest
+from recorded_runs import loader_state, message, serialized
+
+from ehls_ros.recording.cdr import CdrError, decode, encode, flatten
+from ehls_ros.recording.typestore import typestore
+
+FRICTION = "ehls_msgs/msg/FrictionEstimate"
+LOADER = "ehls_msgs/msg/LoaderState"
+FRICTION_FIELDS = flatten(typestore().fielddefs, FRICTION)
+LOADER_FIELDS = flatten(typestore().fielddefs, LOADER)
+
+
+def friction_message(cycle: int, forces: list[float], frame: str = "loader", *, little_endian: bool = True) -> bytes:
+    fields = message("", "FrictionEstimate", cycle, 3_000_000_007, 0, {}).fields
+    fields["header"].frame_id = frame
+    slipping = np.array([force > 0 for force in forces])
+    content = typestore().types[FRICTION](
+        **fields, gms_force=cycle + 0.5, viscous_force=-1.0, element_forces=np.array(forces), slipping=slipping
+    )
+    return bytes(typestore().serialize_cdr(content, FRICTION, little_endian=little_endian))
+
+
+def test_messages_of_different_lengths_and_byte_orders_are_decoded_together():
+    messages = [
+        friction_message(0, [1.0, -2.0, 3.0]),
+        friction_message(1, []),
+        friction_message(2, [4.0], frame=""),
+        friction_message(3, [5.0, 6.0, -7.0], little_endian=False),
+        friction_message(4, [-8.0, 9.0, 1.0]),
+    ]
+    wanted = {"cycle", "header.stamp.sec", "header.stamp.nanosec", "gms_force", "element_forces", "slipping"}
+    columns = decode(messages, FRICTION_FIELDS, wanted)
+    assert set(columns) == wanted
+    assert columns["cycle"].tolist() == [0, 1, 2, 3, 4]
+    assert columns["cycle"].dtype == np.uint64
+    assert columns["header.stamp.sec"].tolist() == [3] * 5
+    assert columns["header.stamp.nanosec"].tolist() == [7] * 5
+    assert columns["gms_force"].tolist() == [0.5, 1.5, 2.5, 3.5, 4.5]
+    nan = np.nan
+    forces = [[1, -2, 3], [nan, nan, nan], [4, nan, nan], [5, 6, -7], [-8, 9, 1]]
+    np.testing.assert_array_equal(columns["element_forces"], forces)
+    slipping = [[1, 0, 1], [nan, nan, nan], [1, nan, nan], [1, 1, 0], [0, 1, 1]]
+    np.testing.assert_array_equal(columns["slipping"], slipping)
+
+
+@pytest.mark.parametrize("elements", [0, 1, 3])
+@pytest.mark.parametrize("frame", ["", "loader", "a frame of another length"])
+def test_what_is_encoded_is_what_rosbags_writes(elements: int, frame: str):
+    forces = np.random.default_rng(2).normal(size=(5, elements))
+    expected = [friction_message(cycle, forces[cycle].tolist(), frame) for cycle in range(5)]
+    values = {
+        "header.stamp.sec": np.full(5, 3),
+        "header.stamp.nanosec": np.full(5, 7),
+        "header.frame_id": frame,
+        "cycle": np.arange(5),
+        "gms_force": np.arange(5) + 0.5,
+        "viscous_force": np.full(5, -1.0),
+        "element_forces": forces,
+        "slipping": forces > 0,
+    }
+    assert encode(FRICTION_FIELDS, values) == expected
+
+
+@pytest.mark.parametrize(
+    ("wire", "elements", "slipping"),
+    [
+        (
+            (
+                "000100000300000007000000070000006c6f616465720000000000000900000000000000000000000000f03f"
+                "00000000000000000300000000000000000000000000f03f0000000000000040000000000000084003000000010001"
+            ),
+            [1.0, 2.0, 3.0],
+            [1, 0, 1],
+        ),
+        (  # the bytes between the fields and after them are whatever was in memory
+            (
+                "000100000300000007000000070000006c6f61646572000080f257dc0900000000000000000000000000f03f"
+                "000000000000000000000000000000008a7f0000"
+            ),
+            [],
+            [],
+        ),
+        (
+            (
+                "00010000000000000000000004000000616263000900000000000000000000000000f03f0000000000000000"
+                "00000000010000000100000000"
+            ),
+            [],
+            [1],
+        ),
+    ],
+)
+def test_messages_serialized_by_fast_dds(wire: str, elements: list[float], slipping: list[int]):
+    columns = decode([bytes.fromhex(wire)], FRICTION_FIELDS, {"cycle", "gms_force", "element_forces", "slipping"})
+    assert columns["cycle"].tolist() == [9]
+    assert columns["gms_force"].tolist() == [1.0]
+    assert columns["element_forces"].tolist() == [elements]
+    assert columns["slipping"].tolist() == [slipping]
+
+
+def test_a_message_that_is_cut_or_too_long_is_refused():
+    whole = serialized(loader_state(1))
+    assert decode([whole, whole + bytes(7)], LOADER_FIELDS, {"cycle"})["cycle"].tolist() == [1, 1]
+    for wrong in [*(whole[:length] for length in range(len(whole))), whole + bytes(8)]:
+        with pytest.raises(CdrError):
+            decode([whole, wrong], LOADER_FIELDS, {"cycle"})
+
+
+def test_other_encapsulations_are_refused():
+    with pytest.raises(CdrError, match="00060000"):
+        decode([bytes.fromhex("00060000") + bytes(60)], FRICTION_FIELDS, {"cycle"})
+
+
+def test_no_messages_are_empty_columns():
+    columns = decode([], FRICTION_FIELDS, {"cycle", "element_forces"})
+    assert columns["cycle"].shape == (0,)
+    assert columns["element_forces"].shape == (0, 0)
+
+
+def test_a_type_with_nested_sequences_is_refused():
+    with pytest.raises(CdrError, match="status of diagnostic_msgs/msg/DiagnosticArray"):
+        flatten(typestore().fielddefs, "diagnostic_msgs/msg/DiagnosticArray")

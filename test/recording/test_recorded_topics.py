@@ -1,0 +1,33 @@
+import pytest
+
+from ehls_ros.recording.cdr import flatten
+from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE, RESPONSE, TELEMETRY_TOPICS, TOPICS, Topic
+from ehls_ros.recording.typestore import MESSAGE_FILES, typestore
+from ehls_ros.trajectory import SIGNALS
+
+
+def test_every_signal_comes_from_one_field():
+    signals = [signal for topic in CYCLE_TOPICS for signal in topic.signals.values()]
+    assert sorted([*signals, RESPONSE]) == sorted(SIGNALS)
+
+
+@pytest.mark.parametrize("topic", CYCLE_TOPICS, ids=lambda topic: topic.name)
+def test_the_fields_of_a_cycle_topic_are_header_cycle_and_its_signals(topic: Topic):
+    fields = [field.name for field in flatten(typestore().fielddefs, topic.type)]
+    assert fields == ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id", "cycle", *topic.signals]
+
+
+def test_every_message_definition_is_recorded():
+    assert {topic.type for topic in CYCLE_TOPICS} == {f"ehls_msgs/msg/{file.stem}" for file in MESSAGE_FILES.iterdir()}
+
+
+@pytest.mark.parametrize("topic", TELEMETRY_TOPICS, ids=lambda topic: topic.name)
+def test_the_types_of_telemetry_are_known_and_carry_no_signal(topic: Topic):
+    assert topic.type in typestore().fielddefs
+    assert not topic.signals
+
+
+def test_names_resolve_as_in_ros():
+    assert LOADER_STATE.resolve() == "/ehls/loader_state"
+    assert LOADER_STATE.resolve("/rig1/ehls") == "/rig1/ehls/loader_state"
+    assert TOPICS[-1].resolve("/rig1/ehls") == "/diagnostics"

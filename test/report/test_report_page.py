@@ -1,0 +1,80 @@
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+import yaml
+
+from ehls_ros.report import page
+
+HOSTILE = '<script>alert("x")</script> & </pre>'
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0, "0"),
+        (0.0, "0"),
+        (10_000, "10\u202f000"),
+        (np.int64(3), "3"),
+        (9.9996, "10.0"),
+        (0.012345, "0.0123"),
+        (-82.35, "-82.3"),
+        (12_345.6, "12\u202f346"),
+        (1.5e-9, "1.50e-09"),
+        (float("nan"), page.MISSING_NUMBER),
+        (np.inf, page.MISSING_NUMBER),
+        (None, page.MISSING_NUMBER),
+        ("12", page.MISSING_NUMBER),
+    ],
+)
+def test_numbers_are_written_for_reading(value, text):
+    assert page.number(value) == text
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        page.verdict(HOSTILE, good=False),
+        page.paragraph(HOSTILE),
+        page.facts([(HOSTILE, HOSTILE)]),
+        page.table([HOSTILE, HOSTILE], [[HOSTILE, HOSTILE]]),
+        page.collapsed(HOSTILE, HOSTILE),
+        page.left_out([page.LeftOut(HOSTILE, HOSTILE)]),
+        page.figures([page.Panel(HOSTILE, [{"name": HOSTILE}], {"title": HOSTILE}, HOSTILE)]),
+    ],
+)
+def test_every_block_escapes_its_text(block):
+    assert "<script>alert" not in block
+    assert "& </pre>" not in block
+
+
+def test_the_configuration_reads_back_as_yaml():
+    configuration = MappingProxyType(
+        {
+            "rig": MappingProxyType({"mass": np.float64(70.0), "weights": np.array([0.8, 0.2])}),
+            "effects": [{"name": "end_stop", "stiffness": 1e6}],
+            "title": "α̂: yes",
+            "nothing": None,
+            "empty": {},
+        }
+    )
+    assert yaml.safe_load(page.as_yaml(configuration)) == {
+        "rig": {"mass": 70.0, "weights": [0.8, 0.2]},
+        "effects": [{"name": "end_stop", "stiffness": 1e6}],
+        "title": "α̂: yes",
+        "nothing": None,
+        "empty": {},
+    }
+
+
+def test_figures_that_were_left_out_leave_no_hole():
+    assert page.figures([page.LeftOut("Valve", "no spool")]) == ""
+    drawn = page.figures([page.Panel("Valve", [], {}), page.LeftOut("Motion", "no position")], columns=2)
+    assert "--columns: 1" in drawn
+    assert "Motion" not in drawn
+
+
+def test_a_table_has_a_cell_for_every_text():
+    text = page.table(["case", "error"], [["sine", "1.0 N"], ["constant", "2.0 N"]])
+    assert text.count("<td>") == 2
+    assert text.count('<th scope="row">') == 2
