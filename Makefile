@@ -31,6 +31,9 @@ lint: setup  ## check style, types and import contracts
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 
+# What holds for every supported machine is left out of the locks.
+EVERYWHERE := python_full_version < '3.14' and platform_machine == 'x86_64' and platform_python_implementation == 'CPython' and \
+	sys_platform == 'linux'
 LOCK := uv pip compile --quiet --universal --python-version 3.11 --fork-strategy fewest --generate-hashes --no-annotate \
 	--custom-compile-command "make lock"
 lock:  ## pin requirements/*.in anew (needs uv)
@@ -38,7 +41,7 @@ lock:  ## pin requirements/*.in anew (needs uv)
 	$(LOCK) --upgrade requirements/base.in -o requirements/base.txt
 	$(LOCK) --upgrade requirements/ros.in requirements/ros_build.in -c requirements/base.txt -o requirements/ros.txt
 	$(LOCK) --upgrade requirements/dev.in -c requirements/base.txt -c requirements/ros.txt -o requirements/dev.txt
-	sed -i "s/ ; python_full_version < '3.14' and platform_machine == 'x86_64' and sys_platform == 'linux'//" requirements/*.txt
+	sed -i "s/ ; $(EVERYWHERE)//" requirements/*.txt
 
 clean:  ## remove .venv/ and everything built, but no recordings
 	rm -rf .venv build install log dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

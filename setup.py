@@ -43,7 +43,7 @@ setup(
     maintainer="ehls_ros maintainers",
     maintainer_email="maintainers@ehls-ros.example",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed"]},
+    include_package_data=True,  # what MANIFEST.in names
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

@@ -1,4 +1,4 @@
-"""The one exception for what a user handed over wrongly."""
+"""The two ways work ends early: a user's input was wrong, or the work itself failed."""
 
 
 class BadInput(ValueError):
@@ -19,3 +19,10 @@ class BadInput(ValueError):
         self.where = where
         self.expected = expected
         super().__init__(f"{where}: {what}; expected {expected}")
+
+
+class WorkFailed(RuntimeError):
+    """Work that could not be finished though its input was right: one line saying what happened and where to look.
+
+    The command line prints it and exits with code 1.
+    """

@@ -145,8 +145,8 @@ def steps(ros: str) -> list[Step]:
     """
     locks = [REQUIREMENTS / name for name in (["base.txt", "dev.txt"] if ros else ["base.txt", "dev.txt", "ros.txt"])]
     packages = len({name for lock in locks for name in re.findall(r"^\S+==", lock.read_text(encoding="utf-8"), re.MULTILINE)})
-    project = [ROOT / name for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "MANIFEST.in")]
-    project += [*REQUIREMENTS.glob("*.in"), *files_below(ROOT / "config", ROOT / "launch", ROOT / "resource")]
+    project = [ROOT / name for name in ("setup.py", "setup.cfg", "pyproject.toml", "MANIFEST.in")]
+    project += REQUIREMENTS.glob("*.in")
     this = Path(__file__).resolve()
     return [
         Step(
@@ -207,7 +207,7 @@ def check_python(ros: str) -> None:
     here = f"{sys.executable} is Python {platform.python_version()}"
     if not OLDEST <= sys.version_info[:2] <= NEWEST or sys.implementation.name != "cpython":
         raise SetupError(f"{here}: CPython 3.11, 3.12 or 3.13 is needed, such as `make setup PYTHON=python3.12`")
-    if ros and importlib.util.find_spec("rclpy") is None:
+    if ros and subprocess.run([sys.executable, "-c", "import rclpy"], capture_output=True, check=False).returncode:
         raise SetupError(f"{here}, which cannot import rclpy of ROS 2 {ros}: set PYTHON to the Python that ROS was built for")
     if not ros and (sys.platform != "linux" or platform.machine() != "x86_64" or glibc_version() < GLIBC):
         raise SetupError(
@@ -325,13 +325,26 @@ def build_messages(ros: str) -> None:
     run([str(PYTHON), "-c", load], "importing the messages just built", child_environment())
 
 
-def install_project(ros: str) -> None:  # noqa: ARG001 - a step like the others
-    """Install ehls_ros so that the checkout's files are what runs; its share/ is a copy, renewed by this step.
+def install_project(ros: str) -> None:
+    """Install ehls_ros so that the checkout's files are what runs.
 
     Args:
         ros: name of the sourced ROS 2 distribution, or empty.
     """
     pip("--no-deps", "--no-build-isolation", "--editable", str(ROOT))
+    # An editable installation leaves out what setup.py lists as data_files.
+    index = VENV / "share" / "ament_index" / "resource_index" / "packages"
+    share = VENV / "share" / "ehls_ros"
+    index.mkdir(parents=True, exist_ok=True)
+    share.mkdir(exist_ok=True)
+    for link, source in (
+        (index / "ehls_ros", ROOT / "resource" / "ehls_ros"),
+        (share / "package.xml", ROOT / "package.xml"),
+        (share / "config", ROOT / "config"),
+        (share / "launch", ROOT / "launch"),
+    ):
+        link.unlink(missing_ok=True)
+        link.symlink_to(source)
 
 
 def pip(*arguments: str) -> None:
@@ -389,10 +402,12 @@ def show(line: str) -> None:
 def reason(output: list[str]) -> str:
     """Return the line of a failed command's output that says why."""
     lines = [line.strip() for line in output if line.strip()] or ["it said nothing"]
+    for number, line in enumerate(lines):
+        if line.startswith("CMake Error"):
+            return " ".join(lines[number : number + 2])
     errors = [line for line in lines if re.search(r"\berror\b", line, re.IGNORECASE)]
-    if any(NO_INDEX.search(line) for line in lines):
-        return f"packages could not be downloaded, is there a network? {(errors or lines)[-1]}"
-    return (errors or lines)[0 if any(line.startswith("CMake Error") for line in errors) else -1]
+    network = "packages could not be downloaded, is there a network? " if any(map(NO_INDEX.search, lines)) else ""
+    return network + (errors or lines)[-1]
 
 
 def child_environment() -> dict[str, str]:

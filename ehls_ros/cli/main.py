@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ehls_ros import __version__
 from ehls_ros.cli.verbs import VERBS
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, WorkFailed
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
@@ -38,6 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BadInput as error:
         print(f"ehls {options.verb}: {error}", file=sys.stderr)
         return BAD_INPUT
+    except WorkFailed as error:
+        print(f"ehls {options.verb}: {error}", file=sys.stderr)
+        return FAILED
     except KeyboardInterrupt:
         print(f"ehls {options.verb}: interrupted", file=sys.stderr)
         return INTERRUPTED

@@ -68,8 +68,10 @@ def reaching_time_bound(
         moving_mass: as there.
 
     Returns:
-        t0 [s]; 0 when the start lies inside.
+        t0 [s]; 0 when the start lies inside, infinite without a robust term.
     """
+    if h == 0.0:
+        return math.inf
     rate = reaching_rate(h, b, xi, e1, delta_f, moving_mass)
     remains = xi * e1 * delta_f / (moving_mass * rate)
     if abs(s0) <= b / h:

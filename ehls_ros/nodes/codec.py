@@ -81,6 +81,9 @@ class Encoder:
 class Decoder:
     """Reads the leading numbers of one message type, whatever frame the sender names."""
 
+    MOST_FORMATS = 64
+    """Frame lengths remembered; senders on a graph have few."""
+
     def __init__(self, message: Any) -> None:
         """Take the message class."""
         fields = message.get_fields_and_field_types()
@@ -106,6 +109,8 @@ class Decoder:
         layout = _Layout(frame_length)
         for kind, size in self._kinds:
             layout.add(kind, size)
+        if len(self._formats) >= self.MOST_FORMATS:
+            self._formats.clear()
         made = struct.Struct(order.decode() + layout.format)
         self._formats[frame_length, order] = made
         return made

@@ -5,7 +5,7 @@
 
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -19,12 +19,22 @@ from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
 from ehls_ros.physics import sensors
+from ehls_ros.schema import quantity
 
 PATIENCE = 1.0
-"""How long a friction estimate that has been coming is waited for [s]; afterwards, not until it comes again."""
+"""How long a cycle may lack something before diagnostics say so [s]."""
 
 KEPT = 4000
 """References and estimates kept ahead of their cycle."""
+
+
+class Parameters(NamedTuple):
+    """What every controller node has besides its law's parameters."""
+
+    friction_patience: Annotated[
+        float,
+        quantity("s", "how long a friction estimate that has been coming is waited for", minimum=0.0, maximum=60.0),
+    ] = 0.005
 
 
 class ControllerNode(ControlNode):
@@ -37,6 +47,8 @@ class ControllerNode(ControlNode):
     def __init__(self, law: str) -> None:
         """Declare the law's parameters, with the spec's values where it names this law."""
         super().__init__(f"{law}_node")
+        declare(self, Parameters, live=False)
+        self.friction_patience = float(self.get_parameter("friction_patience").value)
         self.law = law
         self.kind = CONTROLLERS.load(law)
         given = self.spec.controller
@@ -56,14 +68,13 @@ class ControllerNode(ControlNode):
         self.period = period
         self.controller = Controller(self.law, self.tuning, model_of(self.spec.rig, period))
         self.static_friction = FrictionEstimator("stribeck", self.spec.rig.friction, period)
-        self.state: tuple[Any, ...] | None = None
+        self.pending: dict[int, tuple[Any, ...]] = {}
+        self.pending_since = 0.0
         self.references: dict[int, tuple[float, float, float]] = {}
         self.frictions: dict[int, tuple[float, float]] = {}
         self.friction_comes = self.kind.FRICTION
-        self.state_since = 0.0
         self.answered = -1
         self.fallbacks = 0
-        self.no_reference = 0
         self.saturated = False
         self.latency = Latency()
         self.states = Inbox(self, LoaderState, "loader_state")
@@ -89,41 +100,47 @@ class ControllerNode(ControlNode):
         del self.on_state
 
     def once(self) -> None:
-        """Wait for what the next cycle lacks; answer once all of it is there."""
+        """Wait for what the next cycle lacks; answer the newest cycle that has all it needs."""
         self._wait()
         arrived = time.perf_counter()
         while (message := self.friction.take()) is not None:
             self.frictions[message[1]] = message[2:4]
             self.friction_comes = self.kind.FRICTION
         while (message := self.states.take()) is not None:
-            self.state = message
-            self.state_since = arrived
+            self.pending[message[1]] = message
+            self.pending_since = arrived
         while (message := self.reference.take()) is not None:
             self.references[message[1]] = message[2:5]
-        if self.state is not None:
-            self._answer(self.state, arrived)
+        for cycle in sorted(self.pending, reverse=True):
+            if self._complete(cycle, arrived):
+                self._answer(self.pending[cycle])
+                self.latency.add(time.perf_counter() - arrived)
+                # What is older would be answered too late.
+                self.pending = {k: state for k, state in self.pending.items() if k > cycle}
+                break
 
     def _wait(self) -> None:
         """Wait on the one message that comes last, so that a cycle wakes this process once."""
-        if self.state is not None:
-            self.on_anything.wait(0.01)
+        if self.pending:
+            self.on_anything.wait(0.005)
         elif self.friction_comes:
             self.on_friction.wait(0.005)
         else:
             self.on_state.wait(WAIT)
 
-    def _answer(self, state: tuple[Any, ...], arrived: float) -> None:
-        stamp, cycle = state[:2]
-        reference = self.references.get(cycle)
-        if reference is None:
-            self.no_reference += 1
-            return
-        friction = self.frictions.get(cycle)
-        if friction is None and self.friction_comes:
-            if time.perf_counter() - self.state_since < PATIENCE:
-                return
+    def _complete(self, cycle: int, now: float) -> bool:
+        """Tell whether a cycle can be answered, if need be without a friction estimate."""
+        if cycle not in self.references:
+            return False
+        if cycle in self.frictions or not self.friction_comes:
+            return True
+        if now - self.pending_since > self.friction_patience:
             self.friction_comes = False
-        self.state = None
+        return not self.friction_comes
+
+    def _answer(self, state: tuple[Any, ...]) -> None:
+        stamp, cycle = state[:2]
+        reference, friction = self.references[cycle], self.frictions.get(cycle)
         if cycle < self.answered:
             self.controller.reset()
         if self.new_tuning is not None:
@@ -144,7 +161,6 @@ class ControllerNode(ControlNode):
         self.saturated = values[SATURATED] != 0.0
         self.status.send(stamp, cycle, *values[:SATURATED], self.saturated, fallback)
         self.answered = cycle
-        self.latency.add(time.perf_counter() - arrived)
         self._forget(cycle)
 
     def _forget(self, cycle: int) -> None:
@@ -169,6 +185,6 @@ class ControllerNode(ControlNode):
         }
         if self.kind.FRICTION and not self.friction_comes:
             return WARN, "no friction estimate comes: the static Stribeck curve stands in", figures
-        if self.state is not None and time.perf_counter() - self.state_since > PATIENCE:
+        if self.pending and time.perf_counter() - self.pending_since > PATIENCE:
             return WARN, "no force reference for the cycle under way", figures
         return OK, "running" if self._active.is_set() else "inactive", figures

@@ -24,6 +24,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.errors import WorkFailed
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.nodes.control_node import NAMESPACE
@@ -41,10 +42,6 @@ BACKGROUND = 10
 
 DOMAINS = range(1, 102)
 """Domains whose ports lie below the ephemeral ones of Linux."""
-
-
-class GraphError(RuntimeError):
-    """The graph could not do its work; the message says which node and where it tells why."""
 
 
 class Running(NamedTuple):
@@ -77,7 +74,7 @@ def run_graph(
         Wall time from the plant's first to its last cycle [s].
 
     Raises:
-        GraphError: a node did not come up, died, or ended with an error.
+        WorkFailed: a node did not come up, died, or ended with an error.
     """
     environment = graph_environment()
     os.environ.update({key: environment[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
@@ -94,7 +91,7 @@ def run_graph(
             rclpy.try_shutdown()
     for node in running:
         if node.process.returncode != 0:
-            raise GraphError(f"{node.name} ended with exit code {node.process.returncode}: see {node.log}")
+            raise WorkFailed(f"{node.name} ended with exit code {node.process.returncode}: see {node.log}")
     return wall
 
 
@@ -120,7 +117,7 @@ def free_domain() -> int:
             except OSError:
                 continue
         return domain
-    raise GraphError("every ROS domain from 1 to 101 is in use on this host: end other graphs or set ROS_DOMAIN_ID")
+    raise WorkFailed("every ROS domain from 1 to 101 is in use on this host: end other graphs or set ROS_DOMAIN_ID")
 
 
 def _parameters(spec: Spec, folder: RunFolder, timing: str, storage: str) -> dict[str, dict[str, Any]]:
@@ -133,6 +130,9 @@ def _parameters(spec: Spec, folder: RunFolder, timing: str, storage: str) -> dic
         "timing": timing,
         "nice": BACKGROUND,
     }
+    if timing == "lockstep":
+        # Nothing is late in lockstep; waiting keeps a run the same whatever else the machine does.
+        parameters[f"{spec.controller.name}_node"]["friction_patience"] = 10.0
     for name in ("reference_node", "disturbance_node"):
         parameters[name]["nice"] = BACKGROUND
     return parameters
@@ -232,7 +232,7 @@ class Conductor:
         self._executor.spin_once(timeout_sec=0.05)
         for node in self._running:
             if node.process.poll() is not None:
-                raise GraphError(f"{node.name} ended with exit code {node.process.returncode}: {_last_line(node.log)}")
+                raise WorkFailed(f"{node.name} ended with exit code {node.process.returncode}: {_last_line(node.log)}")
 
     def _transition(self, node: Running, transition: int) -> Callable[[], None]:
         """Ask for a transition and return a function that waits for it."""
@@ -241,16 +241,16 @@ class Conductor:
         while not client.service_is_ready():
             self._spin()
             if time.monotonic() > deadline:
-                raise GraphError(f"{node.name} did not come up in {UP_TIME:.0f} s: see {node.log}")
+                raise WorkFailed(f"{node.name} did not come up in {UP_TIME:.0f} s: see {node.log}")
         future = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
 
         def wait() -> None:
             while not future.done():
                 self._spin()
                 if time.monotonic() > deadline:
-                    raise GraphError(f"{node.name} did not answer in {UP_TIME:.0f} s: see {node.log}")
+                    raise WorkFailed(f"{node.name} did not answer in {UP_TIME:.0f} s: see {node.log}")
             if not future.result().success:
-                raise GraphError(f"{node.name} refused to go on: {_last_line(node.log)}")
+                raise WorkFailed(f"{node.name} refused to go on: {_last_line(node.log)}")
 
         return wait
 

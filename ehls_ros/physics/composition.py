@@ -144,10 +144,11 @@ def effect_rates(t, y, w, z, p, dz):
 {rates}
 
 
-run = integration.integrator(*model.system(model.Parts(
+system = model.system(model.Parts(
     friction_model, {elements},
     command, opening, supply_pressure, bulk_modulus, leakage, friction_level, force, effect_rates,
-)))
+))
+run = integration.integrator(*system, size=model.FRICTION + {elements} + EFFECT_STATES)
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,14 +1,15 @@
 """Fixed-step integration of switching systems: classical Runge-Kutta of order 4, with events located.
 
-A system is three compiled functions over a time ``t``, a state ``y``, modes ``mode`` and whatever else
+A system is two compiled functions over a time ``t``, a state ``y``, modes ``mode`` and whatever else
 it needs in ``c``:
 
-* ``derivatives(t, y, mode, c, rate)`` writes dy/dt, smooth as long as the modes stand;
-* ``event(t, y, mode, c)`` is positive once a mode has to change, and continuous before;
+* ``evaluate(t, y, mode, c, rate)`` writes dy/dt, smooth as long as the modes stand, and returns the event
+  function: positive once a mode has to change, and continuous before;
 * ``switch(t, y, mode, c)`` changes the modes (and, in an impact, the state) there.
 
 A step that would end past an event is shortened to end on it, so that a discontinuity never lies inside
-a step and the order of the method holds through stick and slip.
+a step and the order of the method holds through stick and slip. The evaluation that looks for an event at
+the end of a step is the first stage of the next.
 """
 
 from collections.abc import Callable
@@ -27,18 +28,20 @@ MOST_EVENTS = 16
 EVENT_TOLERANCE = 1e-9
 """How well an event is located, as a part of the step."""
 
-MOST_ITERATIONS = 60
+MOST_ITERATIONS = 64
+"""Enough to halve a step down to the tolerance at every second iteration."""
 
 
 def integrator(
-    derivatives: Callable[..., None], event: Callable[..., float], switch: Callable[..., None]
+    evaluate: Callable[..., float], switch: Callable[..., None], size: int = 0, most_events: int = MOST_EVENTS
 ) -> Callable[..., int]:
     """Build the compiled integrator of one system.
 
     Args:
-        derivatives: of the system.
-        event: of the system.
+        evaluate: of the system.
         switch: of the system.
+        size: length of the state where it is known beforehand: the compiler then unrolls the loops over it; 0: any.
+        most_events: how many events to locate within a step; with 0, modes change at the ends of steps only.
 
     Returns:
         ``advance(t, y, mode, c, step, steps, work)``, see below.
@@ -46,27 +49,28 @@ def integrator(
 
     @kernel
     def runge_kutta(t: float, y: Array, mode: Array, c: Any, step: float, work: Array) -> None:
-        """Take one classical Runge-Kutta step from ``y`` and leave the result in ``work[0]``."""
-        n = y.size
-        stage, k1, k2, k3, k4 = work[1], work[2], work[3], work[4], work[5]
-        derivatives(t, y, mode, c, k1)
+        """Take one classical Runge-Kutta step from ``y``, its rates in ``work[2]``, and leave the result in ``work[0]``."""
+        n = size or y.size
+        end, stage, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4], work[5]
         for i in range(n):
             stage[i] = y[i] + 0.5 * step * k1[i]
-        derivatives(t + 0.5 * step, stage, mode, c, k2)
+        evaluate(t + 0.5 * step, stage, mode, c, k2)
         for i in range(n):
             stage[i] = y[i] + 0.5 * step * k2[i]
-        derivatives(t + 0.5 * step, stage, mode, c, k3)
+        evaluate(t + 0.5 * step, stage, mode, c, k3)
         for i in range(n):
             stage[i] = y[i] + step * k3[i]
-        derivatives(t + step, stage, mode, c, k4)
+        evaluate(t + step, stage, mode, c, k4)
         for i in range(n):
-            work[0, i] = y[i] + step / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
-
+            end[i] = y[i] + step / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
 
     # Rare and long: kept out of the loop it is called from.
     @njit(error_model="numpy")
     def locate(t: float, y: Array, mode: Array, c: Any, step: float, after: float, work: Array) -> float:
-        """Find where in a step the event function crosses zero, by the Illinois variant of regula falsi.
+        """Find where in a step the event function crosses zero.
+
+        Regula falsi in the Illinois variant; where it does not halve the bracket, as where the event function has
+        been flat, a bisection follows.
 
         Args:
             t: time at the start of the step [s].
@@ -80,31 +84,33 @@ def integrator(
         Returns:
             Time from ``t`` to just behind the event [s].
         """
+        before = min(evaluate(t, y, mode, c, work[2]), 0.0)
         low, high = 0.0, step
-        before = min(event(t, y, mode, c), 0.0)
         tolerance = EVENT_TOLERANCE * step
-        side = 0
+        side, halve = 0, False
         for _ in range(MOST_ITERATIONS):
-            if high - low <= tolerance:
+            width = high - low
+            if width <= tolerance:
                 break
-            # Half a tolerance behind the estimate, so that both ends of the bracket close in.
-            middle = high - after * (high - low) / (after - before) + 0.5 * tolerance
-            middle = min(max(middle, low + 0.25 * tolerance), high - 0.25 * tolerance)
+            if halve:
+                middle = low + 0.5 * width
+            else:
+                # Half a tolerance behind the estimate, so that both ends of the bracket close in.
+                middle = high - after * width / (after - before) + 0.5 * tolerance
+                middle = min(max(middle, low + 0.25 * tolerance), high - 0.25 * tolerance)
             runge_kutta(t, y, mode, c, middle, work)
-            value = event(t + middle, work[0], mode, c)
+            value = evaluate(t + middle, work[0], mode, c, work[1])
             if value > 0.0:
                 high, after = middle, value
-                if side == 1:
-                    before *= 0.5
+                before *= 0.5 if side == 1 else 1.0
                 side = 1
             else:
                 low, before = middle, value
-                if side == -1:
-                    after *= 0.5
+                after *= 0.5 if side == -1 else 1.0
                 side = -1
+            halve = high - low > 0.5 * width
         runge_kutta(t, y, mode, c, high, work)
         return high
-
 
     @kernel
     def advance(t: float, y: Array, mode: Array, c: Any, step: float, steps: int, work: Array) -> int:
@@ -123,27 +129,29 @@ def integrator(
             Number of steps in which events came too densely to be located; 0 is the rule.
         """
         dense = 0
-        if event(t, y, mode, c) > 0.0:
-            switch(t, y, mode, c)
+        # Inputs may have jumped since the last call.
+        changed = True
         for index in range(steps):
             now = t + index * step
             remaining = step
             located = 0
             while remaining > EVENT_TOLERANCE * step:
+                if changed and evaluate(now, y, mode, c, work[2]) > 0.0:
+                    switch(now, y, mode, c)
+                    evaluate(now, y, mode, c, work[2])
                 runge_kutta(now, y, mode, c, remaining, work)
                 taken = remaining
-                after = event(now + remaining, work[0], mode, c)
-                if after > 0.0 and located < MOST_EVENTS:
+                after = evaluate(now + remaining, work[0], mode, c, work[2])
+                changed = after > 0.0
+                if changed and located < most_events:
                     taken = locate(now, y, mode, c, remaining, after, work)
                     located += 1
-                for i in range(y.size):
+                elif changed:
+                    dense += 1
+                for i in range(size or y.size):
                     y[i] = work[0, i]
                 now += taken
                 remaining -= taken
-                if after > 0.0:
-                    switch(now, y, mode, c)
-            dense += located == MOST_EVENTS
         return dense
-
 
     return advance

@@ -68,11 +68,11 @@ class Parts(NamedTuple):
     effect_rates: Callable[..., None]
 
 
-def system(parts: Parts) -> tuple[Callable[..., None], Callable[..., float], Callable[..., None]]:
+def system(parts: Parts) -> tuple[Callable[..., float], Callable[..., None]]:
     """Build the plant of chosen parts.
 
     Returns:
-        ``derivatives``, ``event`` and ``switch`` as :mod:`ehls_ros.physics.integration` wants them.
+        ``evaluate`` and ``switch`` as :mod:`ehls_ros.physics.integration` wants them.
     """
     end = FRICTION + parts.elements
     friction_rates, friction_force = parts.friction.rates, parts.friction.force
@@ -91,8 +91,12 @@ def system(parts: Parts) -> tuple[Callable[..., None], Callable[..., float], Cal
         return level, applied
 
     @kernel
-    def derivatives(t: float, y: Array, mode: Array, c: Coefficients, rate: Array) -> None:
-        """Write dy/dt of (24) with the effects at their places."""
+    def evaluate(t: float, y: Array, mode: Array, c: Coefficients, rate: Array) -> float:
+        """Write dy/dt of (24) with the effects at their places.
+
+        Returns:
+            What is positive once the orifice has changed sides or a friction mode has to change.
+        """
         plant, w, z, p = c.plant, c.inputs, y[end:], c.effects
         level, applied = mechanics(t, y, c)
         friction = friction_force(y[V], applied, level, y[FRICTION:end], mode[1:], c.friction)
@@ -109,12 +113,8 @@ def system(parts: Parts) -> tuple[Callable[..., None], Callable[..., float], Cal
         friction_rates(y[V], level, y[FRICTION:end], mode[1:], c.friction, rate[FRICTION:end])  # (6), (8)
         effect_rates(t, y, w, z, p, rate[end:])
 
-    @kernel
-    def event(t: float, y: Array, mode: Array, c: Coefficients) -> float:
-        """Return what is positive once the orifice has changed sides or a friction mode has to change."""
-        level, applied = mechanics(t, y, c)
-        spool = opening(y[XV], t, y, c.inputs, y[end:], c.effects)
-        return max(-mode[0] * spool, friction_event(y[V], applied, level, y[FRICTION:end], mode[1:], c.friction))
+        changed = friction_event(y[V], applied, level, y[FRICTION:end], mode[1:], c.friction)
+        return max(-mode[0] * spool, changed)
 
     @kernel
     def switch(t: float, y: Array, mode: Array, c: Coefficients) -> None:
@@ -124,4 +124,4 @@ def system(parts: Parts) -> tuple[Callable[..., None], Callable[..., float], Cal
         level, applied = mechanics(t, y, c)
         y[V] = friction_switch(y[V], applied, level, y[FRICTION:end], mode[1:], c.friction)
 
-    return derivatives, event, switch
+    return evaluate, switch

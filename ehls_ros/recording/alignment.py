@@ -17,11 +17,11 @@ RECEIVED = "received_ns"
 UNIX_TIME_NS = 10**18
 """Stamps from here on are a wall clock's. As a float, seconds since 1970 would resolve 0.2 µs only."""
 
-Columns = Mapping[str, NDArray[Any]]
+MessageColumns = Mapping[str, NDArray[Any]]
 """The messages of one topic in order of arrival: their fields and their receive times :data:`RECEIVED` [ns]."""
 
 
-def align(topics: Mapping[str, Columns], where: str) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+def align(topics: Mapping[str, MessageColumns], where: str) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
     """Put the signals of all topics on the cycles of ``loader_state``.
 
     Args:
@@ -59,13 +59,13 @@ def align(topics: Mapping[str, Columns], where: str) -> tuple[NDArray[np.float64
     return time_s, signals
 
 
-def _first_of_each_cycle(columns: Columns) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
+def _first_of_each_cycle(columns: MessageColumns) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
     """Return the cycles in their order and, for each, the index of the message that came first."""
     cycles, first = np.unique(columns[CYCLE], return_index=True)
     return cycles, first
 
 
-def _check_duplicates(loader: Columns, original: NDArray[np.intp], where: str) -> None:
+def _check_duplicates(loader: MessageColumns, original: NDArray[np.intp], where: str) -> None:
     """Refuse two snapshots of a cycle that say different things, since one of them is of another run."""
     repeated = np.flatnonzero(original != np.arange(len(original)))
     for field, values in loader.items():
@@ -75,7 +75,7 @@ def _check_duplicates(loader: Columns, original: NDArray[np.intp], where: str) -
             raise BadInput(f"cycle {cycle} has two snapshots that differ", where, "the snapshots of one run")
 
 
-def _matches(cycles: NDArray[np.uint64], columns: Columns) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _matches(cycles: NDArray[np.uint64], columns: MessageColumns) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return pairs of sample and message with the same cycle."""
     own, first = _first_of_each_cycle(columns)
     target = np.searchsorted(cycles, own)

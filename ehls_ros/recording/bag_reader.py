@@ -11,7 +11,7 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.alignment import CYCLE, Columns, align
+from ehls_ros.recording.alignment import CYCLE, MessageColumns, align
 from ehls_ros.recording.bag_topic import BagTopic
 from ehls_ros.recording.provenance import Provenance, provenance_in
 from ehls_ros.recording.reason import reason
@@ -95,7 +95,7 @@ def _provenance(custom_data: Sequence[Mapping[str, str]], where: str) -> Provena
     return found[0] if found else None
 
 
-def _read_topics(reader: Reader, provenance: Provenance | None, where: str) -> dict[str, Columns]:
+def _read_topics(reader: Reader, provenance: Provenance | None, where: str) -> dict[str, MessageColumns]:
     """Return the messages of the cycle topics the bag has, by the topic's name."""
     by_path: dict[str, list[Connection]] = defaultdict(list)
     for connection in reader.connections:

@@ -2,7 +2,7 @@
 
 import errno
 import sqlite3
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Literal, NoReturn, Self, get_args
@@ -30,7 +30,7 @@ class BagWriter:
     belongs to the thread that made it.
     """
 
-    def __init__(self, writer: Writer, topics: Iterable[Topic], namespace: str, provenance: Provenance) -> None:
+    def __init__(self, writer: Writer, topics: Sequence[Topic], namespace: str, provenance: Provenance) -> None:
         """Take over a writer; see :meth:`create`."""
         self._writer = writer
         self._provenance = provenance
@@ -164,9 +164,8 @@ def write_trajectory(path: Path, trajectory: Trajectory, storage: Storage = "mca
     """
     streams = streams_of(trajectory, str(path))
     received_ns = np.concatenate([stream.received_ns for stream in streams])
-    owner = np.repeat(np.arange(len(streams)), [len(stream.messages) for stream in streams])
+    messages = [(stream.topic.name, message) for stream in streams for message in stream.messages]
     order = np.argsort(received_ns, kind="stable")
-    pending = [iter(stream.messages) for stream in streams]
     writer = BagWriter.create(
         path,
         storage,
@@ -175,8 +174,9 @@ def write_trajectory(path: Path, trajectory: Trajectory, storage: Storage = "mca
         signals=[name for name in SIGNALS if name in trajectory],
     )
     try:
-        for stamp_ns, index in zip(received_ns[order].tolist(), owner[order].tolist(), strict=True):
-            writer.write(streams[index].topic.name, stamp_ns, next(pending[index]))
+        for stamp_ns, index in zip(received_ns[order].tolist(), order.tolist(), strict=True):
+            name, message = messages[index]
+            writer.write(name, stamp_ns, message)
         writer.close()
     except BaseException:
         writer.abort()

@@ -90,7 +90,7 @@ def _read(stream: TextIO, columns: Columns, where: str) -> tuple[dict[str, Colum
     """Return the chosen columns and their values by contract name."""
     first_line = stream.readline()
     delimiter = max(DELIMITERS, key=first_line.count)
-    rows = csv.reader(chain([first_line], stream), delimiter=delimiter, strict=True)
+    rows = csv.reader(chain([first_line], stream), delimiter=delimiter, skipinitialspace=True, strict=True)
     header = [name.strip() for name in next(rows, [])]
     chosen = choose(header, columns, where)
     pick = itemgetter(*(header.index(column.name) for column in chosen.values()))

@@ -32,7 +32,8 @@ def read_mat(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
     """
     where = str(path)
     try:
-        variables = dict(_flatten(loadmat(path, simplify_cells=True)))
+        with path.open("rb") as stream:
+            variables = dict(_flatten(loadmat(stream, simplify_cells=True)))
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", where, EXPECTED_FILE) from None
     except NotImplementedError:

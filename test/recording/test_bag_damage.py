@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 from recorded_runs import loader_state, make_trajectory, record, same, storage_file
 
@@ -14,7 +15,7 @@ from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import Storage, write_trajectory
 
 STORAGES: list[Storage] = ["mcap", "sqlite3"]
-MUTATIONS = 250
+MUTATIONS = 160
 TRAJECTORY = make_trajectory(30)
 
 
@@ -163,3 +164,21 @@ def test_whatever_happens_to_a_bag_it_is_refused_or_right(tmp_path: Path, storag
     assert MUTATIONS / 2 < len(refusals) < MUTATIONS
     assert not any("\n" in line for line in refusals)
     assert same(read_bag(tmp_path / "bag"), TRAJECTORY)
+
+
+def test_a_damaged_bag_of_another_recorder_is_refused_or_read_as_one_run(tmp_path: Path):
+    dice = random.Random(6)
+    bag = record(tmp_path / "theirs", [loader_state(k, force=float(k)) for k in range(30)])
+    file = storage_file(bag)
+    whole = file.read_bytes()
+    refused = 0
+    for _ in range(100):
+        file.write_bytes(mutated(whole, dice))
+        try:
+            trajectory = read_bag(bag)
+        except BadInput:
+            refused += 1
+        else:
+            assert len(trajectory) == 30
+            assert (np.diff(trajectory.time_s) > 0).all()
+    assert 50 < refused < 100

@@ -55,6 +55,14 @@ def test_cycles_without_a_message_are_nan(tmp_path: Path):
     assert same(read_bag(tmp_path / "bag"), trajectory)
 
 
+@pytest.mark.parametrize("storage", STORAGES)
+def test_answers_that_overtake_each_other_stay_with_their_cycles(tmp_path: Path, storage: Storage):
+    trajectory = make_trajectory()
+    trajectory["response_s"][:] = np.arange(20, 0, -1) * 3 / 1e3
+    write_trajectory(tmp_path / "bag", trajectory, storage)
+    assert same(read_bag(tmp_path / "bag"), trajectory)
+
+
 def test_values_no_measurement_has_come_back(tmp_path: Path):
     trajectory = make_trajectory(6)
     trajectory["force_n"][:] = [0.0, -0.0, np.inf, -np.inf, 5e-324, 1.7976931348623157e308]

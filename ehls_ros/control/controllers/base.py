@@ -8,9 +8,11 @@ estimate; ``memory(parameters)``, its state before the first cycle; and a compil
 with ``m`` the measurement in the order of :data:`ehls_ros.physics.rig.SENSED`, ``r`` force reference and
 its first and second derivative [N, N/s, N/s^2], ``f`` friction of the elements and viscous friction [N],
 ``p`` its parameters, ``model`` the :class:`Model`, ``memory`` updated in place, and ``status`` filled in
-place by the indices below. It keeps the command within ``model.spool_limit`` without winding up.
+place by the indices below. It keeps the command within ``model.spool_limit`` without winding up, and
+finite whatever the measurement; a measurement that is no number leaves nothing in ``memory``.
 """
 
+import math
 from typing import Any, NamedTuple, Protocol
 
 from ehls_ros.arrays import Array, kernel
@@ -52,5 +54,7 @@ def model_of(rig: Rig, period: float) -> Model:
 
 @kernel
 def saturate(value: float, limit: float) -> float:
-    """Cut a value to [-limit, limit]."""
+    """Cut a value to [-limit, limit]; what is no number becomes 0."""
+    if math.isnan(value):
+        return 0.0
     return min(max(value, -limit), limit)

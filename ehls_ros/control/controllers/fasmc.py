@@ -32,7 +32,7 @@ from ehls_ros.schema import quantity
 FRICTION = True
 
 LEAST_DROP = 0.01
-"""The pressure drop over the valve is taken no smaller than this part of the supply pressure."""
+"""The pressure drop over the valve is taken no smaller than this part of the nominal supply pressure."""
 
 
 class Parameters(NamedTuple):
@@ -49,7 +49,7 @@ class Parameters(NamedTuple):
     phi3: Annotated[float, quantity("mm^2/t", "adaptation rate of D, what the friction model leaves over", minimum=0.0, maximum=1e9)] = 2e6
     scale_minimum: Annotated[float, quantity("1", "alpha and beta stay at or above this", above=0.0, maximum=1.0)] = 0.2
     scale_maximum: Annotated[float, quantity("1", "alpha and beta stay at or below this", minimum=1.0, maximum=100.0)] = 5.0
-    delta_maximum: Annotated[float, quantity("N", "D stays within plus and minus this", minimum=0.0, maximum=1e6)] = 2e4
+    delta_maximum: Annotated[float, quantity("N", "D stays within plus and minus this, more than the largest load", minimum=0.0, maximum=1e6)] = 5e4
 
 
 ALPHA, BETA, DELTA = 0, 1, 2
@@ -102,11 +102,12 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
 
     side = 1.0 if x4 >= 0.0 else -1.0
     drop = supply - side * x3
-    root = math.sqrt(max(drop, LEAST_DROP * supply))
+    least_drop = LEAST_DROP * plant.supply_pressure
+    root = math.sqrt(max(drop, least_drop))
     g1 = (-plant.spring_stiffness * x1 - plant.viscous_damping * x2 + area * x3) / m0 - plant.gravity
     g3 = e3 * root
     # Zero where the drop is held up: a steep slope there would keep the spool at its limit for good.
-    g3_slope = -side * e3 / (2.0 * root) if drop > LEAST_DROP * supply else 0.0
+    g3_slope = -side * e3 / (2.0 * root) if drop > least_drop else 0.0
 
     x3_rate = -e1 * x2 - e2 * x3 + g3 * x4  # (25)
     error = x3 - x3d  # (26)
@@ -139,8 +140,8 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     u3 = -m0 * rate * s_next
     wanted = (u1 + u2 + u3) / (m0 * p.xi * e5 * g3) * 1e-3  # (34)
     command = saturate(wanted, model.spool_limit)
-    # At the limit, only an adaptation that leads away from it goes on.
-    if wanted == command or wanted * s > 0.0:
+    # At the limit, only an adaptation that leads away from it goes on; a broken measurement stops it.
+    if (wanted == command or wanted * s > 0.0) and math.isfinite(alpha + beta + adapted):
         memory[ALPHA], memory[BETA], memory[DELTA] = alpha, beta, delta
 
     status[base.E3] = error

@@ -16,6 +16,9 @@ from ehls_ros.schema import quantity
 
 FRICTION = False
 
+LEAST_DROP = 0.01
+"""The pressure drop over the valve is taken no smaller than this part of the nominal supply pressure."""
+
 
 class Parameters(NamedTuple):
     """The motion and the loop's gains."""
@@ -40,6 +43,10 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     """Return the spool command [m]."""
     plant, period = model.plant, model.period
     position = m[sensors.POSITION]
+    status[:] = 0.0
+    if not math.isfinite(position):
+        status[base.SATURATED] = 1.0
+        return 0.0
     if memory[STARTED] == 0.0:
         memory[WANTED], memory[CENTRE], memory[STARTED] = position, position, 1.0
         memory[DIRECTION] = 1.0 if p.velocity >= 0.0 else -1.0
@@ -60,7 +67,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     )
     supply, pressure = m[sensors.SUPPLY_PRESSURE], m[sensors.LOAD_PRESSURE]
     side = 1.0 if velocity >= 0.0 else -1.0
-    root = math.sqrt(max(supply - side * pressure, 0.01 * supply) / plant.oil_density)
+    root = math.sqrt(max(supply - side * pressure, LEAST_DROP * plant.supply_pressure) / plant.oil_density)
     flow = plant.piston_area * velocity + plant.leakage_coefficient * pressure
     wanted = flow / (plant.discharge_coefficient * plant.valve_area_gradient * root * plant.valve_gain)
     command = saturate(wanted, model.spool_limit)
@@ -68,6 +75,5 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     if wanted == command or wanted * error < 0.0:
         memory[INTEGRAL] = integral
 
-    status[:] = 0.0
     status[base.SATURATED] = 1.0 if wanted != command else 0.0
     return command

@@ -19,7 +19,7 @@ from ehls_ros.schema import quantity
 FRICTION = False
 
 LEAST_DROP = 0.01
-"""The pressure drop over the valve is taken no smaller than this part of the supply pressure."""
+"""The pressure drop over the valve is taken no smaller than this part of the nominal supply pressure."""
 
 
 class Parameters(NamedTuple):
@@ -44,15 +44,16 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     plant, period = model.plant, model.period
     supply, pressure, spool = m[sensors.SUPPLY_PRESSURE], m[sensors.LOAD_PRESSURE], m[sensors.SPOOL]
     side = 1.0 if spool >= 0.0 else -1.0
-    root = math.sqrt(max(supply - side * pressure, LEAST_DROP * supply) / plant.oil_density)
+    root = math.sqrt(max(supply - side * pressure, LEAST_DROP * plant.supply_pressure) / plant.oil_density)
     flow_gain = plant.discharge_coefficient * plant.valve_area_gradient * root * plant.valve_gain
     compliance = plant.total_volume / (4.0 * plant.bulk_modulus)
 
     velocity = m[sensors.VELOCITY]
-    if memory[STARTED] == 0.0:
+    if memory[STARTED] == 0.0 and math.isfinite(velocity):
         memory[LAST_VELOCITY], memory[STARTED] = velocity, 1.0
     acceleration = (velocity - memory[LAST_VELOCITY]) / period
-    memory[LAST_VELOCITY] = velocity
+    if math.isfinite(velocity):
+        memory[LAST_VELOCITY] = velocity
     # The valve's lag is made up for by the flow's rate.
     motion = plant.piston_area * (velocity + acceleration / plant.valve_bandwidth)
 

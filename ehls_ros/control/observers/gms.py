@@ -27,15 +27,11 @@ def state(friction: Friction) -> ObserverState:
 
 
 @kernel
-def _derivatives(t: float, y: Array, mode: Array, c: Motion, rate: Array) -> None:
+def _evaluate(t: float, y: Array, mode: Array, c: Motion, rate: Array) -> float:
     v = c.velocity + c.acceleration * t
-    gms.rates(v, stribeck_level(v, c.friction), y, mode, c.friction, rate)
-
-
-@kernel
-def _event(t: float, y: Array, mode: Array, c: Motion) -> float:
-    v = c.velocity + c.acceleration * t
-    return gms.event(v, 0.0, stribeck_level(v, c.friction), y, mode, c.friction)
+    level = stribeck_level(v, c.friction)
+    gms.rates(v, level, y, mode, c.friction, rate)
+    return gms.event(v, 0.0, level, y, mode, c.friction)
 
 
 @kernel
@@ -44,7 +40,7 @@ def _switch(t: float, y: Array, mode: Array, c: Motion) -> None:
     gms.switch(v, 0.0, stribeck_level(v, c.friction), y, mode, c.friction)
 
 
-_advance = integrator(_derivatives, _event, _switch)
+_advance = integrator(_evaluate, _switch)
 
 
 @kernel

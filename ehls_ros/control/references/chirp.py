@@ -11,11 +11,11 @@ from ehls_ros.schema import quantity
 class Parameters(NamedTuple):
     """offset + amplitude sin of a phase whose rate goes from start to end frequency."""
 
-    amplitude: Annotated[float, quantity("N or m", "amplitude")] = 5e3
+    amplitude: Annotated[float, quantity("N or m", "amplitude", minimum=-1e6, maximum=1e6)] = 5e3
     start_frequency: Annotated[float, quantity("Hz", "frequency at t = 0", minimum=0.0, maximum=1e3)] = 0.1
     end_frequency: Annotated[float, quantity("Hz", "frequency at the end of the sweep", minimum=0.0, maximum=1e3)] = 5.0
     sweep: Annotated[float, quantity("s", "duration of the sweep", above=0.0, maximum=1e6)] = 10.0
-    offset: Annotated[float, quantity("N or m", "mean value")] = 0.0
+    offset: Annotated[float, quantity("N or m", "mean value", minimum=-1e6, maximum=1e6)] = 0.0
 
 
 def sample(t: Array, p: Parameters) -> Array:

@@ -11,7 +11,7 @@ from ehls_ros.schema import quantity
 class Parameters(NamedTuple):
     """Its value."""
 
-    value: Annotated[float, quantity("N or m", "the value held")] = 1e4
+    value: Annotated[float, quantity("N or m", "the value held", minimum=-1e6, maximum=1e6)] = 1e4
 
 
 def sample(t: Array, p: Parameters) -> Array:

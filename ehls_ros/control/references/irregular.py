@@ -16,11 +16,11 @@ FADE = 0.5
 class Parameters(NamedTuple):
     """Size and band; the paper draws such a signal but does not define it."""
 
-    amplitude: Annotated[float, quantity("N or m", "largest value the sum of sines can reach")] = 1e4
+    amplitude: Annotated[float, quantity("N or m", "largest value the sum of sines can reach", minimum=-1e6, maximum=1e6)] = 1e4
     lowest_frequency: Annotated[float, quantity("Hz", "lower end of the band", above=0.0, maximum=1e3)] = 0.1
     highest_frequency: Annotated[float, quantity("Hz", "upper end of the band", above=0.0, maximum=1e3)] = 0.8
     components: Annotated[int, quantity("1", "number of sines", minimum=1, maximum=1000)] = 6
-    seed: Annotated[int, quantity("1", "seed of frequencies and phases", minimum=0)] = 1
+    seed: Annotated[int, quantity("1", "seed of frequencies and phases", minimum=0, maximum=2**32 - 1)] = 1
 
 
 def sample(t: Array, p: Parameters) -> Array:

@@ -12,10 +12,10 @@ from ehls_ros.schema import quantity
 class Parameters(NamedTuple):
     """Harmonics of one base frequency, each of the same amplitude."""
 
-    amplitude: Annotated[float, quantity("N or m", "amplitude of each sine")] = 1e3
+    amplitude: Annotated[float, quantity("N or m", "amplitude of each sine", minimum=-1e6, maximum=1e6)] = 1e3
     base_frequency: Annotated[float, quantity("Hz", "lowest frequency; the others are multiples", above=0.0, maximum=1e3)] = 0.1
     harmonics: Annotated[int, quantity("1", "number of sines", minimum=1, maximum=1000)] = 10
-    offset: Annotated[float, quantity("N or m", "mean value")] = 0.0
+    offset: Annotated[float, quantity("N or m", "mean value", minimum=-1e6, maximum=1e6)] = 0.0
 
 
 def sample(t: Array, p: Parameters) -> Array:

@@ -11,10 +11,10 @@ from ehls_ros.schema import quantity
 class Parameters(NamedTuple):
     """offset + amplitude sin(2 pi frequency t + phase)."""
 
-    amplitude: Annotated[float, quantity("N or m", "amplitude")] = 1e4
+    amplitude: Annotated[float, quantity("N or m", "amplitude", minimum=-1e6, maximum=1e6)] = 1e4
     frequency: Annotated[float, quantity("Hz", "frequency", minimum=0.0, maximum=1e3)] = 0.5
-    offset: Annotated[float, quantity("N or m", "mean value")] = 0.0
-    phase: Annotated[float, quantity("rad", "phase at t = 0")] = 0.0
+    offset: Annotated[float, quantity("N or m", "mean value", minimum=-1e6, maximum=1e6)] = 0.0
+    phase: Annotated[float, quantity("rad", "phase at t = 0", minimum=-1e3, maximum=1e3)] = 0.0
 
 
 def sample(t: Array, p: Parameters) -> Array:

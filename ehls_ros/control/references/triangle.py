@@ -11,7 +11,7 @@ from ehls_ros.schema import quantity
 class Parameters(NamedTuple):
     """Zero-mean triangle starting upward from zero; the flanks keep the slope of the sharp triangle."""
 
-    amplitude: Annotated[float, quantity("N or m", "peak of the sharp triangle")] = 1e4
+    amplitude: Annotated[float, quantity("N or m", "peak of the sharp triangle", minimum=-1e6, maximum=1e6)] = 1e4
     frequency: Annotated[float, quantity("Hz", "frequency", above=0.0, maximum=1e3)] = 0.5
     corner: Annotated[float, quantity("1", "part of the period each corner's parabola takes", above=0.0, maximum=0.5)] = 0.02
 

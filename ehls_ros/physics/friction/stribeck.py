@@ -37,9 +37,12 @@ def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction
 
 @kernel
 def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
-    """Break away along the applied force, or stop."""
+    """Break away along the applied force; stop, or go on the other way where that force is larger than Fs."""
     if mode[0] == 0.0:
-        mode[0] = sign(applied)
-    else:
-        mode[0] = 0.0
-    return 0.0
+        if abs(applied) > s:
+            mode[0] = sign(applied)
+        return 0.0
+    if mode[0] * v < 0.0:
+        mode[0] = sign(applied) if abs(applied) > s else 0.0
+        return 0.0
+    return v

@@ -1,0 +1,174 @@
+"""The compiled kernel of the paper's rig against the same scheme written in C.
+
+Both run the same motion, a large sine of the spool with the disturbance fd2 of the paper, mostly slipping with some
+reversals, with a command each millisecond; and, in one call, the motion under a command held. Runs of all contestants
+are interleaved, so that whatever else the machine does falls on all alike.
+"""
+
+import argparse
+import ctypes
+import platform
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+import yaml
+
+from ehls_ros.arrays import Array
+from ehls_ros.physics.plant import FD, FD_RATE, START, U
+from ehls_ros.physics.rig import Rig, rig_from_mapping
+from ehls_ros.physics.simulator import DEFAULT_STEP, Simulator
+
+HERE = Path(__file__).resolve().parent
+RIG = HERE.parent / "config" / "rig_paper.yaml"
+PERIOD = 1e-3
+COMPILERS = {
+    "cc -O3": ("cc", "-O3"),
+    "cc -O3 -march=native": ("cc", "-O3", "-march=native"),
+    "cc -O3 -march=native, no FMA": ("cc", "-O3", "-march=native", "-ffp-contract=off"),
+}
+MARK = 1.1
+
+
+class Motion(NamedTuple):
+    """A motion both sides run: inputs a call, shape (calls, 4), as the plant's first inputs; and steps a call."""
+
+    name: str
+    inputs: Array
+    steps: int
+
+
+def motions(duration: float) -> list[Motion]:
+    """Return the motion commanded each cycle, and one under a command held."""
+    t = np.arange(round(duration / PERIOD)) * PERIOD
+    omega = 2.0 * np.pi
+    commands = np.column_stack([
+        6e-4 * np.sin(omega * t), 5e3 * np.sin(omega * t + 0.7), 5e3 * omega * np.cos(omega * t + 0.7), t
+    ])
+    held = np.array([[2e-4, 500.0, 300.0, 0.0]])
+    return [
+        Motion("cycles of 1 ms", commands, round(PERIOD / DEFAULT_STEP)),
+        Motion("one call", held, round(duration / DEFAULT_STEP)),
+    ]
+
+
+class NumbaKernel:
+    """The package's kernel, called from compiled code as the loop in one process calls it."""
+
+    def __init__(self, rig: Rig) -> None:
+        """Compile."""
+        simulator = Simulator(rig, PERIOD, DEFAULT_STEP)
+        advance = simulator._advance  # noqa: SLF001
+        self.y, self.mode, self.inputs = simulator.y, simulator.mode, simulator.inputs
+        self._rest = (simulator.rig.plant, simulator.rig.friction, simulator.inputs, simulator.effects)
+        self._work = simulator.work
+
+        @numba.njit(error_model="numpy")
+        def run(y: Array, mode: Array, rest: Any, commands: Array, step: float, steps: int, work: Array) -> int:
+            plant, friction, inputs, effects = rest
+            dense = 0
+            for k in range(len(commands)):
+                inputs[U], inputs[FD], inputs[FD_RATE], inputs[START] = commands[k]
+                dense += advance(inputs[START], y, mode, plant, friction, inputs, effects, step, steps, work)
+            return dense
+
+        self._run = run
+
+    def run(self, motion: Motion) -> int:
+        """Run a motion from where the state is."""
+        arguments = (self.y, self.mode, self._rest, motion.inputs, DEFAULT_STEP, motion.steps, self._work)
+        dense: int = self._run(*arguments)
+        return dense
+
+
+class CKernel:
+    """The twin."""
+
+    def __init__(self, rig: Rig, command: tuple[str, ...], folder: Path) -> None:
+        """Compile with a command and load."""
+        library = folder / f"{'_'.join(command)}.so"
+        subprocess.run([*command, "-shared", "-fPIC", "-o", library, HERE / "kernel_twin.c", "-lm"], check=True)
+        self._function = ctypes.CDLL(str(library)).run_cycles
+        self.y, self.mode, self.inputs = np.zeros(7), np.zeros(4), np.zeros(7)
+        self._plant = np.array(rig.plant)
+        self._friction = np.hstack([np.atleast_1d(value) for value in rig.friction])
+
+    def run(self, motion: Motion) -> int:
+        """Run a motion from where the state is."""
+        arrays = (self.y, self.mode, self._plant, self._friction, self.inputs, motion.inputs)
+        pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in arrays]
+        dense: int = self._function(
+            *pointers, ctypes.c_long(len(motion.inputs)), ctypes.c_double(DEFAULT_STEP), ctypes.c_long(motion.steps)
+        )
+        return dense
+
+
+def at_rest(kernel: Any) -> None:
+    """Set the state of a kernel back to rest."""
+    kernel.y[:], kernel.mode[:] = 0.0, 0.0
+    kernel.mode[0] = 1.0
+
+
+def deviation(kernel: Any, other: Any, motion: Motion) -> float:
+    """Return how far apart two kernels end each cycle of a motion, relative to each state's range."""
+    tracks: list[Array] = []
+    for contestant in (kernel, other):
+        at_rest(contestant)
+        track = []
+        for row in motion.inputs:
+            contestant.run(Motion("", row[None, :], motion.steps))
+            track.append(contestant.y.copy())
+        tracks.append(np.array(track))
+    return float(np.max(np.abs(tracks[0] - tracks[1]).max(axis=0) / np.abs(tracks[1]).max(axis=0)))
+
+
+def timed(work: Callable[[], object]) -> float:
+    """Return how long a call takes [s]."""
+    before = time.perf_counter()
+    work()
+    return time.perf_counter() - before
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=101, help="interleaved runs of each")
+    parser.add_argument("--duration", type=float, default=0.5, help="plant time of a run [s]")
+    options = parser.parse_args()
+    rig = rig_from_mapping(yaml.safe_load(RIG.read_text(encoding="utf-8")), str(RIG))
+    with tempfile.TemporaryDirectory() as folder:
+        ours = NumbaKernel(rig)
+        twins = {name: CKernel(rig, command, Path(folder)) for name, command in COMPILERS.items()}
+        contestants: dict[str, Any] = {"numba": ours, **twins}
+        version = subprocess.run(["cc", "--version"], check=True, capture_output=True, text=True).stdout.splitlines()[0]
+        print(f"{platform.machine()}, {version}, numba {numba.__version__}, step {DEFAULT_STEP:g} s, {options.runs} runs")
+        for motion in motions(options.duration):
+            steps = len(motion.inputs) * motion.steps
+            print(f"\n{motion.name} ({steps} steps)")
+            print(f"{'':30}{'ns/step':>9}{'numba/C':>9}{'quartiles':>16}{'deviation':>12}")
+            times: dict[str, list[float]] = {name: [] for name in contestants}
+            for run in range(options.runs + 2):
+                order = list(contestants.items())
+                for name, kernel in order[run % len(order) :] + order[: run % len(order)]:
+                    at_rest(kernel)
+                    taken = timed(lambda kernel=kernel: kernel.run(motion))  # type: ignore[misc]
+                    if run >= 2:
+                        times[name].append(taken / steps * 1e9)
+            print(f"{'numba':30}{np.median(times['numba']):9.1f}")
+            for name, twin in twins.items():
+                ratios = np.array(times["numba"]) / np.array(times[name])
+                low, middle, high = np.percentile(ratios, [25, 50, 75])
+                print(
+                    f"{name:30}{np.median(times[name]):9.1f}{middle:9.3f}{f'{low:.3f}-{high:.3f}':>16}"
+                    f"{deviation(ours, twin, motion):12.1e}"
+                )
+        print(f"\nmark: {MARK} x")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+"""How accurate and how fast the plant is, against an independent solution.
+
+The other solution, test/physics/reference_solver.py, shares no code with the package: scipy's DOP853 at a relative
+tolerance of 1e-12, started afresh at every change of mode. Its own accuracy is the difference to 1e-10.
+"""
+
+import argparse
+import platform
+import sys
+import time
+from pathlib import Path
+
+import numba
+import numpy as np
+import scipy
+import yaml
+
+from ehls_ros.arrays import Array
+from ehls_ros.physics.rig import rig_from_mapping
+from ehls_ros.physics.simulator import Simulator
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "test" / "physics"))
+
+from reference_solver import Case, cases, solve  # noqa: E402
+
+STEPS = (1e-3, 5e-4, 2.5e-4, 1e-4, 5e-5, 2.5e-5)
+LOOSER = 1e-10
+
+
+def simulator_of(case: Case, step: float) -> Simulator:
+    """Return the package's simulator of a case."""
+    data = yaml.safe_load((ROOT / "config" / "rig_paper.yaml").read_text(encoding="utf-8"))
+    data["friction"]["model"] = case.law
+    data["effects"] = case.effects
+    return Simulator(rig_from_mapping(data, case.name), case.period, step)
+
+
+def simulate(case: Case, step: float) -> tuple[Array, float, int]:
+    """Run a case.
+
+    Returns:
+        States at the cycles, time spent in the simulator [s], steps with events too dense.
+    """
+    simulator = simulator_of(case, step)
+    states = np.empty((len(case.inputs) + 1, simulator.y.size))
+    states[0] = simulator.y
+    dense, spent = 0, 0.0
+    for cycle, (u, force, rate) in enumerate(case.inputs.tolist(), start=1):
+        before = time.perf_counter()
+        dense += simulator.advance(u, force, rate, 0.0, 0.0)
+        spent += time.perf_counter() - before
+        states[cycle] = simulator.y
+    return states, spent, dense
+
+
+def errors(states: Array, reference: Array) -> Array:
+    """Return the largest deviation of each state relative to the state's range."""
+    compared = states[:, : reference.shape[1]]
+    largest: Array = np.abs(compared - reference).max(axis=0) / np.abs(reference).max(axis=0)
+    return largest
+
+
+def kernel_time(case: Case, step: float, runs: int) -> float:
+    """Return the median time of the compiled kernel for one step of a case, calls in batches of 1000 steps [s]."""
+    simulator = simulator_of(case, step)
+    for u, force, rate in case.inputs[:100].tolist():
+        simulator.advance(u, force, rate, 0.0, 0.0)
+    times = []
+    for _ in range(runs):
+        before = time.perf_counter()
+        simulator._run(1000)  # noqa: SLF001
+        times.append((time.perf_counter() - before) / 1000)
+    return float(np.median(times))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--duration", type=float, default=2.0, help="plant time of a case [s], at most 2")
+    parser.add_argument("--runs", type=int, default=31, help="timings a median is taken of")
+    options = parser.parse_args()
+    print(f"{platform.machine()}, python {platform.python_version()}, numba {numba.__version__}, scipy {scipy.__version__}")
+    print("ns/step and x real time of the kernel; 'from Python': called once a cycle of 1 ms; errors relative to each range")
+    names = ("x", "v", "pL", "xv", "F1", "F2", "F3")
+    for case in cases().values():
+        case = case.shortened(options.duration)
+        before = time.perf_counter()
+        reference = solve(case.constants, case.law, case.inputs, case.period)
+        reference_time = time.perf_counter() - before
+        looser = solve(case.constants, case.law, case.inputs, case.period, rtol=LOOSER)
+        own = errors(looser.y, reference.y)
+        print(f"\n{case.name} ({case.law}), {reference.events} changes of mode")
+        print(f"{'step [s]':>12}" + "".join(f"{name:>9}" for name in names[: own.size]).ljust(63) + "  ns/step  x real time  from Python  dense")
+        for step in STEPS:
+            states, spent, dense = simulate(case, step)
+            row = "".join(f"{error:9.1e}" for error in errors(states, reference.y)).ljust(63)
+            nanoseconds = kernel_time(case, step, options.runs) * 1e9
+            print(f"{step:12g}{row}{nanoseconds:9.0f}{step / nanoseconds * 1e9:13.0f}{options.duration / spent:13.0f}{dense:7d}")
+        print(f"{'reference':>12}{''.join(f'{error:9.1e}' for error in own).ljust(63)}{'':22}{options.duration / reference_time:13.1f}")
+
+
+if __name__ == "__main__":
+    main()

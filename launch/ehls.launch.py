@@ -1,0 +1,59 @@
+"""The whole graph: ``ros2 launch ehls_ros ehls.launch.py plant:=sim controller:=fasmc rig:=config/rig_paper.yaml``.
+
+A node can be left out (``without:=fasmc_node``) and started by hand instead.
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.launch_context import LaunchContext
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+ARGUMENTS = {
+    "plant": ("sim", "sim: the simulated rig; bridge: the real one", ["sim", "bridge"]),
+    "controller": ("fasmc", "control law", ["fasmc", "sic", "pid"]),
+    "rig": ("", "rig file in place of the spec's", None),
+    "spec": ("", "experiment file; empty: the 10 kN sine that comes with the package", None),
+    "timing": ("realtime", "realtime: wall clock; lockstep: deterministic, as fast as the machine goes", ["realtime", "lockstep"]),
+    "namespace": ("ehls", "namespace of all topics", None),
+    "record": ("", "folder to record a bag into; empty: no recording", None),
+    "without": ("", "nodes to leave out, separated by commas", None),
+}
+
+PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
+
+
+def nodes(context: LaunchContext) -> list[Node]:
+    """Return the nodes the arguments ask for."""
+    chosen = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    common = {"spec": chosen["spec"], "rig": chosen["rig"]}
+    own: dict[str, dict[str, object]] = {
+        "reference_node": {},
+        "disturbance_node": {},
+        "friction_estimator_node": {},
+        f"{chosen['controller']}_node": {},
+        PLANTS[chosen["plant"]]: {"timing": chosen["timing"]},
+    }
+    if chosen["record"]:
+        own["recorder_node"] = {"bag": chosen["record"], "timing": chosen["timing"]}
+    left_out = set(chosen["without"].split(","))
+    return [
+        Node(
+            package="ehls_ros",
+            executable=name,
+            namespace=chosen["namespace"],
+            parameters=[{**common, **parameters}],
+            output="screen",
+        )
+        for name, parameters in own.items()
+        if name not in left_out
+    ]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Declare the arguments and the nodes."""
+    declared = [
+        DeclareLaunchArgument(name, default_value=default, description=description, choices=choices)
+        for name, (default, description, choices) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=nodes)])

@@ -1,0 +1,120 @@
+"""What every file of the control side's families provides; a new file is found and tested by itself."""
+
+import inspect
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.disturbances import DISTURBANCES
+from ehls_ros.control.disturbances.base import ROW
+from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.references import REFERENCES
+from ehls_ros.control.references.base import SampledReference
+from ehls_ros.errors import BadInput
+from ehls_ros.families import Family
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.schema import declarations, parse
+
+FAMILIES = {"controller": CONTROLLERS, "reference": REFERENCES, "disturbance": DISTURBANCES, "observer": OBSERVERS}
+MEMBERS = [pytest.param(family, name, id=f"{kind}-{name}") for kind, family in FAMILIES.items() for name in family.names()]
+DECLARED = [
+    pytest.param(name, declared, id=f"{kind}-{name}-{declared.name}")
+    for kind, family in FAMILIES.items()
+    if kind != "observer"
+    for name in family.names()
+    for declared in declarations(family.load(name).Parameters)
+]
+
+
+@pytest.mark.parametrize(("family", "name"), MEMBERS)
+def test_a_file_says_what_it_is(family: Family[Any], name: str):
+    member = family.load(name)
+    assert len(inspect.getdoc(member) or "") > 5
+    own = [value for value in vars(member).values() if getattr(value, "__module__", None) == member.__name__]
+    for value in own:
+        function = getattr(value, "py_func", value)
+        if (inspect.isclass(function) or inspect.isfunction(function)) and not function.__name__.startswith("_"):
+            assert inspect.getdoc(function), f"{member.__name__}.{function.__name__}"
+
+
+@pytest.mark.parametrize(("name", "declared"), DECLARED)
+def test_a_parameter_is_declared_with_unit_range_and_help(name, declared):
+    assert len(declared.description) > 3
+    if declared.kind not in {int, float}:
+        return
+    assert declared.unit
+    assert declared.minimum is not None, "no minimum"
+    assert declared.maximum is not None, "no maximum"
+    assert declared.default is not None
+    assert declared.minimum <= declared.default <= declared.maximum
+    assert isinstance(declared.default, declared.kind)
+
+
+@pytest.mark.parametrize("kind", ["controller", "reference", "disturbance"])
+def test_parameters_survive_a_round_trip(kind):
+    for name in FAMILIES[kind].names():
+        parameters = FAMILIES[kind].load(name).Parameters
+        values = {"points": [(0.0, 1.0), (1.0, 2.0)]} if "points" in parameters._fields else {}
+        p = parse(parameters, values, name)
+        assert parse(parameters, p._asdict(), name) == p
+
+
+@pytest.mark.parametrize("kind", FAMILIES)
+@pytest.mark.parametrize("name", ["", "base", "no_such_one", "__init__", "../../os", 3, None, 1.5, True, ["sine"], {"a": 1}])
+def test_an_unknown_name_is_bad_input_that_lists_the_known(kind, name):
+    with pytest.raises(BadInput) as caught:
+        FAMILIES[kind].load(name, "spec.yaml: section")
+    assert repr(name) in caught.value.what
+    assert caught.value.where == "spec.yaml: section"
+    assert all(known in caught.value.expected for known in FAMILIES[kind].names())
+
+
+@pytest.mark.parametrize("name", CONTROLLERS.names())
+def test_a_controller_has_its_parts(name):
+    member = CONTROLLERS.load(name)
+    assert isinstance(member.FRICTION, bool)
+    memory = member.memory(member.Parameters())
+    assert memory.dtype == np.float64
+    assert np.all(np.isfinite(memory))
+    assert memory is not member.memory(member.Parameters())
+    assert list(inspect.signature(member.step.py_func).parameters) == ["m", "r", "f", "p", "model", "memory", "status"]
+
+
+@pytest.mark.parametrize("name", OBSERVERS.names())
+def test_an_observer_has_its_parts(rig, name):
+    member = OBSERVERS.load(name)
+    state = member.state(rig.friction)
+    assert state.estimate.size == 2 + 2 * state.forces.size
+    assert not np.any(state.estimate)
+    assert list(inspect.signature(member.update.py_func).parameters) == ["velocity", "period", "friction", "state"]
+
+
+@pytest.mark.parametrize("name", DISTURBANCES.names())
+def test_a_disturbance_has_its_parts(rig, name):
+    member = DISTURBANCES.load(name)
+    assert isinstance(member.REACTS, bool)
+    p = member.Parameters()
+    for use in member.loader_effects(p):
+        assert use.name in EFFECTS.names()
+        parse(EFFECTS.load(use.name).Parameters, use.parameters._asdict(), name)
+    sine = REFERENCES.load("sine")
+    signal = SampledReference(sine, sine.Parameters(amplitude=0.01, frequency=1.0), 1e-3)
+    source = member.build(p, signal, rig, 1e-3)
+    rows = [source.first().copy(), *(source.following(k, 0.0, 0.0).copy() for k in range(20))]
+    assert np.array(rows).shape == (21, ROW)
+    assert np.all(np.isfinite(rows))
+
+
+def test_a_force_is_its_signal_one_cycle_ahead(rig):
+    member, sine = DISTURBANCES.load("force"), REFERENCES.load("sine")
+    signal = SampledReference(sine, sine.Parameters(amplitude=5e3, frequency=1.0), 1e-3)
+    source = member.build(member.Parameters(), signal, rig, 1e-3)
+    assert source.first()[0] == 0.0
+    row = source.following(249, 0.3, -1.0)
+    assert row[0] == pytest.approx(5e3)
+    assert row[1] == pytest.approx(0.0, abs=1e-8)
+    assert source.following(124, 0.0, 0.0)[1] == pytest.approx(5e3 * 2.0 * math.pi * math.cos(math.pi / 4.0))
+    assert not np.any(row[2:])

@@ -1,0 +1,143 @@
+"""The controller around the laws: change of tuning, reset, and what every law promises."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ehls_ros.control.controller import Controller
+from ehls_ros.control.controllers import CONTROLLERS, base, fasmc
+from ehls_ros.control.controllers.base import model_of
+from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.physics import sensors
+from ehls_ros.physics.plant import PL, XV, V, X
+from ehls_ros.physics.simulator import Simulator
+from ehls_ros.schema import parse
+
+PERIOD = 1e-3
+OMEGA = 2.0 * math.pi
+
+
+def make(rig: Any, name: str = "fasmc", **values: Any) -> Controller:
+    return Controller(name, parse(CONTROLLERS.load(name).Parameters, values, "test"), model_of(rig, PERIOD))
+
+
+def measure(rig: Any, simulator: Simulator) -> np.ndarray:
+    y = simulator.y
+    return np.array([y[X], y[V], y[PL], y[XV], rig.plant.piston_area * y[PL], rig.plant.supply_pressure, 313.0])
+
+
+class Bench:
+    """A closed loop that can be looked at between two cycles: 10 sin(pi t) kN against 5 sin(2 pi t) kN."""
+
+    def __init__(self, rig: Any, law: Controller) -> None:
+        self.rig, self.law, self.cycle = rig, law, 0
+        self.simulator = Simulator(rig, PERIOD)
+        self.estimator = FrictionEstimator("gms", rig.friction, PERIOD)
+
+    def step(self) -> tuple[np.ndarray, np.ndarray, float]:
+        t = self.cycle * PERIOD
+        angle = 0.5 * OMEGA * t
+        wanted = 1e4 * np.array([math.sin(angle), 0.5 * OMEGA * math.cos(angle), -((0.5 * OMEGA) ** 2) * math.sin(angle)])
+        measured = measure(self.rig, self.simulator)
+        command = self.law.step(measured, wanted, self.estimator.update(measured[sensors.VELOCITY]))
+        self.simulator.advance(command, 5e3 * math.sin(OMEGA * t), 5e3 * OMEGA * math.cos(OMEGA * t), 0.0, 0.0)
+        self.cycle += 1
+        return measured, wanted, command
+
+
+@pytest.mark.parametrize("new", [{"k": 24.0}, {"k": 3.0}, {"g": 200.0}, {"b": 300.0, "h": 80.0}, {"phi3": 1e5}])
+def test_retuning_makes_no_bump_and_counts_at_once(rig, new):
+    law = make(rig)
+    bench = Bench(rig, law)
+    commands = [bench.step()[2] for _ in range(2310)]
+    before = np.max(np.abs(np.diff(commands[1500:])))
+    p = parse(fasmc.Parameters, new, "test")
+    law.retune(p)
+    measured, wanted, command = bench.step()
+    assert abs(command - commands[-1]) <= before
+    # (27) with the new k and g, in MPa
+    area, plant = rig.plant.piston_area, rig.plant
+    stiffness = 4.0 * plant.bulk_modulus / plant.total_volume
+    side = 1.0 if measured[3] >= 0.0 else -1.0
+    orifice = plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt((7e6 - side * measured[2]) / 840.0)
+    rate = stiffness * (orifice * measured[3] - area * measured[1] - 4.7e-12 * measured[2])
+    error = (measured[2] - wanted[0] / area) / 1e6
+    s = (rate - wanted[1] / area) / 1e6 + p.k / (1.0 + math.exp(-p.g * error)) - p.k / 2.0
+    assert law.status[base.S] == pytest.approx(s, rel=1e-9)
+    assert law.parameters == p
+    after = [command] + [bench.step()[2] for _ in range(600)]
+    assert np.max(np.abs(np.diff(after[:100]))) <= 2.0 * before
+    # Nothing of the change is left: a controller with the new tuning and this memory commands the same.
+    fresh = make(rig, **new)
+    fresh._memory = law._memory.copy()
+    measured, wanted = measure(rig, bench.simulator), wanted
+    friction = bench.estimator.state.estimate
+    assert law.step(measured, wanted, friction) == pytest.approx(fresh.step(measured, wanted, friction), abs=1e-11)
+
+
+def test_retuning_twice_before_a_step_starts_from_the_tuning_in_force(rig):
+    once, twice = Bench(rig, make(rig)), Bench(rig, make(rig))
+    for _ in range(700):
+        once.step()
+        twice.step()
+    new = parse(fasmc.Parameters, {"k": 20.0}, "test")
+    twice.law.retune(parse(fasmc.Parameters, {"k": 300.0}, "test"))
+    for bench in (once, twice):
+        bench.law.retune(new)
+    for _ in range(50):
+        assert once.step()[2] == twice.step()[2]
+
+
+def test_reset_forgets_everything_but_the_tuning(rig):
+    law = make(rig, k=15.0)
+    first = [bench.step()[2] for bench in [Bench(rig, law)] for _ in range(300)]
+    law.retune(parse(fasmc.Parameters, {"k": 18.0}, "test"))
+    Bench(rig, law).step()
+    law.retune(parse(fasmc.Parameters, {"k": 15.0}, "test"))
+    law.reset()
+    assert np.array_equal(law.status, np.zeros(base.STATUS_SIZE))
+    bench = Bench(rig, law)
+    assert [bench.step()[2] for _ in range(300)] == first
+
+
+@pytest.mark.parametrize("name", CONTROLLERS.names())
+def test_a_new_controller_is_as_after_reset(rig, name):
+    law, other = make(rig, name), make(rig, name)
+    measured = np.array([0.01, 0.02, 1e6, 1e-4, 2600.0, 7e6, 313.0])
+    reference, friction = np.array([5e3, 1e3, 0.0]), np.array([300.0, 145.0])
+    first = [law.step(measured, reference, friction) for _ in range(5)]
+    law.reset()
+    assert [law.step(measured, reference, friction) for _ in range(5)] == first
+    assert [other.step(measured, reference, friction) for _ in range(5)] == first
+
+
+@pytest.mark.parametrize("name", CONTROLLERS.names())
+@pytest.mark.parametrize("seed", range(3))
+def test_any_measurement_gives_a_command_within_the_limit(rig, name, seed):
+    random = np.random.default_rng(100 + seed)
+    law = make(rig, name)
+    for cycle in range(600):
+        values = 10.0 ** random.uniform(-20.0, random.choice([2.0, 20.0, 308.0]), 12) * random.choice([-1.0, 1.0], 12)
+        if cycle % 3 == 0:
+            values[random.integers(12)] = random.choice([math.nan, math.inf, -math.inf, 0.0])
+        command = law.step(values[:7], values[7:10], values[10:])
+        assert abs(command) <= rig.limits.spool, f"{name}, seed {seed}, cycle {cycle}: {values}"
+        assert not np.any(np.isnan(law._memory)), f"{name}, seed {seed}, cycle {cycle}: {values}"
+        if cycle % 50 == 49:
+            law.reset()
+
+
+@pytest.mark.parametrize("name", CONTROLLERS.names())
+def test_a_broken_cycle_is_forgotten(rig, name):
+    """One cycle of NaN in the middle of a run: two cycles later the command is a usual one again."""
+    law, other = make(rig, name), make(rig, name)
+    usual = np.array([0.01, 0.0, 1e6, 1e-4, 2600.0, 7e6, 313.0])
+    reference, friction = np.array([2.7e3, 0.0, 0.0]), np.zeros(2)
+    for k in range(20):
+        broken = k == 10
+        law.step(np.full(7, math.nan) if broken else usual, reference, friction)
+        if not broken:
+            other.step(usual, reference, friction)
+    assert law.step(usual, reference, friction) == pytest.approx(other.step(usual, reference, friction), rel=1e-3)

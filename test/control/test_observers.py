@@ -1,0 +1,101 @@
+import math
+
+import numpy as np
+import pytest
+
+from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.physics.plant import FRICTION, V
+from ehls_ros.physics.simulator import Simulator
+
+PERIOD = 1e-3
+
+
+def velocities(seed: int, cycles: int = 4000) -> np.ndarray:
+    """A motion through rest, presliding and fast slip."""
+    random = np.random.default_rng(seed)
+    t = np.arange(cycles) * PERIOD
+    waves = [a * np.sin(2.0 * np.pi * f * t + p) for a, f, p in zip((0.15, 0.02, 2e-3), random.uniform(0.3, 9.0, 3), random.uniform(0, 6, 3), strict=True)]
+    return np.sum(waves, axis=0) * np.where(t % 1.0 < 0.2, 0.0, 1.0)
+
+
+def estimates(rig, name: str, velocity: np.ndarray) -> np.ndarray:
+    estimator = FrictionEstimator(name, rig.friction, PERIOD)
+    return np.array([estimator.update(v).copy() for v in velocity])
+
+
+@pytest.mark.parametrize("amplitude", [1e-3, 2e-4, 2e-5])
+def test_gms_follows_the_friction_inside_the_plant(rig, amplitude):
+    simulator = Simulator(rig, PERIOD)
+    estimator = FrictionEstimator("gms", rig.friction, PERIOD)
+    wrong = []
+    for k in range(4000):
+        estimate = estimator.update(simulator.y[V])
+        wrong.append(estimate[0] - simulator.y[FRICTION : FRICTION + 3].sum())
+        assert estimate[1] == pytest.approx(7265.0 * simulator.y[V])
+        simulator.advance(amplitude * math.sin(2.0 * math.pi * 1.5 * k * PERIOD), 0.0, 0.0, 0.0, 0.0)
+    error = np.abs(wrong)
+    assert np.max(np.abs(simulator.y[FRICTION : FRICTION + 3].sum())) > 100.0
+    assert np.max(error) < 5.0
+    assert np.sqrt(np.mean(error**2)) < 0.5
+
+
+@pytest.mark.parametrize("name", OBSERVERS.names())
+@pytest.mark.parametrize("seed", range(3))
+def test_estimate_is_odd_and_within_static_friction(rig, name, seed):
+    velocity = velocities(seed)
+    forward, backward = estimates(rig, name, velocity), estimates(rig, name, -velocity)
+    elements = (forward.shape[1] - 2) // 2
+    assert np.array_equal(forward[:, : 2 + elements], -backward[:, : 2 + elements])
+    assert np.array_equal(forward[:, 2 + elements :], backward[:, 2 + elements :])
+    assert np.max(np.abs(forward[:, 0])) <= 865.4 * (1.0 + 1e-9)
+    assert np.max(np.abs(forward[:, 0])) > 500.0
+    assert np.allclose(forward[:, 2 : 2 + elements].sum(axis=1), forward[:, 0], atol=1e-9)
+    assert set(np.unique(forward[:, 2 + elements :])) <= {0.0, 1.0}
+
+
+def test_gms_elements_stay_within_their_shares_and_settle_on_the_curve(rig):
+    estimate = estimates(rig, "gms", np.concatenate([velocities(1), np.full(3000, -0.1)]))
+    for i, share in enumerate((0.829, 0.089, 0.082)):
+        assert np.max(np.abs(estimate[:, 2 + i])) <= share * 865.4 * (1.0 + 1e-9)
+        # (9): F_i = sgn(v) alpha_i s(v)
+        level = 640.8 + (865.4 - 640.8) * math.exp(-((0.1 / 2.031e-3) ** 0.8764))
+        assert estimate[-1, 2 + i] == pytest.approx(-share * level, rel=1e-3)
+    assert np.array_equal(estimate[-1, 5:], [1.0, 1.0, 1.0])
+
+
+def test_gms_at_rest_and_in_presliding_is_a_spring(rig):
+    # 0.1 mm at (1884 + 196.9 + 184.1) N/mm; nothing slips before 0.28 mm
+    velocity = np.concatenate([np.zeros(5), np.full(101, 1e-3), np.zeros(50)])
+    estimate = estimates(rig, "gms", velocity)
+    assert np.array_equal(estimate[:5], np.zeros((5, 8)))
+    way = np.sum(0.5 * (velocity[1:] + velocity[:-1])) * PERIOD
+    assert estimate[-1, 0] == pytest.approx(2265.0e3 * way, rel=1e-9)
+    assert np.array_equal(estimate[-1, 5:], np.zeros(3))
+
+
+def test_stribeck_is_the_smoothed_curve(rig):
+    for v in (-0.15, -2.031e-3, -1e-5, 0.0, 3e-4, 2.031e-3, 0.02, 0.4):
+        level = 640.8 + 224.6 * math.exp(-((abs(v) / 2.031e-3) ** 0.8764))
+        estimate = estimates(rig, "stribeck", np.array([v]))[0]
+        assert estimate[0] == pytest.approx(level * math.tanh(v / 2.031e-3), rel=1e-12, abs=1e-12)
+        assert estimate[1] == pytest.approx(7265.0 * v)
+
+
+@pytest.mark.parametrize("name", OBSERVERS.names())
+def test_reset_puts_it_at_rest(rig, name):
+    estimator = FrictionEstimator(name, rig.friction, PERIOD)
+    first = np.array([estimator.update(v).copy() for v in velocities(0, 500)])
+    estimator.reset()
+    assert np.array_equal(first, np.array([estimator.update(v).copy() for v in velocities(0, 500)]))
+    assert len(estimator.element_forces) == len(estimator.slipping)
+    assert estimator.memory_is_finite()
+
+
+def test_a_rig_with_another_number_of_elements_works(rig):
+    friction = rig.friction._replace(element_stiffness=(2e6, 1e5), element_weight=(0.7, 0.3))
+    estimator = FrictionEstimator("gms", friction, PERIOD)
+    for _ in range(2000):
+        estimate = estimator.update(0.05)
+    assert estimate.shape == (6,)
+    assert estimate[0] == pytest.approx(640.8, rel=1e-2)

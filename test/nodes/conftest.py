@@ -1,0 +1,134 @@
+"""Nodes as processes, and a participant of the test's own beside them."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs ROS 2 Jazzy or its wheels")
+pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+
+SPEC = """
+title: a short run
+rig: {rig}
+duration: {duration}
+reference: {{name: sine, amplitude: 1.0e+4, frequency: 0.5}}
+disturbance: {{name: force, signal: {{name: sine, amplitude: 5.0e+3, frequency: 1.0}}}}
+controller: {{name: {controller}}}
+"""
+
+RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
+
+
+class Graph:
+    """Nodes started by hand."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, name: str, **parameters: Any) -> subprocess.Popen[bytes]:
+        from ehls_ros.nodes.graph import graph_environment
+
+        arguments = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
+        command = [sys.executable, "-m", f"ehls_ros.nodes.{name}", "--ros-args", *arguments]
+        with (self.folder / f"{name}.log").open("ab") as log:
+            process = subprocess.Popen(command, env=graph_environment(), stdout=log, stderr=subprocess.STDOUT)
+        self.processes[name] = process
+        return process
+
+    def stop(self, name: str, number: int = signal.SIGINT) -> int:
+        process = self.processes.pop(name)
+        process.send_signal(number)
+        return process.wait(20)
+
+    def log(self, name: str) -> str:
+        return (self.folder / f"{name}.log").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Iterator[Graph]:
+    started = Graph(tmp_path)
+    yield started
+    for process in started.processes.values():
+        process.send_signal(signal.SIGINT)
+    for process in started.processes.values():
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(15)
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture
+def spec_file(tmp_path: Path) -> Callable[..., Path]:
+    def write(duration: float = 0.5, controller: str = "fasmc") -> Path:
+        path = tmp_path / "spec.yaml"
+        path.write_text(SPEC.format(rig=RIG, duration=duration, controller=controller), encoding="utf-8")
+        return path
+
+    return write
+
+
+class Participant:
+    """A second process's view of the graph, here in the test."""
+
+    def __init__(self) -> None:
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.signals import SignalHandlerOptions
+
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=int(os.environ["ROS_DOMAIN_ID"]), signal_handler_options=SignalHandlerOptions.NO)
+        self.node = rclpy.create_node("participant", context=self.context, namespace="ehls")
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    def until(self, condition: Callable[[], bool], seconds: float = 60.0) -> None:
+        deadline = time.monotonic() + seconds
+        while not condition():
+            self.executor.spin_once(timeout_sec=0.05)
+            assert time.monotonic() < deadline, "what the test waits for did not come"
+
+    def call(self, kind: Any, service: str, request: Any) -> Any:
+        client = self.node.create_client(kind, service)
+        self.until(client.service_is_ready)
+        future = client.call_async(request)
+        self.until(future.done)
+        return future.result()
+
+    def collect(self, kind: Any, topic: str) -> list[Any]:
+        from ehls_ros.nodes.transport import control_qos
+
+        received: list[Any] = []
+        self.node.create_subscription(kind, topic, received.append, control_qos() if not topic.startswith("/") else 10)
+        return received
+
+    def set_parameter(self, node: str, name: str, value: Any) -> Any:
+        from rcl_interfaces.srv import SetParameters
+        from rclpy.parameter import Parameter
+
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        return self.call(SetParameters, f"{node}/set_parameters", request).results[0]
+
+    def get_parameter(self, node: str, name: str) -> Any:
+        from rcl_interfaces.srv import GetParameters
+
+        return self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=[name])).values[0]
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def participant(ros_domain_id: int) -> Iterator[Participant]:
+    present = Participant()
+    yield present
+    present.close()

@@ -1,0 +1,73 @@
+"""The struct codec against rclpy's own serialisation."""
+
+import random
+
+import pytest
+
+pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+
+from rclpy.serialization import deserialize_message, serialize_message
+
+from ehls_msgs import msg
+from ehls_ros.nodes.codec import Decoder, Encoder
+
+PLAIN = [msg.LoaderState, msg.ValveCommand, msg.ForceReference, msg.Disturbance, msg.ControllerStatus]
+FRAMES = ["", "loader", "a", "ab", "abc", "abcdefg", "abcdefgh"]
+
+
+def filled(kind, frame, seed=1):
+    random.seed(seed)
+    message = kind()
+    message.header.frame_id = frame
+    message.header.stamp.sec, message.header.stamp.nanosec = 1_700_000_000, 123_456_789
+    values = []
+    for name, field in kind.get_fields_and_field_types().items():
+        if name == "header":
+            continue
+        value = {"uint64": 2**60 + 7, "double": random.gauss(0, 1e5), "boolean": True}[field]
+        setattr(message, name, value)
+        values.append(value)
+    return message, values
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("kind", PLAIN)
+def test_encoder_writes_what_rclpy_writes(kind, frame):
+    message, values = filled(kind, frame)
+    stamp = 1_700_000_000_123_456_789
+    assert deserialize_message(Encoder(kind, frame)(stamp, *values), kind) == message
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("kind", PLAIN)
+def test_decoder_reads_what_rclpy_wrote(kind, frame):
+    message, values = filled(kind, frame)
+    assert Decoder(kind)(serialize_message(message)) == (1_700_000_000_123_456_789, *values)
+
+
+@pytest.mark.parametrize("elements", [1, 2, 3, 7])
+def test_sequences_are_written_and_the_numbers_before_them_read(elements):
+    lengths = {"element_forces": elements, "slipping": elements}
+    forces = [float(i) for i in range(elements)]
+    flags = [i % 2 == 0 for i in range(elements)]
+    encoded = Encoder(msg.FrictionEstimate, "", lengths)(5, 9, 1.5, -2.5, elements, *forces, elements, *flags)
+    message = deserialize_message(encoded, msg.FrictionEstimate)
+    assert (list(message.element_forces), list(message.slipping)) == (forces, flags)
+    assert Decoder(msg.FrictionEstimate)(encoded) == (5, 9, 1.5, -2.5)
+
+
+def test_what_is_no_message_is_none():
+    decode = Decoder(msg.LoaderState)
+    whole = serialize_message(filled(msg.LoaderState, "loader")[0])
+    for length in range(len(whole)):
+        assert decode(whole[:length]) is None
+    random.seed(2)
+    for _ in range(2000):
+        decode(bytes(random.randrange(256) for _ in range(random.randrange(120))))
+
+
+def test_frame_lengths_of_strangers_do_not_fill_the_memory():
+    decode = Decoder(msg.ValveCommand)
+    for length in range(5000):
+        decode(b"\0\1\0\0" + bytes(8) + length.to_bytes(4, "little") + bytes(length))
+    assert len(decode._formats) <= Decoder.MOST_FORMATS

@@ -1,0 +1,136 @@
+"""Whole experiments over DDS, each node its own process."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+
+from ehls_ros.recording.bag_reader import read_bag
+
+
+def ehls(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "ehls_ros.cli.main", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
+
+
+def trajectory_of(done: subprocess.CompletedProcess[str]):
+    assert done.returncode == 0, done.stderr
+    return read_bag(Path(json.loads(done.stdout.splitlines()[-1])["bag"]))
+
+
+def assert_same(one, other, relative):
+    names = set(one.signals) - {"response_s"}
+    assert names == set(other.signals) - {"response_s"}
+    assert len(one) == len(other)
+    for name in names:
+        scale = np.nanmax(np.abs(one[name])) * relative
+        assert np.array_equal(np.isnan(one[name]), np.isnan(other[name])), name
+        assert np.nanmax(np.abs(one[name] - other[name])) <= scale, name
+
+
+@pytest.mark.parametrize("controller", ["fasmc", "sic"])
+def test_lockstep_is_deterministic_and_the_same_in_one_process(spec_file, tmp_path, controller):
+    spec = spec_file(duration=0.5, controller=controller)
+    first = trajectory_of(ehls("experiment", spec, "--out", tmp_path / "first", "--json"))
+    second = trajectory_of(ehls("experiment", spec, "--out", tmp_path / "second", "--json", "--storage", "sqlite3"))
+    alone = trajectory_of(ehls("experiment", spec, "--out", tmp_path / "alone", "--json", "--in-process"))
+    assert len(first) == 501
+    assert not np.isnan(first["valve_command_m"]).any()
+    assert_same(first, second, relative=0.0)
+    assert_same(first, alone, relative=1e-9)
+
+
+def test_the_run_folder_holds_what_the_contract_says(spec_file, tmp_path):
+    done = ehls("experiment", spec_file(duration=0.2), "--out", tmp_path / "run", "--json")
+    metrics = json.loads(done.stdout.splitlines()[-1])
+    assert metrics == json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert set(metrics) == {
+        "max_error_n", "rms_error_n", "convergence_s", "cycles", "missed_cycles", "duration_s", "wall_s", "bag", "report",
+    }  # fmt: skip
+    assert metrics["cycles"] == 201
+    assert Path(metrics["report"]).stat().st_size > 1e6
+    recorded = read_bag(Path(metrics["bag"]))
+    assert recorded.metadata["rig"]["plant"]["moving_mass"] == 70.0
+    assert recorded.metadata["spec"]["controller"]["k"] == 12.0
+    assert recorded.metadata["versions"]["ehls_ros"]
+
+
+def test_a_position_servo_feels_the_loader(spec_file, tmp_path):
+    spec = spec_file(duration=0.3)
+    servo = "disturbance: {name: position_servo, signal: {name: sine, amplitude: 0.05, frequency: 0.5}}"
+    lines = [servo if line.startswith("disturbance") else line for line in spec.read_text().splitlines()]
+    spec.write_text("\n".join(lines))
+    over_dds = trajectory_of(ehls("experiment", spec, "--out", tmp_path / "dds", "--json"))
+    alone = trajectory_of(ehls("experiment", spec, "--out", tmp_path / "alone", "--json", "--in-process"))
+    assert np.abs(over_dds["disturbance_displacement_m"]).max() > 0.01
+    assert_same(over_dds, alone, relative=1e-9)
+
+
+def test_realtime_keeps_the_wall_clock_and_loses_no_sample(spec_file, tmp_path):
+    done = ehls("experiment", spec_file(duration=2.0), "--out", tmp_path / "run", "--json", "--timing", "realtime")
+    recorded = trajectory_of(done)
+    assert np.array_equal(np.round(recorded.time_s * 1e3).astype(int), np.arange(2001))
+    assert not np.isnan(recorded["force_n"]).any()
+    assert 1.9 < json.loads(done.stdout.splitlines()[-1])["wall_s"] < 4.0
+
+
+def test_ctrl_c_in_the_middle_closes_the_bag(spec_file, tmp_path):
+    command = [sys.executable, "-m", "ehls_ros.cli.main", "experiment", str(spec_file(duration=1000.0))]
+    out = tmp_path / "run"
+    process = subprocess.Popen([*command, "--out", str(out)], stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120.0
+    bag = out / "bag" / "bag.mcap"
+    while not (bag.exists() and bag.stat().st_size > 100_000):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, complaint = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert complaint.strip() == "ehls experiment: interrupted"
+    recorded = read_bag(out / "bag")
+    assert len(recorded) > 100
+    assert not np.isnan(recorded["force_n"]).any()
+
+
+def test_a_node_that_dies_ends_the_experiment_with_its_reason(spec_file, tmp_path):
+    command = [sys.executable, "-m", "ehls_ros.cli.main", "experiment", str(spec_file(duration=1000.0))]
+    out = tmp_path / "run"
+    process = subprocess.Popen([*command, "--out", str(out)], stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120.0
+    bag = out / "bag" / "bag.mcap"
+    while not (bag.exists() and bag.stat().st_size > 100_000):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    [estimator] = children(process.pid, "friction_estimator_node")
+    estimator.terminate()
+    _, complaint = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "friction_estimator_node ended" in complaint
+    assert len(complaint.strip().splitlines()) == 1
+
+
+class Child:
+    def __init__(self, pid: int) -> None:
+        self.pid = pid
+
+    def terminate(self) -> None:
+        import os
+
+        os.kill(self.pid, signal.SIGTERM)
+
+
+def children(pid: int, word: str) -> list[Child]:
+    found = []
+    for path in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+        if word.encode() in Path(f"/proc/{path}/cmdline").read_bytes():
+            found.append(Child(int(path)))
+    return found

@@ -1,0 +1,51 @@
+"""Nodes declare their parameters with unit, range and help, and refuse wrong configuration."""
+
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+
+from rcl_interfaces.srv import DescribeParameters, ListParameters
+
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.schema import declarations
+
+
+def test_descriptors_carry_unit_range_and_help(graph, participant, spec_file):
+    graph.start("fasmc_node", spec=spec_file())
+    names = participant.call(ListParameters, "fasmc_node/list_parameters", ListParameters.Request()).result.names
+    for declared in declarations(CONTROLLERS.load("fasmc").Parameters):
+        assert declared.name in names
+        [descriptor] = participant.call(
+            DescribeParameters, "fasmc_node/describe_parameters", DescribeParameters.Request(names=[declared.name])
+        ).descriptors
+        assert declared.description in descriptor.description
+        assert f"[{declared.unit}]" in descriptor.description
+        assert descriptor.floating_point_range[0].to_value == declared.maximum
+        assert not descriptor.read_only
+
+
+@pytest.mark.parametrize(
+    ("node", "parameter", "words"),
+    [
+        ("fasmc_node", "spec:=/nowhere.yaml", ("/nowhere.yaml", "cannot be read")),
+        ("plant_sim_node", "timing:=sometimes", ("timing is 'sometimes'", "lockstep")),
+        ("recorder_node", "storage:=tape", ("storage is 'tape'", "mcap")),
+        ("friction_estimator_node", "model:=magic", ("'magic'", "gms")),
+    ],
+)
+def test_a_wrong_parameter_ends_the_node_with_one_line_and_code_2(node, parameter, words):
+    command = [sys.executable, "-m", f"ehls_ros.nodes.{node}", "--ros-args", "-p", parameter]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    [line] = done.stderr.strip().splitlines()
+    assert all(word in line for word in words), line
+
+
+def test_the_bridge_says_that_it_is_not_here_yet():
+    command = [sys.executable, "-m", "ehls_ros.nodes.hardware_bridge_node"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert "no DAQ backend" in done.stderr
