@@ -52,7 +52,7 @@ setup(
     ],
     python_requires=">=3.11",
     install_requires=requirements("base"),
-    extras_require={"ros": requirements("ros"), "dev": requirements("dev")},
+    extras_require={"ros": requirements("ros"), "dev": requirements("dev"), "parquet": ["pyarrow>=15"]},
     entry_points={
         "console_scripts": [
             f"ehls = {PACKAGE}.cli.main:main",

@@ -1,8 +1,8 @@
 """From which study the default integration step is chosen.
 
 1. Order: error in force over steps, with the events located and with modes changed at the ends of steps only, for the
-   paper's Stribeck exponent and for 2. Near v = 0 a Stribeck curve with |v|^0.8764 has no second derivative, and no
-   method of a fixed step keeps more than order 1.8764 through a reversal while an element slips.
+   paper's Stribeck exponent and for 2. A Stribeck curve with |v|^0.8764 has no derivative at v = 0: the error of a step
+   that slips toward a reversal is of order h^1.8764 there, whatever the method, and takes over at small steps.
 2. Closed loop: the force of config/experiments/sine_fd2.yaml against the same at the smallest step.
 3. Halving: by how much half the step changes the steady max error of constant and sine with fd1 and fd2.
 4. Stability: the largest step at which LuGre, whose bristle relaxes at sigma0 |v|/s(v), stays bounded at the velocity limit.

@@ -50,9 +50,7 @@ def reaching_rate(h: float, b: float, xi: float, e1: float, delta_f: float, movi
     return (h + h * xi * e1 * delta_f / b) / moving_mass
 
 
-def reaching_time_bound(
-    s0: float, h: float, b: float, xi: float, e1: float, delta_f: float, moving_mass: float
-) -> float:
+def reaching_time_bound(s0: float, h: float, b: float, xi: float, e1: float, delta_f: float, moving_mass: float) -> float:
     """Return a bound of the time t0 after which |s| <= b/h, the meaning of (46).
 
     (46) estimates it with the rate h alone. From m0 s' = -(h + h xi e1 delta_f/b) s + xi e1 fd and

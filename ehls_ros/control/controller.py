@@ -73,9 +73,7 @@ class Controller:
             trial = self._memory.copy()
             old = self._step(measured, reference, friction, self._previous, self.model, trial, self.status)
             self._previous = None
-        command: float = self._step(
-            measured, reference, friction, self.parameters, self.model, self._memory, self.status
-        )
+        command: float = self._step(measured, reference, friction, self.parameters, self.model, self._memory, self.status)
         if old is not None:
             self._bump += old - command
         if self._bump != 0.0:

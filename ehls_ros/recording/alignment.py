@@ -12,13 +12,13 @@ from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE, RESPONSE, VALV
 CYCLE = "cycle"
 SECONDS = "header.stamp.sec"
 NANOSECONDS = "header.stamp.nanosec"
-RECEIVED = "received_ns"
+SENT = "sent_ns"
 
 UNIX_TIME_NS = 10**18
 """Stamps from here on are a wall clock's. As a float, seconds since 1970 would resolve 0.2 µs only."""
 
 MessageColumns = Mapping[str, NDArray[Any]]
-"""The messages of one topic in order of arrival: their fields and their receive times :data:`RECEIVED` [ns]."""
+"""The messages of one topic in order of arrival: their fields and their times of sending :data:`SENT` [ns]."""
 
 
 def align(topics: Mapping[str, MessageColumns], where: str) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
@@ -54,7 +54,7 @@ def align(topics: Mapping[str, MessageColumns], where: str) -> tuple[NDArray[np.
             if field in columns:
                 signals[signal] = _scatter(columns[field][source], target, len(cycles))
         if topic is VALVE_COMMAND:
-            response_ns = columns[RECEIVED][source] - loader[RECEIVED][first][target]
+            response_ns = columns[SENT][source] - loader[SENT][first][target]
             signals[RESPONSE] = _scatter(response_ns / 1e9, target, len(cycles))
     return time_s, signals
 
@@ -70,7 +70,7 @@ def _check_duplicates(loader: MessageColumns, original: NDArray[np.intp], where:
     repeated = np.flatnonzero(original != np.arange(len(original)))
     for field, values in loader.items():
         same = np.array_equal(values[repeated], values[original[repeated]], equal_nan=True)
-        if field != RECEIVED and not same:
+        if field != SENT and not same:
             cycle = loader[CYCLE][repeated[0]]
             raise BadInput(f"cycle {cycle} has two snapshots that differ", where, "the snapshots of one run")
 

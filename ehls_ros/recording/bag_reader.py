@@ -40,7 +40,8 @@ def read_bag(path: Path) -> Trajectory:
         BadInput: the bag is missing, cut, damaged, never closed, without ``loader_state`` or of several runs.
     """
     where = str(path)
-    custom_data = [custom_data_in(file) for file in _storage_files(path)]
+    with _damage_reported(where):
+        custom_data = [custom_data_in(file) for file in _storage_files(path)]
     with closing(_open(path)) as reader:
         entries = reader.storage.metadata.custom
         provenance = _provenance([*custom_data, entries if isinstance(entries, dict) else {}], where)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, RECEIVED, SECONDS, MessageColumns
+from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SENT, SECONDS, MessageColumns
 from ehls_ros.recording.cdr import CdrError, Field, decode, flatten
 from ehls_ros.recording.provenance import Seal, message_checksum
 from ehls_ros.recording.reason import reason
@@ -51,7 +51,7 @@ class BagTopic:
         """Take the next message.
 
         Args:
-            stamp_ns: receive time [ns].
+            stamp_ns: time of sending [ns].
             message: the message as CDR.
 
         Raises:
@@ -78,7 +78,7 @@ class BagTopic:
     def _decode(self) -> None:
         try:
             block = decode(self._messages, self._fields, self._wanted)
-            block[RECEIVED] = np.array(self._stamps_ns, np.int64)
+            block[SENT] = np.array(self._stamps_ns, np.int64)
             self._checksum += sum(map(message_checksum, self._stamps_ns, self._messages))
         except (TypeError, ValueError, OverflowError) as error:
             # CdrError, or SQLite holds text or nothing where a number or bytes should be

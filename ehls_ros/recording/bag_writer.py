@@ -90,7 +90,7 @@ class BagWriter:
 
         Args:
             topic: name of the topic in :data:`~ehls_ros.recording.topics.TOPICS`.
-            stamp_ns: receive time, not negative [ns].
+            stamp_ns: when it was sent, not negative [ns].
             serialized: the message as CDR.
 
         Raises:
@@ -163,9 +163,9 @@ def write_trajectory(path: Path, trajectory: Trajectory, storage: Storage = "mca
         OSError: the disk is full or fails.
     """
     streams = streams_of(trajectory, str(path))
-    received_ns = np.concatenate([stream.received_ns for stream in streams])
+    sent_ns = np.concatenate([stream.sent_ns for stream in streams])
     messages = [(stream.topic.name, message) for stream in streams for message in stream.messages]
-    order = np.argsort(received_ns, kind="stable")
+    order = np.argsort(sent_ns, kind="stable")
     writer = BagWriter.create(
         path,
         storage,
@@ -174,7 +174,7 @@ def write_trajectory(path: Path, trajectory: Trajectory, storage: Storage = "mca
         signals=[name for name in SIGNALS if name in trajectory],
     )
     try:
-        for stamp_ns, index in zip(received_ns[order].tolist(), order.tolist(), strict=True):
+        for stamp_ns, index in zip(sent_ns[order].tolist(), order.tolist(), strict=True):
             name, message = messages[index]
             writer.write(name, stamp_ns, message)
         writer.close()

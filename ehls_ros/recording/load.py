@@ -33,11 +33,18 @@ def load(path: Path, columns: Columns | None = None) -> Trajectory:
         BadInput: there are no data in any of these formats.
     """
     suffix = path.suffix.lower()
-    if suffix in TABLES and not path.is_dir():
+    if suffix in TABLES:
         return TABLES[suffix](path, columns or {})
     if columns:
         raise BadInput("a map of columns is given for a bag", str(path), "a .csv, .mat or .parquet file with it")
-    if path.exists() and not path.is_dir() and suffix not in STORAGE_SUFFIXES:
+    if suffix not in STORAGE_SUFFIXES and _is_file(path):
         expected = f"the folder of a rosbag2 or a file {', '.join((*STORAGE_SUFFIXES, *TABLES))}"
         raise BadInput("its format is unknown", str(path), expected)
     return read_bag(path)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:
+        return False  # reading it says why

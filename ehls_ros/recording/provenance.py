@@ -74,10 +74,10 @@ def provenance_in(custom_data: Mapping[str, str], where: str) -> Provenance | No
 
 
 def message_checksum(stamp_ns: int, serialized: bytes) -> int:
-    """Return the checksum of one message together with its receive time.
+    """Return the checksum of one message together with its time of sending.
 
     Args:
-        stamp_ns: receive time [ns].
+        stamp_ns: time of sending [ns].
         serialized: the message as CDR.
     """
     return crc32(serialized, stamp_ns & 0xFFFFFFFF)

@@ -102,4 +102,4 @@ TELEMETRY_TOPICS = (
 TOPICS = (*CYCLE_TOPICS, *TELEMETRY_TOPICS)
 
 RESPONSE = "response_s"
-"""The one signal that is no message field: receive time of a cycle's valve command minus that of its snapshot."""
+"""The one signal that is no message field: when a cycle's valve command was sent minus when its snapshot was."""

@@ -21,12 +21,12 @@ class Stream(NamedTuple):
 
     Attributes:
         topic: the topic.
-        received_ns: receive times, shape (n,) [ns].
+        sent_ns: times of sending, shape (n,) [ns].
         messages: the n messages as CDR.
     """
 
     topic: Topic
-    received_ns: NDArray[np.int64]
+    sent_ns: NDArray[np.int64]
     messages: list[bytes]
 
 
@@ -78,10 +78,10 @@ def _stream(topic: Topic, trajectory: Trajectory, stamps_ns: NDArray[np.int64], 
             values[field.name] = np.zeros((len(rows), 0))
         elif field.name in topic.signals:
             values[field.name] = np.full(len(rows), 0.0 if field.kind == "bool" else np.nan)
-    received_ns = stamps_ns[rows]
+    sent_ns = stamps_ns[rows]
     if topic is VALVE_COMMAND and RESPONSE in trajectory:
-        received_ns = received_ns + _response_ns(trajectory[RESPONSE][rows], rows, where)
-    return Stream(topic, received_ns, encode(fields, values))
+        sent_ns = sent_ns + _response_ns(trajectory[RESPONSE][rows], rows, where)
+    return Stream(topic, sent_ns, encode(fields, values))
 
 
 def _present(topic: Topic, signals: list[NDArray[np.float64]], samples: int) -> NDArray[np.bool_]:

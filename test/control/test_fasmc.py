@@ -318,7 +318,7 @@ def test_a_load_beyond_the_supply_pressure_lets_go_again(rig):
     simulator.y[PL], simulator.y[XV] = -7.1e6, -0.01
     simulator.y[X] = -0.45
     error = []
-    for k in range(3000):
+    for _k in range(3000):
         y = simulator.y
         measured = np.array([y[X], y[V], y[PL], y[XV], rig.plant.piston_area * y[PL], 7e6, 313.0])
         friction = np.array([y[XV + 1 : XV + 4].sum(), rig.friction.viscous_coefficient * y[V]])

@@ -15,8 +15,9 @@ def velocities(seed: int, cycles: int = 4000) -> np.ndarray:
     """A motion through rest, presliding and fast slip."""
     random = np.random.default_rng(seed)
     t = np.arange(cycles) * PERIOD
-    waves = [a * np.sin(2.0 * np.pi * f * t + p) for a, f, p in zip((0.15, 0.02, 2e-3), random.uniform(0.3, 9.0, 3), random.uniform(0, 6, 3), strict=True)]
-    return np.sum(waves, axis=0) * np.where(t % 1.0 < 0.2, 0.0, 1.0)
+    frequencies, phases = random.uniform(0.3, 9.0, 3), random.uniform(0.0, 6.0, 3)
+    waves = np.sin(2.0 * np.pi * np.outer(frequencies, t) + phases[:, np.newaxis])
+    return np.array([0.15, 0.02, 2e-3]) @ waves * np.where(t % 1.0 < 0.2, 0.0, 1.0)
 
 
 def estimates(rig, name: str, velocity: np.ndarray) -> np.ndarray:

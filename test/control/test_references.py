@@ -1,6 +1,7 @@
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,7 +32,7 @@ def triangle_corners(p: Any) -> list[float]:
 class Case(NamedTuple):
     """Parameters to test a member with, where its second derivative jumps, and where only its third does."""
 
-    values: dict[str, Any] = {}
+    values: Mapping[str, Any] = MappingProxyType({})
     corners: Callable[[Any], list[float]] = no_corners
     joints: tuple[float, ...] = ()
 
@@ -136,7 +137,7 @@ def test_triangle_keeps_the_flanks_of_the_sharp_one_and_rounds_its_peak():
     t = np.linspace(0.0, 4.0, 40001)
     rows = sample("triangle", t, amplitude=amplitude, frequency=frequency, corner=corner)
     sharp = amplitude * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * frequency * t))
-    from_corner = np.abs((t + 0.5) % 1.0 - 0.0)
+    from_corner = (t + 0.5) % 1.0
     from_corner = np.minimum(from_corner, 1.0 - from_corner)
     flank = from_corner > 0.5 * corner / frequency + 1e-9
     assert np.allclose(rows[flank, 0], sharp[flank], rtol=0.0, atol=1e-7)
@@ -219,9 +220,7 @@ SECTION = "spec.yaml: reference"
 
 
 def spec_with(rig: dict[str, Any], reference: Any) -> None:
-    spec_from_mapping(
-        {"rig": rig, "reference": reference, "controller": {"name": "fasmc"}}, "spec.yaml", Path("nowhere")
-    )
+    spec_from_mapping({"rig": rig, "reference": reference, "controller": {"name": "fasmc"}}, "spec.yaml", Path("nowhere"))
 
 
 def wrong_values() -> list[Any]:

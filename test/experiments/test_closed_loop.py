@@ -152,9 +152,9 @@ def test_position_servo_moves_as_told_and_the_force_is_held(make_spec, amplitude
 
 
 def test_position_servo_feels_the_loader(make_spec):
-    signal = {"name": "sine", "amplitude": 0.05, "frequency": 1.0}
+    servo = {"name": "position_servo", "signal": {"name": "sine", "amplitude": 0.05, "frequency": 1.0}}
     runs = [
-        run_in_process(make_spec(reference={"name": "constant", "value": value}, disturbance={"name": "position_servo", "signal": signal}, duration=2.0))
+        run_in_process(make_spec(reference={"name": "constant", "value": value}, disturbance=servo, duration=2.0))
         for value in (0.0, 1e4)
     ]
     apart = runs[1]["disturbance_displacement_m"] - runs[0]["disturbance_displacement_m"]

@@ -11,7 +11,7 @@ from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.spec import load_spec
 
 FILES = sorted((Path(__file__).parents[2] / "config" / "experiments").glob("*.yaml"))
-# Largest force error of the steady part [N]: the paper's where it has one (SIC: 223 N there), None where no force is controlled.
+# Largest force error of the steady part [N]: the paper's where it has one (but SIC: 223 N there).
 LARGEST = {
     "constant_fd1": 4.9,
     "constant_fd2": 42.1,

@@ -1,6 +1,9 @@
 """Runs to record, and bags as somebody else would have recorded them."""
 
-from collections.abc import Iterable, Mapping
+import os
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -42,6 +45,21 @@ def storage_file(bag: Path) -> Path:
     """Return the one storage file in a bag's folder."""
     (file,) = (file for file in bag.iterdir() if file.suffix in {".mcap", ".db3"})
     return file
+
+
+@contextmanager
+def folder_for_nobody(mode: int) -> Iterator[Path]:
+    """Yield an empty folder whose mode binds this process, also when it runs as root."""
+    folder = Path(tempfile.mkdtemp())
+    folder.chmod(mode)
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(65534)
+    try:
+        yield folder
+    finally:
+        os.seteuid(user)
+        folder.rmdir()
 
 
 class Message(NamedTuple):

@@ -97,6 +97,14 @@ def test_the_metadata_of_another_bag_are_found(tmp_path: Path):
     assert "its metadata are those of another bag" in refuses(tmp_path / "bag")
 
 
+def test_a_topic_that_got_lost_is_found(tmp_path: Path):
+    write_trajectory(tmp_path / "bag", TRAJECTORY)
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    text = metadata.read_text(encoding="utf-8").replace("name: /ehls/disturbance", "name: /ehls/disturbanxe")
+    metadata.write_text(text, encoding="utf-8")
+    assert "topic /ehls/disturbance was not recorded with the others" in refuses(tmp_path / "bag")
+
+
 def test_messages_shorter_than_their_type_are_refused(tmp_path: Path):
     bag = record(tmp_path / "theirs", [loader_state(0), loader_state(1)], "sqlite3")
     file = storage_file(bag)

@@ -1,15 +1,22 @@
 import errno
 import json
-import os
 import resource
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import yaml
-from recorded_runs import METADATA, Message, loader_state, make_trajectory, serialized, storage_file, valve_command
+from recorded_runs import (
+    METADATA,
+    Message,
+    folder_for_nobody,
+    loader_state,
+    make_trajectory,
+    serialized,
+    storage_file,
+    valve_command,
+)
 from rosbags.rosbag2 import Reader
 
 from ehls_ros.errors import BadInput
@@ -38,14 +45,8 @@ def no_file_larger_than(size: int) -> Iterator[None]:
 @pytest.fixture
 def write_protected() -> Iterator[Path]:
     """Yield a folder in which this process may not write, also when it runs as root."""
-    folder = Path(tempfile.mkdtemp())
-    folder.chmod(0o555)
-    user = os.geteuid()
-    if user == 0:
-        os.seteuid(65534)
-    yield folder
-    os.seteuid(user)
-    folder.rmdir()
+    with folder_for_nobody(0o555) as folder:
+        yield folder
 
 
 @pytest.mark.parametrize("storage", STORAGES)

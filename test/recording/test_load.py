@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded_runs import make_trajectory, storage_file
+from recorded_runs import folder_for_nobody, make_trajectory, storage_file
 from scipy.io import savemat
 
 from ehls_ros.errors import BadInput
@@ -143,6 +143,12 @@ def test_without_pyarrow_parquet_says_what_to_do(tmp_path: Path, monkeypatch: py
 def test_a_path_that_is_not_there_is_bad_input(tmp_path: Path, name: str):
     with pytest.raises(BadInput, match=r"does not exist|No such file"):
         load(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["", "bag", "run.mcap", "data.csv", "data.mat"])
+def test_a_path_that_may_not_be_read_is_bad_input(name: str):
+    with folder_for_nobody(0o000) as folder, pytest.raises(BadInput, match="Permission denied"):
+        load(folder / name)
 
 
 def test_a_folder_that_is_no_bag_is_bad_input(tmp_path: Path):

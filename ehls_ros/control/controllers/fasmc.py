@@ -38,18 +38,34 @@ LEAST_DROP = 0.01
 class Parameters(NamedTuple):
     """Tuning of the law; k, g, h, b, xi and delta_f are the paper's."""
 
-    k: Annotated[float, quantity("MPa/s", "slope of the sliding surface: speed of a large error is k/2", minimum=0.1, maximum=1e3)] = 12.0
+    k: Annotated[
+        float, quantity("MPa/s", "slope of the sliding surface: speed of a large error is k/2", minimum=0.1, maximum=1e3)
+    ] = 12.0
     g: Annotated[float, quantity("1/MPa", "steepness of the sliding surface near zero error", minimum=0.1, maximum=1e4)] = 60.0
     h: Annotated[float, quantity("t/s", "gain of the robust term", minimum=0.0, maximum=1e4)] = 25.0
-    b: Annotated[float, quantity("t MPa/s^2", "half width of the robust term: |s| ends within b/h", minimum=1e-3, maximum=1e6)] = 107.5
+    b: Annotated[
+        float, quantity("t MPa/s^2", "half width of the robust term: |s| ends within b/h", minimum=1e-3, maximum=1e6)
+    ] = 107.5
     xi: Annotated[float, quantity("1", "weight of the error's rate in the sliding variable", minimum=1e-3, maximum=1e3)] = 1.0
     delta_f: Annotated[float, quantity("N", "bound of the disturbance force", minimum=0.0, maximum=1e6)] = 5500.0
-    phi1: Annotated[float, quantity("mm^2/(N^2 t)", "adaptation rate of alpha, the scale of the identified friction", minimum=0.0, maximum=1e6)] = 0.1
-    phi2: Annotated[float, quantity("mm^2/(N^2 t)", "adaptation rate of beta, the scale of the viscous friction", minimum=0.0, maximum=1e6)] = 1e-4
-    phi3: Annotated[float, quantity("mm^2/t", "adaptation rate of D, what the friction model leaves over", minimum=0.0, maximum=1e9)] = 2e6
+    phi1: Annotated[
+        float,
+        quantity("mm^2/(N^2 t)", "adaptation rate of alpha, the scale of the identified friction", minimum=0.0, maximum=1e6),
+    ] = 0.01
+    phi2: Annotated[
+        float, quantity("mm^2/(N^2 t)", "adaptation rate of beta, the scale of the viscous friction", minimum=0.0, maximum=1e6)
+    ] = 1e-5
+    phi3: Annotated[
+        float, quantity("mm^2/t", "adaptation rate of D, what the friction model leaves over", minimum=0.0, maximum=1e9)
+    ] = 2e6
+    forgetting: Annotated[
+        float, quantity("1/s", "rate at which alpha and beta return to 1 where nothing moves them", minimum=0.0, maximum=1e3)
+    ] = 0.1
     scale_minimum: Annotated[float, quantity("1", "alpha and beta stay at or above this", above=0.0, maximum=1.0)] = 0.2
     scale_maximum: Annotated[float, quantity("1", "alpha and beta stay at or below this", minimum=1.0, maximum=100.0)] = 5.0
-    delta_maximum: Annotated[float, quantity("N", "D stays within plus and minus this, more than the largest load", minimum=0.0, maximum=1e6)] = 5e4
+    delta_maximum: Annotated[
+        float, quantity("N", "D stays within plus and minus this, more than the largest load", minimum=0.0, maximum=1e6)
+    ] = 5e4
 
 
 ALPHA, BETA, DELTA = 0, 1, 2
@@ -122,17 +138,19 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     follow = p.xi * e1 * (p.phi1 * elements * elements + p.phi2 * viscous * viscous + p.phi3)
     s_next = s / (1.0 + rate * period + p.xi * e1 / m0 * follow * period * period)
     change = period * p.xi * e1 * s_next
-    alpha = min(max(memory[ALPHA] + p.phi1 * elements * change, p.scale_minimum), p.scale_maximum)  # (36)
-    beta = min(max(memory[BETA] + p.phi2 * viscous * change, p.scale_minimum), p.scale_maximum)  # (37)
+    # (36), (37) alone let alpha and beta drift for ever by the little that sampling leaves over: sigma-modification.
+    forget = p.forgetting * period
+    alpha = (memory[ALPHA] + p.phi1 * elements * change + forget) / (1.0 + forget)  # (36)
+    beta = (memory[BETA] + p.phi2 * viscous * change + forget) / (1.0 + forget)  # (37)
+    alpha = min(max(alpha, p.scale_minimum), p.scale_maximum)
+    beta = min(max(beta, p.scale_minimum), p.scale_maximum)
     delta = saturate(memory[DELTA] + p.phi3 * change, p.delta_maximum)  # (38)
     # Where a limit has cut the adaptation, less of s is foreseen to go by it and u3 has to take the rest.
     adapted = (alpha - memory[ALPHA]) * elements + (beta - memory[BETA]) * viscous + (delta - memory[DELTA])
     s_next = (s - period * p.xi * e1 / m0 * adapted) / (1.0 + rate * period)
 
     psi = (
-        m0
-        * p.xi
-        * (-e1 * g1 - e2 * x3_rate + g3_slope * x3_rate * x4 - e4 * g3 * x4 - x3d_acceleration)
+        m0 * p.xi * (-e1 * g1 - e2 * x3_rate + g3_slope * x3_rate * x4 - e4 * g3 * x4 - x3d_acceleration)
         + m0 * surface_slope * error_rate
     )
     u1 = -p.xi * e1 * (alpha * elements + beta * viscous + delta)  # (35)

@@ -23,8 +23,12 @@ LEAST_DROP = 0.01
 class Parameters(NamedTuple):
     """The motion and the loop's gains."""
 
-    velocity: Annotated[float, quantity("m/s", "velocity to move at; its sign is the first direction", minimum=-1.0, maximum=1.0)] = 0.02
-    travel: Annotated[float, quantity("m", "way from one end to the other, centred on the start", above=0.0, maximum=10.0)] = 0.2
+    velocity: Annotated[
+        float, quantity("m/s", "velocity to move at; its sign is the first direction", minimum=-1.0, maximum=1.0)
+    ] = 0.02
+    travel: Annotated[float, quantity("m", "way from one end to the other, centred on the start", above=0.0, maximum=10.0)] = (
+        0.2
+    )
     proportional: Annotated[float, quantity("1/s", "velocity asked for per position error", minimum=0.0, maximum=1e3)] = 20.0
     integral: Annotated[float, quantity("1/s^2", "rate of that for a lasting error", minimum=0.0, maximum=1e4)] = 50.0
     derivative: Annotated[float, quantity("1", "part of the velocity error that is added", minimum=0.0, maximum=10.0)] = 0.2

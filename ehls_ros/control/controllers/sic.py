@@ -25,9 +25,15 @@ LEAST_DROP = 0.01
 class Parameters(NamedTuple):
     """Tuning of the compensation and of the loop."""
 
-    proportional: Annotated[float, quantity("1/s", "rate at which the loop takes the pressure error out", minimum=0.0, maximum=1e3)] = 80.0
-    integral: Annotated[float, quantity("1/s^2", "rate at which the remaining error is taken out", minimum=0.0, maximum=1e4)] = 200.0
-    compensation: Annotated[float, quantity("1", "part of the motion's flow that is fed forward", minimum=0.0, maximum=1.5)] = 1.0
+    proportional: Annotated[
+        float, quantity("1/s", "rate at which the loop takes the pressure error out", minimum=0.0, maximum=1e3)
+    ] = 80.0
+    integral: Annotated[
+        float, quantity("1/s^2", "rate at which the remaining error is taken out", minimum=0.0, maximum=1e4)
+    ] = 200.0
+    compensation: Annotated[float, quantity("1", "part of the motion's flow that is fed forward", minimum=0.0, maximum=1.5)] = (
+        1.0
+    )
 
 
 INTEGRAL, LAST_VELOCITY, STARTED = 0, 1, 2
@@ -44,7 +50,9 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     plant, period = model.plant, model.period
     supply, pressure, spool = m[sensors.SUPPLY_PRESSURE], m[sensors.LOAD_PRESSURE], m[sensors.SPOOL]
     side = 1.0 if spool >= 0.0 else -1.0
-    root = math.sqrt(max(supply - side * pressure, LEAST_DROP * plant.supply_pressure) / plant.oil_density)
+    drop = supply - side * pressure
+    least_drop = LEAST_DROP * plant.supply_pressure
+    root = math.sqrt(max(drop, least_drop) / plant.oil_density)
     flow_gain = plant.discharge_coefficient * plant.valve_area_gradient * root * plant.valve_gain
     compliance = plant.total_volume / (4.0 * plant.bulk_modulus)
 
@@ -62,8 +70,8 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     wanted_rate = r[1] / plant.piston_area - p.proportional * error - p.integral * integral
     wanted = (p.compensation * motion + plant.leakage_coefficient * pressure + compliance * wanted_rate) / flow_gain
     command = saturate(wanted, model.spool_limit)
-    # At the limit, the integral moves only away from it.
-    if wanted == command or wanted * error > 0.0:
+    # At the limit of the spool or of the supply, the integral moves only away from it.
+    if (wanted == command and drop > least_drop) or wanted * error > 0.0:
         memory[INTEGRAL] = integral
 
     status[:] = 0.0

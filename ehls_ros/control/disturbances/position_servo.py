@@ -25,7 +25,9 @@ REACTS = True
 class Parameters(NamedTuple):
     """The servo and the beam between it and the loader; valve and cylinder are of the loader's type."""
 
-    stiffness: Annotated[float, quantity("N/m", "stiffness of beam and hinges between the pistons", above=0.0, maximum=1e8)] = 2e6
+    stiffness: Annotated[float, quantity("N/m", "stiffness of beam and hinges between the pistons", above=0.0, maximum=1e8)] = (
+        2e6
+    )
     damping: Annotated[float, quantity("N s/m", "damping of beam and hinges", minimum=0.0, maximum=1e5)] = 2e3
     moving_mass: Annotated[float, quantity("kg", "mass the servo moves by itself", above=0.0, maximum=1e5)] = 70.0
     supply_pressure: Annotated[float, quantity("Pa", "supply pressure of the servo", above=0.0, maximum=1e8)] = 2.1e7

@@ -1,7 +1,7 @@
-"""LuGre friction: one bristle of stiffness Σ k_i whose force is the state."""
+"""LuGre friction: one bristle of stiffness Σ k_i whose force is the state; its mode is the direction of motion."""
 
-import numpy as np
 from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.friction.base import sign
 from ehls_ros.physics.parameters import Friction
 
 EQUATION = "dF/dt = σ0 (v - |v| F/s(v)), σ0 = Σ k_i; Ff = F + σf v"
@@ -19,7 +19,8 @@ def rates(v: float, s: float, F: Array, mode: Array, p: Friction, rate: Array) -
     stiffness = 0.0
     for i in range(len(p.element_stiffness)):
         stiffness += p.element_stiffness[i]
-    rate[0] = stiffness * (v - abs(v) * F[0] / s)
+    # mode v is |v|, and unlike it smooth where a step is tried beyond a reversal.
+    rate[0] = stiffness * (v - mode[0] * v * F[0] / s)
 
 
 @kernel
@@ -30,11 +31,13 @@ def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction
 
 @kernel
 def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
-    """Nothing switches."""
-    return -np.inf
+    """Reversal, or the first motion."""
+    return abs(v) if mode[0] == 0.0 else -mode[0] * v
 
 
 @kernel
 def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
-    """Nothing switches."""
+    """Note the direction of motion."""
+    if mode[0] * v <= 0.0:
+        mode[0] = sign(v)
     return v

@@ -1,0 +1,295 @@
+"""Whatever a user can get wrong in a spec, a rig file or a reference file ends in one line: what, where, what was expected."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.disturbances import DISTURBANCES
+from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.references import REFERENCES
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.spec import load_rig, load_spec, spec_from_mapping, spec_to_mapping
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.rig import SENSED, rig_from_mapping, rig_to_mapping
+
+REMOVED = object()
+
+
+def changed(mapping: dict[str, Any], keys: tuple[str, ...], value: Any) -> dict[str, Any]:
+    """Return a copy with one nested key set or removed."""
+    copy = dict(mapping)
+    if len(keys) > 1:
+        copy[keys[0]] = changed(dict(copy.get(keys[0]) or {}), keys[1:], value)
+    elif value is REMOVED:
+        copy.pop(keys[0])
+    else:
+        copy[keys[0]] = value
+    return copy
+
+
+def refusal(make: Any, *arguments: Any) -> BadInput:
+    with pytest.raises(BadInput) as caught:
+        make(*arguments)
+    line = str(caught.value)
+    assert "\n" not in line
+    assert line == f"{caught.value.where}: {caught.value.what}; expected {caught.value.expected}"
+    assert "function" not in line
+    assert "object at" not in line
+    return caught.value
+
+
+RIG_ERRORS = [
+    (("plant", "moving_mass"), REMOVED, "rig.yaml: plant", "'moving_mass' is missing", "kg"),
+    (("plant", "moving_mass"), -70.0, "rig.yaml: plant", "moving_mass is -70.0", "greater than 0"),
+    (("plant", "moving_mass"), 0, "rig.yaml: plant", "moving_mass is 0", "greater than 0"),
+    (("plant", "bulk_modulus"), math.nan, "rig.yaml: plant", "bulk_modulus is nan", "finite"),
+    (("plant", "bulk_modulus"), math.inf, "rig.yaml: plant", "bulk_modulus is inf", "finite"),
+    (("plant", "bulk_modulus"), "stiff", "rig.yaml: plant", "bulk_modulus is 'stiff'", "number"),
+    (("plant", "bulk_modulus"), None, "rig.yaml: plant", "bulk_modulus is None", "number"),
+    (("plant", "bulk_modulus"), [6.9e8], "rig.yaml: plant", "bulk_modulus is [690000000.0]", "number"),
+    (("plant", "moving_maas"), 70.0, "rig.yaml: plant", "'moving_maas' is unknown", "moving_mass"),
+    (("plant",), REMOVED, "rig.yaml", "'plant' is 'missing'", "mapping"),
+    (("plant",), [1, 2], "rig.yaml", "[1, 2]", "mapping"),
+    (("friction",), REMOVED, "rig.yaml", "'friction'", "mapping"),
+    (("limits",), REMOVED, "rig.yaml", "'limits'", "mapping"),
+    (("pump",), {}, "rig.yaml", "'pump' is unknown", "plant"),
+    (("friction", "model"), "coulomb", "rig.yaml: friction: model", "'coulomb'", "gms"),
+    (("friction", "coulomb_force"), 900.0, "rig.yaml: friction", "coulomb_force is 900", "865.4"),
+    (("friction", "element_weight"), [0.5, 0.5], "rig.yaml: friction", "2 element_weight", "equally many"),
+    (("friction", "element_weight"), [0.5, 0.5, 0.5], "rig.yaml: friction", "1.5", "sum of 1"),
+    (("friction", "element_weight"), [1.5, -0.25, -0.25], "rig.yaml: friction", "-0.25", "above 0"),
+    (("friction", "element_stiffness"), "stiff", "rig.yaml: friction", "'stiff'", "tuple"),
+    (("friction", "element_stiffness"), [], "rig.yaml: friction", "0 element_stiffness", "at least one"),
+    (("friction", "element_stiffness"), [math.nan, 1.0, 1.0], "rig.yaml: friction", "nan", ""),
+    (("limits", "position"), [0.3, -0.3], "rig.yaml: limits", "[0.3, -0.3]", "min < max"),
+    (("limits", "position"), [0.3], "rig.yaml: limits", "position", ""),
+    (("limits", "spool"), 0.0, "rig.yaml: limits", "spool is 0.0", "greater than 0"),
+    (("effects",), {"name": "valve_dead_zone"}, "rig.yaml: effects", "{'name'", "a list"),
+    (("effects",), ["valve_dead_zone"], "rig.yaml: effects[0]", "'valve_dead_zone'", "a mapping"),
+    (("effects",), [{"name": "gremlin"}], "rig.yaml: effects[0]", "'gremlin' is unknown", "valve_dead_zone"),
+    (("effects",), [{"name": "valve_dead_zone", "depth": 1.0}], "rig.yaml: effects[0]: valve_dead_zone", "'depth'", "one of"),
+    (("sensors",), [1], "rig.yaml: sensors", "[1]", "a mapping"),
+    (("sensors",), {"speed": {}}, "rig.yaml: sensors", "'speed' is unknown", "velocity"),
+    (("sensors",), {"velocity": {"noise_std": -1.0}}, "rig.yaml: sensors: velocity", "noise_std is -1.0", "0"),
+    (("sensors",), {"velocity": {"nose": 1.0}}, "rig.yaml: sensors: velocity", "'nose' is unknown", "noise_std"),
+]
+
+
+@pytest.mark.parametrize(("keys", "value", "where", "what", "expected"), RIG_ERRORS)
+def test_a_wrong_rig_is_refused(rig_mapping, keys, value, where, what, expected):
+    error = refusal(rig_from_mapping, changed(rig_mapping, keys, value), "rig.yaml")
+    assert error.where == where
+    assert what in error.what
+    assert expected in error.expected
+
+
+SPEC_ERRORS = [
+    (("rig",), REMOVED, "spec.yaml", "'rig' is missing", "rig file"),
+    (("rig",), 7, "spec.yaml: rig", "int", "mapping"),
+    (("rig",), "absent.yaml", "absent.yaml", "cannot be read", "YAML file"),
+    (("rig", "plant", "moving_mass"), -1.0, "spec.yaml: rig: plant", "moving_mass is -1.0", "greater than 0"),
+    (("reference",), REMOVED, "spec.yaml: reference", "None", "sine"),
+    (("controller",), REMOVED, "spec.yaml: controller", "None", "fasmc"),
+    (("controller", "name"), "lqr", "spec.yaml: controller", "'lqr' is unknown", "fasmc"),
+    (("controller", "k"), "large", "spec.yaml: controller: fasmc", "k is 'large'", "number"),
+    (("controller", "k"), -1.0, "spec.yaml: controller: fasmc", "k is -1.0", "0.1"),
+    (("controller", "kk"), 1.0, "spec.yaml: controller: fasmc", "'kk' is unknown", "delta_f"),
+    (("disturbance",), "force", "spec.yaml: disturbance", "'force'", "position_servo"),
+    (("disturbance",), {"name": "earthquake"}, "spec.yaml: disturbance", "'earthquake'", "force"),
+    (("disturbance",), {"name": "force"}, "spec.yaml: disturbance: signal", "None", "sine"),
+    (("disturbance",), {"name": "force", "signal": {"name": "noise"}}, "spec.yaml: disturbance: signal", "'noise'", "sine"),
+    (
+        ("disturbance",),
+        {"name": "position_servo", "stiffness": 0.0, "signal": {"name": "sine"}},
+        "spec.yaml: disturbance: position_servo",
+        "stiffness is 0.0",
+        "greater than 0",
+    ),
+    (("duration",), 0.0, "spec.yaml", "duration is 0.0", "greater than 0"),
+    (("duration",), math.nan, "spec.yaml", "duration is nan", "finite"),
+    (("duration",), "long", "spec.yaml", "duration is 'long'", "number"),
+    (("control_period",), 1.0, "spec.yaml", "control_period is 1.0", "0.1"),
+    (("seed",), 1.5, "spec.yaml", "seed is 1.5", "integer"),
+    (("seed",), -1, "spec.yaml", "seed is -1", "0"),
+    (("title",), 5, "spec.yaml", "title is 5", "string"),
+    (("compensation",), "lugre", "spec.yaml: compensation", "'lugre' is unknown", "gms"),
+    (("durration",), 1.0, "spec.yaml", "'durration' is unknown", "duration"),
+    ((7,), 1.0, "spec.yaml", "7 is unknown", "duration"),
+    (("effects",), [{"name": "gremlin"}], "spec.yaml: effects[0]", "'gremlin'", "valve_dead_zone"),
+]
+
+
+@pytest.mark.parametrize(("keys", "value", "where", "what", "expected"), SPEC_ERRORS)
+def test_a_wrong_spec_is_refused(rig_mapping, keys, value, where, what, expected):
+    plain = {"rig": rig_mapping, "reference": {"name": "sine"}, "controller": {"name": "fasmc"}}
+    error = refusal(spec_from_mapping, changed(plain, keys, value), "spec.yaml", Path())
+    assert error.where == where
+    assert what in error.what
+    assert expected in error.expected
+
+
+@pytest.mark.parametrize("content", [None, 3, "text", [], True])
+@pytest.mark.parametrize("load", [load_rig, load_spec])
+def test_a_file_that_holds_something_else_is_refused(tmp_path, content, load):
+    path = tmp_path / "file.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    error = refusal(load, path)
+    assert error.where.startswith(str(path))
+    assert type(content).__name__ in error.what
+    assert "mapping" in error.expected
+
+
+@pytest.mark.parametrize("load", [load_rig, load_spec])
+def test_a_file_that_cannot_be_read_is_refused(tmp_path, load):
+    assert "No such file" in refusal(load, tmp_path / "absent.yaml").what
+    assert "directory" in refusal(load, tmp_path).what
+    (tmp_path / "empty.yaml").touch()
+    assert "mapping" in refusal(load, tmp_path / "empty.yaml").expected
+    (tmp_path / "binary.yaml").write_bytes(bytes(range(256)))
+    assert refusal(load, tmp_path / "binary.yaml").where.startswith(str(tmp_path / "binary.yaml"))
+    (tmp_path / "control.yaml").write_bytes(b"rig: a\x00b\n")
+    assert "YAML" in refusal(load, tmp_path / "control.yaml").expected
+    (tmp_path / "object.yaml").write_text("rig: !!python/object/apply:os.getcwd []\n", encoding="utf-8")
+    assert "YAML" in refusal(load, tmp_path / "object.yaml").expected
+
+
+@pytest.mark.parametrize(
+    ("text", "line"), [("plant: {a: 1\nfriction: 2\n", 2), ("a: 1\n\tb: 2\n", 2), ("a: 1\nb: c: d\n", 2), ("*unknown\n", 1)]
+)
+@pytest.mark.parametrize("load", [load_rig, load_spec])
+def test_broken_yaml_is_refused_with_its_line(tmp_path, text, line, load):
+    path = tmp_path / "broken.yaml"
+    path.write_text(text, encoding="utf-8")
+    assert refusal(load, path).where == f"{path}:{line}"
+
+
+SPECTRUM_ERRORS = [
+    ("time_s,value\n0,1\n1,nan\n", ":3", "nan", "finite"),
+    ("time_s,value\n0,1\ninf,1\n", ":3", "inf", "finite"),
+    ("time_s,value\n0,1\n2,1\n1,1\n", ":4", "1.0 after 2.0", "increasing"),
+    ("time_s,value\n0,1\n0,2\n", ":3", "0.0 after 0.0", "increasing"),
+    ("time_s,force\n0,1\n1,2\n", ":2", "force", "value"),
+    ("t,value\n0,1\n1,2\n", ":2", "'t'", "time_s"),
+    ("time_s,value\n0,1\n1\n", ":3", "None", "numbers"),
+    ("time_s,value\n0,one\n1,2\n", ":2", "one", "numbers"),
+    ("time_s,value\n0,1\n", "", "1 rows", "two rows"),
+    ("time_s,value\n", "", "0 rows", "two rows"),
+    ("", "", "0 rows", "time_s"),
+]
+
+
+@pytest.mark.parametrize(("text", "line", "what", "expected"), SPECTRUM_ERRORS)
+def test_a_wrong_load_spectrum_is_refused(tmp_path, rig_mapping, text, line, what, expected):
+    path = tmp_path / "load.csv"
+    path.write_text(text, encoding="utf-8")
+    plain = {"rig": rig_mapping, "controller": {"name": "fasmc"}, "reference": {"name": "load_spectrum", "file": "load.csv"}}
+    error = refusal(spec_from_mapping, plain, "spec.yaml", tmp_path)
+    assert error.where == f"{path}{line}"
+    assert what in error.what
+    assert expected in error.expected
+
+
+@pytest.mark.parametrize("name", ["absent.csv", "."])
+def test_a_load_spectrum_that_cannot_be_read_is_refused(tmp_path, rig_mapping, name):
+    plain = {"rig": rig_mapping, "controller": {"name": "fasmc"}, "reference": {"name": "load_spectrum", "file": name}}
+    error = refusal(spec_from_mapping, plain, "spec.yaml", tmp_path)
+    assert error.where == str(tmp_path / name)
+    assert "CSV" in error.expected
+
+
+def test_a_binary_load_spectrum_is_refused(tmp_path, rig_mapping):
+    (tmp_path / "load.csv").write_bytes(b"time_s,value\n\xff\xfe,\x00\n")
+    plain = {"rig": rig_mapping, "controller": {"name": "fasmc"}, "reference": {"name": "load_spectrum", "file": "load.csv"}}
+    assert refusal(spec_from_mapping, plain, "spec.yaml", tmp_path).where.startswith(str(tmp_path / "load.csv"))
+
+
+def test_a_load_spectrum_is_found_beside_its_spec(tmp_path, rig_mapping):
+    (tmp_path / "load.csv").write_text("time_s,value,note\r\n0,1e3,a\r\n1.5,-2e3,b\r\n", encoding="utf-8")
+    plain = {"rig": rig_mapping, "controller": {"name": "fasmc"}, "reference": {"name": "load_spectrum", "file": "load.csv"}}
+    (tmp_path / "spec.yaml").write_text(yaml.safe_dump(plain), encoding="utf-8")
+    assert load_spec(tmp_path / "spec.yaml").reference.parameters.points == ((0.0, 1e3), (1.5, -2e3))
+
+
+def round_trip(plain: dict[str, Any]) -> None:
+    spec = spec_from_mapping(plain, "spec", Path())
+    text = yaml.safe_dump(yaml.safe_load(yaml.safe_dump(_lists(spec_to_mapping(spec)))))
+    assert spec_from_mapping(yaml.safe_load(text), "again", Path()) == spec
+
+
+def _lists(value: Any) -> Any:
+    """Return what YAML can write: a tuple as a list."""
+    if isinstance(value, dict):
+        return {key: _lists(entry) for key, entry in value.items()}
+    return [_lists(entry) for entry in value] if isinstance(value, list | tuple) else value
+
+
+def signal(name: str) -> dict[str, Any]:
+    return {"name": name, **({"points": [[0.0, 0.1], [1.0, 0.2]]} if name == "load_spectrum" else {})}
+
+
+@pytest.mark.parametrize("name", REFERENCES.names())
+def test_every_reference_survives_a_round_trip(rig_mapping, name):
+    disturbance = {"name": "force", "signal": signal(name)}
+    round_trip({"rig": rig_mapping, "controller": {"name": "fasmc"}, "reference": signal(name), "disturbance": disturbance})
+
+
+@pytest.mark.parametrize("name", CONTROLLERS.names())
+@pytest.mark.parametrize("observer", OBSERVERS.names())
+def test_every_controller_survives_a_round_trip(rig_mapping, name, observer):
+    round_trip(
+        {"rig": rig_mapping, "controller": {"name": name}, "reference": signal("sine"), "compensation": observer, "seed": 3}
+    )
+
+
+@pytest.mark.parametrize("name", DISTURBANCES.names())
+def test_every_disturbance_survives_a_round_trip(rig_mapping, name):
+    disturbance = {"name": name, "signal": {"name": "sine", "amplitude": 0.01}}
+    round_trip({"rig": rig_mapping, "controller": {"name": "sic"}, "reference": signal("sine"), "disturbance": disturbance})
+
+
+@pytest.mark.parametrize("name", EFFECTS.names())
+def test_every_effect_survives_a_round_trip(rig_mapping, name):
+    effect = {"name": name, **EFFECTS.load(name).Parameters()._asdict()}
+    round_trip({"rig": rig_mapping, "controller": {"name": "sic"}, "reference": signal("sine"), "effects": [effect]})
+
+
+def test_every_sensor_survives_a_round_trip(rig_mapping):
+    sensors = {name: {"noise_std": 0.1 * (i + 1), "delay": 1e-3, "bandwidth": 500.0} for i, name in enumerate(SENSED)}
+    rig = rig_from_mapping({**rig_mapping, "sensors": sensors}, "rig")
+    assert set(rig.sensors) == set(SENSED)
+    assert rig_from_mapping(rig_to_mapping(rig), "again") == rig
+
+
+def test_effects_of_the_spec_come_after_those_of_the_rig(rig_mapping):
+    rig = {**rig_mapping, "effects": [{"name": "coulomb_shift"}]}
+    plain = {"rig": rig, "reference": signal("sine"), "controller": {"name": "sic"}, "effects": [{"name": "valve_dead_zone"}]}
+    spec = spec_from_mapping(plain, "spec", Path())
+    assert [use.name for use in spec.rig.effects] == ["coulomb_shift", "valve_dead_zone"]
+    servo = {**plain, "disturbance": {"name": "position_servo", "signal": {"name": "constant", "value": 0.0}}}
+    loader = spec_from_mapping(servo, "spec", Path()).loader_rig()
+    assert [use.name for use in loader.effects] == ["coulomb_shift", "valve_dead_zone", "coupling_stiffness"]
+
+
+def test_a_spec_may_name_next_to_nothing(config):
+    plain = {"rig": "rig_paper.yaml", "reference": signal("sine"), "controller": {"name": "fasmc"}}
+    spec = spec_from_mapping(plain, "spec", config)
+    assert spec.cycles == 10001
+    assert spec.disturbance.name == "force"
+    assert spec.settings.compensation == "gms"
+
+
+def test_the_papers_rig_is_the_papers(config):
+    rig = load_rig(config / "rig_paper.yaml")
+    # Table 2 and Table 1, with k in N/mm and the bandwidth of 17.74 Hz in rad/s
+    assert rig.plant[:5] == (7e6, 840.0, 6.9e8, 0.62, 0.0267)
+    assert rig.plant[5:12] == (4.7e-12, 1.5e-3, 70.0, 2.6e-3, 0.5, 4e4, 60.0)
+    assert rig.plant.valve_bandwidth == pytest.approx(17.74 * 2.0 * math.pi, rel=1e-9)
+    assert rig.friction[:5] == (640.8, 865.4, 2.031e-3, 0.8764, 7265.0)
+    assert rig.friction.element_stiffness == (1.884e6, 1.969e5, 1.841e5)
+    assert rig.friction.element_weight == (0.829, 0.089, 0.082)
+    assert rig.effects == ()
+    assert rig.sensors == {}

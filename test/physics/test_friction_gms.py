@@ -1,0 +1,133 @@
+"""What sets the generalised Maxwell slip model apart."""
+
+import numpy as np
+import pytest
+
+from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.simulator import Simulator
+
+# Level curve flat, break-away at 0.05, 0.15 and 0.4 mm: a pure Maxwell slip model, whose force is known in closed form.
+FLAT = Friction(
+    coulomb_force=800.0,
+    static_force=800.0,
+    stribeck_velocity=2e-3,
+    stribeck_exponent=1.0,
+    viscous_coefficient=0.0,
+    element_stiffness=(0.2 * 800 / 5e-5, 0.3 * 800 / 1.5e-4, 0.5 * 800 / 4e-4),
+    element_weight=(0.2, 0.3, 0.5),
+    attraction_rate=1650.0,
+)
+SPEED = 1e-3
+
+
+def path(*turns, speed=SPEED):
+    """Return velocities that visit positions one after the other from 0, and the samples at which it is there.
+
+    A leg is a run of samples of the same velocity; between two legs the velocity goes through zero within a sample, the same
+    way before and behind, which adds half a sample of the one and half a sample of the other velocity.
+    """
+    velocity, arrivals, here = [0.0], [], 0.0
+    for turn in turns:
+        distance = turn - here
+        samples = round(abs(distance) / (speed * 1e-3))
+        velocity += [np.sign(distance) * speed] * samples + [0.0]
+        arrivals.append(len(velocity) - 1)
+        here = turn
+    return np.array(velocity), arrivals
+
+
+def maxwell_slip(friction, turns):
+    """Return the force at each turn: every element a spring behind a slider."""
+    level = friction.static_force
+    forces, total, here = np.zeros(len(friction.element_weight)), [], 0.0
+    for turn in turns:
+        bound = np.array(friction.element_weight) * level
+        forces = np.clip(forces + np.array(friction.element_stiffness) * (turn - here), -bound, bound)
+        total.append(forces.sum())
+        here = turn
+    return np.array(total)
+
+
+def test_presliding_follows_the_closed_form(drive):
+    turns = [1e-4, -5e-5, 2.4e-4, -1.2e-4, 2e-5, 6e-4, -6e-4]
+    velocity, arrivals = path(*turns)
+    driven = drive("gms", velocity, FLAT)
+    np.testing.assert_allclose(driven.total[arrivals], maxwell_slip(FLAT, turns), rtol=1e-9)
+
+
+def test_inner_loops_close_and_are_wiped_out(drive):
+    velocity, (_, low, _, again, high) = path(2e-4, -5e-5, 1.2e-4, -5e-5, 2e-4)
+    driven = drive("gms", velocity, FLAT)
+    plain_velocity, (_, _, plain_high) = path(2e-4, -5e-5, 2e-4)
+    plain = drive("gms", plain_velocity, FLAT)
+    inside = driven.total[low : again + 1]
+    assert np.ptp(inside) > 300.0
+    assert driven.total[again] == pytest.approx(driven.total[low], rel=1e-9)
+    assert driven.total[high] == pytest.approx(plain.total[plain_high], rel=1e-9)
+    # The way out of the inner loop is not the way in: a memory, not a spring.
+    up, down = driven.total[low + 80], driven.total[again - 80]
+    assert down < up - 50.0
+
+
+def test_presliding_does_not_depend_on_speed(drive):
+    turns = [2e-4, -5e-5, 1.2e-4]
+    (slow, slow_at), (fast, fast_at) = path(*turns), path(*turns, speed=5e-3)
+    np.testing.assert_allclose(
+        drive("gms", slow, FLAT).total[slow_at], drive("gms", fast, FLAT).total[fast_at], rtol=1e-9
+    )
+
+
+def test_friction_lags_behind_velocity(drive, make_rig):
+    """In slip it is higher while the velocity rises than while it falls, and more so the faster it changes."""
+    friction = make_rig().friction
+    t = np.arange(40_000) * 1e-3
+    widths = []
+    for omega in (1.0, 4.0):
+        velocity = 5e-3 + 4e-3 * np.sin(omega * t)
+        driven = drive("gms", velocity, friction, steps=2)
+        force = driven.states.sum(axis=1)
+        cycle = round(2.0 * np.pi / omega * 1000)
+        rising = round(cycle * 4 * omega)
+        falling = rising + cycle // 2
+        assert velocity[rising] == pytest.approx(velocity[falling], rel=1e-2)
+        widths.append(force[rising] - force[falling])
+        assert np.all(driven.modes[1000:] == 1.0)
+    assert widths[0] > 1.0
+    # A loop wider than the Stribeck curve's fall between 1 and 9 mm/s would be no lag.
+    assert max(widths) < 865.4 - 640.8
+
+
+def test_elements_stay_within_their_share(drive, make_rig):
+    seed = np.random.SeedSequence().entropy
+    print(f"seed {seed}")
+    random = np.random.default_rng(seed)
+    rig = make_rig()
+    for _ in range(20):
+        scale = 10.0 ** random.uniform(-4, -0.5)
+        corner = random.uniform(0.01, 0.9)
+        velocity = np.zeros(3000)
+        for k in range(1, velocity.size):
+            velocity[k] = corner * velocity[k - 1] + scale * random.standard_normal()
+        driven = drive("gms", velocity, rig.friction, steps=4)
+        share = np.array(rig.friction.element_weight) * rig.friction.static_force
+        assert np.all(np.abs(driven.states) <= share * (1 + 1e-9))
+        assert np.all(np.abs(driven.states.sum(axis=1)) <= rig.friction.static_force * (1 + 1e-9))
+
+
+def test_no_step_ends_slipping_against_the_motion(make_rig):
+    simulator = Simulator(make_rig())
+    reversals, before = 0, simulator.mode[1:].copy()
+    for k in range(1500):
+        t = k * 1e-3
+        simulator.inputs[0] = 4e-5 * np.sin(20.0 * t)
+        for part in range(10):
+            simulator._advance(
+                t + part * 1e-4, simulator.y, simulator.mode, simulator.rig.plant, simulator.rig.friction,
+                simulator.inputs, simulator.effects, 1e-4, 1, simulator.work,
+            )
+            # A step of nought changes the modes whose event lies at the very end of the last one.
+            slipping = simulator.mode[1:]
+            assert np.all(slipping * simulator.y[1] >= -1e-9)
+            reversals += int(np.any(before != 0.0) and np.all(slipping == 0.0))
+            before = slipping.copy()
+    assert reversals >= 5
