@@ -29,7 +29,7 @@ STEPS = tuple(PERIOD / n for n in (1, 2, 4, 8, 10, 20, 40, 80))
 FINEST = PERIOD / 320
 _UNLOCATED = """
 
-unlocated = integration.integrator(*system, size=model.FRICTION + {elements} + EFFECT_STATES, most_events=0)
+unlocated = integration.integrator(evaluate, switch, size=model.FRICTION + {elements} + EFFECT_STATES, most_events=0)
 
 
 @njit(cache=True, error_model="numpy")

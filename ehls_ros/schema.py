@@ -112,30 +112,35 @@ def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> 
 def bad_input(error: ValidationError, where: str, parameters: type) -> BadInput:
     """Turn pydantic's first complaint into one line."""
     first = error.errors(include_url=False)[0]
-    key = ".".join(str(part) for part in first["loc"])
+    # A position within a list belongs to the list's key.
+    location = tuple(part for part in first["loc"] if isinstance(part, str))
+    key = ".".join(location)
+    explained = _help(parameters, location)
     match first["type"]:
-        case "missing" | "missing_argument":
-            return BadInput(f"key '{key}' is missing", where, f"a value for it {_help(parameters, first['loc'])}".rstrip())
+        case "missing" | "missing_argument" if location == first["loc"]:
+            return BadInput(f"key '{key}' is missing", where, f"a value for it {explained}".rstrip())
+        case "missing":
+            return BadInput(f"{key} is {first['input']!r}", where, f"more values {explained}".rstrip())
         case "extra_forbidden" | "unexpected_keyword_argument":
-            known = ", ".join(_fields_at(parameters, first["loc"][:-1]))
+            known = ", ".join(_fields_at(parameters, location[:-1]))
             return BadInput(f"key '{key}' is unknown", where, f"one of {known}" if known else "no such key")
         case _:
             wanted = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
-            return BadInput(f"{key} is {first['input']!r}", where, f"{wanted} {_help(parameters, first['loc'])}".rstrip())
+            return BadInput(f"{key} is {first['input']!r}", where, f"{wanted} {explained}".rstrip())
 
 
-def _fields_at(parameters: Any, location: tuple[int | str, ...]) -> tuple[str, ...]:
+def _fields_at(parameters: Any, location: tuple[str, ...]) -> tuple[str, ...]:
     for part in location:
         hints = get_type_hints(parameters) if hasattr(parameters, "_fields") else {}
-        parameters = hints.get(str(part))
+        parameters = hints.get(part)
     return tuple(getattr(parameters, "_fields", ()))
 
 
-def _help(parameters: Any, location: tuple[int | str, ...]) -> str:
+def _help(parameters: Any, location: tuple[str, ...]) -> str:
     for part in location[:-1]:
         hints = get_type_hints(parameters) if hasattr(parameters, "_fields") else {}
-        parameters = hints.get(str(part))
-    if not hasattr(parameters, "_fields"):
+        parameters = hints.get(part)
+    if not location or not hasattr(parameters, "_fields"):
         return ""
     for declared in declarations(parameters):
         if declared.name == location[-1] and declared.description:

@@ -152,12 +152,12 @@ def steps(ros: str) -> list[Step]:
         Step(
             "packages",
             fingerprint([this, *locks]),
-            f"installing {packages} packages as locked (a minute or two, and up to 450 MB, the first time)",
+            f"installing {packages} packages as locked (the first time a minute or two, up to 250 MB to download)",
             install_packages,
         ),
         Step(
             "messages",
-            fingerprint([this, *files_below(MESSAGES), *([] if ros else locks)]),
+            fingerprint([this, *files_below(MESSAGES), *(lock for lock in locks if lock.name != "dev.txt")]),
             "building the messages of ehls_msgs (about 15 s)",
             build_messages,
         ),

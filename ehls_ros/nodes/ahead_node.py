@@ -6,7 +6,7 @@ from typing import Any
 
 from ehls_msgs.msg import LoaderState
 from ehls_ros.nodes.control_node import OK, WAIT, ControlNode
-from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
+from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, newest_qos
 
 LEAD = 50
 """Cycles a signal of time alone runs ahead."""
@@ -41,7 +41,7 @@ class AheadNode(ControlNode):
         """Open the topics."""
         self.period_ns = self.spec.settings.control_period * 1e9
         self.outbox = self.open_outbox()
-        self.states = Inbox(self, LoaderState, "loader_state")
+        self.states = Inbox(self, LoaderState, "loader_state", control_qos() if self.lead == 1 else newest_qos())
         self.waiter = Waiter([self.states])
         self.next = 0
         self.last = -1

@@ -126,11 +126,10 @@ class ControlNode(LifecycleNode):
         while not stopping.is_set():
             if not self._active.wait(WAIT):
                 continue
-            self.start()
             # A collection in the middle of a cycle would be a late answer; the loops make no cyclic garbage.
-            gc.collect()
             gc.freeze()
             gc.disable()
+            self.start()
             while self._active.is_set() and not stopping.is_set():
                 self.once()
             gc.enable()

@@ -38,6 +38,11 @@ def control_qos(depth: int = DEPTH) -> QoSProfile:
     )
 
 
+def newest_qos() -> QoSProfile:
+    """Return the quality of service of a reader that only wants to know where the cycles have got to."""
+    return QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
 class Outbox:
     """Publishes one control-path topic."""
 

@@ -99,8 +99,10 @@ def plant_source(rig: Rig) -> str:
         effect = EFFECTS.load(use.name)
         own = getattr(effect, "STATES", 0)
         count = len(use.parameters)
+        # An effect may lie in a folder added to the family's path, outside the package's sources.
+        text = hashlib.sha256(Path(str(effect.__file__)).read_bytes()).hexdigest()[:16]
         view = f"z[{states}:{states + own}], p[{offset}:{offset + count}]"
-        imports.append(f"from ehls_ros.physics.effects import {use.name} as effect_{index}")
+        imports.append(f"from ehls_ros.physics.effects import {use.name} as effect_{index}  # {text}")
         for hook in HOOKS:
             if hasattr(effect, hook):
                 chains[hook].append(f"    value = effect_{index}.{hook}(value, t, y, w, {view})")
@@ -144,11 +146,11 @@ def effect_rates(t, y, w, z, p, dz):
 {rates}
 
 
-system = model.system(model.Parts(
+evaluate, switch = model.system(model.Parts(
     friction_model, {elements},
     command, opening, supply_pressure, bulk_modulus, leakage, friction_level, force, effect_rates,
 ))
-run = integration.integrator(*system, size=model.FRICTION + {elements} + EFFECT_STATES)
+run = integration.integrator(evaluate, switch, size=model.FRICTION + {elements} + EFFECT_STATES)
 
 
 @njit(cache=True, error_model="numpy")

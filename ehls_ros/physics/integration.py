@@ -88,17 +88,20 @@ def integrator(
         low, high = 0.0, step
         tolerance = EVENT_TOLERANCE * step
         side, halve = 0, False
-        for _ in range(MOST_ITERATIONS):
+        for left in range(MOST_ITERATIONS, -1, -1):
             width = high - low
-            if width <= tolerance:
-                break
-            if halve:
+            found = width <= tolerance or left == 0
+            if found:
+                middle = high
+            elif halve:
                 middle = low + 0.5 * width
             else:
                 # Half a tolerance behind the estimate, so that both ends of the bracket close in.
                 middle = high - after * width / (after - before) + 0.5 * tolerance
                 middle = min(max(middle, low + 0.25 * tolerance), high - 0.25 * tolerance)
             runge_kutta(t, y, mode, c, middle, work)
+            if found:
+                break
             value = evaluate(t + middle, work[0], mode, c, work[1])
             if value > 0.0:
                 high, after = middle, value
@@ -109,7 +112,6 @@ def integrator(
                 after *= 0.5 if side == -1 else 1.0
                 side = -1
             halve = high - low > 0.5 * width
-        runge_kutta(t, y, mode, c, high, work)
         return high
 
     @kernel

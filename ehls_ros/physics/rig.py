@@ -1,5 +1,6 @@
 """The one description of a rig that simulator, controller, identification and diagnosis share."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -65,8 +66,10 @@ def rig_from_mapping(data: Any, where: str) -> Rig:
     if not isinstance(data, Mapping):
         raise BadInput(f"a rig is {type(data).__name__}", where, f"a mapping with the sections {', '.join(SECTIONS)}")
     for section in ("plant", "friction", "limits"):
-        if not isinstance(data.get(section), Mapping):
-            raise BadInput(f"section '{section}' is {data.get(section, 'missing')!r}", where, "a mapping of its keys")
+        if section not in data:
+            raise BadInput(f"section '{section}' is missing", where, "a mapping of its keys")
+        if not isinstance(data[section], Mapping):
+            raise BadInput(f"section '{section}' is {data[section]!r}", where, "a mapping of its keys")
     for section in data:
         if section not in SECTIONS:
             raise BadInput(f"section {section!r} is unknown", where, f"one of {', '.join(SECTIONS)}")
@@ -76,14 +79,15 @@ def rig_from_mapping(data: Any, where: str) -> Rig:
     friction = parse(Friction, friction_data, f"{where}: friction")
     _check_elements(friction, f"{where}: friction")
     limits = parse(Limits, data["limits"], f"{where}: limits")
-    if not limits.position[0] < limits.position[1]:
-        raise BadInput(f"position is {list(limits.position)}", f"{where}: limits", "[min, max] with min < max [m]")
+    if not -math.inf < limits.position[0] < limits.position[1] < math.inf:
+        expected = "two finite numbers [min, max] with min < max [m]"
+        raise BadInput(f"position is {list(limits.position)}", f"{where}: limits", expected)
     rig = Rig(
         plant=parse(Plant, data["plant"], f"{where}: plant"),
         friction_model=model,
         friction=friction,
-        effects=effects_from_list(data.get("effects") or [], f"{where}: effects"),
-        sensors=_sensors_from_mapping(data.get("sensors") or {}, f"{where}: sensors"),
+        effects=effects_from_list([] if data.get("effects") is None else data["effects"], f"{where}: effects"),
+        sensors=_sensors_from_mapping({} if data.get("sensors") is None else data["sensors"], f"{where}: sensors"),
         limits=limits,
     )
     _check_elements(rig.effective().friction, f"{where}: effects")
@@ -115,6 +119,8 @@ def _sensors_from_mapping(data: Any, where: str) -> dict[str, Sensor]:
     for signal in data:
         if signal not in SENSED:
             raise BadInput(f"signal {signal!r} is unknown", where, f"one of {', '.join(SENSED)}")
+        if not isinstance(data[signal], Mapping | None):
+            raise BadInput(f"{signal} is {data[signal]!r}", where, f"a mapping of {', '.join(Sensor._fields)}")
     return {signal: parse(Sensor, values or {}, f"{where}: {signal}") for signal, values in data.items()}
 
 
@@ -124,8 +130,9 @@ def _check_elements(friction: Friction, where: str) -> None:
         raise BadInput(
             f"{len(stiffness)} element_stiffness and {len(weight)} element_weight", where, "equally many, at least one"
         )
-    if min(stiffness) <= 0.0 or min(weight) <= 0.0:
-        raise BadInput(f"elements are {list(stiffness)}, {list(weight)}", where, "stiffness and weight above 0")
+    for key, values in (("element_stiffness", stiffness), ("element_weight", weight)):
+        if not all(0.0 < value < math.inf for value in values):
+            raise BadInput(f"{key} is {list(values)}", where, "finite numbers above 0")
     if abs(sum(weight) - 1.0) > 1e-6:
         raise BadInput(f"element_weight sums to {sum(weight):g}", where, "a sum of 1")
     if friction.coulomb_force > friction.static_force:

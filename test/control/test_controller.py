@@ -72,7 +72,7 @@ def test_retuning_makes_no_bump_and_counts_at_once(rig, new):
     # Nothing of the change is left: a controller with the new tuning and this memory commands the same.
     fresh = make(rig, **new)
     fresh._memory = law._memory.copy()
-    measured, wanted = measure(rig, bench.simulator), wanted
+    measured = measure(rig, bench.simulator)
     friction = bench.estimator.state.estimate
     assert law.step(measured, wanted, friction) == pytest.approx(fresh.step(measured, wanted, friction), abs=1e-11)
 

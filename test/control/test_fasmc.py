@@ -15,7 +15,7 @@ from ehls_ros.physics.plant import PL, XV, V, X
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.schema import parse
 
-FROZEN = {"phi1": 0.0, "phi2": 0.0, "phi3": 0.0}
+FROZEN = {"phi1": 0.0, "phi2": 0.0, "phi3": 0.0, "forgetting": 0.0}
 MPA = 1e6
 
 
@@ -172,7 +172,7 @@ def test_no_compensation_is_left_out_and_the_parts_make_the_command(rig):
 @pytest.mark.parametrize("towards", [1.0, -1.0])
 @pytest.mark.parametrize("motion", [1.0, -1.0])
 def test_adaptation_goes_the_way_of_36_to_38(rig, towards, motion):
-    law = controller(rig, phi1=1e-4, phi2=2e-4, phi3=3e-4)
+    law = controller(rig, phi1=1e-4, phi2=2e-4, phi3=3e-4, forgetting=0.0)
     ideal_start(law)
     at = Point(0.0, 0.05 * motion, towards * 5e5 + 1e6, 0.0, 2600.0, towards * -9e5, 0.0, 640.0 * motion, 363.0 * motion)
     at.step(law, 7e6)
@@ -182,6 +182,15 @@ def test_adaptation_goes_the_way_of_36_to_38(rig, towards, motion):
     assert delta * s > 0.0
     assert alpha == pytest.approx(delta / 3.0 * at.elements, rel=1e-9)
     assert beta == pytest.approx(delta * 2.0 / 3.0 * at.viscous, rel=1e-9)
+
+
+def test_alpha_and_beta_return_to_one_where_nothing_moves_them(rig):
+    law = controller(rig, **{**FROZEN, "forgetting": 0.5})
+    law._memory[:] = 2.0, 0.6, 40.0
+    for _ in range(2000):
+        points()[0].step(law, 7e6)
+    # Two seconds at 0.5 1/s: by exp(1); D does not forget.
+    assert law._memory == pytest.approx([1.0 + math.exp(-1.0), 1.0 - 0.4 * math.exp(-1.0), 40.0], rel=1e-3)
 
 
 def test_cut_adaptation_leaves_the_rest_of_s_to_the_robust_term(rig):
@@ -202,7 +211,7 @@ def test_cut_adaptation_leaves_the_rest_of_s_to_the_robust_term(rig):
 
 def test_discrete_law_tends_to_the_continuous_one_with_order_one(rig):
     at = points()[2]._replace(elements=600.0, viscous=90.0)
-    tuning = {"phi1": 0.1, "phi2": 0.05, "phi3": 2e6}
+    tuning = {"phi1": 0.1, "phi2": 0.05, "phi3": 2e6, "forgetting": 0.0}
     errors = []
     loop = Loop(rig.plant, fasmc.Parameters())
     s = loop.s(np.array(at[:4]), at.wanted, at.wanted_rate)

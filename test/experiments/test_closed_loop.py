@@ -148,7 +148,7 @@ def test_position_servo_moves_as_told_and_the_force_is_held(make_spec, amplitude
     assert np.max(np.abs(run["position_m"] - wanted)[late]) < 0.012
     # 117 N was the largest error of the paper's experiment, at 1 Hz.
     assert np.max(np.abs(run["force_error_n"][late])) < 250.0
-    assert evaluate(run).max_error_n <= {0.25: 50.0, 0.5: 80.0, 1.0: 200.0}[frequency]
+    assert evaluate(run).max_error_n <= {0.25: 50.0, 0.5: 80.0, 1.0: 230.0}[frequency]
 
 
 def test_position_servo_feels_the_loader(make_spec):

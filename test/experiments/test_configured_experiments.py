@@ -18,7 +18,7 @@ LARGEST = {
     "constant_fd2_sic": 290.0,
     "constant_velocity": None,
     "irregular_fd2": 61.6,
-    "servo_sine": 80.0,
+    "servo_sine": 90.0,
     "sine_fd1": 37.8,
     "sine_fd2": 91.3,
     "triangle_fd2": 79.8,

@@ -1,0 +1,134 @@
+"""One new file is enough: an effect dropped into the folder is found, and each of its hooks acts where it says."""
+
+import itertools
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import PERIOD, run
+from reference_solver import Constants, solve
+
+from ehls_ros.physics import effects
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.effects.base import HOOKS
+from ehls_ros.physics.simulator import Simulator
+
+PROBE = '''"""Every hook at once, each with a parameter of its own; and the position, found again by integration."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.plant import PL, V
+from ehls_ros.schema import quantity
+
+STAGE = "mechanics"
+EQUATION = "see the hooks"
+SOURCE = "a test"
+STATES = 1
+
+
+class Parameters(NamedTuple):
+    """One a hook."""
+
+    command: Annotated[float, quantity("1", "gain of the command", minimum=0.0, maximum=2.0)] = 1.0
+    opening: Annotated[float, quantity("1", "gain of the opening", minimum=0.0, maximum=2.0)] = 1.0
+    supply_pressure: Annotated[float, quantity("1", "part of the supply", minimum=0.0, maximum=2.0)] = 1.0
+    bulk_modulus: Annotated[float, quantity("1", "part of the stiffness", minimum=0.0, maximum=2.0)] = 1.0
+    leakage: Annotated[float, quantity("m^5/(N s)", "more leakage", minimum=0.0, maximum=1e-10)] = 0.0
+    friction_level: Annotated[float, quantity("1", "part of the friction", minimum=0.0, maximum=2.0)] = 1.0
+    force: Annotated[float, quantity("N/m", "a spring", minimum=0.0, maximum=1e6)] = 0.0
+
+
+@kernel
+def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+    return value * p[0]
+
+
+@kernel
+def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+    return value * p[1]
+
+
+@kernel
+def supply_pressure(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+    return value * p[2]
+
+
+@kernel
+def bulk_modulus(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+    return value * p[3]
+
+
+@kernel
+def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+    return value + p[4] * y[PL]
+
+
+@kernel
+def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+    return value * p[5]
+
+
+@kernel
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+    return value - p[6] * z[0]
+
+
+@kernel
+def derivatives(t: float, y: Array, w: Array, z: Array, p: Array, dz: Array) -> None:
+    dz[0] = y[V]
+'''
+
+PAPER = Constants()
+# Each hook's parameter, and the constants of the paper that do the same.
+SAME = {
+    "command": (0.7, replace(PAPER, Kv=0.7)),
+    "opening": (1.3, replace(PAPER, w=1.3 * PAPER.w)),
+    "supply_pressure": (0.8, replace(PAPER, ps=0.8 * PAPER.ps)),
+    "bulk_modulus": (0.5, replace(PAPER, beta_e=0.5 * PAPER.beta_e)),
+    "leakage": (3e-11, replace(PAPER, Ctc=PAPER.Ctc + 3e-11)),
+    "friction_level": (1.6, replace(PAPER, Fc=1.6 * PAPER.Fc, Fs=1.6 * PAPER.Fs)),
+    "force": (6e4, replace(PAPER, ks=PAPER.ks + 6e4)),
+}
+ADDED = ("leakage", "force")
+_numbers = itertools.count()
+
+
+@pytest.fixture(scope="module")
+def probe(tmp_path_factory):
+    """A new effect's name; its file lies in a folder of its own that the family's package looks into."""
+    folder = tmp_path_factory.mktemp("effects")
+    name = f"probe_{next(_numbers)}"
+    (folder / f"{name}.py").write_text(PROBE, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(effects, "__path__", [*effects.__path__, str(folder)])
+        yield name
+    sys.modules.pop(f"ehls_ros.physics.effects.{name}", None)
+
+
+def test_every_hook_is_tried():
+    assert set(SAME) == set(HOOKS)
+
+
+def test_the_file_is_found(probe):
+    assert probe in EFFECTS.names()
+
+
+@pytest.mark.parametrize("hook", HOOKS)
+def test_a_hook_acts_where_it_says(hook, probe, make_rig):
+    value, constants = SAME[hook]
+    t = np.arange(150) * PERIOD
+    inputs = np.column_stack([3e-4 * np.sin(25.0 * t), 2e3 * np.sin(30.0 * t), 6e4 * np.cos(30.0 * t)])
+    # Half of it twice: effects act one after the other, each on states of its own.
+    part = value / 2.0 if hook in ADDED else value**0.5
+    rig = make_rig(effects=[{"name": probe, hook: part}, {"name": probe, hook: part}])
+    states = run(Simulator(rig, PERIOD, 5e-5), inputs)
+    expected = solve(constants, "gms", inputs, PERIOD).y
+    unchanged = solve(PAPER, "gms", inputs, PERIOD).y
+    scale = np.abs(expected).max(axis=0)
+    assert np.max(np.abs(states[:, :7] - expected) / scale) < 1e-6
+    assert np.max(np.abs(expected - unchanged) / scale) > 1e-2
+    np.testing.assert_allclose(states[:, 7], states[:, 0], rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(states[:, 7], states[:, 8])
+

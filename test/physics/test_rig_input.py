@@ -1,0 +1,117 @@
+"""A rig that is wrong is refused in one line that names file, section, key, value and what was expected."""
+
+import json
+
+import pytest
+
+from ehls_ros.errors import BadInput
+from ehls_ros.physics.rig import rig_from_mapping, rig_to_mapping
+
+
+def refused(data):
+    with pytest.raises(BadInput) as caught:
+        rig_from_mapping(data, "rig.yaml")
+    line = str(caught.value)
+    assert "\n" not in line
+    assert line.startswith("rig.yaml")
+    return line
+
+
+def test_the_paper_rig_survives_writing_and_reading(rig_data):
+    rig = rig_from_mapping(rig_data, "rig.yaml")
+    assert rig_from_mapping(json.loads(json.dumps(rig_to_mapping(rig))), "rig.yaml") == rig
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value", "said"),
+    [
+        ("plant", "moving_mass", -70.0, ["-70", "greater than 0", "kg"]),
+        ("plant", "moving_mass", float("nan"), ["nan", "finite number", "kg"]),
+        ("plant", "supply_pressure", float("inf"), ["inf", "finite number", "Pa"]),
+        ("plant", "moving_mass", "heavy", ["'heavy'", "number"]),
+        ("plant", "moving_mass", None, ["None", "number"]),
+        ("plant", "gravity", 981.0, ["981", "20", "m/s^2"]),
+        ("friction", "stribeck_exponent", 0.0, ["0.0", "greater than 0"]),
+        ("friction", "element_weight", [0.5, 0.3, 0.3], ["1.1", "sum of 1"]),
+        ("friction", "element_weight", [0.5, 0.5], ["3 element_stiffness", "2 element_weight", "equally many"]),
+        ("friction", "element_weight", [1.5, -0.25, -0.25], ["-0.25", "above 0"]),
+        ("friction", "element_weight", [float("nan"), 0.5, 0.5], ["nan", "finite number"]),
+        ("friction", "element_stiffness", [float("inf"), 1.0, 1.0], ["inf", "finite number"]),
+        ("friction", "element_stiffness", 1e6, ["1000000.0", "N/m"]),
+        ("friction", "static_force", 100.0, ["640.8", "at most static_force = 100"]),
+        ("friction", "model", "dahl", ["'dahl'", "gms", "lugre", "stribeck"]),
+        ("limits", "position", [0.3, -0.3], ["[0.3, -0.3]", "min < max"]),
+        ("limits", "position", [0.3], ["[0.3]", "m"]),
+        ("limits", "position", [float("nan"), 0.3], ["nan", "finite number"]),
+    ],
+)
+def test_a_value_out_of_range(section, key, value, said, rig_data):
+    rig_data[section][key] = value
+    line = refused(rig_data)
+    assert section in line
+    assert key in line or key == "static_force"
+    for part in said:
+        assert part in line
+
+
+@pytest.mark.parametrize(("section", "key"), [("plant", "bulk_modulus"), ("friction", "attraction_rate"), ("limits", "spool")])
+def test_a_key_that_is_missing(section, key, rig_data):
+    del rig_data[section][key]
+    line = refused(rig_data)
+    assert line.startswith(f"rig.yaml: {section}: key '{key}' is missing; expected")
+
+
+def test_a_key_that_is_unknown(rig_data):
+    rig_data["plant"]["mass"] = 70.0
+    line = refused(rig_data)
+    assert "plant: key 'mass' is unknown" in line
+    assert "moving_mass" in line
+
+
+def test_a_section_that_is_missing_or_unknown(rig_data):
+    limits = rig_data.pop("limits")
+    assert "section 'limits' is missing" in refused(rig_data)
+    rig_data.update(limits=limits, sensor={})
+    assert "section 'sensor' is unknown" in refused(rig_data)
+
+
+@pytest.mark.parametrize("data", [None, [], "rig", 3.0])
+def test_something_that_is_no_rig(data):
+    assert "plant" in refused(data)
+
+
+@pytest.mark.parametrize(
+    ("effects", "said"),
+    [
+        ([{"name": "valve_dead_band"}], ["effects[0]", "'valve_dead_band'", "valve_dead_zone"]),
+        ([{"name": "valve_dead_zone"}, {"name": "valve_dead_zone", "overlap": 1e-5}], ["effects[1]", "'overlap'", "positive"]),
+        ([{"name": "valve_dead_zone", "positive": -1e-5}], ["effects[0]", "positive", "-1e-05", "greater than or equal to 0"]),
+        ([{"name": "valve_dead_zone", "positive": "wide"}], ["effects[0]", "positive", "'wide'", "number"]),
+        ([{"positive": 1e-5}], ["effects[0]", "name"]),
+        (["valve_dead_zone"], ["effects[0]", "'valve_dead_zone'", "name"]),
+        ({"name": "valve_dead_zone"}, ["effects", "a list"]),
+        ([{"name": ["valve_dead_zone"]}], ["effects[0]", "unknown"]),
+    ],
+)
+def test_effects_that_are_wrong(effects, said, rig_data):
+    rig_data["effects"] = effects
+    line = refused(rig_data)
+    for part in said:
+        assert part in line
+
+
+@pytest.mark.parametrize(
+    ("sensors", "said"),
+    [
+        ({"pressure": {}}, ["'pressure'", "load_pressure"]),
+        ({"force": {"noise": 1.0}}, ["sensors: force", "'noise'", "noise_std"]),
+        ({"force": {"delay": -1.0}}, ["sensors: force", "delay", "-1.0", "greater than or equal to 0"]),
+        ({"force": 4.0}, ["sensors: force", "4.0", "noise_std"]),
+        ([], ["sensors", "[]"]),
+    ],
+)
+def test_sensors_that_are_wrong(sensors, said, rig_data):
+    rig_data["sensors"] = sensors
+    line = refused(rig_data)
+    for part in said:
+        assert part in line

@@ -1,0 +1,149 @@
+"""`make setup` says in one line what is missing, and mends what an interruption leaves behind."""
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """Return a copy of what setup reads, without an environment."""
+    shutil.copytree(ROOT / "tools", tmp_path / "tools")
+    shutil.copytree(ROOT / "requirements", tmp_path / "requirements")
+    shutil.copytree(ROOT / "ehls_msgs", tmp_path / "ehls_msgs")
+    return tmp_path
+
+
+@pytest.fixture
+def setup(checkout: Path) -> ModuleType:
+    """Import the script of that copy."""
+    specification = importlib.util.spec_from_file_location("setup_environment", checkout / "tools" / "setup_environment.py")
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def complaint(checkout: Path, *arguments: str, **variables: str) -> str:
+    """Run setup, which must fail before it makes anything, and return its only line of output."""
+    environment = {
+        name: value for name, value in os.environ.items() if name not in {"ROS_DISTRO", "AMENT_PREFIX_PATH", "CC", "CXX"}
+    }
+    done = subprocess.run(
+        [sys.executable, checkout / "tools" / "setup_environment.py", *arguments],
+        env=environment | variables,
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1
+    assert done.stdout == ""
+    assert not (checkout / ".venv" / "pyvenv.cfg").exists()
+    (line,) = done.stderr.splitlines()
+    return line
+
+
+def pretend_environment(checkout: Path, **made_for: str) -> None:
+    """Leave what a finished setup leaves, as far as setup looks at it."""
+    (checkout / ".venv" / "bin").mkdir(parents=True)
+    (checkout / ".venv" / "bin" / "python").touch()
+    stamps = {"environment": {"python": "3.12", "folder": str(checkout), "ros": ""} | made_for}
+    (checkout / ".venv" / "setup_stamps.json").write_text(json.dumps(stamps), encoding="utf-8")
+
+
+def test_a_missing_compiler_is_named(checkout: Path) -> None:
+    assert complaint(checkout, PATH=str(checkout)).startswith("setup: no C compiler (cc, gcc, clang): install one")
+    assert complaint(checkout, CXX="no-such-compiler -O2").startswith(
+        "setup: no C++ compiler (CXX=no-such-compiler): install one"
+    )
+
+
+def test_an_unsupported_python_is_named(setup: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(setup, "NEWEST", (3, 10))
+    with pytest.raises(setup.SetupError, match=r"is Python 3\.\d+\.\d+: CPython 3.11, 3.12 or 3.13 is needed"):
+        setup.check_python("")
+
+
+def test_a_sourced_ros_that_this_python_cannot_import_is_named(checkout: Path) -> None:
+    sourced = {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": "/nowhere", "PYTHONPATH": str(checkout)}
+    (checkout / "rclpy.py").write_text("raise ImportError\n", encoding="utf-8")
+    assert "cannot import rclpy of ROS 2 jazzy: set PYTHON to" in complaint(checkout, **sourced)
+
+
+def test_an_environment_made_with_another_ros_is_kept(checkout: Path) -> None:
+    pretend_environment(checkout, ros="jazzy")
+    assert "made with ROS 2 jazzy sourced, and now none is sourced" in complaint(checkout)
+
+
+def test_an_environment_is_made_anew_only_when_it_has_to_be(checkout: Path, setup: ModuleType) -> None:
+    assert setup.needs_remaking({}, "", python_was_chosen=False)
+    pretend_environment(checkout, python="3.0")
+    made = setup.read_stamps()["environment"]
+    assert not setup.needs_remaking(made, "", python_was_chosen=False)
+    assert setup.needs_remaking(made, "", python_was_chosen=True)
+    assert setup.needs_remaking(made | {"folder": "/elsewhere"}, "", python_was_chosen=False)
+
+
+def test_each_step_depends_on_its_own_files(checkout: Path, setup: ModuleType) -> None:
+    def changed_by(name: str) -> set[str]:
+        before = {step.name: step.fingerprint for step in setup.steps("")}
+        with (checkout / name).open("a", encoding="utf-8") as file:
+            file.write("# changed\n")
+        return {step.name for step in setup.steps("") if step.fingerprint != before[step.name]}
+
+    assert changed_by("requirements/dev.txt") == {"packages"}
+    assert changed_by("requirements/ros.txt") == {"packages", "messages"}
+    assert changed_by("ehls_msgs/msg/Disturbance.msg") == {"messages"}
+    assert changed_by("requirements/base.in") == {"project"}
+    assert changed_by("tools/setup_environment.py") == {"packages", "messages", "project"}
+
+
+def test_half_installed_packages_are_removed(setup: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(setup, "python_paths", lambda: {"purelib": str(tmp_path / "packages")})
+    for name in ("whole-1.dist-info/METADATA", "whole-1.dist-info/INSTALLER", "half-1.dist-info/METADATA"):
+        path = tmp_path / "packages" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    setup.remove_half_installed()
+    assert [path.name for path in (tmp_path / "packages").iterdir()] == ["whole-1.dist-info"]
+
+
+def test_exports_of_the_wheels_point_to_this_environment(setup: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(setup, "python_paths", lambda: {"include": "/usr/include/python3.12", "purelib": "/here/packages"})
+    export = setup.VENV / "share/std_msgs/cmake/export_std_msgs__rosidl_generator_pyExport.cmake"
+    export.parent.mkdir(parents=True)
+    built_at = "/opt/python/cp312-cp312"
+    headers = f"{built_at}/include/python3.12;{built_at}/lib/python3.12/site-packages/numpy/_core/include"
+    export.write_text(f'INTERFACE_INCLUDE_DIRECTORIES "{headers}"', encoding="utf-8")
+    setup.point_exports_here()
+    wanted = 'INTERFACE_INCLUDE_DIRECTORIES "/usr/include/python3.12;/here/packages/numpy/_core/include"'
+    assert export.read_text(encoding="utf-8") == wanted
+
+
+@pytest.mark.parametrize(
+    ("output", "wanted"),
+    [
+        (
+            ["-- ok", "CMake Error at x.cmake:3:", "  Could NOT find NumPy", "make: error"],
+            "CMake Error at x.cmake:3: Could NOT find NumPy",
+        ),
+        (["Collecting x", "ERROR: hashes do not match", "done"], "ERROR: hashes do not match"),
+        (
+            ["WARNING: Max retries exceeded", "ERROR: No matching distribution found for x==1"],
+            "packages could not be downloaded, is there a network? ERROR: No matching distribution found for x==1",
+        ),
+        ([], "it said nothing"),
+    ],
+)
+def test_a_failure_is_told_in_one_line(setup: ModuleType, output: list[str], wanted: str) -> None:
+    assert setup.reason(output) == wanted
