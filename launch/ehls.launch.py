@@ -3,18 +3,23 @@
 A node can be left out (``without:=fasmc_node``) and started by hand instead.
 """
 
-from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.launch_context import LaunchContext
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+
+from launch import LaunchDescription
 
 ARGUMENTS = {
     "plant": ("sim", "sim: the simulated rig; bridge: the real one", ["sim", "bridge"]),
     "controller": ("fasmc", "control law", ["fasmc", "sic", "pid"]),
     "rig": ("", "rig file in place of the spec's", None),
     "spec": ("", "experiment file; empty: the 10 kN sine that comes with the package", None),
-    "timing": ("realtime", "realtime: wall clock; lockstep: deterministic, as fast as the machine goes", ["realtime", "lockstep"]),
+    "timing": (
+        "realtime",
+        "realtime: wall clock; lockstep: deterministic, as fast as the machine goes",
+        ["realtime", "lockstep"],
+    ),
     "namespace": ("ehls", "namespace of all topics", None),
     "record": ("", "folder to record a bag into; empty: no recording", None),
     "without": ("", "nodes to leave out, separated by commas", None),

@@ -22,7 +22,6 @@ from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.references.base import SampledReference
 from ehls_ros.experiments.spec import Spec, Use, spec_to_mapping
 from ehls_ros.physics.composition import kernel_module, plant_source
-from ehls_ros.physics.plant import TEMPERATURE
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.recording.topics import CONTROLLER_STATUS, DISTURBANCE, FORCE_REFERENCE, LOADER_STATE
@@ -31,7 +30,7 @@ from ehls_ros.trajectory import Trajectory
 CHUNK = 2000
 """Cycles between two reports of progress."""
 
-_LOOP = '''
+_LOOP = """
 
 from ehls_ros.control.controllers import {controller} as law
 from ehls_ros.control.observers import {observer} as observer
@@ -66,7 +65,8 @@ def loop(
         c = model.Coefficients(plant, friction, inputs, effects)
         dense += run(k * period, y, mode, c, step, steps, work)
     return dense
-'''
+"""
+
 
 def sampled(use: Use, period: float) -> SampledReference:
     """Return a reference ready to be asked by cycle; ``period`` in s."""
@@ -158,7 +158,7 @@ def _trajectory(spec: Spec, record: Array, reference: Array, disturbance: Array,
     signals.update(zip(CONTROLLER_STATUS.signals.values(), record[:, column + 1 + estimate_size :].T, strict=False))
     signals.update(zip(FORCE_REFERENCE.signals.values(), reference.T, strict=True))
     signals.update(zip(DISTURBANCE.signals.values(), disturbance.T, strict=True))
-    time = np.arange(len(record)) * spec.settings.control_period
+    time = np.arange(len(record), dtype=np.float64) * spec.settings.control_period
     return Trajectory(time, signals, metadata(spec, "in-process"))
 
 

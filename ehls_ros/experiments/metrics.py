@@ -10,6 +10,10 @@ CONVERGENCE_BAND = 0.01
 """Part of the largest reference the error must stay within to count as converged."""
 
 
+GROWTH = 1.25
+"""The error still grows when the last quarter of a run has one this many times larger than the quarter before."""
+
+
 class Metrics(NamedTuple):
     """Figures of one run; errors are taken over its last half, the steady part."""
 
@@ -52,7 +56,10 @@ def evaluate(trajectory: Trajectory) -> Metrics:
     largest_reference = float(np.nanmax(np.abs(trajectory["force_reference_n"])))
     band = max(CONVERGENCE_BAND * largest_reference, float(steady.max()))
     outside = np.flatnonzero(known & (error > band))
-    converged = float(time[outside[-1] + 1] - time[0]) if outside.size else 0.0
+    converged: float | None = float(time[outside[-1] + 1] - time[0]) if outside.size else 0.0
+    earlier, later = np.array_split(steady, 2)
+    if later.max(initial=0.0) > max(CONVERGENCE_BAND * largest_reference, GROWTH * earlier.max(initial=0.0)):
+        converged = None
     return Metrics(
         max_error_n=float(steady.max()),
         rms_error_n=float(np.sqrt(np.mean(steady**2))),

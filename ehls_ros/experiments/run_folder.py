@@ -45,7 +45,7 @@ class RunFolder(NamedTuple):
                 raise BadInput("the folder already holds a run", str(path), "a new folder, or --overwrite")
             for entry in present:
                 inside = path / entry
-                shutil.rmtree(inside) if inside.is_dir() else inside.unlink()
+                shutil.rmtree(inside) if inside.is_dir() and not inside.is_symlink() else inside.unlink()
             (path / "spec.yaml").touch()
         except OSError as error:
             raise BadInput(f"the run folder cannot be written ({error.strerror})", str(path), "a writable folder") from None

@@ -39,7 +39,9 @@ class Settings(NamedTuple):
     title: Annotated[str, text("what the experiment is called in reports")] = "experiment"
     duration: Annotated[float, quantity("s", "plant time to run", above=0.0, maximum=1e6)] = 10.0
     control_period: Annotated[float, quantity("s", "time between two control cycles", minimum=1e-5, maximum=0.1)] = 1e-3
-    integration_step: Annotated[float, quantity("s", "largest integration step of the plant", minimum=1e-7, maximum=1e-2)] = DEFAULT_STEP
+    integration_step: Annotated[float, quantity("s", "largest integration step of the plant", minimum=1e-7, maximum=1e-2)] = (
+        DEFAULT_STEP
+    )
     initial_position: Annotated[float, quantity("m", "piston position at the start; it rests without pressure")] = 0.0
     compensation: Annotated[str, text("friction observer: gms (FASMC II) or stribeck (FASMC I)")] = "gms"
     seed: Annotated[int, quantity("1", "seed of the sensors' noise", minimum=0)] = 0
@@ -83,7 +85,8 @@ def read_yaml(path: Path, what: str) -> Any:
     except yaml.YAMLError as error:
         line = getattr(getattr(error, "problem_mark", None), "line", None)
         place = f"{path}:{line + 1}" if line is not None else str(path)
-        raise BadInput(f"{what} is no YAML ({getattr(error, 'problem', error)})", place, "valid YAML") from None
+        problem = " ".join(str(getattr(error, "problem", error)).split())
+        raise BadInput(f"{what} is no YAML ({problem})", place, "valid YAML") from None
 
 
 def load_rig(path: Path) -> Rig:

@@ -73,9 +73,7 @@ class Encoder:
             values: the fields in order; a sequence is its length, then its elements.
         """
         frame = self._frame
-        return self._pack(
-            b"\0\1\0\0", stamp_ns // NANOSECONDS, stamp_ns % NANOSECONDS, len(frame), frame, *values
-        )
+        return self._pack(b"\0\1\0\0", stamp_ns // NANOSECONDS, stamp_ns % NANOSECONDS, len(frame), frame, *values)
 
 
 class Decoder:

@@ -147,7 +147,10 @@ class ControlNode(LifecycleNode):
             name=self.get_name(),
             message=message,
             hardware_id="ehls",
-            values=[KeyValue(key=key, value=f"{value:.6g}" if isinstance(value, float) else str(value)) for key, value in figures.items()],
+            values=[
+                KeyValue(key=key, value=f"{value:.6g}" if isinstance(value, float) else str(value))
+                for key, value in figures.items()
+            ],
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()

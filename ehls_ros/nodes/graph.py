@@ -193,9 +193,7 @@ class Conductor:
         self._node = Node("conductor", namespace=NAMESPACE)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._clients = {
-            node.name: self._node.create_client(ChangeState, f"{node.name}/change_state") for node in running
-        }
+        self._clients = {node.name: self._node.create_client(ChangeState, f"{node.name}/change_state") for node in running}
         self._ended = False
         self._cycle = 0
         self._node.create_subscription(TransitionEvent, f"{PLANT}/transition_event", self._on_transition, 10)

@@ -34,7 +34,9 @@ class Parameters(NamedTuple):
 
     timing: Annotated[str, text("lockstep: wait for each answer, deterministic; realtime: wall clock")] = "realtime"
     cycles: Annotated[int, quantity("1", "cycles to run; 0: until told to stop", minimum=0)] = 0
-    telemetry_rate: Annotated[float, quantity("Hz", "rate of force, load_pressure and joint_states", minimum=0.0, maximum=1e3)] = 50.0
+    telemetry_rate: Annotated[
+        float, quantity("Hz", "rate of force, load_pressure and joint_states", minimum=0.0, maximum=1e3)
+    ] = 50.0
     clock_rate: Annotated[float, quantity("Hz", "rate of /clock in lockstep, in plant time", minimum=0.0, maximum=1e3)] = 100.0
 
 
@@ -55,9 +57,7 @@ class PlantSimNode(ControlNode):
     def prepare(self) -> None:
         """Compile the plant and open the topics."""
         settings = self.spec.settings
-        self.simulator = Simulator(
-            self.spec.loader_rig(), self.period, settings.integration_step, settings.initial_position
-        )
+        self.simulator = Simulator(self.spec.loader_rig(), self.period, settings.integration_step, settings.initial_position)
         self.random = np.random.default_rng(settings.seed)
         self.cycle = 0
         self.command = 0.0

@@ -5,7 +5,7 @@ import time
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, cast, get_args
 
 from rclpy.qos import QoSProfile
 
@@ -14,7 +14,7 @@ from ehls_ros.experiments.loop import metadata
 from ehls_ros.nodes.control_node import ERROR, OK, ControlNode, run_node
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos
-from ehls_ros.recording.bag_writer import BagWriter
+from ehls_ros.recording.bag_writer import BagWriter, Storage
 from ehls_ros.recording.topics import CYCLE_TOPICS, TOPICS
 from ehls_ros.schema import text
 
@@ -40,9 +40,10 @@ class RecorderNode(ControlNode):
         """Declare the parameters."""
         super().__init__("recorder_node")
         declare(self, Parameters, live=False)
-        self.storage = self.text_parameter("storage")
-        if self.storage not in ("mcap", "sqlite3"):
-            raise BadInput(f"storage is '{self.storage}'", self.get_name(), "mcap or sqlite3")
+        storage = self.text_parameter("storage")
+        if storage not in get_args(Storage):
+            raise BadInput(f"storage is '{storage}'", self.get_name(), f"one of {', '.join(get_args(Storage))}")
+        self.storage = cast(Storage, storage)
 
     def prepare(self) -> None:
         """Open the bag and subscribe."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SENT, SECONDS, MessageColumns
+from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS, SENT, MessageColumns
 from ehls_ros.recording.cdr import CdrError, Field, decode, flatten
 from ehls_ros.recording.provenance import Seal, message_checksum
 from ehls_ros.recording.reason import reason

@@ -50,13 +50,15 @@ class Bench:
 @pytest.mark.parametrize("new", [{"k": 24.0}, {"k": 3.0}, {"g": 200.0}, {"b": 300.0, "h": 80.0}, {"phi3": 1e5}])
 def test_retuning_makes_no_bump_and_counts_at_once(rig, new):
     law = make(rig)
-    bench = Bench(rig, law)
+    bench, unchanged = Bench(rig, law), Bench(rig, make(rig))
     commands = [bench.step()[2] for _ in range(2310)]
+    assert [unchanged.step()[2] for _ in range(2310)] == commands
     before = np.max(np.abs(np.diff(commands[1500:])))
     p = parse(fasmc.Parameters, new, "test")
     law.retune(p)
     measured, wanted, command = bench.step()
     assert abs(command - commands[-1]) <= before
+    assert command == pytest.approx(unchanged.step()[2], rel=0.0, abs=1e-12)
     # (27) with the new k and g, in MPa
     area, plant = rig.plant.piston_area, rig.plant
     stiffness = 4.0 * plant.bulk_modulus / plant.total_volume

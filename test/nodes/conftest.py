@@ -84,7 +84,9 @@ class Participant:
         from rclpy.signals import SignalHandlerOptions
 
         self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=int(os.environ["ROS_DOMAIN_ID"]), signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(
+            context=self.context, domain_id=int(os.environ["ROS_DOMAIN_ID"]), signal_handler_options=SignalHandlerOptions.NO
+        )
         self.node = rclpy.create_node("participant", context=self.context, namespace="ehls")
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)

@@ -76,9 +76,7 @@ def test_the_estimator_may_go_and_come_back_and_every_node_ends_cleanly(running,
     graph.stop("friction_estimator_node")
     participant.until(lambda: running[-1].friction_fallback, 20.0)
     goes_on(participant, running)
-    participant.until(
-        lambda: any("Stribeck" in status.message for array in diagnostics for status in array.status), 20.0
-    )
+    participant.until(lambda: any("Stribeck" in status.message for array in diagnostics for status in array.status), 20.0)
     graph.start("friction_estimator_node", spec=spec_file(duration=1000.0))
     participant.until(lambda: not running[-1].friction_fallback, 60.0)
     goes_on(participant, running)

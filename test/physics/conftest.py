@@ -107,14 +107,16 @@ run = integration.integrator(evaluate, switch)
 @njit(cache=True, error_model="numpy")
 def drive(velocity, period, steps, friction, y, mode, states, modes, total):
     work = np.empty((integration.WORK_ROWS, y.size))
+    dense = 0
     for k in range(velocity.size):
         if k > 0:
             motion = Motion(friction, velocity[k - 1], (velocity[k] - velocity[k - 1]) / period)
-            run(0.0, y, mode, motion, period / steps, steps, work)
+            dense += run(0.0, y, mode, motion, period / steps, steps, work)
         states[k] = y
         modes[k] = mode
         level = stribeck_level(velocity[k], friction)
         total[k] = model.force(velocity[k], 0.0, level, y, mode, friction)
+    return dense
 '''
 
 
@@ -125,7 +127,7 @@ class Driven:
         y, mode = np.zeros(count), np.zeros(count)
         self.states, self.modes = np.empty((velocity.size, count)), np.empty((velocity.size, count))
         self.total = np.empty(velocity.size)
-        module.drive(velocity, PERIOD, steps, friction, y, mode, self.states, self.modes, self.total)
+        assert module.drive(velocity, PERIOD, steps, friction, y, mode, self.states, self.modes, self.total) == 0
 
 
 @pytest.fixture(scope="session")

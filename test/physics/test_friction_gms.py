@@ -95,6 +95,17 @@ def test_friction_lags_behind_velocity(drive, make_rig):
     assert max(widths) < 865.4 - 640.8
 
 
+def test_an_element_that_is_being_unloaded_does_not_slip(drive, make_rig):
+    """Even where a fast reversal leaves it above the Stribeck curve, which at speed lies lower."""
+    friction = make_rig().friction
+    velocity = np.concatenate([np.full(6000, 2e-4), [0.0, -0.2]])
+    driven = drive("gms", velocity, friction)
+    before, after = driven.states[-2], driven.states[-1]
+    assert before.sum() > 830.0
+    assert np.all(driven.modes[-1] == 0.0)
+    np.testing.assert_allclose(after, before - 1e-4 * np.array(friction.element_stiffness), rtol=1e-9)
+
+
 def test_elements_stay_within_their_share(drive, make_rig):
     seed = np.random.SeedSequence().entropy
     print(f"seed {seed}")

@@ -158,8 +158,8 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     u3 = -m0 * rate * s_next
     wanted = (u1 + u2 + u3) / (m0 * p.xi * e5 * g3) * 1e-3  # (34)
     command = saturate(wanted, model.spool_limit)
-    # At the limit, only an adaptation that leads away from it goes on; a broken measurement stops it.
-    if (wanted == command or wanted * s > 0.0) and math.isfinite(alpha + beta + adapted):
+    # At the limit, only an adaptation that leads away from it goes on; after a broken measurement, none.
+    if wanted == command or wanted * s > 0.0:
         memory[ALPHA], memory[BETA], memory[DELTA] = alpha, beta, delta
 
     status[base.E3] = error

@@ -38,7 +38,7 @@ class SampledReference:
         """Return value, first and second derivative at a cycle, shape (3,)."""
         first = cycle - cycle % self.BLOCK
         if first != self._first:
-            t = np.arange(first, first + self.BLOCK) * self._period
+            t = np.arange(first, first + self.BLOCK, dtype=np.float64) * self._period
             self._rows = self._signal.sample(t, self._parameters)
             self._first = first
         row: Array = self._rows[cycle - first]

@@ -20,7 +20,7 @@ class Parameters(NamedTuple):
 
 def sample(t: Array, p: Parameters) -> Array:
     """Return the sum and its derivatives."""
-    number = np.arange(1, p.harmonics + 1)
+    number = np.arange(1, p.harmonics + 1, dtype=np.float64)
     phase = -np.pi * number * (number - 1) / p.harmonics
     out = harmonics(t, np.full(p.harmonics, p.amplitude), p.base_frequency * number, phase)
     out[:, 0] += p.offset
