@@ -47,9 +47,9 @@ def motions(duration: float) -> list[Motion]:
     """Return the motion commanded each cycle, and one under a command held."""
     t = np.arange(round(duration / PERIOD)) * PERIOD
     omega = 2.0 * np.pi
-    commands = np.column_stack([
-        6e-4 * np.sin(omega * t), 5e3 * np.sin(omega * t + 0.7), 5e3 * omega * np.cos(omega * t + 0.7), t
-    ])
+    commands = np.column_stack(
+        [6e-4 * np.sin(omega * t), 5e3 * np.sin(omega * t + 0.7), 5e3 * omega * np.cos(omega * t + 0.7), t]
+    )
     held = np.array([[2e-4, 500.0, 300.0, 0.0]])
     return [
         Motion("cycles of 1 ms", commands, round(PERIOD / DEFAULT_STEP)),
@@ -127,10 +127,10 @@ def deviation(kernel: Any, other: Any, motion: Motion) -> float:
     return float(np.max(np.abs(tracks[0] - tracks[1]).max(axis=0) / np.abs(tracks[1]).max(axis=0)))
 
 
-def timed(work: Callable[[], object]) -> float:
-    """Return how long a call takes [s]."""
+def timed(work: Callable[[Motion], int], motion: Motion) -> float:
+    """Return how long a run takes [s]."""
     before = time.perf_counter()
-    work()
+    work(motion)
     return time.perf_counter() - before
 
 
@@ -156,7 +156,7 @@ def main() -> None:
                 order = list(contestants.items())
                 for name, kernel in order[run % len(order) :] + order[: run % len(order)]:
                     at_rest(kernel)
-                    taken = timed(lambda kernel=kernel: kernel.run(motion))  # type: ignore[misc]
+                    taken = timed(kernel.run, motion)
                     if run >= 2:
                         times[name].append(taken / steps * 1e9)
             print(f"{'numba':30}{np.median(times['numba']):9.1f}")

@@ -138,9 +138,7 @@ def print_halving(spec: Spec) -> None:
         for name, signal in (("fd1", (2e3, 0.25)), ("fd2", (5e3, 1.0))):
             data = spec_to_mapping(spec)
             data["reference"] = reference
-            data["disturbance"] = {
-                "name": "force", "signal": {"name": "sine", "amplitude": signal[0], "frequency": signal[1]}
-            }
+            data["disturbance"] = {"name": "force", "signal": {"name": "sine", "amplitude": signal[0], "frequency": signal[1]}}
             case = spec_from_mapping(data, "benchmark", ROOT)
             row = f"{reference['name']} {name}".rjust(16)
             for step in STEPS[:6]:

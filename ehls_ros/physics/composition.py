@@ -8,12 +8,14 @@ any change of either makes a new module, and a cached kernel is never stale.
 
 import hashlib
 import importlib.util
+import inspect
 import os
 import sys
 import tempfile
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import cast
 
 import numba
 import numpy as np
@@ -83,15 +85,16 @@ def _written(folder: Path, name: str, source: str) -> Path:
     # Several nodes may start at once: each writes its own file, the last rename wins with the same text.
     with os.fdopen(handle, "w", encoding="utf-8") as file:
         file.write(source)
-    os.replace(scratch, path)
+    Path(scratch).replace(path)
     return path
 
 
 def plant_source(rig: Rig) -> str:
     """Return the text of the kernel module for a rig's friction model and effects.
 
-    The module's ``advance(t, y, mode, plant, friction, inputs, effects, step, steps, work)`` moves the
-    plant on, ``sense(cycle, y, temperature, plant, sensors, noise, truth, measured)`` reads its sensors; ``EFFECT_STATES`` counts the effects' own states.
+    The module's ``advance(t, y, mode, plant, friction, inputs, effects, step, steps, work)`` moves the plant on;
+    ``sense(cycle, y, temperature, plant, sensors, noise, truth, measured)`` reads its sensors; ``EFFECT_STATES``
+    counts the effects' own states.
     """
     elements = rig_elements(rig)
     imports, chains, rates, states, offset = [], {hook: list[str]() for hook in HOOKS}, list[str](), 0, 0
@@ -100,7 +103,8 @@ def plant_source(rig: Rig) -> str:
         own = getattr(effect, "STATES", 0)
         count = len(use.parameters)
         # An effect may lie in a folder added to the family's path, outside the package's sources.
-        text = hashlib.sha256(Path(str(effect.__file__)).read_bytes()).hexdigest()[:16]
+        file = Path(inspect.getfile(cast(ModuleType, effect)))
+        text = hashlib.sha256(file.read_bytes()).hexdigest()[:16]
         view = f"z[{states}:{states + own}], p[{offset}:{offset + count}]"
         imports.append(f"from ehls_ros.physics.effects import {use.name} as effect_{index}  # {text}")
         for hook in HOOKS:
@@ -111,8 +115,7 @@ def plant_source(rig: Rig) -> str:
         states += own
         offset += count
     hooks = "\n\n".join(
-        "\n".join(["@kernel", f"def {hook}(value, t, y, w, z, p):", *chains[hook], "    return value", ""])
-        for hook in HOOKS
+        "\n".join(["@kernel", f"def {hook}(value, t, y, w, z, p):", *chains[hook], "    return value", ""]) for hook in HOOKS
     )
     return _PLANT.format(
         friction=rig.friction_model,

@@ -22,7 +22,6 @@ SENSED = ("position", "velocity", "load_pressure", "spool_position", "force", "s
 """What a loader_state holds, in its order."""
 
 
-
 class Rig(NamedTuple):
     """A whole rig; ``effects`` is empty for the paper's model."""
 

@@ -7,12 +7,12 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.physics import sensors
 from ehls_ros.physics.composition import kernel_module, plant_source, rig_elements
-from ehls_ros.physics.plant import FD, FD_RATE, FRICTION, INPUTS, START, TEMPERATURE, VD, XD, U, X
 from ehls_ros.physics.integration import WORK_ROWS
+from ehls_ros.physics.plant import FD, FD_RATE, FRICTION, INPUTS, START, TEMPERATURE, VD, XD, U, X
 from ehls_ros.physics.rig import SENSED, Rig
 
 DEFAULT_STEP = 1e-4
-"""Integration step [s]; benchmarks/convergence.py shows why."""
+"""Integration step [s]; benchmarks/physics_convergence.py shows why."""
 
 OIL_TEMPERATURE = 313.15
 """Oil temperature while no effect changes it [K]."""
@@ -92,9 +92,7 @@ class Simulator:
             The readings in the order of ``SENSED``; the same array every time.
         """
         temperature = self.inputs[TEMPERATURE]
-        self._sense(
-            self.cycle, self.y, temperature, self.rig.plant, self.sensors, noise, self.truth, self.measured
-        )
+        self._sense(self.cycle, self.y, temperature, self.rig.plant, self.sensors, noise, self.truth, self.measured)
         return self.measured
 
     def advance(self, command: float, force: float, force_rate: float, displacement: float, velocity: float) -> int:

@@ -2,24 +2,19 @@
 
 import copy
 from collections.abc import Callable
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from numpy.typing import NDArray
-from reference_solver import Case
+from reference_solver import Case, Floats
+from rig_runs import PAPER_RIG, PERIOD, run
 
 from ehls_ros.physics.composition import kernel_module
 from ehls_ros.physics.parameters import Friction
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP, Simulator
-
-Floats = NDArray[np.float64]
-PAPER_RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
-PERIOD = 1e-3
 
 
 @pytest.fixture(scope="session")
@@ -45,15 +40,6 @@ def make_rig(paper_mapping: dict[str, Any]) -> Callable[..., Rig]:
         return rig_from_mapping({**data, **sections}, "rig")
 
     return make
-
-
-def run(simulator: Simulator, inputs: Floats) -> Floats:
-    """Run the commands and disturbances of each cycle; return the states from the start on, shape (cycles + 1, states)."""
-    states = [simulator.y.copy()]
-    for u, force, rate in inputs.tolist():
-        assert simulator.advance(u, force, rate, 0.0, 0.0) == 0
-        states.append(simulator.y.copy())
-    return np.array(states)
 
 
 @pytest.fixture(scope="session")

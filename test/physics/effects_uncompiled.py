@@ -28,8 +28,11 @@ def motion(rig: Rig, cycles: int) -> np.ndarray[Any, np.dtype[np.float64]]:
     for k in range(cycles):
         t = k * 1e-3
         simulator.advance(
-            1.2e-3 * math.sin(60.0 * t), 3e3 * math.sin(45.0 * t), 135e3 * math.cos(45.0 * t),
-            5e-3 * math.sin(30.0 * t), 0.15 * math.cos(30.0 * t),
+            1.2e-3 * math.sin(60.0 * t),
+            3e3 * math.sin(45.0 * t),
+            135e3 * math.cos(45.0 * t),
+            5e-3 * math.sin(30.0 * t),
+            0.15 * math.cos(30.0 * t),
         )
         rows.append(np.concatenate([simulator.y[:PLANT_STATES], simulator.measure(np.zeros(len(SENSED)))]))
     return np.array(rows)

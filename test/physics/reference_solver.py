@@ -188,17 +188,19 @@ class Plant:
 
     def rhs(self, t: float, y: Floats) -> Floats:
         c = self.c
-        x, v, pL, xv = y[:4].tolist()
+        _, v, pL, xv = y[:4].tolist()
         other = self.other_force(t, y)
         opening = xv - c.overlap[0] if self.side > 0 else xv + c.overlap[1] if self.side < 0 else 0.0
         QL = c.Cd * c.w * opening * math.sqrt((c.ps - self.side * pL) / c.rho)
-        return np.array([
-            v,
-            (other - self.law.force(v, other, y[4:])) / c.m0,
-            4.0 * c.beta_e / c.Vt * (QL - c.Ac * v - c.Ctc * pL),
-            self.spool_rate(y),
-            *self.law.rates(v, y[4:]),
-        ])
+        return np.array(
+            [
+                v,
+                (other - self.law.force(v, other, y[4:])) / c.m0,
+                4.0 * c.beta_e / c.Vt * (QL - c.Ac * v - c.Ctc * pL),
+                self.spool_rate(y),
+                *self.law.rates(v, y[4:]),
+            ]
+        )
 
     def valve_events(self, y: Floats) -> list[Event]:
         if y[3] == 0.0 and self.spool_rate(y) == 0.0:
@@ -305,9 +307,7 @@ def cases() -> dict[str, Case]:
     paper = Constants()
     omega = 2.0 * math.pi
     small = np.column_stack([1.5e-5 * np.sin(2.0 * omega * t), still, still])
-    large = np.column_stack([
-        6e-4 * np.sin(omega * t), 5e3 * np.sin(omega * t + 0.7), 5e3 * omega * np.cos(omega * t + 0.7)
-    ])
+    large = np.column_stack([6e-4 * np.sin(omega * t), 5e3 * np.sin(omega * t + 0.7), 5e3 * omega * np.cos(omega * t + 0.7)])
     # Breaks away, runs, stops within the overlap, breaks away the other way against gravity's pull, stops.
     stages = np.select([t < 0.3, t < 0.7, t < 1.1, t < 1.5], [6e-5, 0.0, -9e-5, 0.0], 1.2e-4)
     overlapped = replace(paper, overlap=(2e-5, 3e-5))

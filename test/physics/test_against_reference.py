@@ -1,5 +1,7 @@
 """The plant against a solution that shares no code with it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from reference_solver import cases, solve
@@ -46,12 +48,11 @@ def test_order_is_4_through_stick_and_slip(name, reference, simulated):
 def test_order_with_a_friction_force_that_jumps_into_the_balance_follows_the_stribeck_exponent(simulated):
     """|v|^0.8764 has no derivative at standstill; with an exponent of 2 the method keeps its order."""
     case = CASES["break-away"].shortened(DURATION)
-    case = type(case)(case.name, case.law, case.constants, case.inputs * [0.6, 1.0, 1.0])
+    # Without the overlap, whose edges are bends that no event marks.
+    case = replace(case, inputs=case.inputs * [0.6, 1.0, 1.0], effects=[])
     orders = {}
     for exponent in (0.8764, 2.0):
-        exact, coarse, fine = (
-            simulated(case, step, {"stribeck_exponent": exponent})[:, :4] for step in (6.25e-6, 5e-4, 5e-5)
-        )
+        exact, coarse, fine = (simulated(case, step, {"stribeck_exponent": exponent})[:, :4] for step in (6.25e-6, 5e-4, 5e-5))
         orders[exponent] = np.log10(deviation(coarse, exact) / deviation(fine, exact))
     assert 1.8 < orders[0.8764] < 3.4
     assert 3.5 < orders[2.0] < 4.5

@@ -9,7 +9,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from conftest import PAPER_RIG
+from rig_runs import PAPER_RIG
 
 from ehls_ros.physics.composition import kernel_module, plant_source
 from ehls_ros.physics.effects import EFFECTS

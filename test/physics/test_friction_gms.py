@@ -71,9 +71,7 @@ def test_inner_loops_close_and_are_wiped_out(drive):
 def test_presliding_does_not_depend_on_speed(drive):
     turns = [2e-4, -5e-5, 1.2e-4]
     (slow, slow_at), (fast, fast_at) = path(*turns), path(*turns, speed=5e-3)
-    np.testing.assert_allclose(
-        drive("gms", slow, FLAT).total[slow_at], drive("gms", fast, FLAT).total[fast_at], rtol=1e-9
-    )
+    np.testing.assert_allclose(drive("gms", slow, FLAT).total[slow_at], drive("gms", fast, FLAT).total[fast_at], rtol=1e-9)
 
 
 def test_friction_lags_behind_velocity(drive, make_rig):
@@ -131,8 +129,16 @@ def test_no_step_ends_slipping_against_the_motion(make_rig):
         simulator.inputs[0] = 4e-5 * np.sin(20.0 * t)
         for part in range(10):
             simulator._advance(
-                t + part * 1e-4, simulator.y, simulator.mode, simulator.rig.plant, simulator.rig.friction,
-                simulator.inputs, simulator.effects, 1e-4, 1, simulator.work,
+                t + part * 1e-4,
+                simulator.y,
+                simulator.mode,
+                simulator.rig.plant,
+                simulator.rig.friction,
+                simulator.inputs,
+                simulator.effects,
+                1e-4,
+                1,
+                simulator.work,
             )
             slipping = simulator.mode[1:]
             assert np.all(slipping * simulator.y[1] >= -1e-9)

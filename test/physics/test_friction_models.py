@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import run
+from rig_runs import run
 
 from ehls_ros.physics.simulator import Simulator
 

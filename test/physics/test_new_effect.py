@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import PERIOD, run
 from reference_solver import Constants, solve
+from rig_runs import PERIOD, run
 
 from ehls_ros.physics import effects
 from ehls_ros.physics.effects import EFFECTS
@@ -131,4 +131,3 @@ def test_a_hook_acts_where_it_says(hook, probe, make_rig):
     assert np.max(np.abs(expected - unchanged) / scale) > 1e-2
     np.testing.assert_allclose(states[:, 7], states[:, 0], rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(states[:, 7], states[:, 8])
-

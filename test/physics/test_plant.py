@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import PERIOD, run
+from rig_runs import PERIOD, run
 
 from ehls_ros.physics.cylinder import load_pressure_rate
 from ehls_ros.physics.simulator import Simulator
@@ -15,8 +15,8 @@ SLIPPERY = {
     "coulomb_force": 1e-9,
     "static_force": 1e-9,
     "viscous_coefficient": 0.0,
-    "element_stiffness": [1e-6],
-    "element_weight": [1.0],
+    "element_stiffness": [1e-7, 1e-7, 1e-7],
+    "element_weight": [0.5, 0.3, 0.2],
 }
 SIMPSON = np.array([1.0, 4.0, 1.0]) / 3.0
 
@@ -64,11 +64,13 @@ def linear(make_rig, step, cycles=400):
     states = run(simulator, np.zeros((cycles, 3)))
     t = np.arange(cycles + 1) * PERIOD
     omega = math.sqrt(4.0 * 6.9e8 * 2.6e-3**2 / (1.5e-3 * 70.0))
-    exact = np.column_stack([
-        0.1 / omega * np.sin(omega * t),
-        0.1 * np.cos(omega * t),
-        -4.0 * 6.9e8 * 2.6e-3 / 1.5e-3 * 0.1 / omega * np.sin(omega * t),
-    ])
+    exact = np.column_stack(
+        [
+            0.1 / omega * np.sin(omega * t),
+            0.1 * np.cos(omega * t),
+            -4.0 * 6.9e8 * 2.6e-3 / 1.5e-3 * 0.1 / omega * np.sin(omega * t),
+        ]
+    )
     return states[:, :3], exact
 
 

@@ -6,6 +6,7 @@ would let an element that is being unloaded slip against the motion.
 """
 
 import numpy as np
+
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.friction.base import sign
 from ehls_ros.physics.parameters import Friction
@@ -44,10 +45,7 @@ def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction
     largest = -np.inf
     direction = sign(v)
     for i in range(len(p.element_stiffness)):
-        if mode[i] == 0.0:
-            value = direction * F[i] - p.element_weight[i] * s
-        else:
-            value = -mode[i] * v
+        value = direction * F[i] - p.element_weight[i] * s if mode[i] == 0.0 else -mode[i] * v
         largest = max(largest, value)
     return largest
 
