@@ -31,16 +31,16 @@ PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
 def nodes(context: LaunchContext) -> list[Node]:
     """Return the nodes the arguments ask for."""
     chosen = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    common = {"spec": chosen["spec"], "rig": chosen["rig"]}
+    common = {"spec": chosen["spec"], "rig": chosen["rig"], "timing": chosen["timing"]}
     own: dict[str, dict[str, object]] = {
         "reference_node": {},
         "disturbance_node": {},
         "friction_estimator_node": {},
         f"{chosen['controller']}_node": {},
-        PLANTS[chosen["plant"]]: {"timing": chosen["timing"]},
+        PLANTS[chosen["plant"]]: {},
     }
     if chosen["record"]:
-        own["recorder_node"] = {"bag": chosen["record"], "timing": chosen["timing"]}
+        own["recorder_node"] = {"bag": chosen["record"]}
     left_out = set(chosen["without"].split(","))
     return [
         Node(

@@ -1,25 +1,30 @@
 """What reference and disturbance share: they know time, so they run ahead of the cycles and cost no latency."""
 
+import struct
 import time
 from collections.abc import Mapping
 from typing import Any
 
+from rosgraph_msgs.msg import Clock
+
 from ehls_msgs.msg import LoaderState
+from ehls_ros.nodes.codec import NANOSECONDS
 from ehls_ros.nodes.control_node import OK, WAIT, ControlNode
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, newest_qos
 
 LEAD = 50
-"""Cycles a signal of time alone runs ahead."""
+"""Cycles a signal of time alone runs ahead; well over the cycles between two messages on /clock."""
 
 REST = 0.005
-"""How long a node that runs far ahead lets snapshots gather before it looks again [s]."""
+"""How long snapshots gather in realtime before a signal of time alone looks again [s]."""
 
 
 class AheadNode(ControlNode):
     """Publishes one row a cycle, ahead of it.
 
-    Subclasses implement :meth:`open_outbox`, :meth:`first` and :meth:`following`, and set ``lead`` to 1 where
-    a row depends on the loader's state one cycle before.
+    A row that depends on the loader's state (``lead`` 1) goes by each loader_state. A row that depends on time
+    alone needs to know only about where the cycles have got to: from /clock in lockstep, where every process
+    that need not wake with each cycle is time gained, and from the newest loader_state in realtime.
     """
 
     lead = LEAD
@@ -39,18 +44,29 @@ class AheadNode(ControlNode):
 
     def prepare(self) -> None:
         """Open the topics."""
-        self.period_ns = self.spec.settings.control_period * 1e9
+        self.period_ns = self.spec.settings.control_period * NANOSECONDS
         self.outbox = self.open_outbox()
-        self.states = Inbox(self, LoaderState, "loader_state", control_qos() if self.lead == 1 else newest_qos())
-        self.waiter = Waiter([self.states])
+        if self.lead == 1:
+            self.progress = Inbox(self, LoaderState, "loader_state")
+        elif self.lockstep:
+            self.progress = Inbox(self, Clock, "/clock", control_qos(1), self._cycle_of_clock)
+        else:
+            self.progress = Inbox(self, LoaderState, "loader_state", newest_qos())
+        self.waiter = Waiter([self.progress])
         self.next = 0
         self.last = -1
+
+    def _cycle_of_clock(self, message: bytes) -> tuple[int, int]:
+        """Return stamp and cycle, as a loader_state begins."""
+        seconds, nanoseconds = struct.unpack_from("<iI", message, 4)
+        stamp = seconds * NANOSECONDS + nanoseconds
+        return stamp, round(stamp / self.period_ns)
 
     def release(self) -> None:
         """Close the topics."""
         if hasattr(self, "waiter"):
             self.waiter.destroy()
-            self.states.destroy()
+            self.progress.destroy()
             self.outbox.destroy()
             del self.waiter
 
@@ -59,17 +75,17 @@ class AheadNode(ControlNode):
         self._publish_to(self.lead - 1, 0, None)
 
     def once(self) -> None:
-        """Publish what the snapshots that came ask for."""
+        """Publish what the cycles have got to ask for."""
         self.waiter.wait(WAIT)
-        while (state := self.states.take()) is not None:
+        while (state := self.progress.take()) is not None:
             stamp, cycle = state[:2]
             if cycle < self.last or cycle > self.next:
                 # The plant began anew, or this node came late.
                 self.next = cycle + 1 if self.lead == 1 else cycle
             self.last = cycle
             if cycle + self.lead >= self.next + self.lead // 2:
-                self._publish_to(cycle + self.lead, stamp - round(cycle * self.period_ns), state)
-        if self.lead > 1:
+                self._publish_to(cycle + self.lead, stamp - round(cycle * self.period_ns), state if self.lead == 1 else None)
+        if self.lead > 1 and not self.lockstep:
             time.sleep(REST)
 
     def _publish_to(self, cycle: int, epoch_ns: int, state: tuple[Any, ...] | None) -> None:

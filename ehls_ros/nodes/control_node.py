@@ -1,7 +1,6 @@
 """What the control-path nodes share: lifecycle, spec, the loop in the main thread, diagnostics, shutdown."""
 
 import gc
-import os
 import signal
 import sys
 import threading
@@ -21,9 +20,12 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, load_rig, load_spec
 from ehls_ros.nodes.parameters import declare
-from ehls_ros.schema import quantity, text
+from ehls_ros.schema import text
 
 NAMESPACE = "ehls"
+
+LOCKSTEP, REALTIME = TIMINGS = ("lockstep", "realtime")
+"""Timing modes."""
 
 WAIT = 0.1
 """Longest time a loop waits before it looks whether it should stop [s]."""
@@ -36,8 +38,8 @@ class Common(NamedTuple):
 
     spec: Annotated[str, text("experiment file; empty: the 10 kN sine that comes with the package")] = ""
     rig: Annotated[str, text("rig file in place of the spec's; empty: the spec's")] = ""
+    timing: Annotated[str, text("realtime: wall clock; lockstep: each cycle waits for its answer, deterministic")] = "realtime"
     autostart: Annotated[bool, text("configure and activate at start, as when started by hand")] = True
-    nice: Annotated[int, quantity("1", "how far the process steps back for others", minimum=0, maximum=19)] = 0
 
 
 class ControlNode(LifecycleNode):
@@ -56,6 +58,10 @@ class ControlNode(LifecycleNode):
         super().__init__(name, namespace=NAMESPACE)
         declare(self, Common, live=False)
         self.spec = self._load_spec()
+        timing = self.text_parameter("timing")
+        if timing not in TIMINGS:
+            raise BadInput(f"timing is '{timing}'", self.get_name(), f"one of {', '.join(TIMINGS)}")
+        self.lockstep = timing == LOCKSTEP
         self._active = threading.Event()
         self._idle = threading.Event()
         self._idle.set()
@@ -189,7 +195,6 @@ def run_node(make: Callable[[], ControlNode]) -> int:
         print(error, file=sys.stderr)
         rclpy.try_shutdown()
         return 2
-    os.nice(int(node.get_parameter("nice").value))
     executor = EventsExecutor()
     executor.add_node(node)
 

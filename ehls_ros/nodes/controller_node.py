@@ -14,7 +14,7 @@ from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import SATURATED, model_of
 from ehls_ros.control.estimator import FrictionEstimator
-from ehls_ros.nodes.control_node import OK, WAIT, WARN, ControlNode
+from ehls_ros.nodes.control_node import OK, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
@@ -23,6 +23,9 @@ from ehls_ros.schema import quantity
 
 PATIENCE = 1.0
 """How long a cycle may lack something before diagnostics say so [s]."""
+
+TURN = 0.005
+"""Longest wait for one message before the others are looked at [s]."""
 
 KEPT = 4000
 """References and estimates kept ahead of their cycle."""
@@ -73,6 +76,7 @@ class ControllerNode(ControlNode):
         self.references: dict[int, tuple[float, float, float]] = {}
         self.frictions: dict[int, tuple[float, float]] = {}
         self.friction_comes = self.kind.FRICTION
+        self.newest_friction = -1
         self.answered = -1
         self.fallbacks = 0
         self.saturated = False
@@ -104,13 +108,15 @@ class ControllerNode(ControlNode):
         self._wait()
         arrived = time.perf_counter()
         while (message := self.friction.take()) is not None:
-            self.frictions[message[1]] = message[2:4]
+            self.newest_friction = message[1]
+            self.frictions[self.newest_friction] = message[2:4]
             self.friction_comes = self.kind.FRICTION
         while (message := self.states.take()) is not None:
             self.pending[message[1]] = message
             self.pending_since = arrived
-        while (message := self.reference.take()) is not None:
-            self.references[message[1]] = message[2:5]
+        if self.pending and max(self.pending) not in self.references:
+            while (message := self.reference.take()) is not None:
+                self.references[message[1]] = message[2:5]
         for cycle in sorted(self.pending, reverse=True):
             if self._complete(cycle, arrived):
                 self._answer(self.pending[cycle])
@@ -120,13 +126,16 @@ class ControllerNode(ControlNode):
                 break
 
     def _wait(self) -> None:
-        """Wait on the one message that comes last, so that a cycle wakes this process once."""
+        """Wait on the one message that comes last, so that a cycle wakes this process once.
+
+        That is the friction estimate as a rule; yet it may overtake its snapshot on the way here.
+        """
         if self.pending:
-            self.on_anything.wait(0.005)
-        elif self.friction_comes:
-            self.on_friction.wait(0.005)
+            self.on_anything.wait(TURN)
+        elif self.friction_comes and self.newest_friction <= self.answered:
+            self.on_friction.wait(TURN)
         else:
-            self.on_state.wait(WAIT)
+            self.on_state.wait(TURN)
 
     def _complete(self, cycle: int, now: float) -> bool:
         """Tell whether a cycle can be answered, if need be without a friction estimate."""

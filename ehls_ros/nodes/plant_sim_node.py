@@ -12,18 +12,18 @@ from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import Float64
 
 from ehls_msgs.msg import Disturbance, LoaderState, ValveCommand
-from ehls_ros.errors import BadInput
 from ehls_ros.nodes.codec import NANOSECONDS
 from ehls_ros.nodes.control_node import ERROR, OK, WAIT, WARN, ControlNode, run_node
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare
-from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
+from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos
 from ehls_ros.physics import sensors
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.simulator import Simulator
-from ehls_ros.schema import quantity, text
+from ehls_ros.schema import quantity
 
-TIMINGS = ("lockstep", "realtime")
+CLOCK_CYCLES = 10
+"""In lockstep /clock tells the plant's time every so many cycles; what runs ahead of the cycles goes by it."""
 
 PATIENCE = 1.0
 """Time without an answer after which lockstep says that it waits [s]."""
@@ -32,12 +32,10 @@ PATIENCE = 1.0
 class Parameters(NamedTuple):
     """How the simulated rig is run."""
 
-    timing: Annotated[str, text("lockstep: wait for each answer, deterministic; realtime: wall clock")] = "realtime"
     cycles: Annotated[int, quantity("1", "cycles to run; 0: until told to stop", minimum=0)] = 0
     telemetry_rate: Annotated[
         float, quantity("Hz", "rate of force, load_pressure and joint_states", minimum=0.0, maximum=1e3)
     ] = 50.0
-    clock_rate: Annotated[float, quantity("Hz", "rate of /clock in lockstep, in plant time", minimum=0.0, maximum=1e3)] = 100.0
 
 
 class PlantSimNode(ControlNode):
@@ -47,10 +45,6 @@ class PlantSimNode(ControlNode):
         """Declare the parameters."""
         super().__init__("plant_sim_node")
         declare(self, Parameters, live=False)
-        self.timing = self.text_parameter("timing")
-        if self.timing not in TIMINGS:
-            raise BadInput(f"timing is '{self.timing}'", self.get_name(), f"one of {', '.join(TIMINGS)}")
-        self.lockstep = self.timing == "lockstep"
         self.cycles = int(self.get_parameter("cycles").value)
         self.period = self.spec.settings.control_period
 
@@ -73,7 +67,8 @@ class PlantSimNode(ControlNode):
         self.disturbance = Inbox(self, Disturbance, "disturbance")
         self.answer = Waiter([self.commands])
         self.anything = Waiter([self.commands, self.disturbance])
-        self.telemetry = Telemetry(self, self.lockstep)
+        self.clock = self.create_publisher(Clock, "/clock", control_qos(1)) if self.lockstep else None
+        self.telemetry = Telemetry(self)
 
     def release(self) -> None:
         """Close the topics."""
@@ -82,6 +77,8 @@ class PlantSimNode(ControlNode):
         for part in (self.answer, self.anything, self.commands, self.disturbance, self.state):
             part.destroy()
         self.telemetry.destroy()
+        if self.clock is not None:
+            self.destroy_publisher(self.clock)
         del self.state
 
     def start(self) -> None:
@@ -125,9 +122,10 @@ class PlantSimNode(ControlNode):
                 self.epoch += behind
 
     def _take(self) -> None:
-        while (message := self.disturbance.take()) is not None:
-            self.disturbances[message[1]] = message[2:]
-        while (message := self.commands.take()) is not None:
+        if self.cycle not in self.disturbances:
+            while (message := self.disturbance.take()) is not None:
+                self.disturbances[message[1]] = message[2:]
+        while self.answered < self.cycle and (message := self.commands.take()) is not None:
             _, cycle, spool = message
             if cycle > self.answered and cycle <= self.cycle and np.isfinite(spool):
                 self.command, self.answered = spool, cycle
@@ -157,13 +155,15 @@ class PlantSimNode(ControlNode):
         values = measured.tolist()
         self.published = time.perf_counter()
         self.state.send(stamp, self.cycle, *values)
+        if self.clock is not None and self.cycle % CLOCK_CYCLES == 0:
+            self.clock.publish(Clock(clock=_time(stamp)))
         self.telemetry.tell(self.cycle * self.period, stamp, values)
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say how the cycles go."""
         if not hasattr(self, "state"):
             return OK, "unconfigured", {}
-        level, message = OK, f"{self.timing}, cycle under way" if self._active.is_set() else "inactive"
+        level, message = OK, "cycles under way" if self._active.is_set() else "inactive"
         if self._active.is_set() and self.lockstep and time.perf_counter() - self.published > PATIENCE:
             level, message = WARN, "waiting for the controller's answer or the disturbance"
         elif self.missed:
@@ -182,19 +182,17 @@ class PlantSimNode(ControlNode):
 
 
 class Telemetry:
-    """The same signals, now and then, for the tools everybody has; and /clock in lockstep."""
+    """The same signals, now and then, for the tools everybody has."""
 
-    def __init__(self, node: PlantSimNode, lockstep: bool) -> None:
-        """Create the publishers; rates are the node's parameters."""
+    def __init__(self, node: PlantSimNode) -> None:
+        """Create the publishers; the rate is the node's parameter."""
         self._node = node
         self._force = node.create_publisher(Float64, "force", 10)
         self._pressure = node.create_publisher(FluidPressure, "load_pressure", 10)
         self._joints = node.create_publisher(JointState, "joint_states", 10)
-        self._clock = node.create_publisher(Clock, "/clock", 10) if lockstep else None
-        self._period = _period(float(node.get_parameter("telemetry_rate").value))
-        self._clock_period = _period(float(node.get_parameter("clock_rate").value))
-        self._next = 0.0
-        self._next_clock = 0.0
+        rate = float(node.get_parameter("telemetry_rate").value)
+        self._period = 1.0 / rate if rate > 0.0 else float("inf")
+        self._next = 0.0 if rate > 0.0 else float("inf")
 
     def tell(self, time_s: float, stamp_ns: int, measured: list[float]) -> None:
         """Publish what is due.
@@ -204,9 +202,6 @@ class Telemetry:
             stamp_ns: its stamp [ns].
             measured: readings in the order of ``SENSED``.
         """
-        if self._clock is not None and time_s >= self._next_clock:
-            self._next_clock += self._clock_period
-            self._clock.publish(Clock(clock=_time(stamp_ns)))
         if time_s < self._next:
             return
         self._next += self._period
@@ -226,13 +221,8 @@ class Telemetry:
 
     def destroy(self) -> None:
         """Take the publishers off the graph."""
-        for publisher in (self._force, self._pressure, self._joints, self._clock):
-            if publisher is not None:
-                self._node.destroy_publisher(publisher)
-
-
-def _period(rate: float) -> float:
-    return 1.0 / rate if rate > 0.0 else float("inf")
+        for publisher in (self._force, self._pressure, self._joints):
+            self._node.destroy_publisher(publisher)
 
 
 def _time(stamp_ns: int) -> Time:

@@ -30,7 +30,6 @@ class Parameters(NamedTuple):
 
     bag: Annotated[str, text("folder of the bag; empty: bags/<time>")] = ""
     storage: Annotated[str, text("mcap or sqlite3")] = "mcap"
-    timing: Annotated[str, text("timing mode of the run, kept in the bag")] = "realtime"
 
 
 class RecorderNode(ControlNode):
