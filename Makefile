@@ -18,7 +18,7 @@ setup:  ## make .venv/ with everything in it, or bring it up to date
 	@$(PYTHON) tools/setup_environment.py $(if $(filter file,$(origin PYTHON)),,--python-was-chosen)
 
 demo: setup  ## run one experiment over DDS; bag, metrics and report go to runs/demo/
-	.venv/bin/ehls experiment config/experiments/sine_fd2.yaml --out runs/demo
+	.venv/bin/ehls experiment config/experiments/sine_fd2.yaml --out runs/demo --overwrite
 
 # Plug-ins by name only: a sourced ROS brings some that do not work with this pytest.
 test: setup  ## run the tests; PYTEST_ARGS='-k name' picks some
