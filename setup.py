@@ -6,17 +6,7 @@ from setuptools import find_packages, setup
 
 PACKAGE = "ehls_ros"
 ROOT = Path(__file__).resolve().parent
-NODES = (
-    "plant_sim_node",
-    "hardware_bridge_node",
-    "disturbance_node",
-    "friction_estimator_node",
-    "fasmc_node",
-    "sic_node",
-    "pid_node",
-    "reference_node",
-    "recorder_node",
-)
+NODES = sorted(path.stem for path in (ROOT / PACKAGE / "nodes").glob("*_node.py"))
 
 
 def requirements(name: str) -> list[str]:

@@ -6,8 +6,8 @@ from typing import Any
 from ehls_msgs.msg import Disturbance
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.experiments.loop import sampled
-from ehls_ros.nodes.ahead_node import LEAD, AheadNode
-from ehls_ros.nodes.control_node import run_node
+from ehls_ros.nodes.ahead import LEAD, AheadNode
+from ehls_ros.nodes.control import run_node
 from ehls_ros.nodes.transport import Outbox
 from ehls_ros.physics import sensors
 

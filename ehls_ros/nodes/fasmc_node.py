@@ -2,8 +2,8 @@
 
 import sys
 
-from ehls_ros.nodes.control_node import run_node
-from ehls_ros.nodes.controller_node import ControllerNode
+from ehls_ros.nodes.control import run_node
+from ehls_ros.nodes.controller import ControllerNode
 
 
 def main() -> int:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, NamedTuple
 from ehls_msgs.msg import FrictionEstimate, LoaderState
 from ehls_ros.control.estimator import FrictionEstimator
 from ehls_ros.control.observers import OBSERVERS
-from ehls_ros.nodes.control_node import OK, WAIT, WARN, ControlNode, run_node
+from ehls_ros.nodes.control import OK, WAIT, WARN, ControlNode, run_node
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
 from ehls_ros.physics import sensors

@@ -27,7 +27,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import WorkFailed
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec
-from ehls_ros.nodes.control_node import LOCKSTEP, NAMESPACE
+from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE
 
 PLANT, RECORDER = "plant_sim_node", "recorder_node"
 

@@ -1,5 +1,6 @@
 """`plant_sim_node`: the simulated rig. It opens each cycle with a loader_state and steps on with the answer."""
 
+import math
 import sys
 import time
 from collections.abc import Mapping
@@ -13,7 +14,7 @@ from std_msgs.msg import Float64
 
 from ehls_msgs.msg import Disturbance, LoaderState, ValveCommand
 from ehls_ros.nodes.codec import NANOSECONDS
-from ehls_ros.nodes.control_node import ERROR, OK, WAIT, WARN, ControlNode, run_node
+from ehls_ros.nodes.control import ERROR, OK, WAIT, WARN, ControlNode, run_node
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos
@@ -111,7 +112,7 @@ class PlantSimNode(ControlNode):
             self._take()
             return
         self._take()
-        if self.answered != self.cycle:
+        if self.answered != self.cycle and self.answered >= 0:
             self.missed += 1
         self._advance()
         # A machine that was away for long goes on from now, rather than hurry after.
@@ -127,7 +128,7 @@ class PlantSimNode(ControlNode):
                 self.disturbances[message[1]] = message[2:]
         while self.answered < self.cycle and (message := self.commands.take()) is not None:
             _, cycle, spool = message
-            if cycle > self.answered and cycle <= self.cycle and np.isfinite(spool):
+            if cycle > self.answered and cycle <= self.cycle and math.isfinite(spool):
                 self.command, self.answered = spool, cycle
                 if cycle == self.cycle:
                     self.latency.add(time.perf_counter() - self.published)
@@ -166,6 +167,8 @@ class PlantSimNode(ControlNode):
         level, message = OK, "cycles under way" if self._active.is_set() else "inactive"
         if self._active.is_set() and self.lockstep and time.perf_counter() - self.published > PATIENCE:
             level, message = WARN, "waiting for the controller's answer or the disturbance"
+        elif self._active.is_set() and self.answered < 0:
+            level, message = WARN, "no controller has answered yet"
         elif self.missed:
             level, message = WARN, "cycles without an answer: the last command was held"
         if not np.all(np.isfinite(self.simulator.y)):

@@ -11,7 +11,7 @@ from rclpy.qos import QoSProfile
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import metadata
-from ehls_ros.nodes.control_node import ERROR, OK, ControlNode, run_node
+from ehls_ros.nodes.control import ERROR, OK, ControlNode, run_node
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos
 from ehls_ros.recording.bag_writer import BagWriter, Storage

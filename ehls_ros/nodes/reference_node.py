@@ -5,8 +5,8 @@ from typing import Any
 
 from ehls_msgs.msg import ForceReference
 from ehls_ros.experiments.loop import sampled
-from ehls_ros.nodes.ahead_node import AheadNode
-from ehls_ros.nodes.control_node import run_node
+from ehls_ros.nodes.ahead import AheadNode
+from ehls_ros.nodes.control import run_node
 from ehls_ros.nodes.transport import Outbox
 
 

@@ -2,7 +2,7 @@
 
 An executor's callback per message costs more than the control law. Here the node's main thread waits on
 its subscriptions itself, takes what is there and answers; lifecycle, parameters and timers stay with an
-executor in a second thread (:mod:`ehls_ros.nodes.control_node`). rclpy offers no public way to wait on
+executor in a second thread (:mod:`ehls_ros.nodes.control`). rclpy offers no public way to wait on
 subscriptions without an executor; all use of its inner interface is in this file.
 """
 

@@ -22,7 +22,9 @@ class Plant(NamedTuple):
     viscous_damping: Annotated[float, quantity("N s/m", "viscous damping of the friction loading device, B0", minimum=0.0)]
     valve_bandwidth: Annotated[float, quantity("rad/s", "bandwidth of the servo valve, omega_v", above=0.0)]
     valve_gain: Annotated[float, quantity("1", "spool displacement per spool command, Kv", above=0.0)]
-    gravity: Annotated[float, quantity("m/s^2", "gravity along -x as (3) has it; negative turns it round", minimum=-20.0, maximum=20.0)]
+    gravity: Annotated[
+        float, quantity("m/s^2", "gravity along -x as (3) has it; negative turns it round", minimum=-20.0, maximum=20.0)
+    ]
 
 
 class Friction(NamedTuple):

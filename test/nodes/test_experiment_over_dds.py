@@ -1,6 +1,7 @@
 """Whole experiments over DDS, each node its own process."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -81,9 +82,9 @@ def test_realtime_keeps_the_wall_clock_and_loses_no_sample(spec_file, tmp_path):
     assert 1.9 < json.loads(done.stdout.splitlines()[-1])["wall_s"] < 4.0
 
 
-def test_ctrl_c_in_the_middle_closes_the_bag(spec_file, tmp_path):
+def long_run_under_way(spec_file, out: Path) -> subprocess.Popen[str]:
+    """Start an experiment that does not end by itself, and wait until its bag grows."""
     command = [sys.executable, "-m", "ehls_ros.cli.main", "experiment", str(spec_file(duration=1000.0))]
-    out = tmp_path / "run"
     process = subprocess.Popen([*command, "--out", str(out)], stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 120.0
     bag = out / "bag" / "bag.mcap"
@@ -91,6 +92,12 @@ def test_ctrl_c_in_the_middle_closes_the_bag(spec_file, tmp_path):
         assert process.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.05)
+    return process
+
+
+def test_ctrl_c_in_the_middle_closes_the_bag(spec_file, tmp_path):
+    out = tmp_path / "run"
+    process = long_run_under_way(spec_file, out)
     process.send_signal(signal.SIGINT)
     _, complaint = process.communicate(timeout=60)
     assert process.returncode == 130
@@ -101,36 +108,17 @@ def test_ctrl_c_in_the_middle_closes_the_bag(spec_file, tmp_path):
 
 
 def test_a_node_that_dies_ends_the_experiment_with_its_reason(spec_file, tmp_path):
-    command = [sys.executable, "-m", "ehls_ros.cli.main", "experiment", str(spec_file(duration=1000.0))]
     out = tmp_path / "run"
-    process = subprocess.Popen([*command, "--out", str(out)], stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 120.0
-    bag = out / "bag" / "bag.mcap"
-    while not (bag.exists() and bag.stat().st_size > 100_000):
-        assert process.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    process = long_run_under_way(spec_file, out)
     [estimator] = children(process.pid, "friction_estimator_node")
-    estimator.terminate()
+    os.kill(estimator, signal.SIGTERM)
     _, complaint = process.communicate(timeout=60)
     assert process.returncode == 1
     assert "friction_estimator_node ended" in complaint
     assert len(complaint.strip().splitlines()) == 1
 
 
-class Child:
-    def __init__(self, pid: int) -> None:
-        self.pid = pid
-
-    def terminate(self) -> None:
-        import os
-
-        os.kill(self.pid, signal.SIGTERM)
-
-
-def children(pid: int, word: str) -> list[Child]:
-    found = []
-    for path in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
-        if word.encode() in Path(f"/proc/{path}/cmdline").read_bytes():
-            found.append(Child(int(path)))
-    return found
+def children(pid: int, word: str) -> list[int]:
+    """Return the processes that a process started and whose command line holds a word."""
+    started = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return [int(child) for child in started if word.encode() in Path(f"/proc/{child}/cmdline").read_bytes()]

@@ -23,6 +23,4 @@ def shift(rig: "Rig", parameters: Parameters) -> "Rig":
     """Return the rig with Coulomb and static friction moved; Fc stays at or above zero."""
     coulomb = max(0.0, rig.friction.coulomb_force + parameters.offset)
     moved = coulomb - rig.friction.coulomb_force
-    return rig._replace(
-        friction=rig.friction._replace(coulomb_force=coulomb, static_force=rig.friction.static_force + moved)
-    )
+    return rig._replace(friction=rig.friction._replace(coulomb_force=coulomb, static_force=rig.friction.static_force + moved))

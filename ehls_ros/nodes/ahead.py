@@ -9,7 +9,7 @@ from rosgraph_msgs.msg import Clock
 
 from ehls_msgs.msg import LoaderState
 from ehls_ros.nodes.codec import NANOSECONDS
-from ehls_ros.nodes.control_node import OK, WAIT, ControlNode
+from ehls_ros.nodes.control import OK, WAIT, ControlNode
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, newest_qos
 
 LEAD = 50

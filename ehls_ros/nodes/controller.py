@@ -14,7 +14,7 @@ from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import SATURATED, model_of
 from ehls_ros.control.estimator import FrictionEstimator
-from ehls_ros.nodes.control_node import OK, WARN, ControlNode
+from ehls_ros.nodes.control import OK, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter

@@ -1,0 +1,140 @@
+"""How fast the node graph answers: lockstep cycles per second, realtime latency, beside an empty rclpy echo.
+
+usage: graph_timing.py [--lockstep-seconds 10] [--realtime-seconds 30] [--rounds 5]
+
+All nodes are processes of their own, over Fast DDS on this host. The echo is the floor: two processes, one small
+message there and back, rclpy's own events executor, reliable; its round trip has two hops where a cycle has three.
+"""
+
+import argparse
+import os
+import platform
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from rclpy.experimental import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Float64
+
+from ehls_ros.experiments.files import config_folder
+from ehls_ros.experiments.metrics import evaluate
+from ehls_ros.experiments.run_folder import RunFolder
+from ehls_ros.experiments.spec import Spec, load_spec
+from ehls_ros.nodes.graph import graph_environment, run_graph
+from ehls_ros.recording.bag_reader import read_bag
+from ehls_ros.trajectory import Trajectory
+
+ECHOES = 5000
+
+
+def run(spec: Spec, timing: str) -> tuple[Trajectory, float]:
+    """Run the graph once and return what it recorded and the wall time of its cycles [s]."""
+    with tempfile.TemporaryDirectory() as folder:
+        run_folder = RunFolder.create(Path(folder) / "run", "benchmark", overwrite=True)
+        run_folder.write_spec(spec)
+        wall = run_graph(spec, run_folder, timing, "mcap")
+        return read_bag(run_folder.bag), wall
+
+
+def percentiles(seconds: np.ndarray) -> str:
+    """Return p50, p99, p99.9 and the largest in us, right-aligned."""
+    return "".join(f"{value * 1e6:9.0f}" for value in np.percentile(seconds, [50, 99, 99.9, 100]))
+
+
+def answer_echoes() -> None:
+    """Send back whatever comes, until SIGINT."""
+    stopping = [False]
+    signal.signal(signal.SIGINT, lambda *_: stopping.__setitem__(0, True))
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("echo")
+    publisher = node.create_publisher(Float64, "back", 10)
+    node.create_subscription(Float64, "there", publisher.publish, 10)
+    executor = EventsExecutor()
+    executor.add_node(node)
+    while not stopping[0]:
+        executor.spin_once(timeout_sec=0.1)
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+def echo_round_trips() -> np.ndarray:
+    """Return the round trips of an empty echo between two processes [s]."""
+    os.environ.update(graph_environment())
+    process = subprocess.Popen([sys.executable, __file__, "--echo"], env=os.environ)
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("asker")
+    times: list[float] = []
+    sent = [0.0]
+    publisher = node.create_publisher(Float64, "there", 10)
+
+    def back(message: Float64) -> None:
+        times.append(time.perf_counter() - sent[0])
+        sent[0] = time.perf_counter()
+        publisher.publish(message)
+
+    node.create_subscription(Float64, "back", back, 10)
+    executor = EventsExecutor()
+    executor.add_node(node)
+    while publisher.get_subscription_count() == 0 or node.count_publishers("back") == 0:
+        executor.spin_once(timeout_sec=0.1)
+    time.sleep(0.5)
+    sent[0] = time.perf_counter()
+    publisher.publish(Float64(data=1.0))
+    while len(times) < ECHOES:
+        executor.spin_once(timeout_sec=0.1)
+    process.send_signal(signal.SIGINT)
+    process.wait(10)
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown()
+    return np.array(times[100:])
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--lockstep-seconds", type=float, default=10.0, help="plant time of each lockstep run")
+    parser.add_argument("--realtime-seconds", type=float, default=30.0, help="plant time of the realtime run")
+    parser.add_argument("--rounds", type=int, default=5, help="lockstep runs")
+    parser.add_argument("--echo", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.echo:
+        answer_echoes()
+        return
+    spec = load_spec(config_folder() / "experiments" / "sine_fd2.yaml")
+    settings = spec.settings
+    print(f"{platform.machine()}, {os.cpu_count()} processors, Python {platform.python_version()}")
+
+    lockstep = spec._replace(settings=settings._replace(duration=options.lockstep_seconds))
+    rates = []
+    for number in range(options.rounds):
+        trajectory, wall = run(lockstep, "lockstep")
+        rates.append((len(trajectory) - 1) * settings.control_period / wall)
+        print(f"lockstep {number + 1}: {len(trajectory) / wall:6.0f} cycles/s = {rates[-1]:.2f} x real time")
+    print(f"lockstep median {np.median(rates):.2f} x real time, {min(rates):.2f} to {max(rates):.2f}")
+
+    realtime = spec._replace(settings=settings._replace(duration=options.realtime_seconds))
+    trajectory, _ = run(realtime, "realtime")
+    metrics = evaluate(trajectory)
+    lost = int(np.sum(~np.isfinite(trajectory["force_n"]))) + realtime.cycles - len(trajectory)
+    response = trajectory["response_s"]
+    answers = metrics.cycles - metrics.missed_cycles
+    print(f"realtime {options.realtime_seconds:.0f} s: {answers} of {metrics.cycles} cycles answered,")
+    print(f"  {lost} samples lost in the bag, largest error in the last half {metrics.max_error_n:.0f} N")
+    print("                                     p50      p99    p99.9      max  [us]")
+    answered = response[np.isfinite(response)]
+    print(f"snapshot to command            {percentiles(answered)}")
+    echo = echo_round_trips()
+    print(f"empty rclpy echo, there and back{percentiles(echo)[1:]}")
+    print(f"ratio to the echo at p50 {np.median(answered) / np.median(echo):.2f}")
+
+
+if __name__ == "__main__":
+    main()
