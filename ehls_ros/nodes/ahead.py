@@ -12,7 +12,7 @@ from ehls_ros.nodes.codec import NANOSECONDS
 from ehls_ros.nodes.control import OK, WAIT, ControlNode
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, newest_qos
 
-LEAD = 50
+LEAD = 200
 """Cycles a signal of time alone runs ahead; well over the cycles between two messages on /clock."""
 
 REST = 0.005
@@ -83,8 +83,7 @@ class AheadNode(ControlNode):
                 # The plant began anew, or this node came late.
                 self.next = cycle + 1 if self.lead == 1 else cycle
             self.last = cycle
-            if cycle + self.lead >= self.next + self.lead // 2:
-                self._publish_to(cycle + self.lead, stamp - round(cycle * self.period_ns), state if self.lead == 1 else None)
+            self._publish_to(cycle + self.lead, stamp - round(cycle * self.period_ns), state if self.lead == 1 else None)
         if self.lead > 1 and not self.lockstep:
             time.sleep(REST)
 

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,7 +27,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import WorkFailed
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec
-from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE
+from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE, REALTIME
 
 PLANT, RECORDER = "plant_sim_node", "recorder_node"
 
@@ -39,6 +39,9 @@ SHUTDOWN_TIME = 10.0
 
 BACKGROUND = (RECORDER, "reference_node", "disturbance_node")
 """Nodes that only have to keep up; they step back for those that have to answer."""
+
+REALTIME_PRIORITY = 10
+"""Priority of the nodes that answer each other, in realtime."""
 
 NICE = 10
 """How far they step back, on the scale of nice."""
@@ -87,7 +90,7 @@ def run_graph(
     with _sigterm_as_interrupt(), _processes(nodes_of(spec), parameters, folder.logs, environment) as running:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         try:
-            conductor = Conductor(running)
+            conductor = Conductor(running, timing)
             wall = conductor.run(spec.cycles, progress)
             conductor.close()
         finally:
@@ -180,28 +183,34 @@ def _processes(
                 node.process.wait()
 
 
-def share_processors(running: list[Running]) -> None:
-    """Give the nodes that answer each other one processor and the others the rest, in second place.
+def share_processors(running: list[Running], timing: str) -> None:
+    """Put the nodes that answer each other before those that only have to keep up.
 
-    Plant, estimator and controller work in turn, never at once. On one processor they hand over to each other; on
-    several, each hand-over has to wake an idle one first, which takes longer than the work itself.
+    Plant, estimator and controller work in turn, never at once. In lockstep they get one processor together: there
+    they hand over to each other, where on several each hand-over has to wake an idle one, which takes longer than
+    the work itself. In realtime, where a free processor now counts for more than the work done in all, they get
+    real-time priority, if this user may give it.
     """
     processors = sorted(os.sched_getaffinity(0))
-    if len(processors) < 2:
-        return
     for node in running:
         background = node.name in BACKGROUND
-        for thread in Path(f"/proc/{node.process.pid}/task").iterdir():
-            os.sched_setaffinity(int(thread.name), processors[:-1] if background else processors[-1:])
-            os.setpriority(os.PRIO_PROCESS, int(thread.name), NICE if background else 0)
+        for thread in (int(task.name) for task in Path(f"/proc/{node.process.pid}/task").iterdir()):
+            if background:
+                os.setpriority(os.PRIO_PROCESS, thread, NICE)
+            if timing == LOCKSTEP and len(processors) > 1:
+                os.sched_setaffinity(thread, processors[:-1] if background else processors[-1:])
+            if timing == REALTIME and not background:
+                with suppress(PermissionError):
+                    os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(REALTIME_PRIORITY))
 
 
 class Conductor:
     """Takes running nodes through their lifecycle and watches them."""
 
-    def __init__(self, running: list[Running]) -> None:
+    def __init__(self, running: list[Running], timing: str) -> None:
         """Join the graph."""
         self._running = running
+        self._timing = timing
         self._node = Node("conductor", namespace=NAMESPACE)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
@@ -220,7 +229,7 @@ class Conductor:
         configuring = [self._transition(node, Transition.TRANSITION_CONFIGURE) for node in self._running]
         for done in configuring:
             done()
-        share_processors(self._running)
+        share_processors(self._running, self._timing)
         start = time.perf_counter()
         for node in self._running:
             start = time.perf_counter()
