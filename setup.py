@@ -45,7 +45,7 @@ setup(
     extras_require={"ros": requirements("ros"), "dev": requirements("dev"), "parquet": ["pyarrow>=15"]},
     entry_points={
         "console_scripts": [
-            f"ehls = {PACKAGE}.cli.main:main",
+            f"ehls = {PACKAGE}.cli.main:entry",
             *(f"{node} = {PACKAGE}.nodes.{node}:main" for node in NODES),
         ],
     },

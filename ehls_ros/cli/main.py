@@ -3,10 +3,12 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 from ehls_ros import __version__
 from ehls_ros.cli.verbs import VERBS
 from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.process import end
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
@@ -46,5 +48,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
+def entry() -> NoReturn:
+    """Run the command line as a process of its own."""
+    code = main()
+    if "rclpy" in sys.modules:
+        end(code)
+    sys.exit(code)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    entry()

@@ -4,11 +4,10 @@ import gc
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, NoReturn
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -20,6 +19,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, load_rig, load_spec
 from ehls_ros.nodes.parameters import declare
+from ehls_ros.process import end
 from ehls_ros.schema import text
 
 NAMESPACE = "ehls"
@@ -172,14 +172,13 @@ class ControlNode(LifecycleNode):
             self._report()
 
 
-def run_node(make: Callable[[], ControlNode]) -> int:
+def run_node(make: Callable[[], ControlNode]) -> NoReturn:
     """Run one node as a process: main thread for the loop, a second one for lifecycle and parameters.
+
+    The process ends with code 0 after SIGINT or SIGTERM, and with 2 for bad input.
 
     Args:
         make: builds the node, after ROS is up.
-
-    Returns:
-        The exit code: 0 after SIGINT or SIGTERM, 2 for bad input.
     """
     stopping = threading.Event()
 
@@ -194,7 +193,7 @@ def run_node(make: Callable[[], ControlNode]) -> int:
     except BadInput as error:
         print(error, file=sys.stderr)
         rclpy.try_shutdown()
-        return 2
+        end(2)
     executor = EventsExecutor()
     executor.add_node(node)
 
@@ -213,13 +212,13 @@ def run_node(make: Callable[[], ControlNode]) -> int:
     finally:
         stopping.set()
         server.join()
+        executor.remove_node(node)
         executor.shutdown()
         node.release()
         node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
-
-
-def now_ns() -> int:
-    """Return the time of day [ns]."""
-    return time.time_ns()
+    # What still refers to the middleware has to go before the middleware does; the loop has put off collection.
+    del executor, node
+    gc.unfreeze()
+    gc.collect()
+    rclpy.try_shutdown()
+    end(0)

@@ -1,7 +1,6 @@
 """`disturbance_node`: the actuator under test, as a force or as a simulated position servo."""
 
-import sys
-from typing import Any
+from typing import Any, NoReturn
 
 from ehls_msgs.msg import Disturbance
 from ehls_ros.control.disturbances import DISTURBANCES
@@ -38,10 +37,10 @@ class DisturbanceNode(AheadNode):
         return row
 
 
-def main() -> int:
+def main() -> NoReturn:
     """Run the node."""
-    return run_node(DisturbanceNode)
+    run_node(DisturbanceNode)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

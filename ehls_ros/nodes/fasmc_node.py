@@ -1,15 +1,15 @@
 """`fasmc_node`: finite-time adaptive sliding mode force control."""
 
-import sys
+from typing import NoReturn
 
 from ehls_ros.nodes.control import run_node
 from ehls_ros.nodes.controller import ControllerNode
 
 
-def main() -> int:
+def main() -> NoReturn:
     """Run the node."""
-    return run_node(lambda: ControllerNode("fasmc"))
+    run_node(lambda: ControllerNode("fasmc"))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

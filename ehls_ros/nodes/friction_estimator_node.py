@@ -1,8 +1,7 @@
 """`friction_estimator_node`: answers each loader_state with the friction of the identified model."""
 
-import sys
 from collections.abc import Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, NoReturn
 
 from ehls_msgs.msg import FrictionEstimate, LoaderState
 from ehls_ros.control.estimator import FrictionEstimator
@@ -77,10 +76,10 @@ class FrictionEstimatorNode(ControlNode):
         return OK, "running" if self._active.is_set() else "inactive", figures
 
 
-def main() -> int:
+def main() -> NoReturn:
     """Run the node."""
-    return run_node(FrictionEstimatorNode)
+    run_node(FrictionEstimatorNode)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

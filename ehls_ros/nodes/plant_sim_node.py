@@ -1,10 +1,9 @@
 """`plant_sim_node`: the simulated rig. It opens each cycle with a loader_state and steps on with the answer."""
 
 import math
-import sys
 import time
 from collections.abc import Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, NoReturn
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -232,10 +231,10 @@ def _time(stamp_ns: int) -> Time:
     return Time(sec=stamp_ns // NANOSECONDS, nanosec=stamp_ns % NANOSECONDS)
 
 
-def main() -> int:
+def main() -> NoReturn:
     """Run the node."""
-    return run_node(PlantSimNode)
+    run_node(PlantSimNode)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

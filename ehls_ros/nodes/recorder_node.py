@@ -1,11 +1,10 @@
 """`recorder_node`: every topic into a rosbag2, with the configuration of the run inside."""
 
-import sys
 import time
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, cast, get_args
+from typing import Annotated, Any, NamedTuple, NoReturn, cast, get_args
 
 from rclpy.qos import QoSProfile
 
@@ -135,10 +134,10 @@ def _message_class(name: str) -> Any:
     return getattr(import_module(f"{package}.{folder}"), kind)
 
 
-def main() -> int:
+def main() -> NoReturn:
     """Run the node."""
-    return run_node(RecorderNode)
+    run_node(RecorderNode)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -1,7 +1,6 @@
 """`reference_node`: the wanted force with its derivatives."""
 
-import sys
-from typing import Any
+from typing import Any, NoReturn
 
 from ehls_msgs.msg import ForceReference
 from ehls_ros.experiments.loop import sampled
@@ -28,10 +27,10 @@ class ReferenceNode(AheadNode):
         return row
 
 
-def main() -> int:
+def main() -> NoReturn:
     """Run the node."""
-    return run_node(ReferenceNode)
+    run_node(ReferenceNode)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
