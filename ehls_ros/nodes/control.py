@@ -197,11 +197,11 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
     executor = EventsExecutor()
     executor.add_node(node)
 
-    def serve() -> None:
+    def serve(executor: EventsExecutor) -> None:
         while not stopping.is_set():
             executor.spin_once(timeout_sec=WAIT)
 
-    server = threading.Thread(target=serve, name="services")
+    server = threading.Thread(target=serve, args=(executor,), name="services")
     server.start()
     try:
         if node.get_parameter("autostart").value:
