@@ -172,6 +172,14 @@ class ControlNode(LifecycleNode):
             self._report()
 
 
+def _made(make: Callable[[], ControlNode]) -> tuple[ControlNode | None, str]:
+    """Return a node, or what is wrong with its parameters; nothing then refers to the half-made node any more."""
+    try:
+        return make(), ""
+    except BadInput as error:
+        return None, str(error)
+
+
 def run_node(make: Callable[[], ControlNode]) -> NoReturn:
     """Run one node as a process: main thread for the loop, a second one for lifecycle and parameters.
 
@@ -188,16 +196,16 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
     signal.signal(signal.SIGINT, on_signal)
     signal.signal(signal.SIGTERM, on_signal)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        node = make()
-    except BadInput as error:
-        print(error, file=sys.stderr)
+    node, complaint = _made(make)
+    if node is None:
+        print(complaint, file=sys.stderr)
+        gc.collect()
         rclpy.try_shutdown()
         end(2)
     executor = EventsExecutor()
     executor.add_node(node)
 
-    def serve(executor: EventsExecutor) -> None:
+    def serve(executor: Any) -> None:
         while not stopping.is_set():
             executor.spin_once(timeout_sec=WAIT)
 

@@ -3,6 +3,7 @@
 What ``launch/ehls.launch.py`` does where there is ``launch``, with a beginning and an end.
 """
 
+import gc
 import os
 import signal
 import socket
@@ -90,10 +91,10 @@ def run_graph(
     with _sigterm_as_interrupt(), _processes(nodes_of(spec), parameters, folder.logs, environment) as running:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         try:
-            conductor = Conductor(running, timing)
-            wall = conductor.run(spec.cycles, progress)
-            conductor.close()
+            wall = conduct(running, timing, spec.cycles, progress)
         finally:
+            # What still refers to the middleware has to go before the middleware does.
+            gc.collect()
             rclpy.try_shutdown()
     for node in running:
         if node.process.returncode != 0:
@@ -203,6 +204,15 @@ def share_processors(running: list[Running], timing: str) -> None:
             if timing == REALTIME and not background:
                 with suppress(PermissionError):
                     os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(REALTIME_PRIORITY))
+
+
+def conduct(running: list[Running], timing: str, cycles: int, progress: Callable[[int, int], None] | None) -> float:
+    """Join the graph, take the nodes through the experiment and leave it again; return the wall time of the cycles [s]."""
+    conductor = Conductor(running, timing)
+    try:
+        return conductor.run(cycles, progress)
+    finally:
+        conductor.close()
 
 
 class Conductor:
