@@ -9,10 +9,12 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import FrameType
 from typing import Any, NamedTuple
 
 import rclpy
@@ -29,6 +31,7 @@ from ehls_ros.errors import WorkFailed
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE, REALTIME
+from ehls_ros.recording.topics import CYCLE_TOPICS, FRICTION_ESTIMATE
 
 PLANT, RECORDER = "plant_sim_node", "recorder_node"
 
@@ -65,6 +68,12 @@ def nodes_of(spec: Spec) -> list[str]:
     return [RECORDER, "reference_node", "disturbance_node", *friction, f"{spec.controller.name}_node", PLANT]
 
 
+def expected_topics(spec: Spec) -> list[str]:
+    """Return the control-path topics that an experiment's nodes publish."""
+    friction = CONTROLLERS.load(spec.controller.name).FRICTION
+    return [topic.name for topic in CYCLE_TOPICS if friction or topic != FRICTION_ESTIMATE]
+
+
 def run_graph(
     spec: Spec, folder: RunFolder, timing: str, storage: str, progress: Callable[[int, int], None] | None = None
 ) -> float:
@@ -88,10 +97,10 @@ def run_graph(
     folder.logs.mkdir()
     parameters = _parameters(spec, folder, timing, storage)
     # The nodes end together with this process even when it is asked to end in the middle.
-    with _sigterm_as_interrupt(), _processes(nodes_of(spec), parameters, folder.logs, environment) as running:
+    with _interrupts_noted() as interrupted, _processes(nodes_of(spec), parameters, folder.logs, environment) as running:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         try:
-            wall = conduct(running, timing, spec.cycles, progress)
+            wall = conduct(Conductor(running, timing, interrupted), spec.cycles, progress)
         finally:
             # What still refers to the middleware has to go before the middleware does.
             gc.collect()
@@ -132,7 +141,7 @@ def _parameters(spec: Spec, folder: RunFolder, timing: str, storage: str) -> dic
     common = {"spec": str(folder.spec.resolve()), "timing": timing, "autostart": False}
     parameters: dict[str, dict[str, Any]] = {name: dict(common) for name in nodes_of(spec)}
     parameters[PLANT]["cycles"] = spec.cycles
-    parameters[RECORDER] |= {"bag": str(folder.bag.resolve()), "storage": storage}
+    parameters[RECORDER] |= {"bag": str(folder.bag.resolve()), "storage": storage, "expected": ",".join(expected_topics(spec))}
     if timing == LOCKSTEP:
         # Nothing is late in lockstep; waiting keeps a run the same whatever else the machine does.
         parameters[f"{spec.controller.name}_node"]["friction_patience"] = 10.0
@@ -140,17 +149,22 @@ def _parameters(spec: Spec, folder: RunFolder, timing: str, storage: str) -> dic
 
 
 @contextmanager
-def _sigterm_as_interrupt() -> Iterator[None]:
-    """Let SIGTERM end the work the way Ctrl-C does."""
+def _interrupts_noted() -> Iterator[threading.Event]:
+    """Note SIGINT and SIGTERM for the conductor to act on between two of its steps.
 
-    def interrupt(number: int, frame: Any) -> None:
-        raise KeyboardInterrupt
+    Raised as exceptions they could fall into a destructor or a callback, which swallow them.
+    """
+    noted = threading.Event()
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    def note(number: int, frame: FrameType | None) -> None:
+        noted.set()
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield
+        yield noted
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager
@@ -206,9 +220,8 @@ def share_processors(running: list[Running], timing: str) -> None:
                     os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(REALTIME_PRIORITY))
 
 
-def conduct(running: list[Running], timing: str, cycles: int, progress: Callable[[int, int], None] | None) -> float:
-    """Join the graph, take the nodes through the experiment and leave it again; return the wall time of the cycles [s]."""
-    conductor = Conductor(running, timing)
+def conduct(conductor: "Conductor", cycles: int, progress: Callable[[int, int], None] | None) -> float:
+    """Take the nodes through the experiment and leave the graph; return the wall time of the cycles [s]."""
     try:
         return conductor.run(cycles, progress)
     finally:
@@ -218,8 +231,9 @@ def conduct(running: list[Running], timing: str, cycles: int, progress: Callable
 class Conductor:
     """Takes running nodes through their lifecycle and watches them."""
 
-    def __init__(self, running: list[Running], timing: str) -> None:
-        """Join the graph."""
+    def __init__(self, running: list[Running], timing: str, interrupted: threading.Event) -> None:
+        """Join the graph; once ``interrupted`` is set, the work ends with KeyboardInterrupt."""
+        self._interrupted = interrupted
         self._running = running
         self._timing = timing
         self._node = Node("conductor", namespace=NAMESPACE)
@@ -261,6 +275,8 @@ class Conductor:
 
     def _spin(self) -> None:
         self._executor.spin_once(timeout_sec=0.05)
+        if self._interrupted.is_set():
+            raise KeyboardInterrupt
         for node in self._running:
             if node.process.poll() is not None:
                 raise WorkFailed(f"{node.name} ended with exit code {node.process.returncode}: {_last_line(node.log)}")

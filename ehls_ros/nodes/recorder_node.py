@@ -6,6 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn, cast, get_args
 
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 
 from ehls_ros.errors import BadInput
@@ -20,6 +21,9 @@ from ehls_ros.schema import text
 REST = 0.02
 """How long messages gather before they are taken in bulk [s]; the middleware keeps them meanwhile."""
 
+DISCOVERY = 30.0
+"""Longest time for expected publishers to be found [s]."""
+
 QUIET = 0.3
 """At the end: nothing more comes once it was quiet for so long [s]."""
 
@@ -29,6 +33,7 @@ class Parameters(NamedTuple):
 
     bag: Annotated[str, text("folder of the bag; empty: bags/<time>")] = ""
     storage: Annotated[str, text("mcap or sqlite3")] = "mcap"
+    expected: Annotated[str, text("topics, separated by commas, whose publisher has to be there before recording starts")] = ""
 
 
 class RecorderNode(ControlNode):
@@ -59,6 +64,17 @@ class RecorderNode(ControlNode):
         }
         self.failure = ""
         self.writer: BagWriter | None = None
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Start once the expected publishers are there, so that a run shorter than discovery is recorded whole."""
+        deadline = time.monotonic() + DISCOVERY
+        for name in filter(None, self.text_parameter("expected").split(",")):
+            while self.inboxes[name].handle.get_publisher_count() == 0:
+                if time.monotonic() > deadline:
+                    self.get_logger().error(f"nobody publishes {name}")
+                    return TransitionCallbackReturn.FAILURE
+                time.sleep(REST)
+        return super().on_activate(state)
 
     def release(self) -> None:
         """Unsubscribe."""

@@ -30,7 +30,7 @@ class Plant(NamedTuple):
 class Friction(NamedTuple):
     """Coefficients of the cylinder's friction, equations (5)-(8)."""
 
-    coulomb_force: Annotated[float, quantity("N", "Coulomb friction Fc", minimum=0.0)]
+    coulomb_force: Annotated[float, quantity("N", "Coulomb friction Fc", above=0.0)]
     static_force: Annotated[float, quantity("N", "static friction Fs", above=0.0)]
     stribeck_velocity: Annotated[float, quantity("m/s", "Stribeck velocity Vs", above=0.0)]
     stribeck_exponent: Annotated[float, quantity("1", "shape of the Stribeck curve, delta", above=0.0, maximum=4.0)]

@@ -12,6 +12,9 @@ STAGE: Stage = "friction"
 EQUATION = "s(v) -> s(v) + offset: Fc and Fs move together"
 SOURCE = "Olsson, Åström, Canudas de Wit, Gäfvert, Lischinsky, Friction Models and Friction Compensation, 1998"
 
+LEAST = 1.0
+"""A Stribeck curve at zero would leave a slipping element nothing to go to [N]."""
+
 
 class Parameters(NamedTuple):
     """How far the Stribeck curve moves."""
@@ -20,7 +23,7 @@ class Parameters(NamedTuple):
 
 
 def shift(rig: "Rig", parameters: Parameters) -> "Rig":
-    """Return the rig with Coulomb and static friction moved; Fc stays at or above zero."""
-    coulomb = max(0.0, rig.friction.coulomb_force + parameters.offset)
+    """Return the rig with Coulomb and static friction moved; Fc stays at or above :data:`LEAST`."""
+    coulomb = max(LEAST, rig.friction.coulomb_force + parameters.offset)
     moved = coulomb - rig.friction.coulomb_force
     return rig._replace(friction=rig.friction._replace(coulomb_force=coulomb, static_force=rig.friction.static_force + moved))
