@@ -86,7 +86,6 @@ class PlantSimNode(ControlNode):
         period_ns = round(self.period * NANOSECONDS)
         self.epoch_ns = 0 if self.lockstep else time.time_ns() - self.cycle * period_ns
         self.epoch = time.perf_counter() - self.cycle * self.period
-        self.waiting_since = time.perf_counter()
         self._publish()
 
     def once(self) -> None:
