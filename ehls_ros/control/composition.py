@@ -20,8 +20,8 @@ from ehls_ros.control.observers import {name} as observer
 
 
 @njit(cache=True, error_model="numpy")
-def update(velocity, period, friction, state):
-    observer.update(velocity, period, friction, state)
+def update(velocity, period, friction, p, state):
+    observer.update(velocity, period, friction, p, state)
 '''
 
 

@@ -60,20 +60,22 @@ class Controller:
             self._previous = self.parameters
         self.parameters = parameters
 
-    def step(self, measured: Array, reference: Array, friction: Array) -> float:
+    def step(self, measured: Array, reference: Array, friction: Array, elapsed: int = 1) -> float:
         """Return the spool command [m] for one cycle.
 
         Args:
             measured: readings in the order of ``SENSED``, shape (7,).
             reference: force and its first and second derivative, shape (3,).
             friction: force of the elements and viscous force, shape (2,) or longer.
+            elapsed: cycles since the last step; more than 1 after cycles that went unanswered.
         """
+        model = self.model if elapsed == 1 else self.model._replace(period=elapsed * self.model.period)
         old: float | None = None
         if self._previous is not None:
             trial = self._memory.copy()
-            old = self._step(measured, reference, friction, self._previous, self.model, trial, self.status)
+            old = self._step(measured, reference, friction, self._previous, model, trial, self.status)
             self._previous = None
-        command: float = self._step(measured, reference, friction, self.parameters, self.model, self._memory, self.status)
+        command: float = self._step(measured, reference, friction, self.parameters, model, self._memory, self.status)
         if old is not None:
             self._bump += old - command
         if self._bump != 0.0:

@@ -1,5 +1,7 @@
 """A friction estimator ready to run: its observer compiled, and its state."""
 
+from typing import Any
+
 import numpy as np
 
 from ehls_ros.arrays import Array
@@ -12,18 +14,20 @@ from ehls_ros.physics.parameters import Friction
 class FrictionEstimator:
     """One friction observer of any kind, updated once a cycle."""
 
-    def __init__(self, name: str, friction: Friction, period: float) -> None:
+    def __init__(self, name: str, friction: Friction, period: float, parameters: Any = None) -> None:
         """Prepare and compile (or load) the observer.
 
         Args:
             name: file name of the observer.
             friction: identified friction of the rig.
             period: time between updates [s].
+            parameters: its parameters; None: the declared defaults.
         """
         self._observer = OBSERVERS.load(name)
         self._update = observer_kernel(name).update
         self.friction = friction
         self.period = period
+        self.parameters = parameters if parameters is not None else self._observer.Parameters()
         self.reset()
         for velocity in (0.0, 1e-3):
             self.update(velocity)
@@ -33,13 +37,17 @@ class FrictionEstimator:
         """Put the elements at rest."""
         self.state = self._observer.state(self.friction)
 
-    def update(self, velocity: float) -> Array:
-        """Take one more measured velocity [m/s].
+    def update(self, velocity: float, elapsed: int = 1) -> Array:
+        """Take one more measured velocity.
+
+        Args:
+            velocity: as measured [m/s].
+            elapsed: cycles since the last one.
 
         Returns:
             The estimate as :mod:`ehls_ros.control.observers.base` lays it out; the same array every time.
         """
-        self._update(velocity, self.period, self.friction, self.state)
+        self._update(velocity, elapsed * self.period, self.friction, self.parameters, self.state)
         return self.state.estimate
 
     @property

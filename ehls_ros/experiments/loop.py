@@ -5,30 +5,33 @@ Every part is the one the nodes run, in the same order, so that both give the sa
 
 import platform
 import sys
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, cast
 
 import numba
 import numpy as np
+from numpy.random import Generator
 
 from ehls_ros import __version__
 from ehls_ros.arrays import Array
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import STATUS_SIZE, model_of
 from ehls_ros.control.disturbances import DISTURBANCES
-from ehls_ros.control.disturbances.base import ROW
+from ehls_ros.control.disturbances.base import ROW, Planned
 from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.observers.base import ELEMENTS
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.references.base import SampledReference
 from ehls_ros.experiments.spec import Spec, Use, spec_to_mapping
 from ehls_ros.physics.composition import kernel_module, plant_source
 from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.sensors import POSITION, VELOCITY
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.recording.topics import CONTROLLER_STATUS, DISTURBANCE, FORCE_REFERENCE, LOADER_STATE
 from ehls_ros.trajectory import Trajectory
 
 CHUNK = 2000
-"""Cycles between two reports of progress."""
+"""Cycles in a block."""
 
 _LOOP = """
 
@@ -39,31 +42,33 @@ from ehls_ros.physics.plant import FD, FD_RATE, START, TEMPERATURE, U, VD, XD
 
 @njit(cache=True, error_model="numpy")
 def loop(
-    first, cycles, period, y, mode, plant, friction, inputs, effects, step, steps, work, sensor_state, noise, truth,
-    measured, reference, disturbance, design_friction, observer_state, tuning, design, memory, status, record,
+    first, period, y, mode, plant, friction, inputs, effects, step, steps, warming, work, sensor_state, noise, truth, measured,
+    reference, disturbance, design_friction, compensation, observer_state, tuning, design, memory, status, record,
 ):
     dense = 0
-    for k in range(first, first + cycles):
+    for i in range(record.shape[0]):
+        k = first + i
         sensors.true_signals(y, inputs[TEMPERATURE], plant, truth)
-        sensors.measure(k, truth, noise[k - first], sensor_state, measured)
-        observer.update(measured[sensors.VELOCITY], period, design_friction, observer_state)
-        u = law.step(measured, reference[k], observer_state.estimate, tuning, design, memory, status)
+        sensors.measure(k, truth, noise[i], sensor_state, measured)
+        observer.update(measured[sensors.VELOCITY], period, design_friction, compensation, observer_state)
+        u = law.step(measured, reference[i], observer_state.estimate, tuning, design, memory, status)
         column = 0
-        for i in range(measured.size):
-            record[k, column] = measured[i]
+        for value in measured:
+            record[i, column] = value
             column += 1
-        record[k, column] = u
+        record[i, column] = u
         column += 1
-        for i in range(observer_state.estimate.size):
-            record[k, column] = observer_state.estimate[i]
+        for value in observer_state.estimate:
+            record[i, column] = value
             column += 1
-        for i in range(status.size):
-            record[k, column] = status[i]
+        for value in status:
+            record[i, column] = value
             column += 1
-        inputs[U], inputs[FD], inputs[FD_RATE] = u, disturbance[k, 0], disturbance[k, 1]
-        inputs[XD], inputs[VD], inputs[START] = disturbance[k, 2], disturbance[k, 3], k * period
+        inputs[U], inputs[FD], inputs[FD_RATE] = u, disturbance[i, 0], disturbance[i, 1]
+        inputs[XD], inputs[VD], inputs[START] = disturbance[i, 2], disturbance[i, 3], k * period
         c = model.Coefficients(plant, friction, inputs, effects)
         dense += run(k * period, y, mode, c, step, steps, work)
+        inputs[TEMPERATURE] += warming * period
     return dense
 """
 
@@ -71,6 +76,136 @@ def loop(
 def sampled(use: Use, period: float) -> SampledReference:
     """Return a reference ready to be asked by cycle; ``period`` in s."""
     return SampledReference(REFERENCES.load(use.name), use.parameters, period)
+
+
+def simulator_of(spec: Spec) -> Simulator:
+    """Return a spec's plant, ready to be stepped."""
+    settings = spec.settings
+    return Simulator(
+        spec.loader_rig(),
+        settings.control_period,
+        settings.integration_step,
+        settings.initial_position,
+        settings.oil_temperature,
+        settings.oil_warming,
+    )
+
+
+class Block(NamedTuple):
+    """Some cycles on end, a row each.
+
+    Attributes:
+        first: number of the first cycle.
+        record: measurement, command, friction estimate, controller status; see :class:`Columns`.
+        reference: force and its first and second derivative.
+        disturbance: force, its rate, displacement, velocity.
+    """
+
+    first: int
+    record: Array
+    reference: Array
+    disturbance: Array
+
+
+class Columns(NamedTuple):
+    """Where a block's record holds what."""
+
+    measured: slice
+    command: int
+    estimate: slice
+    status: slice
+
+    @classmethod
+    def of(cls, estimate_size: int) -> "Columns":
+        """Return the columns for a friction estimate of a size."""
+        estimate = len(SENSED) + 1
+        status = estimate + estimate_size
+        return cls(slice(0, len(SENSED)), len(SENSED), slice(estimate, status), slice(status, status + STATUS_SIZE))
+
+
+class ClosedLoop:
+    """A spec's plant, observer and controller in one compiled loop.
+
+    Attributes:
+        columns: layout of the blocks' records.
+        dense: integration steps so far in which events came too densely to be located.
+    """
+
+    def __init__(self, spec: Spec) -> None:
+        """Prepare and compile (or load) the loop."""
+        self._spec = spec
+        period = spec.settings.control_period
+        self._simulator = simulator_of(spec)
+        parts = {"controller": spec.controller.name, "observer": spec.compensation.name}
+        source = plant_source(spec.loader_rig()) + _LOOP.format(**parts)
+        self._loop = kernel_module(source).loop
+        self._observer_state = OBSERVERS.load(spec.compensation.name).state(spec.controller_rig.friction)
+        self._model = model_of(spec.controller_rig, period)
+        self._memory = CONTROLLERS.load(spec.controller.name).memory(spec.controller.parameters)
+        self.columns = Columns.of(self._observer_state.estimate.size)
+        self.dense = 0
+
+    def blocks(self) -> Iterator[Block]:
+        """Run the experiment.
+
+        Yields:
+            The cycles in order, :data:`CHUNK` at a time. The record's memory is used again for the next block.
+        """
+        spec = self._spec
+        period, cycles = spec.settings.control_period, spec.cycles
+        reference = sampled(spec.reference, period)
+        kind = DISTURBANCES.load(spec.disturbance.name)
+        disturbing = kind.build(spec.disturbance.parameters, sampled(spec.disturbance.signal, period), spec.rig, period)
+        random = np.random.default_rng(spec.settings.seed)
+        kept = np.empty((CHUNK, self.columns.status.stop))
+        status = np.zeros(STATUS_SIZE)
+        following = disturbing.first()
+        for first in range(0, cycles, CHUNK):
+            count = min(CHUNK, cycles - first)
+            record = kept[:count]
+            wanted = reference.rows(first, count)
+            if not kind.REACTS:
+                disturbance = cast(Planned, disturbing).rows(first, count)
+                self._run(first, record, wanted, disturbance, status, random)
+            else:
+                # What feels the loader is known for one cycle at a time.
+                disturbance = np.empty((count, ROW))
+                for i in range(count):
+                    disturbance[i], one = following, slice(i, i + 1)
+                    self._run(first + i, record[one], wanted[one], disturbance[one], status, random)
+                    following = disturbing.following(first + i, record[i, POSITION], record[i, VELOCITY])
+            yield Block(first, record, wanted, disturbance)
+
+    def _run(self, first: int, record: Array, reference: Array, disturbance: Array, status: Array, random: Generator) -> None:
+        simulator, spec = self._simulator, self._spec
+        self.dense += self._loop(
+            first,
+            spec.settings.control_period,
+            simulator.y,
+            simulator.mode,
+            simulator.rig.plant,
+            simulator.rig.friction,
+            simulator.inputs,
+            simulator.effects,
+            simulator.step,
+            simulator.steps,
+            simulator.warming,
+            simulator.work,
+            simulator.sensors,
+            random.standard_normal((len(record), len(SENSED))),
+            simulator.truth,
+            simulator.measured,
+            reference,
+            disturbance,
+            spec.controller_rig.friction,
+            spec.compensation.parameters,
+            self._observer_state,
+            spec.controller.parameters,
+            self._model,
+            self._memory,
+            status,
+            record,
+        )
 
 
 def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = None) -> Trajectory:
@@ -83,79 +218,31 @@ def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = Non
     Returns:
         What a bag of the node graph would hold, but for the timing of messages.
     """
-    settings, cycles = spec.settings, spec.cycles
-    period = settings.control_period
-    rig = spec.loader_rig()
-    simulator = Simulator(rig, period, settings.integration_step, settings.initial_position)
-    source = plant_source(rig) + _LOOP.format(controller=spec.controller.name, observer=settings.compensation)
-    loop = kernel_module(source).loop
-
-    reference = sampled(spec.reference, period).rows(cycles)
-    kind = DISTURBANCES.load(spec.disturbance.name)
-    disturbing = kind.build(spec.disturbance.parameters, sampled(spec.disturbance.signal, period), spec.rig, period)
-    disturbance = np.empty((cycles + 1, ROW))
-    disturbance[0] = disturbing.first()
-    if not kind.REACTS:
-        for k in range(cycles):
-            disturbance[k + 1] = disturbing.following(k, 0.0, 0.0)
-
-    observer_state = OBSERVERS.load(settings.compensation).state(spec.rig.friction)
-    memory = CONTROLLERS.load(spec.controller.name).memory(spec.controller.parameters)
-    estimate_size = observer_state.estimate.size
-    record = np.empty((cycles, len(SENSED) + 1 + estimate_size + STATUS_SIZE))
-    random = np.random.default_rng(settings.seed)
-    done = 0
-    while done < cycles:
-        count = 1 if kind.REACTS else min(CHUNK, cycles - done)
-        loop(
-            done,
-            count,
-            period,
-            simulator.y,
-            simulator.mode,
-            simulator.rig.plant,
-            simulator.rig.friction,
-            simulator.inputs,
-            simulator.effects,
-            simulator.step,
-            simulator.steps,
-            simulator.work,
-            simulator.sensors,
-            random.standard_normal((count, len(SENSED))),
-            simulator.truth,
-            simulator.measured,
-            reference,
-            disturbance,
-            spec.rig.friction,
-            observer_state,
-            spec.controller.parameters,
-            model_of(spec.rig, period),
-            memory,
-            np.zeros(STATUS_SIZE),
-            record,
-        )
-        if kind.REACTS:
-            position, velocity = record[done, 0], record[done, 1]
-            disturbance[done + 1] = disturbing.following(done, position, velocity)
-        done += count
-        if progress is not None and (done % CHUNK == 0 or done == cycles):
-            progress(done, cycles)
-    return _trajectory(spec, record, reference, disturbance[:cycles], estimate_size)
+    loop = ClosedLoop(spec)
+    record = np.empty((spec.cycles, loop.columns.status.stop))
+    reference = np.empty((spec.cycles, 3))
+    disturbance = np.empty((spec.cycles, ROW))
+    for block in loop.blocks():
+        done = block.first + len(block.record)
+        for whole, part in ((record, block.record), (reference, block.reference), (disturbance, block.disturbance)):
+            whole[block.first : done] = part
+        if progress is not None:
+            progress(done, spec.cycles)
+    return _trajectory(spec, loop.columns, record, reference, disturbance)
 
 
-def _trajectory(spec: Spec, record: Array, reference: Array, disturbance: Array, estimate_size: int) -> Trajectory:
+def _trajectory(spec: Spec, columns: Columns, record: Array, reference: Array, disturbance: Array) -> Trajectory:
     signals: dict[str, Array] = {}
-    signals.update(zip(LOADER_STATE.signals.values(), record.T, strict=False))
-    column = len(SENSED)
-    signals["valve_command_m"] = record[:, column]
+    signals.update(zip(LOADER_STATE.signals.values(), record[:, columns.measured].T, strict=True))
+    signals["valve_command_m"] = record[:, columns.command]
     signals["friction_fallback"] = np.zeros(len(record))
-    estimate = record[:, column + 1 : column + 1 + estimate_size]
-    elements = (estimate_size - 2) // 2
+    estimate = record[:, columns.estimate]
+    elements = (estimate.shape[1] - ELEMENTS) // 2
     if CONTROLLERS.load(spec.controller.name).FRICTION:
         signals["friction_gms_n"], signals["friction_viscous_n"] = estimate[:, 0], estimate[:, 1]
-        signals["friction_elements_n"] = estimate[:, 2 : 2 + elements]
-        signals["friction_slipping"] = estimate[:, 2 + elements :]
-    signals.update(zip(CONTROLLER_STATUS.signals.values(), record[:, column + 1 + estimate_size :].T, strict=False))
+        signals["friction_elements_n"] = estimate[:, ELEMENTS : ELEMENTS + elements]
+        signals["friction_slipping"] = estimate[:, ELEMENTS + elements :]
+    signals.update(zip(CONTROLLER_STATUS.signals.values(), record[:, columns.status].T, strict=False))
     signals.update(zip(FORCE_REFERENCE.signals.values(), reference.T, strict=True))
     signals.update(zip(DISTURBANCE.signals.values(), disturbance.T, strict=True))
     time = np.arange(len(record), dtype=np.float64) * spec.settings.control_period

@@ -38,23 +38,31 @@ class Settings(NamedTuple):
 
     title: Annotated[str, text("what the experiment is called in reports")] = "experiment"
     duration: Annotated[float, quantity("s", "plant time to run", above=0.0, maximum=1e6)] = 10.0
-    control_period: Annotated[float, quantity("s", "time between two control cycles", minimum=1e-5, maximum=0.1)] = 1e-3
+    control_period: Annotated[float, quantity("s", "time between two control cycles", minimum=1e-6, maximum=0.1)] = 1e-3
     integration_step: Annotated[float, quantity("s", "largest integration step of the plant", minimum=1e-7, maximum=1e-2)] = (
         DEFAULT_STEP
     )
     initial_position: Annotated[float, quantity("m", "piston position at the start; it rests without pressure")] = 0.0
-    compensation: Annotated[str, text("friction observer: gms (FASMC II) or stribeck (FASMC I)")] = "gms"
+    oil_temperature: Annotated[float, quantity("K", "oil temperature at the start", minimum=200.0, maximum=450.0)] = 313.15
+    oil_warming: Annotated[float, quantity("K/s", "rate at which the oil warms", minimum=-10.0, maximum=10.0)] = 0.0
     seed: Annotated[int, quantity("1", "seed of the sensors' noise", minimum=0)] = 0
 
 
 class Spec(NamedTuple):
-    """A whole experiment."""
+    """A whole experiment.
+
+    Attributes:
+        rig: the rig as it is.
+        controller_rig: the rig as controller and friction observer believe it to be.
+    """
 
     settings: Settings
     rig: Rig
+    controller_rig: Rig
     reference: Use
     disturbance: DisturbanceUse
     controller: Use
+    compensation: Use
 
     @property
     def cycles(self) -> int:
@@ -67,7 +75,10 @@ class Spec(NamedTuple):
         return self.rig.with_effects(kind.loader_effects(self.disturbance.parameters))
 
 
-SECTIONS = (*Settings._fields, "rig", "effects", "reference", "disturbance", "controller")
+DEFAULT_COMPENSATION = "gms"
+"""The friction observer of FASMC II."""
+
+SECTIONS = (*Settings._fields, "rig", "controller_rig", "effects", "reference", "disturbance", "controller", "compensation")
 
 
 def read_yaml(path: Path, what: str) -> Any:
@@ -127,15 +138,20 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
         if key not in SECTIONS:
             raise BadInput(f"key {key!r} is unknown", where, f"one of {', '.join(SECTIONS)}")
     settings = parse(Settings, {key: data[key] for key in Settings._fields if key in data}, where)
-    OBSERVERS.load(settings.compensation, f"{where}: compensation")
-    rig = _rig(data.get("rig"), where, folder)
+    if data.get("rig") is None:
+        raise BadInput("key 'rig' is missing", where, "a rig file's name or its content")
+    rig = _rig(data["rig"], f"{where}: rig", folder)
+    believed = data.get("controller_rig")
+    controller_rig = rig if believed is None else _rig(believed, f"{where}: controller_rig", folder)
     rig = rig.with_effects(effects_from_list(data.get("effects") or [], f"{where}: effects"))
     spec = Spec(
         settings=settings,
         rig=rig,
+        controller_rig=controller_rig,
         reference=_use(REFERENCES, data.get("reference"), f"{where}: reference", folder),
         disturbance=_disturbance(data.get("disturbance"), f"{where}: disturbance", folder),
         controller=_use(CONTROLLERS, data.get("controller"), f"{where}: controller", folder),
+        compensation=_use(OBSERVERS, data.get("compensation", DEFAULT_COMPENSATION), f"{where}: compensation", folder),
     )
     _sampled_once(spec.reference, f"{where}: reference")
     _sampled_once(spec.disturbance.signal, f"{where}: disturbance: signal")
@@ -145,14 +161,14 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
 def _rig(data: Any, where: str, folder: Path) -> Rig:
     if isinstance(data, str):
         return load_rig(folder / data)
-    if data is None:
-        raise BadInput("key 'rig' is missing", where, "a rig file's name or its content")
-    return rig_from_mapping(data, f"{where}: rig")
+    return rig_from_mapping(data, where)
 
 
 def _use(family: Any, data: Any, where: str, folder: Path) -> Use:
+    if isinstance(data, str):
+        data = {"name": data}
     if not isinstance(data, Mapping) or "name" not in data:
-        raise BadInput(f"section is {data!r}", where, f"a mapping with a name, one of {', '.join(family.names())}")
+        raise BadInput(f"section is {data!r}", where, f"a name, or a mapping with a name, of {', '.join(family.names())}")
     member = family.load(data["name"], where)
     values = {key: value for key, value in data.items() if key != "name"}
     if "file" in values and "points" in member.Parameters._fields:
@@ -217,7 +233,9 @@ def spec_to_mapping(spec: Spec) -> dict[str, Any]:
     return {
         **spec.settings._asdict(),
         "rig": rig_to_mapping(spec.rig),
+        "controller_rig": rig_to_mapping(spec.controller_rig),
         "reference": plain(spec.reference),
         "disturbance": {**disturbance, "signal": plain(spec.disturbance.signal)},
         "controller": plain(spec.controller),
+        "compensation": plain(spec.compensation),
     }

@@ -78,7 +78,10 @@ class ControlNode(LifecycleNode):
         path = Path(chosen) if chosen else config_folder() / "experiments" / "sine_fd2.yaml"
         spec = load_spec(path)
         rig = self.text_parameter("rig")
-        return spec._replace(rig=load_rig(Path(rig))) if rig else spec
+        if not rig:
+            return spec
+        chosen_rig = load_rig(Path(rig))
+        return spec._replace(rig=chosen_rig, controller_rig=chosen_rig)
 
     def prepare(self) -> None:
         """Build what the loop needs: compile, publish, subscribe."""

@@ -69,8 +69,8 @@ class ControllerNode(ControlNode):
         """Compile the law and open the topics."""
         period = self.spec.settings.control_period
         self.period = period
-        self.controller = Controller(self.law, self.tuning, model_of(self.spec.rig, period))
-        self.static_friction = FrictionEstimator("stribeck", self.spec.rig.friction, period)
+        self.controller = Controller(self.law, self.tuning, model_of(self.spec.controller_rig, period))
+        self.static_friction = FrictionEstimator("stribeck", self.spec.controller_rig.friction, period)
         self.pending: dict[int, tuple[Any, ...]] = {}
         self.pending_since = 0.0
         self.references: dict[int, tuple[float, float, float]] = {}
@@ -150,8 +150,10 @@ class ControllerNode(ControlNode):
     def _answer(self, state: tuple[Any, ...]) -> None:
         stamp, cycle = state[:2]
         reference, friction = self.references[cycle], self.frictions.get(cycle)
-        if cycle < self.answered:
+        elapsed = cycle - self.answered if self.answered >= 0 else 1
+        if elapsed < 1:
             self.controller.reset()
+            elapsed = 1
         if self.new_tuning is not None:
             self.controller.retune(self.new_tuning)
             self.new_tuning = None
@@ -162,9 +164,9 @@ class ControllerNode(ControlNode):
         if friction is not None:
             self.estimate[:] = friction
         elif fallback:
-            self.estimate[:] = self.static_friction.update(state[2 + sensors.VELOCITY])[:2]
+            self.estimate[:] = self.static_friction.update(state[2 + sensors.VELOCITY], elapsed)[:2]
             self.fallbacks += 1
-        command = self.controller.step(self.measured, self.wanted, self.estimate)
+        command = self.controller.step(self.measured, self.wanted, self.estimate, elapsed)
         self.commands.send(stamp, cycle, command)
         values = self.controller.status.tolist()
         self.saturated = values[SATURATED] != 0.0

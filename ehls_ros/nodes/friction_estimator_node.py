@@ -7,7 +7,7 @@ from ehls_msgs.msg import FrictionEstimate, LoaderState
 from ehls_ros.control.estimator import FrictionEstimator
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.nodes.control import OK, WAIT, WARN, ControlNode, run_node
-from ehls_ros.nodes.parameters import declare
+from ehls_ros.nodes.parameters import declare, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
 from ehls_ros.physics import sensors
 from ehls_ros.schema import text
@@ -26,12 +26,17 @@ class FrictionEstimatorNode(ControlNode):
         """Declare the parameters."""
         super().__init__("friction_estimator_node")
         declare(self, Parameters, live=False)
-        self.model = self.text_parameter("model") or self.spec.settings.compensation
-        OBSERVERS.load(self.model, f"{self.get_name()}: model")
+        given = self.spec.compensation
+        self.model = self.text_parameter("model") or given.name
+        observer = OBSERVERS.load(self.model, f"{self.get_name()}: model")
+        values = given.parameters._asdict() if given.name == self.model else {}
+        declare(self, observer.Parameters, values, live=False)
+        self.observer_parameters = values_of(self, observer.Parameters, self.get_name())
 
     def prepare(self) -> None:
         """Compile the observer and open the topics."""
-        self.estimator = FrictionEstimator(self.model, self.spec.rig.friction, self.spec.settings.control_period)
+        period = self.spec.settings.control_period
+        self.estimator = FrictionEstimator(self.model, self.spec.controller_rig.friction, period, self.observer_parameters)
         elements = self.estimator.element_forces.size
         self.elements = elements
         self.last = -1
@@ -55,13 +60,15 @@ class FrictionEstimatorNode(ControlNode):
         self.waiter.wait(WAIT)
         while (message := self.states.take()) is not None:
             stamp, cycle = message[:2]
-            if cycle <= self.last:
+            elapsed = cycle - self.last if self.last >= 0 else 1
+            if elapsed < 1:
                 # The plant began anew.
                 self.estimator.reset()
-            elif cycle != self.last + 1 and self.last >= 0:
+                elapsed = 1
+            elif elapsed > 1:
                 self.gaps += 1
             self.last = cycle
-            estimate = self.estimator.update(message[2 + sensors.VELOCITY]).tolist()
+            estimate = self.estimator.update(message[2 + sensors.VELOCITY], elapsed).tolist()
             n = self.elements
             slipping = [flag != 0.0 for flag in estimate[2 + n :]]
             self.estimates.send(stamp, cycle, estimate[0], estimate[1], n, *estimate[2 : 2 + n], n, *slipping)

@@ -12,6 +12,7 @@ from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import Float64
 
 from ehls_msgs.msg import Disturbance, LoaderState, ValveCommand
+from ehls_ros.experiments.loop import simulator_of
 from ehls_ros.nodes.codec import NANOSECONDS
 from ehls_ros.nodes.control import ERROR, OK, WAIT, WARN, ControlNode, run_node
 from ehls_ros.nodes.latency import Latency
@@ -19,7 +20,6 @@ from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos
 from ehls_ros.physics import sensors
 from ehls_ros.physics.rig import SENSED
-from ehls_ros.physics.simulator import Simulator
 from ehls_ros.schema import quantity
 
 CLOCK_CYCLES = 10
@@ -51,7 +51,7 @@ class PlantSimNode(ControlNode):
     def prepare(self) -> None:
         """Compile the plant and open the topics."""
         settings = self.spec.settings
-        self.simulator = Simulator(self.spec.loader_rig(), self.period, settings.integration_step, settings.initial_position)
+        self.simulator = simulator_of(self.spec)
         self.random = np.random.default_rng(settings.seed)
         self.cycle = 0
         self.command = 0.0

@@ -15,7 +15,7 @@ DEFAULT_STEP = 1e-4
 """Integration step [s]; benchmarks/physics_convergence.py shows why."""
 
 OIL_TEMPERATURE = 313.15
-"""Oil temperature while no effect changes it [K]."""
+"""Oil temperature where nothing is said [K]."""
 
 
 class Simulator:
@@ -29,7 +29,15 @@ class Simulator:
         cycle: number of control periods done.
     """
 
-    def __init__(self, rig: Rig, period: float = 1e-3, step: float = DEFAULT_STEP, position: float = 0.0) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        period: float = 1e-3,
+        step: float = DEFAULT_STEP,
+        position: float = 0.0,
+        temperature: float = OIL_TEMPERATURE,
+        warming: float = 0.0,
+    ) -> None:
         """Prepare and compile (or load) the kernel; the rig rests without pressure.
 
         Args:
@@ -37,6 +45,8 @@ class Simulator:
             period: control period [s].
             step: largest integration step [s]; the period is cut into equal steps no longer.
             position: initial piston position [m].
+            temperature: initial oil temperature [K].
+            warming: rate at which the oil warms [K/s].
         """
         self.rig = rig.effective()
         self.period = period
@@ -57,7 +67,8 @@ class Simulator:
         self._warm_up()
         self.y[X] = position
         self.mode[0] = 1.0
-        self.inputs[TEMPERATURE] = OIL_TEMPERATURE
+        self.inputs[TEMPERATURE] = temperature
+        self.warming = warming
 
     def _warm_up(self) -> None:
         """Compile now what would otherwise compile in the first cycle."""
@@ -112,5 +123,6 @@ class Simulator:
         w[U], w[FD], w[FD_RATE], w[XD], w[VD] = command, force, force_rate, displacement, velocity
         w[START] = self.cycle * self.period
         dense = self._run(self.steps)
+        w[TEMPERATURE] += self.warming * self.period
         self.cycle += 1
         return dense

@@ -146,7 +146,7 @@ def _subtitle(trajectory: Trajectory) -> str:
 
     parts = {
         "controller": name("spec", "controller", "name"),
-        "friction compensation": name("spec", "compensation"),
+        "friction compensation": name("spec", "compensation", "name"),
         "reference": name("spec", "reference", "name"),
         "disturbance": f"{name('spec', 'disturbance', 'name')} {name('spec', 'disturbance', 'signal', 'name')}".strip(),
         "timing": name("timing"),

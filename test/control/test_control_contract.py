@@ -89,7 +89,7 @@ def test_an_observer_has_its_parts(rig, name):
     state = member.state(rig.friction)
     assert state.estimate.size == 2 + 2 * state.forces.size
     assert not np.any(state.estimate)
-    assert list(inspect.signature(member.update.py_func).parameters) == ["velocity", "period", "friction", "state"]
+    assert list(inspect.signature(member.update.py_func).parameters) == ["velocity", "period", "friction", "p", "state"]
 
 
 @pytest.mark.parametrize("name", DISTURBANCES.names())

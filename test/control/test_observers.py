@@ -79,7 +79,7 @@ def test_stribeck_is_the_smoothed_curve(rig):
     for v in (-0.15, -2.031e-3, -1e-5, 0.0, 3e-4, 2.031e-3, 0.02, 0.4):
         level = 640.8 + 224.6 * math.exp(-((abs(v) / 2.031e-3) ** 0.8764))
         estimate = estimates(rig, "stribeck", np.array([v]))[0]
-        assert estimate[0] == pytest.approx(level * math.tanh(v / 2.031e-3), rel=1e-12, abs=1e-12)
+        assert estimate[0] == pytest.approx(level * math.tanh(v / 0.025), rel=1e-12, abs=1e-12)
         assert estimate[1] == pytest.approx(7265.0 * v)
 
 

@@ -100,7 +100,7 @@ def test_second_derivative_is_continuous_where_no_corner_is_stated(name):
 def test_row_is_bit_for_bit_rows_in_any_order(name):
     signal, p, _ = case_of(name)
     cycles = 2 * SampledReference.BLOCK + 37
-    rows = SampledReference(signal, p, 1e-3).rows(cycles)
+    rows = SampledReference(signal, p, 1e-3).rows(0, cycles)
     one_by_one = SampledReference(signal, p, 1e-3)
     for cycle in (0, cycles - 1, 1, SampledReference.BLOCK, SampledReference.BLOCK - 1, 5, cycles - 1):
         assert one_by_one.row(cycle).tobytes() == rows[cycle].tobytes()

@@ -279,7 +279,7 @@ def test_a_spec_may_name_next_to_nothing(config):
     spec = spec_from_mapping(plain, "spec", config)
     assert spec.cycles == 10001
     assert spec.disturbance.name == "force"
-    assert spec.settings.compensation == "gms"
+    assert spec.compensation.name == "gms"
 
 
 def test_the_papers_rig_is_the_papers(config):

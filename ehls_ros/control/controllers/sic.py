@@ -26,7 +26,7 @@ class Parameters(NamedTuple):
     """Tuning of the compensation and of the loop."""
 
     proportional: Annotated[
-        float, quantity("1/s", "rate at which the loop takes the pressure error out", minimum=0.0, maximum=1e3)
+        float, quantity("1/s", "rate at which the loop takes the pressure error out", minimum=0.0, maximum=1e4)
     ] = 80.0
     integral: Annotated[
         float, quantity("1/s^2", "rate at which the remaining error is taken out", minimum=0.0, maximum=1e4)

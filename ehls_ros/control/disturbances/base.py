@@ -1,7 +1,8 @@
 """What a disturbance's file provides.
 
 ``Parameters``; ``REACTS``, whether it feels the loader; ``loader_effects(p)``, the effects through which it
-enters the loader's plant; and ``build(p, signal, rig, period)``, a :class:`Source`. The signal it follows is
+enters the loader's plant; and ``build(p, signal, rig, period)``, a :class:`Source`, a
+:class:`Planned` one where it does not react. The signal it follows is
 any reference: a force [N] or a displacement [m].
 """
 
@@ -23,6 +24,13 @@ class Source(Protocol):
 
     def following(self, cycle: int, position: float, velocity: float) -> Array:
         """Return the row of cycle + 1, given the loader's position [m] and velocity [m/s] at a cycle."""
+
+
+class Planned(Source, Protocol):
+    """A disturbance that does not react: any number of cycles can be had at once."""
+
+    def rows(self, first: int, cycles: int) -> Array:
+        """Return the rows of some cycles on end, shape (cycles, ROW)."""
 
 
 class DisturbanceKind(Protocol):

@@ -37,6 +37,12 @@ class Force:
         """Return the row of cycle + 1; the loader's motion makes no difference."""
         return self._at(cycle + 1)
 
+    def rows(self, first: int, cycles: int) -> Array:
+        """Return the rows of some cycles on end, shape (cycles, ROW)."""
+        rows = np.zeros((cycles, ROW))
+        rows[:, [FORCE, FORCE_RATE]] = self._signal.rows(first, cycles)[:, :2]
+        return rows
+
     def _at(self, cycle: int) -> Array:
         value, rate, _ = self._signal.row(cycle)
         self._row[FORCE], self._row[FORCE_RATE] = value, rate

@@ -1,12 +1,12 @@
 """What a friction observer's file provides.
 
-``state(friction)``, an :class:`ObserverState` before the first cycle, and a compiled
-``update(velocity, period, friction, state)`` that takes one more measured velocity [m/s] and leaves the
-estimate in ``state.estimate``: force of the elements together, viscous force [N], then each element's
-force [N], then for each 1 where it slips and 0 where it sticks.
+``Parameters``, a named tuple declaring its parameters; ``state(friction)``, an :class:`ObserverState`
+before the first cycle; and a compiled ``update(velocity, period, friction, p, state)`` that takes one more
+measured velocity [m/s] and leaves the estimate in ``state.estimate``: force of the elements together,
+viscous force [N], then each element's force [N], then for each 1 where it slips and 0 where it sticks.
 """
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -39,10 +39,12 @@ class ObserverState(NamedTuple):
 class FrictionObserver(Protocol):
     """The attributes of one observer's file."""
 
+    Parameters: Any
+
     def state(self, friction: Friction) -> ObserverState:
         """Return the state before the first cycle."""
 
-    def update(self, velocity: float, period: float, friction: Friction, state: ObserverState) -> None:
+    def update(self, velocity: float, period: float, friction: Friction, p: Any, state: ObserverState) -> None:
         """Take one more measurement."""
 
 

@@ -1,6 +1,6 @@
 """The identified GMS model run along the measured velocity: A^T B of (16)."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.observers.base import ELEMENTS, ObserverState, empty_state
@@ -8,9 +8,13 @@ from ehls_ros.physics.friction import gms
 from ehls_ros.physics.friction.base import stribeck_level
 from ehls_ros.physics.integration import integrator
 from ehls_ros.physics.parameters import Friction
+from ehls_ros.schema import quantity
 
-STEPS = 4
-"""Integration steps between two measurements."""
+
+class Parameters(NamedTuple):
+    """How finely the model is run."""
+
+    steps: Annotated[int, quantity("1", "integration steps between two measurements", minimum=1, maximum=100)] = 4
 
 
 class Motion(NamedTuple):
@@ -44,11 +48,11 @@ _advance = integrator(_evaluate, _switch)
 
 
 @kernel
-def update(velocity: float, period: float, friction: Friction, state: ObserverState) -> None:
+def update(velocity: float, period: float, friction: Friction, p: Parameters, state: ObserverState) -> None:
     """Run the elements from the last measurement to this one."""
     if state.last[1] == 1.0:
         motion = Motion(friction, state.last[0], (velocity - state.last[0]) / period)
-        _advance(0.0, state.forces, state.mode, motion, period / STEPS, STEPS, state.work)
+        _advance(0.0, state.forces, state.mode, motion, period / p.steps, p.steps, state.work)
     state.last[0], state.last[1] = velocity, 1.0
     elements = state.forces.size
     total = 0.0

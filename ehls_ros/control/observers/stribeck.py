@@ -1,14 +1,21 @@
 """The Stribeck curve of the measured velocity, smoothed where it jumps: the compensation of FASMC I."""
 
 import math
+from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import kernel
 from ehls_ros.control.observers.base import ELEMENTS, ObserverState, empty_state
 from ehls_ros.physics.friction.base import stribeck_level
 from ehls_ros.physics.parameters import Friction
+from ehls_ros.schema import quantity
 
-SMOOTHING = 1.0
-"""Width of the smoothed sign, in Stribeck velocities: s(v) tanh(v/(width Vs))."""
+
+class Parameters(NamedTuple):
+    """How the curve is smoothed: s(v) tanh(v/smoothing)."""
+
+    smoothing: Annotated[
+        float, quantity("m/s", "velocity over which the curve changes sides", minimum=1e-6, maximum=10.0)
+    ] = 0.025
 
 
 def state(friction: Friction) -> ObserverState:
@@ -17,16 +24,15 @@ def state(friction: Friction) -> ObserverState:
 
 
 @kernel
-def smoothed_curve(velocity: float, friction: Friction) -> float:
+def smoothed_curve(velocity: float, friction: Friction, p: Parameters) -> float:
     """Return the smoothed static friction without its viscous part [N]; ``velocity`` in m/s."""
-    width = SMOOTHING * friction.stribeck_velocity
-    return stribeck_level(velocity, friction) * math.tanh(velocity / width)
+    return stribeck_level(velocity, friction) * math.tanh(velocity / p.smoothing)
 
 
 @kernel
-def update(velocity: float, period: float, friction: Friction, state: ObserverState) -> None:
+def update(velocity: float, period: float, friction: Friction, p: Parameters, state: ObserverState) -> None:
     """Look the curve up."""
-    value = smoothed_curve(velocity, friction)
+    value = smoothed_curve(velocity, friction, p)
     state.last[0], state.last[1] = velocity, 1.0
     state.estimate[0] = value
     state.estimate[1] = friction.viscous_coefficient * velocity

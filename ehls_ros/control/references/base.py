@@ -44,11 +44,14 @@ class SampledReference:
         row: Array = self._rows[cycle - first]
         return row
 
-    def rows(self, cycles: int) -> Array:
-        """Return the first cycles, shape (cycles, 3), bit for bit what :meth:`row` gives."""
+    def rows(self, first: int, cycles: int) -> Array:
+        """Return some cycles on end, shape (cycles, 3), bit for bit what :meth:`row` gives."""
         out = np.empty((cycles, 3))
-        for first in range(0, cycles, self.BLOCK):
-            self.row(first)
-            part = out[first : first + self.BLOCK]
-            part[:] = self._rows[: len(part)]
+        done = 0
+        while done < cycles:
+            start = (first + done) % self.BLOCK
+            self.row(first + done)
+            part = self._rows[start : start + cycles - done]
+            out[done : done + len(part)] = part
+            done += len(part)
         return out

@@ -1,0 +1,41 @@
+"""Friction that changes with the oil's temperature: warmer oil is thinner, and carries the seals less."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects.base import Stage
+from ehls_ros.physics.plant import TEMPERATURE, V
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "friction"
+EQUATION = "s(v) -> s(v) + a (T - T0), at least 1 N;  Ff -> Ff + b (T - T0) v"
+SOURCE = "Simoni, Beschi, Legnani, Visioli, Modelling the temperature in joint friction of industrial manipulators, 2019"
+
+LEAST = 1.0
+"""A Stribeck curve at zero would leave a slipping element nothing to go to [N]."""
+
+
+class Parameters(NamedTuple):
+    """Slopes over the temperature; the rig file's friction holds at the reference temperature."""
+
+    coulomb_slope: Annotated[
+        float, quantity("N/K", "change of Coulomb and static friction per kelvin", minimum=-1e3, maximum=1e3)
+    ] = 0.0
+    viscous_slope: Annotated[
+        float, quantity("N s/(m K)", "change of viscous friction per kelvin", minimum=-1e4, maximum=1e4)
+    ] = 0.0
+    reference_temperature: Annotated[
+        float, quantity("K", "temperature at which the rig file's friction holds", minimum=200.0, maximum=450.0)
+    ] = 313.15
+
+
+@kernel
+def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+    """Move the Stribeck curve."""
+    return max(value + p[0] * (w[TEMPERATURE] - p[2]), LEAST)
+
+
+@kernel
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+    """Add the change of the viscous part; friction acts against +x."""
+    return value - p[1] * (w[TEMPERATURE] - p[2]) * y[V]
