@@ -20,6 +20,10 @@ class BadInput(ValueError):
         self.expected = expected
         super().__init__(f"{where}: {what}; expected {expected}")
 
+    def __reduce__(self) -> tuple[type["BadInput"], tuple[str, str, str]]:
+        """Let it travel between processes."""
+        return BadInput, (self.what, self.where, self.expected)
+
 
 class WorkFailed(RuntimeError):
     """Work that could not be finished though its input was right: one line saying what happened and where to look.

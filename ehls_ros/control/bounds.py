@@ -5,6 +5,8 @@ All quantities in the paper's units: MPa, mm, t, s, N; ``g`` in 1/MPa, ``k`` and
 
 import math
 
+import numpy as np
+
 from ehls_ros.arrays import kernel
 
 
@@ -71,16 +73,25 @@ def reaching_time_bound(s0: float, h: float, b: float, xi: float, e1: float, del
     if h == 0.0:
         return math.inf
     rate = reaching_rate(h, b, xi, e1, delta_f, moving_mass)
-    remains = xi * e1 * delta_f / (moving_mass * rate)
+    remains = remaining_s(h, b, xi, e1, delta_f, moving_mass)
     if abs(s0) <= b / h:
         return 0.0
     return math.log((abs(s0) - remains) / (b / h - remains)) / rate  # (46)
 
 
-def sliding_time(e3_start: float, e3_end: float, k: float, g: float, xi: float) -> float:
-    """Return the time the error takes along the surface s = 0, the second part of (45).
+def remaining_s(h: float, b: float, xi: float, e1: float, delta_f: float, moving_mass: float) -> float:
+    """Return what |s| cannot be promised to fall below against a disturbance of delta_f, a little under b/h [MPa/s].
 
-    On it xi e3' = -k/2 tanh(g e3/2), whose integral is (4 xi/(k g)) ln sinh(g e3/2).
+    The arguments are those of :func:`reaching_rate`; h above 0.
+    """
+    return xi * e1 * delta_f / (moving_mass * reaching_rate(h, b, xi, e1, delta_f, moving_mass))
+
+
+def sliding_time(e3_start: float, e3_end: float, k: float, g: float, xi: float, s: float = 0.0) -> float:
+    """Return the time the error takes once the surface is reached, the second part of (45).
+
+    There xi e3' = -k/2 tanh(g e3/2) + s. (45) takes s = 0, as if the surface were reached in full; with the
+    largest s that may be left, the time is one that is kept whatever the disturbance.
 
     Args:
         e3_start: error where the surface is reached [MPa].
@@ -88,14 +99,22 @@ def sliding_time(e3_start: float, e3_end: float, k: float, g: float, xi: float) 
         k: slope of the surface [MPa/s].
         g: steepness of the surface [1/MPa].
         xi: weight of the error's rate [1].
+        s: sliding variable that stands against the error's decay, 0 or more [MPa/s].
 
     Returns:
-        Time [s]; 0 when the error is already that small.
+        Time [s]; 0 when the error is already that small, infinite where s holds it further out.
     """
     if abs(e3_start) <= abs(e3_end):
         return 0.0
+    slope = 0.5 * k
+    if slope * math.tanh(0.5 * g * abs(e3_end)) <= s:
+        return math.inf
 
-    def log_sinh(x: float) -> float:
-        return x + math.log1p(-math.exp(-2.0 * x)) - math.log(2.0)
+    def primitive(e3: float) -> float:
+        # Of 1/((1 - w^2)(slope w - s)) over w = tanh(g e3/2), in partial fractions; 1 - w = 2/(exp(g e3) + 1).
+        w = math.tanh(0.5 * g * e3)
+        from_one = math.log(2.0) - float(np.logaddexp(g * e3, 0.0))
+        poles = -from_one / (2.0 * (slope - s)) - math.log1p(w) / (2.0 * (slope + s))
+        return poles + slope / (slope**2 - s**2) * math.log(slope * w - s)
 
-    return 4.0 * xi / (k * g) * (log_sinh(g * abs(e3_start) / 2.0) - log_sinh(g * abs(e3_end) / 2.0))  # (45)
+    return 2.0 * xi / g * (primitive(abs(e3_start)) - primitive(abs(e3_end)))  # (45)

@@ -17,6 +17,12 @@ from ehls_ros.schema import parse
 
 FROZEN = {"phi1": 0.0, "phi2": 0.0, "phi3": 0.0, "forgetting": 0.0}
 MPA = 1e6
+ADAPTED = [fasmc.ALPHA, fasmc.BETA, fasmc.DELTA]
+PRESSURE_RATE = [fasmc.CORRECTION, fasmc.LAST_PRESSURE, fasmc.LAST_RATE, fasmc.STARTED]
+
+# The paper's rig and law in N, mm, MPa, t, s: e1 = 4 beta_e Ac/Vt, m0, Ac, and the reaching rate of the printed u3.
+E1, M0, AREA = 4.784, 0.07, 2600.0
+RATE = (25.0 + 25.0 * E1 * 5500.0 / 107.5) / M0
 
 
 class Point(NamedTuple):
@@ -33,12 +39,14 @@ class Point(NamedTuple):
     viscous: float
 
     def step(self, controller: Controller, supply: float) -> float:
-        measured = np.zeros(7)
-        measured[sensors.POSITION], measured[sensors.VELOCITY] = self.x, self.v
-        measured[sensors.LOAD_PRESSURE], measured[sensors.SPOOL] = self.pressure, self.spool
-        measured[sensors.SUPPLY_PRESSURE] = supply
+        measured = reading(self.x, self.v, self.pressure, self.spool, supply)
         reference = np.array([self.wanted, self.wanted_rate, self.wanted_acceleration])
         return controller.step(measured, reference, np.array([self.elements, self.viscous]))
+
+
+def reading(x: float, v: float, pressure: float, spool: float, supply: float = 7e6, force: float | None = None) -> np.ndarray:
+    """Return what the sensors say; the load cell Ac pL where nothing else is said."""
+    return np.array([x, v, pressure, spool, AREA * 1e-6 * pressure if force is None else force, supply, 313.0])
 
 
 def points() -> list[Point]:
@@ -53,8 +61,8 @@ def controller(rig: Any, period: float = 1e-3, limit: float = 1e3, **values: Any
     return Controller("fasmc", parse(fasmc.Parameters, values, "test"), model)
 
 
-def ideal_start(law: Controller) -> None:
-    law._memory[:] = 1.0, 1.0, 0.0
+def start_at(law: Controller, alpha: float = 1.0, beta: float = 1.0, delta: float = 0.0) -> None:
+    law._memory[ADAPTED] = alpha, beta, delta
 
 
 class Loop:
@@ -98,7 +106,7 @@ def test_command_makes_the_plants_s_decay_at_the_implicit_rate(rig, at, gravity)
     rig = rig._replace(plant=rig.plant._replace(gravity=gravity))
     period = 1e-3
     law = controller(rig, period, **FROZEN)
-    ideal_start(law)
+    start_at(law)
     command = at.step(law, rig.plant.supply_pressure)
     loop = Loop(rig.plant, law.parameters)
     s = loop.s(np.array(at[:4]), at.wanted, at.wanted_rate)
@@ -118,7 +126,7 @@ def test_command_makes_the_plants_s_decay_at_the_implicit_rate(rig, at, gravity)
 def test_s_shrinks_by_the_implicit_factor_over_one_cycle(rig, at):
     period = 2e-6
     law = controller(rig, period, **FROZEN)
-    ideal_start(law)
+    start_at(law)
     command = at.step(law, rig.plant.supply_pressure)
     loop = Loop(rig.plant, law.parameters)
     state, friction, steps = np.array(at[:4]), at.elements + at.viscous, 4
@@ -147,7 +155,7 @@ def test_sliding_variable_of_a_point_worked_out_by_hand(rig):
 
 def test_the_papers_numbers_give_the_papers_controller(rig):
     law = controller(rig, **FROZEN, k=12, g=60, h=25, b=107.5)
-    ideal_start(law)
+    start_at(law)
     Point(0.01, 0.02, 1e6, 1e-4, 3e3, 0.0, 0.0, 0.0, 0.0).step(law, 7e6)
     assert law.status[base.FORCE_BOUND] == pytest.approx(78.1, abs=0.1)
     implicit = -law.status[base.U3] / (0.07 * law.status[base.S])
@@ -158,7 +166,7 @@ def test_the_papers_numbers_give_the_papers_controller(rig):
 def test_no_compensation_is_left_out_and_the_parts_make_the_command(rig):
     at = points()[0]
     law = controller(rig, **FROZEN)
-    law._memory[:] = 1.3, 0.7, -250.0
+    start_at(law, 1.3, 0.7, -250.0)
     command = at.step(law, 7e6)
     # (35): u1 = -xi e1 (alpha A^T B + beta sigma_f x2 + D)
     assert law.status[base.U1] == pytest.approx(-4.784 * (1.3 * at.elements + 0.7 * at.viscous - 250.0), rel=1e-9)
@@ -173,12 +181,12 @@ def test_no_compensation_is_left_out_and_the_parts_make_the_command(rig):
 @pytest.mark.parametrize("motion", [1.0, -1.0])
 def test_adaptation_goes_the_way_of_36_to_38(rig, towards, motion):
     law = controller(rig, phi1=1e-4, phi2=2e-4, phi3=3e-4, forgetting=0.0)
-    ideal_start(law)
+    start_at(law)
     at = Point(0.0, 0.05 * motion, towards * 5e5 + 1e6, 0.0, 2600.0, towards * -9e5, 0.0, 640.0 * motion, 363.0 * motion)
     at.step(law, 7e6)
     s = law.status[base.S]
     assert s * towards > 1.0
-    alpha, beta, delta = law._memory - [1.0, 1.0, 0.0]
+    alpha, beta, delta = law._memory[ADAPTED] - [1.0, 1.0, 0.0]
     assert delta * s > 0.0
     assert alpha == pytest.approx(delta / 3.0 * at.elements, rel=1e-9)
     assert beta == pytest.approx(delta * 2.0 / 3.0 * at.viscous, rel=1e-9)
@@ -186,11 +194,11 @@ def test_adaptation_goes_the_way_of_36_to_38(rig, towards, motion):
 
 def test_alpha_and_beta_return_to_one_where_nothing_moves_them(rig):
     law = controller(rig, **{**FROZEN, "forgetting": 0.5})
-    law._memory[:] = 2.0, 0.6, 40.0
+    start_at(law, 2.0, 0.6, 40.0)
     for _ in range(2000):
         points()[0].step(law, 7e6)
     # Two seconds at 0.5 1/s: by exp(1); D does not forget.
-    assert law._memory == pytest.approx([1.0 + math.exp(-1.0), 1.0 - 0.4 * math.exp(-1.0), 40.0], rel=1e-3)
+    assert law._memory[ADAPTED] == pytest.approx([1.0 + math.exp(-1.0), 1.0 - 0.4 * math.exp(-1.0), 40.0], rel=1e-3)
 
 
 def test_cut_adaptation_leaves_the_rest_of_s_to_the_robust_term(rig):
@@ -200,7 +208,7 @@ def test_cut_adaptation_leaves_the_rest_of_s_to_the_robust_term(rig):
     cut = controller(rig, phi3=2e6, delta_maximum=0.0)
     none = controller(rig, **FROZEN)
     for law in (free, cut, none):
-        ideal_start(law)
+        start_at(law)
         at.step(law, 7e6)
     assert abs(free.status[base.U3]) < 0.2 * abs(none.status[base.U3])
     assert cut.status[base.U3] == pytest.approx(none.status[base.U3], rel=1e-9)
@@ -227,7 +235,7 @@ def test_discrete_law_tends_to_the_continuous_one_with_order_one(rig):
     )
     for period in (4e-8, 2e-8, 1e-8):
         law = controller(rig, period, scale_maximum=100.0, scale_minimum=1e-6, **tuning)
-        ideal_start(law)
+        start_at(law)
         command = at.step(law, 7e6)
         discrete = np.array([command, *((law._memory - [1.0, 1.0, 0.0]) / period)])
         errors.append(np.abs(discrete - continuous) / np.abs(continuous))
@@ -287,7 +295,7 @@ def closed_loop(rig: Any, law: Controller, cycles: int, wanted: Any, *, limit: A
         friction = np.array([y[XV + 1 : XV + 4].sum(), rig.friction.viscous_coefficient * y[V]])
         run.force[k] = measured[sensors.FORCE]
         run.command[k] = law.step(measured, np.asarray(wanted(k * 1e-3), dtype=float), friction)
-        run.memory[k] = law._memory
+        run.memory[k] = law._memory[ADAPTED]
         omega = 2.0 * np.pi
         push, push_rate = disturbance * np.sin(omega * k * 1e-3), omega * disturbance * np.cos(omega * k * 1e-3)
         simulator.advance(run.command[k], push, push_rate, 0.0, 0.0)

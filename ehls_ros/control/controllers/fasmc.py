@@ -12,7 +12,7 @@ goes to 0. The adaptation takes at most all of the foreseen s in one cycle, whic
 
 At 1 ms the foreseen s is 89 times smaller than the sampled one, so the adaptation rates that go with it are
 larger than the paper's. The paper's own phi1..3 cannot be meant in these units (phi1 = 103 would move alpha by
-2e5 1/s at s = 1 MPa/s); the defaults were chosen once, over all references and disturbances of Table 3.
+3e5 1/s at s = 1 MPa/s); the defaults were chosen once, over all references and disturbances of Table 3.
 
 The rate of the load pressure that s needs is the model's (25), corrected by how far the model missed the
 change of pressure over the last cycle. Without that, an error of a few MPa/s in the model, which 0.2 % of
@@ -53,13 +53,13 @@ class Parameters(NamedTuple):
     delta_f: Annotated[float, quantity("N", "bound of the disturbance force", minimum=0.0, maximum=1e6)] = 5500.0
     phi1: Annotated[
         float,
-        quantity("mm^2/(N^2 t)", "adaptation rate of alpha, the scale of the identified friction", minimum=0.0, maximum=1e6),
+        quantity("mm^5/N^3", "adaptation rate of alpha, the scale of the identified friction", minimum=0.0, maximum=1e6),
     ] = 1e-3
     phi2: Annotated[
-        float, quantity("mm^2/(N^2 t)", "adaptation rate of beta, the scale of the viscous friction", minimum=0.0, maximum=1e6)
+        float, quantity("mm^5/N^3", "adaptation rate of beta, the scale of the viscous friction", minimum=0.0, maximum=1e6)
     ] = 1e-6
     phi3: Annotated[
-        float, quantity("mm^2/t", "adaptation rate of D, what the friction model leaves over", minimum=0.0, maximum=1e9)
+        float, quantity("mm^5/N", "adaptation rate of D, what the friction model leaves over", minimum=0.0, maximum=1e9)
     ] = 2.5e5
     implicitness: Annotated[
         float,
@@ -185,9 +185,9 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
         m0 * p.xi * (-e1 * g1 - e2 * x3_rate + g3_slope * x3_rate * x4 - e4 * g3 * x4 - x3d_acceleration)
         + m0 * surface_slope * error_rate
     )
-    u1 = -p.xi * e1 * (alpha * elements + beta * viscous + delta)  # (35)
+    u1 = -p.xi * e1 * (alpha * elements + beta * viscous + delta)
     u2 = -psi
-    u3 = -m0 * rate * s_next
+    u3 = -m0 * rate * s_next  # (35)
     wanted = (u1 + u2 + u3) / (m0 * p.xi * e5 * g3) * 1e-3  # (34)
     command = saturate(wanted, model.spool_limit)
     # At the limit, only an adaptation that leads away from it goes on; after a broken measurement, none.

@@ -27,10 +27,10 @@ class Parameters(NamedTuple):
 
     proportional: Annotated[
         float, quantity("1/s", "rate at which the loop takes the pressure error out", minimum=0.0, maximum=1e4)
-    ] = 80.0
+    ] = 280.0
     integral: Annotated[
         float, quantity("1/s^2", "rate at which the remaining error is taken out", minimum=0.0, maximum=1e4)
-    ] = 200.0
+    ] = 100.0
     compensation: Annotated[float, quantity("1", "part of the motion's flow that is fed forward", minimum=0.0, maximum=1.5)] = (
         1.0
     )

@@ -15,7 +15,7 @@ class Parameters(NamedTuple):
 
     smoothing: Annotated[
         float, quantity("m/s", "velocity over which the curve changes sides", minimum=1e-6, maximum=10.0)
-    ] = 0.025
+    ] = 0.2
 
 
 def state(friction: Friction) -> ObserverState:

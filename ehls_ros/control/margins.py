@@ -1,0 +1,59 @@
+"""Gain and phase margin of the pressure loop that structure invariance compensation closes.
+
+With the motion's flow fed forward, what is left between spool command and load pressure is the valve's lag
+and an integrator, behind a sample and hold.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+
+FREQUENCIES = 20_000
+"""Points from 0.1 rad/s to the Nyquist frequency at which the loop is looked at."""
+
+
+class Margins(NamedTuple):
+    """How far a loop is from instability.
+
+    Attributes:
+        gain_db: factor by which its gain may grow [dB]; infinite where no gain makes it unstable.
+        phase_deg: phase it may lose [degree]; infinite where its gain is below 1 throughout.
+    """
+
+    gain_db: float
+    phase_deg: float
+
+
+def pressure_loop(omega: Array, proportional: float, integral: float, valve_bandwidth: float, period: float) -> Array:
+    """Return the frequency response of the opened loop, shape as ``omega`` [rad/s].
+
+    Args:
+        omega: frequencies below the Nyquist frequency.
+        proportional: proportional gain [1/s].
+        integral: integral gain [1/s^2].
+        valve_bandwidth: of the servo valve [rad/s].
+        period: sampling period [s].
+    """
+    z = np.exp(1j * omega * period)
+    lag = valve_bandwidth * period
+    decay = math.exp(-lag)
+    # Zero-order hold of a/(s (s + a)).
+    plant = ((lag - 1.0 + decay) * z + (1.0 - decay - lag * decay)) / (valve_bandwidth * (z - 1.0) * (z - decay))
+    response: Array = (proportional + integral * period * z / (z - 1.0)) * plant
+    return response
+
+
+def pressure_loop_margins(proportional: float, integral: float, valve_bandwidth: float, period: float) -> Margins:
+    """Return the margins of the pressure loop; the arguments are those of :func:`pressure_loop`."""
+    omega = np.geomspace(0.1, math.pi / period, FREQUENCIES, endpoint=False)
+    response = pressure_loop(omega, proportional, integral, valve_bandwidth, period)
+    magnitude, phase = np.abs(response), np.unwrap(np.angle(response))
+    phase -= 2.0 * math.pi * math.ceil((phase[-1] - 0.5 * math.pi) / (2.0 * math.pi))
+    turned = np.flatnonzero((phase[:-1] > -math.pi) & (phase[1:] <= -math.pi))
+    crossed = np.flatnonzero((magnitude[:-1] >= 1.0) & (magnitude[1:] < 1.0))
+    gain = -20.0 * math.log10(float(magnitude[turned].max())) if turned.size else math.inf
+    lead = math.degrees(float(phase[crossed].min()) + math.pi) if crossed.size else math.inf
+    return Margins(gain, lead)

@@ -1,0 +1,1 @@
+"""The paper's simulation study run again, one file a question; ``study`` puts the answers together."""

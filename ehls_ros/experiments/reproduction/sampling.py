@@ -1,0 +1,54 @@
+"""Largest error against sampling period, with the robust term stepped explicitly, as printed, and implicitly."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from ehls_ros.experiments.reproduction import paper
+from ehls_ros.experiments.reproduction.cases import Change, case, largest_error
+from ehls_ros.experiments.reproduction.continuous import paper_quantities
+from ehls_ros.experiments.reproduction.paper import Cell
+from ehls_ros.experiments.reproduction.pool import Task
+from ehls_ros.physics.simulator import DEFAULT_STEP
+
+PERIODS = (5e-6, 1e-5, 1.5e-5, 2e-5, 2.2e-5, 2.4e-5, 3e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 5e-3)
+"""Sampling periods [s]."""
+
+DURATION = 4.0
+"""Plant time of each run [s]."""
+
+CASES = tuple(Cell(paper.FASMC_2, reference, "fd2") for reference in ("constant", "sine"))
+IMPLICITNESS = {"explicit": 0.0, "implicit": 1.0}
+
+
+def tasks() -> list[Task]:
+    """Return the runs."""
+    return [
+        partial(largest_error, cell, _change(period, theta))
+        for cell in CASES
+        for theta in IMPLICITNESS.values()
+        for period in PERIODS
+    ]
+
+
+def _change(period: float, theta: float) -> Change:
+    return Change(
+        {
+            "control_period": period,
+            "integration_step": min(period, DEFAULT_STEP),
+            "duration": DURATION,
+            "controller": {"implicitness": theta},
+        }
+    )
+
+
+def summary(results: Sequence[float]) -> dict[str, Any]:
+    """Return the lines of the figure, from the results of :func:`tasks`; an infinite error is a run that diverged."""
+    count = len(PERIODS)
+    keys = [(cell.reference, name) for cell in CASES for name in IMPLICITNESS]
+    lines = [
+        {"reference": reference, "discretisation": name, "errors_n": list(results[i * count : (i + 1) * count])}
+        for i, (reference, name) in enumerate(keys)
+    ]
+    rate = paper_quantities(case(CASES[0]))["rate"]
+    return {"periods_s": list(PERIODS), "lines": lines, "explicit_limit_s": 2.0 / rate}
