@@ -5,6 +5,7 @@ Every report is made of these blocks. All text that enters them is escaped here.
 
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -54,6 +55,21 @@ class LeftOut:
     reason: str
 
 
+@dataclass(frozen=True)
+class Entry:
+    """A cell of a table that says more than one text.
+
+    Attributes:
+        text: what stands first.
+        beside: what it is to be held against, on a second line.
+        heat: shade, from -1 (far better, blue) over 0 (none) to 1 (far worse, orange).
+    """
+
+    text: str
+    beside: str = ""
+    heat: float = 0.0
+
+
 def number(value: object, digits: int = 3) -> str:
     """Write a number for reading: fixed point, thousands apart, a dash for what is no finite number.
 
@@ -82,6 +98,21 @@ def verdict(text: str, *, good: bool | None) -> str:
     return f'<p class="verdict {kind}">{escape(text)}</p>'
 
 
+def heading(text: str) -> str:
+    """Make the heading of a part of the page."""
+    return f'<h2 class="part" id="{_anchor(text)}">{escape(text)}</h2>'
+
+
+def contents(headings: Iterable[str]) -> str:
+    """Make a line of links to the headings."""
+    links = "".join(f'<a href="#{_anchor(text)}">{escape(text)}</a>' for text in headings)
+    return f'<nav class="contents">{links}</nav>'
+
+
+def _anchor(text: str) -> str:
+    return re.sub(r"\W+", "-", text.lower()).strip("-")
+
+
 def paragraph(text: str) -> str:
     """Make a paragraph."""
     return f"<p>{escape(text)}</p>"
@@ -97,19 +128,30 @@ def facts(items: Iterable[tuple[str, str]]) -> str:
     return f'<dl class="facts">{cells}</dl>'
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def table(header: Sequence[str], rows: Iterable[Sequence[str | Entry]]) -> str:
     """Make a table whose first column names the row.
 
     Args:
         header: one title a column.
-        rows: one text a cell.
+        rows: one text or entry a cell.
     """
     head = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in header)
     body = "".join(
-        f'<tr><th scope="row">{escape(row[0])}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:]) + "</tr>"
+        f'<tr><th scope="row">{_cell(row[0])[1]}</th>'
+        + "".join(f"<td{style}>{inner}</td>" for style, inner in map(_cell, row[1:]))
+        + "</tr>"
         for row in rows
     )
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _cell(cell: str | Entry) -> tuple[str, str]:
+    if isinstance(cell, str):
+        return "", escape(cell)
+    beside = f"<small>{escape(cell.beside)}</small>" if cell.beside else ""
+    color = "213, 94, 0" if cell.heat > 0 else "0, 114, 178"
+    style = f' style="background: rgba({color}, {0.5 * min(abs(cell.heat), 1.0):.2f})"' if cell.heat else ""
+    return style, escape(cell.text) + beside
 
 
 def figures(panels: Iterable[Panel | LeftOut], *, columns: int = 1) -> str:
@@ -233,6 +275,12 @@ section header { padding: 0 190px 0 8px; }
 section .modebar-container { top: -26px !important; }
 section h2 { display: inline; font-size: 15px; margin: 0 10px 0 0; }
 section header p { display: inline; color: #555; font-size: 12.5px; }
+.part { font-size: 18px; line-height: 1.3; margin: 30px 0 8px; break-after: avoid; }
+.part + p { margin-top: 0; }
+main > p:not(.verdict) { max-width: 110ch; }
+.contents { margin: 0 0 14px; font-size: 13px; }
+.contents a { display: inline-block; margin-right: 16px; color: #0072B2; text-decoration: none; }
+.contents a:hover { text-decoration: underline; }
 .hint { margin: 0 0 8px; color: #555; }
 .left-out { margin: 0 0 3px; color: #555; font-size: 13px; }
 .left-out + details { margin-top: 12px; }
@@ -240,6 +288,10 @@ table { border-collapse: collapse; background: #fff; margin: 0 0 14px; font-vari
 th, td { border: 1px solid #dcdcdc; padding: 4px 10px; text-align: right; }
 tbody th, thead th:first-child { text-align: left; }
 thead th { background: #f4f5f6; }
+td { white-space: nowrap; }
+td, tbody th { padding: 4px 8px; }
+td small, th small { display: block; color: #4a4a4a; font-weight: normal; }
+.wide { overflow-x: auto; }
 details { background: #fff; border: 1px solid #dcdcdc; padding: 10px 16px; margin-bottom: 12px; }
 summary { cursor: pointer; font-weight: 600; }
 pre { margin: 10px 0 4px; font-size: 12.5px; white-space: pre-wrap; overflow-wrap: anywhere; }

@@ -134,6 +134,7 @@ def time_line(
     row: int = 1,
     width: float = 1.5,
     dash: str = "solid",
+    buckets: int = BUCKETS,
 ) -> Trace:
     """Draw a signal over time with as many samples as the picture can show.
 
@@ -146,11 +147,12 @@ def time_line(
         row: row of the figure, 1 on top.
         width: line width in pixels.
         dash: plotly's name of the pattern.
+        buckets: parts a long series is cut into; fewer where a page has many small figures.
 
     Returns:
         A plotly trace.
     """
-    kept = kept_samples(values)
+    kept = kept_samples(values, buckets)
     return line(time[kept], values[kept], name, unit, color, row=row, width=width, dash=dash)
 
 
@@ -220,22 +222,77 @@ def event_marks(time: NDArray[np.float64], happened: NDArray[np.bool_], name: st
     ]
 
 
-def time_mark(at: float, name: str) -> Trace:
-    """Draw a vertical line at a time, explained in the legend.
+def time_mark(at: float, name: str, color: str = BLACK, dash: str = "dot") -> Trace:
+    """Draw a vertical line at a time through all rows, explained in the legend.
 
     Args:
         at: time since the start [s].
         name: entry in the legend.
+        color: colour of the line.
+        dash: plotly's name of the pattern.
+    """
+    return upright(at, (0.0, 1.0), name, color, width=1.3, dash=dash) | {"yaxis": BACKDROP}
+
+
+def upright(
+    at: float, span: tuple[float, float], name: str, color: str = BLACK, *, width: float = 1.8, dash: str = "dot"
+) -> Trace:
+    """Draw a vertical line in the first row, explained in the legend.
+
+    Args:
+        at: abscissa as shown.
+        span: lower and upper end as shown.
+        name: entry in the legend.
+        color: colour of the line.
+        width: line width in pixels.
+        dash: plotly's name of the pattern.
     """
     return {
         "type": "scatter",
         "mode": "lines",
         "x": [at, at],
-        "y": [0.0, 1.0],
-        "yaxis": BACKDROP,
+        "y": list(span),
         "name": name,
-        "line": {"color": BLACK, "width": 1.3, "dash": "dot"},
+        "line": {"color": color, "width": width, "dash": dash},
         "hoverinfo": "skip",
+    }
+
+
+def dots(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    name: str,
+    unit: Unit,
+    color: str,
+    *,
+    row: int = 1,
+    symbol: str = "circle",
+    size: int = 8,
+    remarks: Sequence[str] = (),
+) -> Trace:
+    """Draw a mark for every sample of y against x.
+
+    Args:
+        x: abscissa as shown, shape (n,).
+        y: ordinate in its own unit, shape (n,); what is not finite is not drawn.
+        name: entry in the legend.
+        unit: unit to show y in.
+        color: colour of the marks.
+        row: row of the figure, 1 on top.
+        symbol: plotly's name of the mark; "-open" makes it hollow.
+        size: size in pixels.
+        remarks: what stands beside the number under the cursor, one a sample.
+    """
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "x": packed(x),
+        "y": packed(y * unit.factor),
+        "yaxis": "y" if row == 1 else f"y{row}",
+        "name": name,
+        "marker": {"color": color, "size": size, "symbol": symbol, "line": {"width": 1.6, "color": color}},
+        "text": list(remarks),
+        "hovertemplate": f"%{{y:,.4~g}} {unit.symbol}{' · %{text}' if len(remarks) else ''}",
     }
 
 
@@ -249,15 +306,28 @@ def time_layout(duration: float, rows: Sequence[Axis]) -> Layout:
     Returns:
         A plotly layout.
     """
-    last = "y" if len(rows) == 1 else f"y{len(rows)}"
-    time_axis = _axis(Axis("time since start", SECOND, (0.0, duration or 1.0)))
-    layout = _layout() | {
+    layout = stacked_layout(Axis("time since start", SECOND, (0.0, duration or 1.0)), rows) | {
         "hovermode": "x unified",
         "hoverdistance": -1,
         "hoversubplots": "axis",
-        "xaxis": time_axis | {"anchor": last, "unifiedhovertitle": {"text": "%{x:,.7~g} s"}},
         "yaxis9": {"overlaying": "y", "range": [0, 1], "visible": False, "fixedrange": True},
     }
+    layout["xaxis"]["unifiedhovertitle"] = {"text": "%{x:,.7~g} s"}
+    return layout
+
+
+def stacked_layout(x: Axis, rows: Sequence[Axis]) -> Layout:
+    """Arrange rows over one horizontal axis.
+
+    Args:
+        x: horizontal axis.
+        rows: vertical axes from top to bottom.
+
+    Returns:
+        A plotly layout.
+    """
+    last = "y" if len(rows) == 1 else f"y{len(rows)}"
+    layout = _layout() | {"hovermode": "closest", "xaxis": _axis(x) | {"anchor": last}}
     space = 0.06
     unit_height = (1 - space * (len(rows) - 1)) / sum(row.share for row in rows)
     top = 1.0
@@ -318,9 +388,10 @@ def _axis(axis: Axis) -> Layout:
         layout |= {"type": "log", "range": [low, high]}
         if high - low > 0.7:
             steps = (1, 2, 5) if high - low < 4 else (1,)
-            layout["tickvals"] = [step * 10.0**decade for decade in range(9) for step in steps]
+            decades = range(int(np.floor(low)), int(np.ceil(high)))
+            layout["tickvals"] = [step * 10.0**decade for decade in decades for step in steps] + [10.0 ** np.ceil(high)]
     elif axis.span is not None:
         layout["range"] = list(axis.span)
     if axis.names:
-        layout |= {"tickvals": list(range(1, len(axis.names) + 1)), "ticktext": list(axis.names)}
+        layout |= {"tickvals": list(range(1, len(axis.names) + 1)), "ticktext": list(axis.names), "automargin": True}
     return layout

@@ -98,3 +98,27 @@ def test_reaching_time_is_met_by_the_worst_disturbance(start):
 def test_no_time_is_needed_inside():
     assert bounds.reaching_time_bound(4.2, **REACH) == 0.0
     assert bounds.reaching_time_bound(-4.3, **REACH) == 0.0
+
+
+@pytest.mark.parametrize("s", [0.0, 1.0, 4.28])
+def test_sliding_time_is_the_time_an_integrator_takes(s):
+    k, g, xi, start, end = 12.0, 60.0, 1.0, 3.846, 0.0301
+
+    def falls(t: float, e: np.ndarray) -> np.ndarray:
+        return (-0.5 * k * np.tanh(0.5 * g * e) + s) / xi
+
+    def arrived(t: float, e: np.ndarray) -> float:
+        return float(e[0] - end)
+
+    arrived.terminal = True  # type: ignore[attr-defined]
+    out = solve_ivp(falls, (0.0, 20.0), [start], events=arrived, rtol=1e-10, atol=1e-12)
+    assert bounds.sliding_time(start, end, k, g, xi, s) == pytest.approx(out.t_events[0][0], rel=1e-6)
+
+
+def test_sliding_never_ends_where_s_holds_the_error_up():
+    assert bounds.sliding_time(1.0, 0.01, 12.0, 60.0, 1.0, 4.3) == math.inf
+
+
+def test_what_is_left_of_s_lies_under_b_over_h():
+    left = bounds.remaining_s(25.0, 107.5, 1.0, 4.784, 5500.0, 0.07)
+    assert 4.28 < left < 4.3

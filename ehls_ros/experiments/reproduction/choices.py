@@ -61,7 +61,7 @@ def choices() -> list[Choice]:
         Choice("SIC's inner loop", "PI", "P alone", Change({"controller": {"integral": 0.0}}), sic),
         Choice("SIC's inner loop", "motion fed forward", "95 % of it", Change({"controller": {"compensation": 0.95}}), sic),
         Choice("SIC's inner loop", "motion fed forward", "PI alone", Change({"controller": {"compensation": 0.0}}), sic),
-        Choice("φ1", "φ1 (103)", "9.7 φ1 (10³)", tuned(phi1=fasmc.Parameters().phi1 * PHI1_READINGS), every),
+        Choice("φ1 printed as 103 or 10³", "our own rate", "10³/103 = 9.7 times it", tuned(phi1=fasmc.Parameters().phi1 * PHI1_READINGS), every),
         Choice("keeping α̂, β̂", "forgetting 0.1 1/s and projection", "projection alone", tuned(forgetting=0.0), every),
         Choice("keeping α̂, β̂", "forgetting 0.1 1/s and projection", "forgetting 1 1/s", tuned(forgetting=1.0), every),
         Choice("rate of pL", "model, corrected by what it missed", "model alone", tuned(rate_correction=0.0), every),

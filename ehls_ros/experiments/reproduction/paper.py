@@ -48,7 +48,11 @@ RELATIVE_ERROR: dict[Cell, float | None] = {
 """Table 3: largest steady error in per cent of 10 kN."""
 
 _FASMC_CONVERGENCE = ((0.8, 1.8, 1.8, None), (1.3, 3.3, 1.8, None))
-_CONVERGENCE = {"SIC": ((1.2, 2.2, None, None), (1.6, 6.0, None, None)), FASMC_1: _FASMC_CONVERGENCE, FASMC_2: _FASMC_CONVERGENCE}
+_CONVERGENCE = {
+    "SIC": ((1.2, 2.2, None, None), (1.6, 6.0, None, None)),
+    "FASMC I": _FASMC_CONVERGENCE,
+    "FASMC II": _FASMC_CONVERGENCE,
+}
 CONVERGENCE: dict[Cell, float | None] = {
     Cell(controller, reference, disturbance): value
     for controller, rows in _CONVERGENCE.items()

@@ -20,7 +20,7 @@ from ehls_ros.experiments.reproduction import (
     sampling,
     searches,
 )
-from ehls_ros.experiments.reproduction.cases import AS_PUBLISHED, Change, case, paper_rig, run
+from ehls_ros.experiments.reproduction.cases import AS_PUBLISHED, DIVERGED, Change, case, paper_rig, run
 from ehls_ros.experiments.reproduction.paper import CELLS, Cell
 from ehls_ros.experiments.reproduction.pool import Progress, Task, run_tasks
 from ehls_ros.trajectory import Trajectory
@@ -87,6 +87,7 @@ def reproduce(*, quick: bool = False, workers: int | None = None, progress: Prog
     results: dict[str, Any] = {
         "version": __version__,
         "quick": quick,
+        "diverged_above_n": DIVERGED,
         "cells": [cell_row(cell, trajectory) for cell, trajectory in runs.items()],
     }
     if not quick:
@@ -100,7 +101,8 @@ def reproduce(*, quick: bool = False, workers: int | None = None, progress: Prog
             "choices": choices.summary(out["choices"]),
             "robustness": robustness.summary(out["single"], out["draws"]),
         }
-    results |= {"theory": theory(), "friction": friction.curves()}
+    figures = {str(number): [list(cell) for cell in shown] for number, shown in paper.FIGURES.items()}
+    results |= {"theory": theory(), "friction": friction.curves(), "figures": figures}
     results["wall_s"] = time.perf_counter() - start
     return Study(results, runs)
 
