@@ -42,7 +42,12 @@ setup(
     ],
     python_requires=">=3.11",
     install_requires=requirements("base"),
-    extras_require={"ros": requirements("ros"), "dev": requirements("dev"), "parquet": ["pyarrow>=15"]},
+    extras_require={
+        "ros": requirements("ros"),
+        "dev": requirements("dev"),
+        "parquet": ["pyarrow>=15"],
+        "optimisers": ["pymoo>=0.6.2", "pyswarms>=1.3"],
+    },
     entry_points={
         "console_scripts": [
             f"ehls = {PACKAGE}.cli.main:entry",

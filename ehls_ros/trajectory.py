@@ -33,6 +33,9 @@ SIGNALS: dict[str, Signal] = {
     "force_reference_n": Signal("force reference", "N"),
     "force_reference_rate_n_s": Signal("rate of the force reference", "N/s"),
     "force_reference_acceleration_n_s2": Signal("second derivative of the force reference", "N/s²"),
+    "position_reference_m": Signal("position reference", "m"),
+    "position_reference_rate_m_s": Signal("rate of the position reference", "m/s"),
+    "position_reference_acceleration_m_s2": Signal("second derivative of the position reference", "m/s²"),
     # estimated
     "friction_gms_n": Signal("force of the friction elements", "N"),
     "friction_viscous_n": Signal("viscous friction", "N"),
@@ -99,3 +102,24 @@ class Trajectory:
             KeyError: it was not recorded.
         """
         return self.signals[name]
+
+
+def steady_error(run: Trajectory, signal: str, reference: str) -> NDArray[np.float64]:
+    """Return how far a signal is from its reference over the last half of a run, its steady part.
+
+    Args:
+        run: the run.
+        signal: name of the signal that follows.
+        reference: name of what it follows.
+
+    Returns:
+        Absolute errors where both are known; empty where they never are, or are not in the run.
+    """
+    if signal not in run or reference not in run or not len(run):
+        return np.empty(0)
+    time = run.time_s
+    late = time >= time[0] + 0.5 * (time[-1] - time[0])
+    with np.errstate(invalid="ignore"):
+        error = np.abs(run[signal] - run[reference])[late]
+    known: NDArray[np.float64] = error[np.isfinite(error)]
+    return known

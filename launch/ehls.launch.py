@@ -12,7 +12,7 @@ from launch import LaunchDescription
 
 ARGUMENTS = {
     "plant": ("sim", "sim: the simulated rig; bridge: the real one", ["sim", "bridge"]),
-    "controller": ("fasmc", "control law", ["fasmc", "sic", "pid"]),
+    "controller": ("fasmc", "control law; pid follows a position and needs a spec with one", ["fasmc", "sic", "pid"]),
     "rig": ("", "rig file in place of the spec's", None),
     "spec": ("", "experiment file; empty: the 10 kN sine that comes with the package", None),
     "timing": (

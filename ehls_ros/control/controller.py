@@ -65,7 +65,7 @@ class Controller:
 
         Args:
             measured: readings in the order of ``SENSED``, shape (7,).
-            reference: force and its first and second derivative, shape (3,).
+            reference: what the law follows and its first and second derivative, shape (3,).
             friction: force of the elements and viscous force, shape (2,) or longer.
             elapsed: cycles since the last step; more than 1 after cycles that went unanswered.
         """
@@ -76,10 +76,12 @@ class Controller:
             old = self._step(measured, reference, friction, self._previous, model, trial, self.status)
             self._previous = None
         command: float = self._step(measured, reference, friction, self.parameters, model, self._memory, self.status)
+        self._bump *= self._fade**elapsed
         if old is not None:
             self._bump += old - command
         if self._bump != 0.0:
             limit = self.model.spool_limit
             command = min(max(command + self._bump, -limit), limit)
-            self._bump = self._bump * self._fade if abs(self._bump) > 1e-12 else 0.0
+            if abs(self._bump) < 1e-12:
+                self._bump = 0.0
         return command

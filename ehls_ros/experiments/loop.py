@@ -27,7 +27,7 @@ from ehls_ros.physics.composition import kernel_module, plant_source
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import POSITION, VELOCITY
 from ehls_ros.physics.simulator import Simulator
-from ehls_ros.recording.topics import CONTROLLER_STATUS, DISTURBANCE, FORCE_REFERENCE, LOADER_STATE
+from ehls_ros.recording.topics import CONTROLLER_STATUS, DISTURBANCE, LOADER_STATE, REFERENCE_TOPICS
 from ehls_ros.trajectory import Trajectory
 
 CHUNK = 2000
@@ -97,7 +97,7 @@ class Block(NamedTuple):
     Attributes:
         first: number of the first cycle.
         record: measurement, command, friction estimate, controller status; see :class:`Columns`.
-        reference: force and its first and second derivative.
+        reference: what the controller follows and its first and second derivative.
         disturbance: force, its rate, displacement, velocity.
     """
 
@@ -238,12 +238,13 @@ def _trajectory(spec: Spec, columns: Columns, record: Array, reference: Array, d
     signals["friction_fallback"] = np.zeros(len(record))
     estimate = record[:, columns.estimate]
     elements = (estimate.shape[1] - ELEMENTS) // 2
-    if CONTROLLERS.load(spec.controller.name).FRICTION:
+    law = CONTROLLERS.load(spec.controller.name)
+    if law.FRICTION:
         signals["friction_gms_n"], signals["friction_viscous_n"] = estimate[:, 0], estimate[:, 1]
         signals["friction_elements_n"] = estimate[:, ELEMENTS : ELEMENTS + elements]
         signals["friction_slipping"] = estimate[:, ELEMENTS + elements :]
     signals.update(zip(CONTROLLER_STATUS.signals.values(), record[:, columns.status].T, strict=False))
-    signals.update(zip(FORCE_REFERENCE.signals.values(), reference.T, strict=True))
+    signals.update(zip(REFERENCE_TOPICS[law.FOLLOWS].signals.values(), reference.T, strict=True))
     signals.update(zip(DISTURBANCE.signals.values(), disturbance.T, strict=True))
     time = np.arange(len(record), dtype=np.float64) * spec.settings.control_period
     return Trajectory(time, signals, metadata(spec, "in-process"))

@@ -1,10 +1,11 @@
 """What a run is judged by."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehls_ros.trajectory import Trajectory
+from ehls_ros.trajectory import Trajectory, steady_error
 
 CONVERGENCE_BAND = 0.01
 """Part of the largest reference the error must stay within to count as converged."""
@@ -15,7 +16,7 @@ GROWTH = 1.25
 
 
 class Metrics(NamedTuple):
-    """Figures of one run; errors are taken over its last half, the steady part."""
+    """Figures of one run; errors are taken over its last half, the steady part, and NaN where no force was to be followed."""
 
     max_error_n: float
     rms_error_n: float
@@ -28,8 +29,9 @@ class Metrics(NamedTuple):
     report: str | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the mapping that ``metrics.json`` holds."""
-        return self._asdict()
+        """Return the mapping that ``metrics.json`` holds; JSON has null for NaN."""
+        unknown = {name for name, value in self._asdict().items() if isinstance(value, float) and math.isnan(value)}
+        return {name: None if name in unknown else value for name, value in self._asdict().items()}
 
 
 def evaluate(trajectory: Trajectory) -> Metrics:
@@ -40,19 +42,19 @@ def evaluate(trajectory: Trajectory) -> Metrics:
     steady error is not said never to settle.
 
     Args:
-        trajectory: must hold ``force_n`` and ``force_reference_n``.
+        trajectory: must hold a sample.
 
     Returns:
-        The metrics; ``convergence_s`` is None when the error still grows at the end. Errors are NaN
-        when the run has no cycle that holds both force and reference.
+        The metrics; ``convergence_s`` is None when the error still grows at the end. Errors are NaN and
+        ``convergence_s`` is None when the run has no cycle that holds both force and force reference.
     """
     time = trajectory.time_s
-    error = np.abs(trajectory["force_n"] - trajectory["force_reference_n"])
-    known = np.isfinite(error)
-    steady = error[known & (time >= time[0] + 0.5 * (time[-1] - time[0]))]
+    steady = steady_error(trajectory, "force_n", "force_reference_n")
     missed = int(np.sum(~np.isfinite(trajectory["valve_command_m"]))) if "valve_command_m" in trajectory else 0
     if not steady.size:
         return Metrics(np.nan, np.nan, None, len(time), missed, float(time[-1] - time[0]))
+    error = np.abs(trajectory["force_n"] - trajectory["force_reference_n"])
+    known = np.isfinite(error)
     largest_reference = float(np.nanmax(np.abs(trajectory["force_reference_n"])))
     band = max(CONVERGENCE_BAND * largest_reference, float(steady.max()))
     outside = np.flatnonzero(known & (error > band))

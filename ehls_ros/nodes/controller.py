@@ -9,16 +9,18 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from ehls_msgs.msg import ControllerStatus, ForceReference, FrictionEstimate, LoaderState, ValveCommand
+from ehls_msgs.msg import ControllerStatus, FrictionEstimate, LoaderState, ValveCommand
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import SATURATED, model_of
 from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.errors import BadInput
 from ehls_ros.nodes.control import OK, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
-from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
+from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, message_class
 from ehls_ros.physics import sensors
+from ehls_ros.recording.topics import REFERENCE_TOPICS
 from ehls_ros.schema import quantity
 
 PATIENCE = 1.0
@@ -48,13 +50,21 @@ class ControllerNode(ControlNode):
     """
 
     def __init__(self, law: str) -> None:
-        """Declare the law's parameters, with the spec's values where it names this law."""
+        """Declare the law's parameters, with the spec's values where it names this law.
+
+        Raises:
+            BadInput: the spec's reference is none for this law.
+        """
         super().__init__(f"{law}_node")
         declare(self, Parameters, live=False)
         self.friction_patience = float(self.get_parameter("friction_patience").value)
         self.law = law
         self.kind = CONTROLLERS.load(law)
         given = self.spec.controller
+        meant_for = CONTROLLERS.load(given.name).FOLLOWS
+        if meant_for != self.kind.FOLLOWS:
+            what = f"the spec's reference is a {meant_for} for {given.name}"
+            raise BadInput(what, self.get_name(), f"a spec whose controller follows a {self.kind.FOLLOWS}, as {law} does")
         values = given.parameters._asdict() if given.name == law else {}
         declare(self, self.kind.Parameters, values, live=True)
         self.tuning = values_of(self, self.kind.Parameters, self.get_name())
@@ -82,7 +92,8 @@ class ControllerNode(ControlNode):
         self.saturated = False
         self.latency = Latency()
         self.states = Inbox(self, LoaderState, "loader_state")
-        self.reference = Inbox(self, ForceReference, "force_reference")
+        topic = REFERENCE_TOPICS[self.kind.FOLLOWS]
+        self.reference = Inbox(self, message_class(topic.type), topic.name)
         self.commands = Outbox(self, ValveCommand, "valve_command")
         self.status = Outbox(self, ControllerStatus, "controller_status")
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
@@ -197,5 +208,5 @@ class ControllerNode(ControlNode):
         if self.kind.FRICTION and not self.friction_comes:
             return WARN, "no friction estimate comes: the static Stribeck curve stands in", figures
         if self.pending and time.perf_counter() - self.pending_since > PATIENCE:
-            return WARN, "no force reference for the cycle under way", figures
+            return WARN, f"no {self.kind.FOLLOWS} reference for the cycle under way", figures
         return OK, "running" if self._active.is_set() else "inactive", figures

@@ -31,7 +31,7 @@ from ehls_ros.errors import WorkFailed
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE, REALTIME
-from ehls_ros.recording.topics import CYCLE_TOPICS, FRICTION_ESTIMATE
+from ehls_ros.recording.topics import CYCLE_TOPICS, FRICTION_ESTIMATE, REFERENCE_TOPICS
 
 PLANT, RECORDER = "plant_sim_node", "recorder_node"
 
@@ -70,8 +70,11 @@ def nodes_of(spec: Spec) -> list[str]:
 
 def expected_topics(spec: Spec) -> list[str]:
     """Return the control-path topics that an experiment's nodes publish."""
-    friction = CONTROLLERS.load(spec.controller.name).FRICTION
-    return [topic.name for topic in CYCLE_TOPICS if friction or topic != FRICTION_ESTIMATE]
+    law = CONTROLLERS.load(spec.controller.name)
+    absent = [topic for follows, topic in REFERENCE_TOPICS.items() if follows != law.FOLLOWS]
+    if not law.FRICTION:
+        absent.append(FRICTION_ESTIMATE)
+    return [topic.name for topic in CYCLE_TOPICS if topic not in absent]
 
 
 def run_graph(

@@ -1,4 +1,4 @@
-"""`pid_node`: the rod at constant velocity."""
+"""`pid_node`: the rod along a wanted motion, for identification."""
 
 from typing import NoReturn
 

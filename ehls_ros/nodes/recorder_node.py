@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn, cast, get_args
 
@@ -13,7 +12,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import metadata
 from ehls_ros.nodes.control import ERROR, OK, ControlNode, run_node
 from ehls_ros.nodes.parameters import declare
-from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos
+from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos, message_class
 from ehls_ros.recording.bag_writer import BagWriter, Storage
 from ehls_ros.recording.topics import CYCLE_TOPICS, TOPICS
 from ehls_ros.schema import text
@@ -56,7 +55,7 @@ class RecorderNode(ControlNode):
         self.inboxes = {
             topic.name: Inbox(
                 self,
-                _message_class(topic.type),
+                message_class(topic.type),
                 topic.name,
                 control_qos(RECORDER_DEPTH) if topic in CYCLE_TOPICS else QoSProfile(depth=1000),
             )
@@ -142,12 +141,6 @@ class RecorderNode(ControlNode):
         if getattr(self, "failure", ""):
             return ERROR, f"not recording: {self.failure}", figures
         return OK, "recording" if self._active.is_set() else "inactive", figures
-
-
-def _message_class(name: str) -> Any:
-    """Return the class of a type named like ``std_msgs/msg/Float64``."""
-    package, folder, kind = name.split("/")
-    return getattr(import_module(f"{package}.{folder}"), kind)
 
 
 def main() -> NoReturn:

@@ -1,12 +1,13 @@
-"""`reference_node`: the wanted force with its derivatives."""
+"""`reference_node`: the wanted force or position with its derivatives, whichever the spec's controller follows."""
 
 from typing import Any, NoReturn
 
-from ehls_msgs.msg import ForceReference
+from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.nodes.ahead import AheadNode
 from ehls_ros.nodes.control import run_node
-from ehls_ros.nodes.transport import Outbox
+from ehls_ros.nodes.transport import Outbox, message_class
+from ehls_ros.recording.topics import REFERENCE_TOPICS
 
 
 class ReferenceNode(AheadNode):
@@ -19,10 +20,11 @@ class ReferenceNode(AheadNode):
     def open_outbox(self) -> Outbox:
         """Open the topic."""
         self.signal = sampled(self.spec.reference, self.spec.settings.control_period)
-        return Outbox(self, ForceReference, "force_reference")
+        topic = REFERENCE_TOPICS[CONTROLLERS.load(self.spec.controller.name).FOLLOWS]
+        return Outbox(self, message_class(topic.type), topic.name)
 
     def row(self, cycle: int, state: tuple[Any, ...] | None) -> list[float]:
-        """Return force and its first and second derivative."""
+        """Return the reference and its first and second derivative."""
         row: list[float] = self.signal.row(cycle).tolist()
         return row
 

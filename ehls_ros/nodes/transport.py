@@ -7,6 +7,7 @@ subscriptions without an executor; all use of its inner interface is in this fil
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from typing import Any
 
 import rclpy
@@ -41,6 +42,12 @@ def control_qos(depth: int = DEPTH) -> QoSProfile:
 def newest_qos() -> QoSProfile:
     """Return the quality of service of a reader that only wants to know where the cycles have got to."""
     return QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def message_class(name: str) -> Any:
+    """Return the class of a type named like ``std_msgs/msg/Float64``."""
+    package, folder, kind = name.split("/")
+    return getattr(import_module(f"{package}.{folder}"), kind)
 
 
 class Outbox:

@@ -48,6 +48,18 @@ FORCE_REFERENCE = Topic(
         "force_acceleration": "force_reference_acceleration_n_s2",
     },
 )
+POSITION_REFERENCE = Topic(
+    "position_reference",
+    "ehls_msgs/msg/PositionReference",
+    {
+        "position": "position_reference_m",
+        "velocity": "position_reference_rate_m_s",
+        "acceleration": "position_reference_acceleration_m_s2",
+    },
+)
+REFERENCE_TOPICS: Mapping[str, Topic] = MappingProxyType({"force": FORCE_REFERENCE, "position": POSITION_REFERENCE})
+"""The reference's topic by what the controller follows; a run has one of them."""
+
 DISTURBANCE = Topic(
     "disturbance",
     "ehls_msgs/msg/Disturbance",
@@ -88,7 +100,15 @@ CONTROLLER_STATUS = Topic(
     },
 )
 
-CYCLE_TOPICS = (LOADER_STATE, FORCE_REFERENCE, DISTURBANCE, FRICTION_ESTIMATE, VALVE_COMMAND, CONTROLLER_STATUS)
+CYCLE_TOPICS = (
+    LOADER_STATE,
+    FORCE_REFERENCE,
+    POSITION_REFERENCE,
+    DISTURBANCE,
+    FRICTION_ESTIMATE,
+    VALVE_COMMAND,
+    CONTROLLER_STATUS,
+)
 """The topics a trajectory is made of, in the order of one control cycle; every message has a header and a cycle."""
 
 TELEMETRY_TOPICS = (

@@ -21,7 +21,7 @@ from ehls_ros.report.page import (
     write_page,
 )
 from ehls_ros.report.page import figures as figure_blocks
-from ehls_ros.trajectory import Trajectory
+from ehls_ros.trajectory import Trajectory, steady_error
 
 
 def write_experiment_report(trajectory: Trajectory, metrics: Mapping[str, Any], path: Path) -> None:
@@ -29,18 +29,23 @@ def write_experiment_report(trajectory: Trajectory, metrics: Mapping[str, Any], 
 
     Args:
         trajectory: the run, with any subset of the signals; a figure whose signals are missing is left
-            out and named. Of its metadata the report shows ``title``, ``timing``, ``wall_s``, ``rig``,
+            out and named. What was followed comes first: a position where the run has a reference of one,
+            else the force. Of its metadata the report shows ``title``, ``timing``, ``wall_s``, ``rig``,
             ``spec`` and ``versions``.
         metrics: what ``metrics.json`` holds.
         path: file to write; its folder must exist.
     """
     sentence, good = summary(trajectory, metrics)
+    motion, position_error = figures.motion(trajectory), figures.position_error(trajectory)
+    force = [figures.force_tracking(trajectory), figures.force_error(trajectory, metrics.get("convergence_s"))]
+    follows_position = figures.known(trajectory, "position_reference_m")
+    follows_force = figures.known(trajectory, "force_reference_n") or not follows_position
     over_time = [
-        figures.force_tracking(trajectory),
-        figures.force_error(trajectory, metrics.get("convergence_s")),
+        *([motion, position_error] if follows_position else []),
+        *(force if follows_force else []),
         figures.valve(trajectory),
         figures.load_pressure(trajectory),
-        figures.motion(trajectory),
+        *([] if follows_position else [motion]),
         figures.friction(trajectory),
         figures.adaptation(trajectory),
         figures.sliding_variable(trajectory),
@@ -85,6 +90,11 @@ def summary(trajectory: Trajectory, metrics: Mapping[str, Any]) -> tuple[str, bo
     missed, cycles = metrics.get("missed_cycles"), metrics.get("cycles")
     loop = f"{number(missed)} of {number(cycles)} cycles were missed"
     if max_error is None or not math.isfinite(max_error):
+        position_error = steady_error(trajectory, "position_m", "position_reference_m")
+        if position_error.size:
+            largest = number(1e3 * float(position_error.max()))
+            sentence = f"Over the last half the piston stayed within {largest} mm of the reference; {loop}."
+            return sentence, None if missed == 0 else False
         return f"How well the force follows a reference cannot be told; {loop}.", None
     if converged is None:
         convergence = "the error had not converged at the end"
@@ -102,7 +112,14 @@ def summary(trajectory: Trajectory, metrics: Mapping[str, Any]) -> tuple[str, bo
 
 def _facts(trajectory: Trajectory, metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
     max_error = _with_unit(metrics.get("max_error_n"), "N")
-    items = [
+    position_error = 1e3 * steady_error(trajectory, "position_m", "position_reference_m")
+    items = []
+    if position_error.size:
+        items += [
+            ("Largest position error, last half", f"{number(float(position_error.max()))} mm"),
+            ("RMS position error, last half", f"{number(float(np.sqrt(np.mean(position_error**2))))} mm"),
+        ]
+    items += [
         ("Largest error, last half", max_error),
         ("RMS error, last half", _with_unit(metrics.get("rms_error_n"), "N")),
     ]

@@ -45,10 +45,11 @@ from ehls_ros.report.plot import (
     time_layout,
     time_line,
     time_mark,
+    upright,
 )
 from ehls_ros.trajectory import Trajectory
 
-PLANE_SAMPLES = 8000
+PLANE_SAMPLES = 10_000
 """Samples of a plot of one signal against another: some periods, not a blot."""
 RASTER_COLUMNS = 1500
 ELEMENT_LINES = ((BLUE, "solid"), (ORANGE, "solid"), (GREEN, "dash"), (SKY, "solid"), (PURPLE, "dash"))
@@ -62,7 +63,7 @@ def force_tracking(run: Trajectory) -> Panel | LeftOut:
     title = "Force tracking"
     if missing := _missing(run, "force_n"):
         return LeftOut(title, missing)
-    time = _since_start(run)
+    time = since_start(run)
     traces: list[Trace] = []
     if known(run, "disturbance_force_n"):
         traces.append(time_line(time, run["disturbance_force_n"], "disturbance", KILONEWTON, ORANGE, width=1.2))
@@ -84,7 +85,7 @@ def force_error(run: Trajectory, convergence_s: float | None) -> Panel | LeftOut
     error = error_of(run)
     if error is None:
         return LeftOut(title, _missing_together(run, slice(None), "force_reference_n", "force_n"))
-    time = _since_start(run)
+    time = since_start(run)
     traces: list[Trace] = []
     bound = 0.0
     if known(run, "force_bound_n"):
@@ -93,7 +94,7 @@ def force_error(run: Trajectory, convergence_s: float | None) -> Panel | LeftOut
     traces.append(time_line(time, error, "force − reference", NEWTON, BLUE))
     if convergence_s:
         traces.append(time_mark(convergence_s, f"converged after {number(convergence_s)} s"))
-    span, note = _steady_span(error, bound, NEWTON.symbol)
+    span, note = steady_span(error, bound, NEWTON.symbol)
     return Panel(title, traces, time_layout(time[-1], [Axis("error", NEWTON, span)]), note, height=280)
 
 
@@ -102,7 +103,7 @@ def valve(run: Trajectory) -> Panel | LeftOut:
     title = "Valve"
     if not known(run, "valve_command_m") and not known(run, "spool_m"):
         return LeftOut(title, _missing(run, "valve_command_m", "spool_m"))
-    time = _since_start(run)
+    time = since_start(run)
     traces: list[Trace] = []
     largest = 0.0
     for name, label, color in (("valve_command_m", "command", SKY), ("spool_m", "spool", BLUE)):
@@ -122,7 +123,7 @@ def load_pressure(run: Trajectory) -> Panel | LeftOut:
     title = "Load pressure"
     if missing := _missing(run, "load_pressure_pa"):
         return LeftOut(title, missing)
-    time = _since_start(run)
+    time = since_start(run)
     traces = [time_line(time, run["load_pressure_pa"], "load pressure", MEGAPASCAL, BLUE)]
     if known(run, "supply_pressure_pa"):
         supply, name = run["supply_pressure_pa"], "supply pressure"
@@ -134,11 +135,11 @@ def load_pressure(run: Trajectory) -> Panel | LeftOut:
 
 
 def motion(run: Trajectory) -> Panel | LeftOut:
-    """Draw position and velocity of the piston, and the displacement the position servo made."""
+    """Draw position and velocity of the piston with what they follow, and the displacement the position servo made."""
     title = "Motion"
     if not known(run, "position_m") and not known(run, "velocity_m_s"):
         return LeftOut(title, _missing(run, "position_m", "velocity_m_s"))
-    time = _since_start(run)
+    time = since_start(run)
     traces: list[Trace] = []
     rows: list[Axis] = []
     if known(run, "position_m"):
@@ -147,11 +148,30 @@ def motion(run: Trajectory) -> Panel | LeftOut:
         servo = run.signals.get("disturbance_displacement_m", np.zeros(1))
         if _largest(servo) > 0:
             traces.append(time_line(time, servo, "position servo", MILLIMETRE, ORANGE, width=1.2))
+        if known(run, "position_reference_m"):
+            reference = run["position_reference_m"]
+            traces.append(time_line(time, reference, "position reference", MILLIMETRE, BLACK, width=1.2, dash="dash"))
     if known(run, "velocity_m_s"):
         rows.append(Axis("velocity", MILLIMETRE_PER_SECOND))
         velocity = run["velocity_m_s"]
         traces.append(time_line(time, velocity, "piston velocity", MILLIMETRE_PER_SECOND, GREEN, row=len(rows)))
+        if known(run, "position_reference_rate_m_s"):
+            rate, unit = run["position_reference_rate_m_s"], MILLIMETRE_PER_SECOND
+            traces.append(time_line(time, rate, "velocity reference", unit, BLACK, row=len(rows), width=1.2, dash="dash"))
     return Panel(title, traces, time_layout(time[-1], rows), height=160 + 90 * len(rows))
+
+
+def position_error(run: Trajectory) -> Panel | LeftOut:
+    """Draw the position error, scaled to the steady part of the run."""
+    title = "Position error"
+    if missing := _missing_together(run, slice(None), "position_reference_m", "position_m"):
+        return LeftOut(title, missing)
+    time = since_start(run)
+    with np.errstate(invalid="ignore"):
+        error = run["position_m"] - run["position_reference_m"]
+    traces = [time_line(time, error, "position − reference", MILLIMETRE, BLUE)]
+    span, note = steady_span(error * MILLIMETRE.factor, 0.0, MILLIMETRE.symbol)
+    return Panel(title, traces, time_layout(time[-1], [Axis("error", MILLIMETRE, span)]), note, height=280)
 
 
 def friction(run: Trajectory) -> Panel | LeftOut:
@@ -160,7 +180,7 @@ def friction(run: Trajectory) -> Panel | LeftOut:
     parts = ("friction_gms_n", "friction_viscous_n", "friction_elements_n")
     if not any(known(run, name) for name in parts):
         return LeftOut(title, _missing(run, *parts))
-    time = _since_start(run)
+    time = since_start(run)
     traces: list[Trace] = []
     rows: list[Axis] = []
     if known(run, "friction_gms_n") or known(run, "friction_viscous_n"):
@@ -194,7 +214,7 @@ def adaptation(run: Trajectory) -> Panel | LeftOut:
     title = "Adaptation"
     if not any(known(run, name) for name in ("alpha", "beta", "delta_n")):
         return LeftOut(title, _missing(run, "alpha", "beta", "delta_n"))
-    time = _since_start(run)
+    time = since_start(run)
     traces: list[Trace] = []
     rows: list[Axis] = []
     if known(run, "alpha") or known(run, "beta"):
@@ -214,14 +234,14 @@ def sliding_variable(run: Trajectory) -> Panel | LeftOut:
     title = "Sliding variable"
     if missing := _missing(run, "s_mpa_s"):
         return LeftOut(title, missing)
-    time = _since_start(run)
+    time = since_start(run)
     traces: list[Trace] = []
     bound = sliding_bound(run.metadata)
     if bound is not None:
         label = f"bound ±b/h = ±{number(bound)} {PAPER_PRESSURE_RATE.symbol}"
         traces += band(time, np.full(time.shape, bound), label, PAPER_PRESSURE_RATE)
     traces.append(time_line(time, run["s_mpa_s"], "s", PAPER_PRESSURE_RATE, BLUE))
-    span, note = _steady_span(run["s_mpa_s"], bound or 0.0, PAPER_PRESSURE_RATE.symbol)
+    span, note = steady_span(run["s_mpa_s"], bound or 0.0, PAPER_PRESSURE_RATE.symbol)
     return Panel(title, traces, time_layout(time[-1], [Axis("s", PAPER_PRESSURE_RATE, span)]), note)
 
 
@@ -231,7 +251,7 @@ def response_time(run: Trajectory) -> Panel | LeftOut:
     response = _response(run)
     if response is None:
         return LeftOut(title, _missing(run, "response_s") or "response_s holds no time above zero")
-    time = _since_start(run)
+    time = since_start(run)
     span = float(np.nanmin(response)), float(np.nanmax(response))
     traces = [time_line(time, response, "snapshot to command", MICROSECOND, BLUE, width=1.0)]
     if len(run) > 1:
@@ -277,17 +297,7 @@ def response_histogram(run: Trajectory) -> Panel | LeftOut:
         RESPONSE_QUANTILES.items(), (BLACK, PURPLE, ORANGE, VERMILION), ("solid", "dash", "dashdot", "dot"), strict=True
     ):
         value = float(np.quantile(response, part))
-        quantiles.append(
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "x": [value, value],
-                "y": [empty, top],
-                "line": {"color": color, "width": 1.8, "dash": dash},
-                "name": f"{name} {number(value)} {MICROSECOND.symbol}",
-                "hoverinfo": "skip",
-            }
-        )
+        quantiles.append(upright(value, (empty, top), f"{name} {number(value)} {MICROSECOND.symbol}", color, dash=dash))
     layout = plane_layout(
         Axis("response", MICROSECOND, (low, 1.05 * high), logarithmic=True),
         Axis("count", CYCLES, (empty, top), logarithmic=True),
@@ -356,6 +366,12 @@ def known(run: Trajectory, name: str) -> bool:
     return not _absence(run, name)
 
 
+def since_start(run: Trajectory) -> NDArray[np.float64]:
+    """Give the time since the start [s], shape (n,)."""
+    time: NDArray[np.float64] = run.time_s - run.time_s[0]
+    return time
+
+
 def error_of(run: Trajectory) -> NDArray[np.float64] | None:
     """Give force minus reference [N], shape (n,), measured rather than as the controller saw it; None if unknown."""
     if "force_n" in run and "force_reference_n" in run:
@@ -386,6 +402,24 @@ def sliding_bound(metadata: Mapping[str, Any]) -> float | None:
     return b / h if b is not None and h else None
 
 
+def steady_span(values: NDArray[np.float64], bound: float, unit: str) -> tuple[tuple[float, float] | None, str]:
+    """Scale an axis to the last half of a run, unless its start is hardly larger.
+
+    Args:
+        values: the signal as shown, shape (n,).
+        bound: what has to be in the picture as well.
+        unit: symbol of the unit shown.
+
+    Returns:
+        Ends of the axis, None to fit the data, and the note that goes with them.
+    """
+    whole = _largest(values)
+    steady = 1.25 * max(_largest(values[len(values) // 2 :]), bound)
+    if whole <= 1.5 * steady or steady == 0:
+        return None, ""
+    return (-steady, steady), f"Scaled to the steady part; the largest of the whole run is {number(whole)} {unit}."
+
+
 def _absence(run: Trajectory, name: str) -> str:
     if name not in run:
         return "not been recorded"
@@ -410,11 +444,6 @@ def _missing_together(run: Trajectory, samples: slice, *names: str) -> str:
         return missing
     together = np.logical_and.reduce([np.isfinite(run[name][samples]) for name in names])
     return "" if together.any() else f"no cycle to be shown holds both {' and '.join(names)}"
-
-
-def _since_start(run: Trajectory) -> NDArray[np.float64]:
-    time: NDArray[np.float64] = run.time_s - run.time_s[0]
-    return time
 
 
 def _columns(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -453,14 +482,6 @@ def _last_samples(run: Trajectory) -> slice:
 
 def _last_seconds(run: Trajectory) -> str:
     return f"last {number(float(run.time_s[-1] - run.time_s[_last_samples(run).start]), 2)} s"
-
-
-def _steady_span(values: NDArray[np.float64], bound: float, unit: str) -> tuple[tuple[float, float] | None, str]:
-    whole = _largest(values)
-    steady = 1.25 * max(_largest(values[len(values) // 2 :]), bound)
-    if whole <= 1.5 * steady or steady == 0:
-        return None, ""
-    return (-steady, steady), f"Scaled to the steady part; the largest of the whole run is {number(whole)} {unit}."
 
 
 def _raster(time: NDArray[np.float64], slipping: NDArray[np.float64], row: int) -> list[Trace]:

@@ -63,11 +63,13 @@ class Entry:
         text: what stands first.
         beside: what it is to be held against, on a second line.
         heat: shade, from -1 (far better, blue) over 0 (none) to 1 (far worse, orange).
+        prose: it is a sentence, which may break and begins on the left.
     """
 
     text: str
     beside: str = ""
     heat: float = 0.0
+    prose: bool = False
 
 
 def number(value: object, digits: int = 3) -> str:
@@ -151,6 +153,8 @@ def _cell(cell: str | Entry) -> tuple[str, str]:
     beside = f"<small>{escape(cell.beside)}</small>" if cell.beside else ""
     color = "213, 94, 0" if cell.heat > 0 else "0, 114, 178"
     style = f' style="background: rgba({color}, {0.5 * min(abs(cell.heat), 1.0):.2f})"' if cell.heat else ""
+    if cell.prose:
+        style += ' class="prose"'
     return style, escape(cell.text) + beside
 
 
@@ -289,6 +293,7 @@ th, td { border: 1px solid #dcdcdc; padding: 4px 10px; text-align: right; }
 tbody th, thead th:first-child { text-align: left; }
 thead th { background: #f4f5f6; }
 td { white-space: nowrap; }
+td.prose { white-space: normal; text-align: left; }
 td, tbody th { padding: 4px 8px; }
 td small, th small { display: block; color: #4a4a4a; font-weight: normal; }
 .wide { overflow-x: auto; }

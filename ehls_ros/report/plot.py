@@ -351,6 +351,17 @@ def plane_layout(x: Axis, y: Axis) -> Layout:
     return _layout() | {"hovermode": "closest", "xaxis": _axis(x), "yaxis": _axis(y)}
 
 
+def decades(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float]:
+    """Give the ends of a logarithmic axis, with some air around what is finite and above zero.
+
+    Args:
+        values: as shown, shape (n,).
+    """
+    drawn = np.asarray(values, dtype=float)
+    drawn = drawn[np.isfinite(drawn) & (drawn > 0)]
+    return (0.7 * float(drawn.min()), 1.5 * float(drawn.max())) if drawn.size else (1.0, 10.0)
+
+
 def _layout() -> Layout:
     return {
         "font": {"family": FONT, "size": 12, "color": BLACK},

@@ -59,4 +59,7 @@ def test_a_file_in_the_folders_place_is_bad_input(tmp_path, capsys):
 
 
 def test_what_json_has_no_number_for_becomes_null():
-    assert valid_json({"a": [1.0, float("inf")], "b": (float("nan"), "x", None, 2)}) == {"a": [1.0, None], "b": [None, "x", None, 2]}
+    assert valid_json({"a": [1.0, float("inf")], "b": (float("nan"), "x", None, 2)}) == {
+        "a": [1.0, None],
+        "b": [None, "x", None, 2],
+    }

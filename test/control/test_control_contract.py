@@ -23,7 +23,6 @@ MEMBERS = [pytest.param(family, name, id=f"{kind}-{name}") for kind, family in F
 DECLARED = [
     pytest.param(name, declared, id=f"{kind}-{name}-{declared.name}")
     for kind, family in FAMILIES.items()
-    if kind != "observer"
     for name in family.names()
     for declared in declarations(family.load(name).Parameters)
 ]
@@ -53,7 +52,7 @@ def test_a_parameter_is_declared_with_unit_range_and_help(name, declared):
     assert isinstance(declared.default, declared.kind)
 
 
-@pytest.mark.parametrize("kind", ["controller", "reference", "disturbance"])
+@pytest.mark.parametrize("kind", FAMILIES)
 def test_parameters_survive_a_round_trip(kind):
     for name in FAMILIES[kind].names():
         parameters = FAMILIES[kind].load(name).Parameters
@@ -76,6 +75,7 @@ def test_an_unknown_name_is_bad_input_that_lists_the_known(kind, name):
 def test_a_controller_has_its_parts(name):
     member = CONTROLLERS.load(name)
     assert isinstance(member.FRICTION, bool)
+    assert member.FOLLOWS in {"force", "position"}
     memory = member.memory(member.Parameters())
     assert memory.dtype == np.float64
     assert np.all(np.isfinite(memory))
@@ -106,6 +106,25 @@ def test_a_disturbance_has_its_parts(rig, name):
     rows = [source.first().copy(), *(source.following(k, 0.0, 0.0).copy() for k in range(20))]
     assert np.array(rows).shape == (21, ROW)
     assert np.all(np.isfinite(rows))
+
+
+@pytest.mark.parametrize("name", [name for name in DISTURBANCES.names() if not DISTURBANCES.load(name).REACTS])
+@pytest.mark.parametrize("first", [0, 1, SampledReference.BLOCK - 3])
+def test_rows_of_what_does_not_react_are_bit_for_bit_what_follows(rig, name, first):
+    member, chirp = DISTURBANCES.load(name), REFERENCES.load("chirp")
+
+    def source() -> Any:
+        signal = SampledReference(chirp, chirp.Parameters(amplitude=5e3, offset=100.0), 1e-3)
+        return member.build(member.Parameters(), signal, rig, 1e-3)
+
+    one_by_one = source()
+    random = np.random.default_rng(first)
+    following = [one_by_one.first().copy()]
+    following += [one_by_one.following(k, *random.standard_normal(2)).copy() for k in range(first + 1100)]
+    rows = source().rows(first, 1100)
+    assert rows.shape == (1100, ROW)
+    assert np.ptp(rows[:, 0]) > 1e3
+    assert rows.tobytes() == np.array(following)[first : first + 1100].tobytes()
 
 
 def test_a_force_is_its_signal_one_cycle_ahead(rig):

@@ -20,8 +20,13 @@ def velocities(seed: int, cycles: int = 4000) -> np.ndarray:
     return np.array([0.15, 0.02, 2e-3]) @ waves * np.where(t % 1.0 < 0.2, 0.0, 1.0)
 
 
-def estimates(rig, name: str, velocity: np.ndarray) -> np.ndarray:
-    estimator = FrictionEstimator(name, rig.friction, PERIOD)
+# With so narrow a change of sides the velocities above reach the curve itself.
+NARROW = {"stribeck": {"smoothing": 0.025}}
+
+
+def estimates(rig, name: str, velocity: np.ndarray, **values: float) -> np.ndarray:
+    parameters = OBSERVERS.load(name).Parameters(**{**NARROW.get(name, {}), **values})
+    estimator = FrictionEstimator(name, rig.friction, PERIOD, parameters)
     return np.array([estimator.update(v).copy() for v in velocity])
 
 
@@ -75,12 +80,41 @@ def test_gms_at_rest_and_in_presliding_is_a_spring(rig):
     assert np.array_equal(estimate[-1, 5:], np.zeros(3))
 
 
-def test_stribeck_is_the_smoothed_curve(rig):
+@pytest.mark.parametrize("smoothing", [2.031e-3, 0.025, 0.2])
+def test_stribeck_is_the_smoothed_curve(rig, smoothing):
     for v in (-0.15, -2.031e-3, -1e-5, 0.0, 3e-4, 2.031e-3, 0.02, 0.4):
         level = 640.8 + 224.6 * math.exp(-((abs(v) / 2.031e-3) ** 0.8764))
-        estimate = estimates(rig, "stribeck", np.array([v]))[0]
-        assert estimate[0] == pytest.approx(level * math.tanh(v / 0.025), rel=1e-12, abs=1e-12)
+        estimate = estimates(rig, "stribeck", np.array([v]), smoothing=smoothing)[0]
+        assert estimate[0] == pytest.approx(level * math.tanh(v / smoothing), rel=1e-12, abs=1e-12)
         assert estimate[1] == pytest.approx(7265.0 * v)
+
+
+def test_gms_converges_with_its_steps(rig):
+    velocity = velocities(4, 1500)
+    runs = {steps: estimates(rig, "gms", velocity, steps=steps)[:, 0] for steps in (1, 4, 100)}
+    assert 1e-6 < np.max(np.abs(runs[1] - runs[100])) < 1.0
+    assert np.max(np.abs(runs[4] - runs[100])) < 0.1 * np.max(np.abs(runs[1] - runs[100]))
+
+
+@pytest.mark.parametrize("name", OBSERVERS.names())
+@pytest.mark.parametrize("cycles", [2, 7, 50])
+def test_an_update_after_a_gap_is_that_of_the_longer_period(rig, name, cycles):
+    late, slow = FrictionEstimator(name, rig.friction, PERIOD), FrictionEstimator(name, rig.friction, cycles * PERIOD)
+    for v in velocities(2, 2000)[::cycles]:
+        assert late.update(v, cycles).tobytes() == slow.update(v).tobytes()
+    # The cycle after a gap is a usual one.
+    usual = FrictionEstimator(name, rig.friction, PERIOD)
+    for kept, from_gap in zip(usual.state, late.state, strict=True):
+        kept[:] = from_gap
+    assert late.update(0.03).tobytes() == usual.update(0.03).tobytes()
+
+
+@pytest.mark.parametrize("cycles", [1, 5, 30])
+def test_gms_sticks_over_a_gap_as_a_spring_does(rig, cycles):
+    estimator = FrictionEstimator("gms", rig.friction, PERIOD)
+    estimator.update(2e-3)
+    # On the mean 3 mm/s for the time of the gap, at 2265 N/mm: at most 0.09 mm, and nothing slips before 0.28 mm.
+    assert estimator.update(4e-3, cycles)[0] == pytest.approx(2265e3 * 3e-3 * cycles * PERIOD, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", OBSERVERS.names())

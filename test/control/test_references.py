@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from ehls_ros.control.references import REFERENCES
+from ehls_ros.control.references import REFERENCES, velocity_sweep
 from ehls_ros.control.references.base import SampledReference
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.spec import spec_from_mapping
+from ehls_ros.experiments.spec import Spec, spec_from_mapping
 from ehls_ros.schema import declarations, parse
 
 DURATION = 8.0
@@ -29,6 +29,13 @@ def triangle_corners(p: Any) -> list[float]:
     return [*(peaks - half), *(peaks + half)]
 
 
+def sweep_corners(p: Any) -> list[float]:
+    """Where a stroke begins, has its velocity, slows down, and ends."""
+    t = np.arange(0.0, DURATION, 1e-5)
+    acceleration = velocity_sweep.sample(t, p)[:, 2]
+    return [float(time) for time in t[1:][np.diff(acceleration) != 0.0]]
+
+
 class Case(NamedTuple):
     """Parameters to test a member with, where its second derivative jumps, and where only its third does."""
 
@@ -45,6 +52,7 @@ CASES = {
     "load_spectrum": Case({"points": SPECTRUM}, joints=(SPECTRUM[0][0], SPECTRUM[-1][0])),
     "sine": Case({"offset": 2e3, "phase": 0.4}),
     "triangle": Case({}, triangle_corners),
+    "velocity_sweep": Case({"velocities": [0.01, 0.05], "travel": 0.06, "longest": 1.5, "repeats": 1}, sweep_corners),
 }
 
 
@@ -106,6 +114,19 @@ def test_row_is_bit_for_bit_rows_in_any_order(name):
         assert one_by_one.row(cycle).tobytes() == rows[cycle].tobytes()
     assert np.all(np.isfinite(rows))
     assert rows.shape == (cycles, 3)
+
+
+@pytest.mark.parametrize("name", REFERENCES.names())
+@pytest.mark.parametrize("first", [1, 7, SampledReference.BLOCK - 1, SampledReference.BLOCK, 2 * SampledReference.BLOCK + 5])
+@pytest.mark.parametrize("cycles", [0, 1, 30, SampledReference.BLOCK, 2 * SampledReference.BLOCK + 3])
+def test_rows_may_begin_and_end_anywhere(name, first, cycles):
+    signal, p, _ = case_of(name)
+    one_by_one = SampledReference(signal, p, 1e-3)
+    expected = np.array([one_by_one.row(k) for k in range(first, first + cycles)]).reshape(cycles, 3)
+    rows = SampledReference(signal, p, 1e-3).rows(first, cycles)
+    assert rows.tobytes() == expected.tobytes()
+    # Also where another block was asked for before.
+    assert one_by_one.rows(first, cycles).tobytes() == expected.tobytes()
 
 
 @pytest.mark.parametrize("name", REFERENCES.names())
@@ -216,11 +237,59 @@ def test_load_spectrum_of_a_densely_recorded_sine_is_that_sine():
     assert np.allclose(rows[:, 1], 1e4 * np.pi * np.cos(np.pi * between), atol=1.0)
 
 
+SWEEPS = [
+    pytest.param({}, id="the paper's"),
+    pytest.param({"velocities": (0.15, 0.002, 0.02), "repeats": 2, "travel": 0.2, "rest": 0.0, "centre": 0.3}, id="downwards"),
+    pytest.param({"velocities": (0.01,), "repeats": 3, "longest": 0.5, "acceleration": 10.0}, id="one velocity"),
+]
+
+
+@pytest.mark.parametrize("values", SWEEPS)
+def test_velocity_sweep_moves_at_every_velocity_both_ways(values):
+    p = parse(velocity_sweep.Parameters, values, "velocity_sweep")
+    length = velocity_sweep.duration(p)
+    t = np.arange(0.0, length + 1.0, 1e-3)
+    position, rate, acceleration = velocity_sweep.sample(t, p).T
+    for velocity in p.velocities:
+        stroke = min(p.travel, velocity * p.longest)
+        held = stroke / velocity - velocity / p.acceleration
+        for direction in (1.0, -1.0):
+            at_it = (np.abs(rate - direction * velocity) < 1e-12) & (acceleration == 0.0)
+            parts = np.split(np.flatnonzero(at_it), np.flatnonzero(np.diff(np.flatnonzero(at_it)) > 1) + 1)
+            whole = [part for part in parts if abs(len(part) * 1e-3 - held) < 3e-3]
+            # On the way to the next velocity's strokes, the rod moves at one of the velocities too, but not as far.
+            assert len(whole) == p.repeats
+            assert all(abs(np.mean(position[part]) - p.centre) < 1e-3 * velocity for part in whole)
+            assert all(len(part) * 1e-3 < held + 3e-3 for part in parts)
+    assert np.min(position) >= p.centre - 0.5 * p.travel - 1e-12
+    assert np.max(position) <= p.centre + 0.5 * p.travel + 1e-12
+    assert np.max(np.abs(acceleration)) <= p.acceleration
+    assert set(np.round(np.abs(rate[acceleration == 0.0]), 9)) == {0.0, *np.round(p.velocities, 9)}
+
+
+@pytest.mark.parametrize("values", SWEEPS)
+def test_velocity_sweep_begins_and_ends_at_rest_in_the_middle(values):
+    p = parse(velocity_sweep.Parameters, values, "velocity_sweep")
+    length = velocity_sweep.duration(p)
+    rows = velocity_sweep.sample(np.array([0.0, 0.5 * p.rest, length + 1e-9, length + 100.0]), p)
+    assert np.allclose(rows, [[p.centre, 0.0, 0.0]] * 4, rtol=0.0, atol=1e-12)
+    assert velocity_sweep.sample(np.array([length - 1e-4]), p)[0, 2] != 0.0
+
+
+def test_velocity_sweep_of_the_paper_takes_27_minutes():
+    p = velocity_sweep.Parameters()
+    assert len(p.velocities) == 20
+    assert velocity_sweep.duration(p) == pytest.approx(1636.19, abs=0.01)
+    assert velocity_sweep.duration(p._replace(repeats=1)) == pytest.approx(275.66, abs=0.01)
+
+
 SECTION = "spec.yaml: reference"
 
 
-def spec_with(rig: dict[str, Any], reference: Any) -> None:
-    spec_from_mapping({"rig": rig, "reference": reference, "controller": {"name": "fasmc"}}, "spec.yaml", Path("nowhere"))
+def spec_with(rig: dict[str, Any], reference: Any) -> Spec:
+    return spec_from_mapping(
+        {"rig": rig, "reference": reference, "controller": {"name": "fasmc"}}, "spec.yaml", Path("nowhere")
+    )
 
 
 def wrong_values() -> list[Any]:
@@ -250,7 +319,12 @@ def test_a_wrong_value_gives_one_readable_line(rig_mapping, name, key, value):
     ("reference", "where", "what", "expected"),
     [
         (None, SECTION, "None", "a mapping with a name"),
-        ("sine", SECTION, "'sine'", "a mapping with a name"),
+        ("sinus", SECTION, "'sinus'", "sine"),
+        ("", SECTION, "''", "sine"),
+        ("load_spectrum", f"{SECTION}: load_spectrum", "'points'", "value"),
+        (3, SECTION, "3", "a mapping with a name"),
+        (["sine"], SECTION, "['sine']", "a mapping with a name"),
+        ({}, SECTION, "{}", "a mapping with a name"),
         ({"amplitude": 1.0}, SECTION, "amplitude", "a mapping with a name"),
         ({"name": "sinus"}, SECTION, "'sinus'", "sine"),
         ({"name": ["sine"]}, SECTION, "['sine']", "sine"),
@@ -263,6 +337,11 @@ def test_a_wrong_value_gives_one_readable_line(rig_mapping, name, key, value):
         ({"name": "load_spectrum", "points": [[0.0, 1.0]]}, SECTION, "points holds 1", "two or more"),
         ({"name": "load_spectrum", "points": [[0.0, 1.0], [0.0, 2.0]]}, SECTION, "points[1]", "increas"),
         ({"name": "load_spectrum", "points": [[0.0, 1.0], [1.0, float("nan")]]}, SECTION, "nan", "finite"),
+        ({"name": "velocity_sweep", "velocities": []}, SECTION, "velocities is empty", "one velocity"),
+        ({"name": "velocity_sweep", "velocities": [0.1, -0.1]}, SECTION, "velocities[1] is -0.1", "above 0"),
+        ({"name": "velocity_sweep", "velocities": [float("inf")]}, SECTION, "velocities[0] is inf", "finite"),
+        ({"name": "velocity_sweep", "velocities": [0.5]}, SECTION, "a stroke of 0.5 m is too short", "more travel"),
+        ({"name": "velocity_sweep", "velocities": 0.1}, f"{SECTION}: velocity_sweep", "velocities is 0.1", "tuple"),
         ({"name": "irregular", "lowest_frequency": 2.0, "highest_frequency": 1.0}, SECTION, "2", "highest_frequency"),
     ],
 )
@@ -273,6 +352,15 @@ def test_a_wrong_section_gives_one_readable_line(rig_mapping, reference, where, 
     assert what in caught.value.what
     assert expected in caught.value.expected
     assert "\n" not in str(caught.value)
+
+
+def has_defaults(name: str) -> bool:
+    return all(declared.default is not None for declared in declarations(REFERENCES.load(name).Parameters))
+
+
+@pytest.mark.parametrize("name", list(filter(has_defaults, REFERENCES.names())))
+def test_a_bare_name_is_the_member_with_its_defaults(rig_mapping, name):
+    assert spec_with(rig_mapping, name).reference == spec_with(rig_mapping, {"name": name}).reference
 
 
 def test_every_member_samples_as_the_family_says():

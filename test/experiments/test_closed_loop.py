@@ -5,9 +5,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from ehls_ros.experiments.loop import run_in_process
+from ehls_ros.control.controllers.base import model_of
+from ehls_ros.experiments.loop import ClosedLoop, run_in_process, simulator_of
 from ehls_ros.experiments.metrics import evaluate
-from ehls_ros.trajectory import SIGNALS
+from ehls_ros.trajectory import SIGNALS, Trajectory
 
 REFERENCES = {
     "constant": {"name": "constant", "value": 1e4},
@@ -40,7 +41,12 @@ CELLS = [
 ]
 
 
-@pytest.mark.parametrize("cell", CELLS, ids=lambda cell: f"{cell.reference}-{'fd1' if cell.disturbance is FD1 else 'fd2'}")
+def cell_name(cell: Cell) -> str:
+    """Return the cell as its test is called."""
+    return f"{cell.reference}-{'fd1' if cell.disturbance is FD1 else 'fd2'}"
+
+
+@pytest.mark.parametrize("cell", CELLS, ids=cell_name)
 def test_gms_compensation_is_as_good_as_table_3(make_spec, cell):
     spec = make_spec(reference=REFERENCES[cell.reference], disturbance=cell.disturbance)
     metrics = evaluate(run_in_process(spec))
@@ -58,19 +64,24 @@ def test_error_stays_within_the_laws_own_bound(make_spec):
     assert run["force_bound_n"][-1] == pytest.approx(78.1, abs=0.1)
 
 
-def test_gms_compensation_beats_stribeck_on_a_held_force(make_spec):
-    # The paper: 73.2 % less against the large disturbance.
-    gms, stribeck = (
-        evaluate(run_in_process(make_spec(disturbance=FD2, compensation=name))).max_error_n for name in ("gms", "stribeck")
+@pytest.mark.parametrize("cell", CELLS, ids=cell_name)
+def test_gms_compensation_beats_stribeck(make_spec, cell):
+    def largest_error(compensation: Any) -> float:
+        spec = make_spec(reference=REFERENCES[cell.reference], disturbance=cell.disturbance, compensation=compensation)
+        return evaluate(run_in_process(spec)).max_error_n
+
+    gms = largest_error("gms")
+    assert gms < 0.9 * largest_error({"name": "stribeck", "smoothing": 0.2})
+    # The paper has 57 to 75 % less; smoothed over 10 mm/s its curve has about the paper's errors.
+    assert gms < 0.3 * largest_error({"name": "stribeck", "smoothing": 0.01})
+
+
+@pytest.mark.parametrize(("disturbance", "percent"), [(FD1, 1.12), (FD2, 2.23)])
+def test_sic_holds_a_force_as_well_as_table_3_and_less_well_than_the_law(make_spec, disturbance, percent):
+    law, sic = (
+        evaluate(run_in_process(make_spec(controller=name, disturbance=disturbance))).max_error_n for name in ("fasmc", "sic")
     )
-    assert gms < 0.5 * stribeck
-
-
-@pytest.mark.parametrize(("disturbance", "percent"), [(FD1, 1.12), (FD2, 2.9)])
-def test_sic_holds_a_force_less_well(make_spec, disturbance, percent):
-    # Table 3 has 1.12 and 2.23 %.
-    metrics = evaluate(run_in_process(make_spec(controller={"name": "sic"}, disturbance=disturbance)))
-    assert 20.0 < metrics.max_error_n <= percent / 100.0 * 1e4
+    assert 2.0 * law < sic <= percent / 100.0 * 1e4
 
 
 def test_two_runs_are_bitwise_equal(make_spec, rig_mapping):
@@ -83,6 +94,112 @@ def test_two_runs_are_bitwise_equal(make_spec, rig_mapping):
         assert one[name].tobytes() == two[name].tobytes(), name
     other = run_in_process(make_spec(rig=rig, disturbance=FD2, duration=2.0, seed=6))
     assert not np.array_equal(one["valve_command_m"], other["valve_command_m"])
+
+
+def test_error_of_the_sampled_law_is_of_order_one(make_spec):
+    errors = [
+        evaluate(run_in_process(make_spec(reference="sine", disturbance=FD2, duration=4.0, control_period=period))).max_error_n
+        for period in (1e-3, 5e-4, 2.5e-4, 1.25e-4)
+    ]
+    assert errors[-1] < 6.0
+    assert np.array(errors[:-1]) / errors[1:] == pytest.approx([2.0, 2.0, 2.0], rel=0.1)
+
+
+def off(rig_mapping: dict[str, Any], key: str, factor: float) -> dict[str, Any]:
+    """Return the paper's rig with one coefficient of its plant off."""
+    return {**rig_mapping, "plant": {**rig_mapping["plant"], key: factor * rig_mapping["plant"][key]}}
+
+
+@pytest.mark.parametrize("reference", ["constant", "sine"])
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+@pytest.mark.parametrize("key", ["discharge_coefficient", "piston_area"])
+def test_a_rig_that_is_20_percent_off_is_held_by_the_corrected_pressure_rate(make_spec, rig_mapping, key, factor, reference):
+    def run(**tuning: float) -> Trajectory:
+        rigs = {"rig": off(rig_mapping, key, factor), "controller_rig": rig_mapping}
+        controller = {"name": "fasmc", **tuning}
+        return run_in_process(make_spec(**rigs, controller=controller, reference=REFERENCES[reference], disturbance=FD2))
+
+    held = run(rate_correction=1.0)
+    late = held.time_s > 2.0
+    # 1.5 % of the largest reference; 35.5 N where the model is right.
+    assert np.max(np.abs(held["force_error_n"][late])) < 150.0
+    assert np.max(held["saturated"]) == 0.0
+    assert np.max(np.abs(held["delta_n"])) < 1e4
+    # Left to itself the model misses the rate by far more than the k/2 = 6 MPa/s that the surface has against it.
+    lost = run(rate_correction=0.0)
+    assert np.max(np.abs(lost["force_error_n"][late])) > 2e3
+
+
+@pytest.mark.parametrize("reference", ["constant", "sine"])
+@pytest.mark.parametrize("factor", [0.6, 1.7])
+def test_a_valve_gain_between_0_6_and_1_7_of_the_models_leaves_the_error_below_100_n(make_spec, rig_mapping, factor, reference):
+    rigs = {"rig": off(rig_mapping, "valve_gain", factor), "controller_rig": rig_mapping}
+    run = run_in_process(make_spec(**rigs, reference=REFERENCES[reference], disturbance=FD2))
+    assert np.max(np.abs(run["force_error_n"][run.time_s > 2.0])) < 100.0
+    assert np.max(run["saturated"]) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("signal", "bias"),
+    [("load_pressure", 2e5), ("spool_position", 5e-5), ("velocity", 0.01), ("supply_pressure", 7e5), ("supply_pressure", -7e5)],
+)
+def test_the_force_is_the_load_cells_whatever_bias_the_other_readings_have(make_spec, rig_mapping, signal, bias):
+    rig = {**rig_mapping, "sensors": {signal: {"bias": bias}}}
+
+    def largest_error(part: float) -> float:
+        law = {"name": "fasmc", "rate_correction": part}
+        run = run_in_process(make_spec(rig=rig, controller=law, disturbance=FD2, duration=5.0))
+        return float(np.max(np.abs(run["force_error_n"][run.time_s > 2.0])))
+
+    assert largest_error(1.0) < 150.0
+    assert largest_error(0.0) > 500.0
+
+
+def test_the_controller_has_its_own_rig_and_the_plant_the_other(make_spec, rig_mapping):
+    believed = off(off(rig_mapping, "piston_area", 1.1), "supply_pressure", 1.2)
+    believed["limits"] = {**rig_mapping["limits"], "spool": 2e-3}
+    believed["friction"] = {**rig_mapping["friction"], "viscous_coefficient": 8000.0}
+    spec = make_spec(controller_rig=believed, disturbance=FD2, duration=1.0)
+    assert ClosedLoop(spec)._model == model_of(spec.controller_rig, 1e-3)
+    assert model_of(spec.controller_rig, 1e-3).plant.piston_area == pytest.approx(2.86e-3)
+    assert simulator_of(spec).rig == simulator_of(make_spec()).rig
+    run = run_in_process(spec)
+    # The plant's area and supply in what is measured; the controller's area, friction and spool limit in what it makes of it.
+    assert np.allclose(run["force_n"], 2.6e-3 * run["load_pressure_pa"])
+    assert np.all(run["supply_pressure_pa"] == 7e6)
+    assert np.allclose(run["e3_mpa"], run["force_error_n"] / 2860.0)
+    assert np.allclose(run["friction_viscous_n"], 8000.0 * run["velocity_m_s"])
+    assert np.max(np.abs(run["valve_command_m"])) <= 2e-3
+
+
+def test_a_controllers_rig_that_says_the_same_changes_nothing(make_spec, rig_mapping):
+    plain = run_in_process(make_spec(disturbance=FD2, duration=1.0))
+    # The arm's length is in no equation of (1)-(4).
+    told = run_in_process(make_spec(controller_rig=off(rig_mapping, "arm_length", 2.0), disturbance=FD2, duration=1.0))
+    for name in plain.signals:
+        assert plain[name].tobytes() == told[name].tobytes(), name
+    assert told.metadata["spec"]["controller_rig"]["plant"]["arm_length"] == 1.0
+    assert told.metadata["rig"]["plant"]["arm_length"] == 0.5
+
+
+def test_parameters_of_the_compensation_reach_the_observer(make_spec):
+    run = run_in_process(make_spec(disturbance=FD2, duration=1.0, compensation={"name": "stribeck", "smoothing": 0.05}))
+    speed = run["velocity_m_s"]
+    level = 640.8 + 224.6 * np.exp(-(np.abs(speed / 2.031e-3) ** 0.8764))
+    assert np.allclose(run["friction_gms_n"], level * np.tanh(speed / 0.05), rtol=1e-12, atol=1e-12)
+
+
+def test_oil_warms_through_the_run_and_d_learns_what_thinner_oil_takes_from_friction(make_spec):
+    thinner = [{"name": "temperature_dependent_friction", "viscous_slope": -100.0}]
+    spec = make_spec(reference="sine", duration=8.0, oil_temperature=303.15, oil_warming=2.5, effects=thinner)
+    run = run_in_process(spec)
+    assert np.allclose(run["oil_temperature_k"], 303.15 + 2.5 * run.time_s, rtol=1e-12)
+    # The controller knows none of it: -100 N s/m for each kelvin above 313.15 K, so +1000 N s/m at first.
+    missed = -100.0 * (run["oil_temperature_k"] - 313.15) * run["velocity_m_s"]
+    estimate = run["friction_gms_n"], run["friction_viscous_n"]
+    learnt = run["delta_n"] + (run["alpha"] - 1.0) * estimate[0] + (run["beta"] - 1.0) * estimate[1]
+    assert np.max(np.abs(missed)) > 400.0
+    assert np.sqrt(np.mean((learnt - missed)[500:] ** 2)) < 20.0
 
 
 @pytest.mark.parametrize("reference", REFERENCES)

@@ -1,10 +1,11 @@
+import json
 import math
 
 import numpy as np
 import pytest
 
 from ehls_ros.experiments.metrics import evaluate
-from ehls_ros.trajectory import Trajectory
+from ehls_ros.trajectory import Trajectory, steady_error
 
 
 def judged(error, reference=1e4, command=None, time=None):
@@ -89,6 +90,29 @@ def test_nothing_but_gaps_gives_no_figures(command):
     assert math.isnan(metrics.rms_error_n)
     assert metrics.convergence_s is None
     assert metrics.cycles == 101
+
+
+@pytest.mark.parametrize("names", [[], ["force_n"], ["force_reference_n"], ["position_m", "position_reference_m", "force_n"]])
+def test_a_run_that_followed_no_force_has_no_force_error(names):
+    run = Trajectory(np.arange(101) * 1e-3, {name: np.zeros(101) for name in names})
+    metrics = evaluate(run)
+    assert math.isnan(metrics.max_error_n)
+    assert metrics.cycles == 101
+    plain = metrics.as_json()
+    assert [plain[name] for name in ("max_error_n", "rms_error_n", "convergence_s")] == [None] * 3
+    assert "NaN" not in json.dumps(plain)
+
+
+def test_the_steady_error_is_that_of_the_last_half_where_both_are_known():
+    time = 3.0 + np.arange(11) * 0.1
+    position, reference = np.zeros(11), np.full(11, 1e-3)
+    position[7], reference[9], position[10] = np.nan, np.inf, 5e-3
+    run = Trajectory(time, {"position_m": position, "position_reference_m": reference})
+    # samples 5 to 10 but for 7 and 9
+    assert steady_error(run, "position_m", "position_reference_m") == pytest.approx([1e-3, 1e-3, 1e-3, 4e-3])
+    assert steady_error(run, "force_n", "position_reference_m").size == 0
+    assert steady_error(run, "position_m", "force_reference_n").size == 0
+    assert steady_error(Trajectory(np.empty(0), {}), "position_m", "position_reference_m").size == 0
 
 
 def test_json_has_the_contracts_keys():

@@ -12,7 +12,7 @@ from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.spec import load_rig, load_spec, spec_from_mapping, spec_to_mapping
+from ehls_ros.experiments.spec import Spec, Use, load_rig, load_spec, spec_from_mapping, spec_to_mapping
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import SENSED, rig_from_mapping, rig_to_mapping
 
@@ -117,6 +117,28 @@ SPEC_ERRORS = [
     (("seed",), -1, "spec.yaml", "seed is -1", "0"),
     (("title",), 5, "spec.yaml", "title is 5", "string"),
     (("compensation",), "lugre", "spec.yaml: compensation", "'lugre' is unknown", "gms"),
+    (("compensation",), {"name": "lugre"}, "spec.yaml: compensation", "'lugre' is unknown", "gms"),
+    (("compensation",), {"steps": 4}, "spec.yaml: compensation", "{'steps': 4}", "gms"),
+    (("compensation",), None, "spec.yaml: compensation", "None", "gms"),
+    (("compensation",), ["gms"], "spec.yaml: compensation", "['gms']", "gms"),
+    (("compensation",), {"name": "gms", "steps": 0}, "spec.yaml: compensation: gms", "steps is 0", "1"),
+    (("compensation",), {"name": "gms", "steps": 2.5}, "spec.yaml: compensation: gms", "steps is 2.5", "integer"),
+    (("compensation",), {"name": "gms", "smoothing": 0.1}, "spec.yaml: compensation: gms", "'smoothing' is unknown", "steps"),
+    (
+        ("compensation",),
+        {"name": "stribeck", "smoothing": 0.0},
+        "spec.yaml: compensation: stribeck",
+        "smoothing is 0.0",
+        "0.000001",
+    ),
+    (("compensation",), {"name": "stribeck", "steps": 4}, "spec.yaml: compensation: stribeck", "'steps'", "smoothing"),
+    (("controller_rig",), 7, "spec.yaml: controller_rig", "int", "mapping"),
+    (("controller_rig",), "absent.yaml", "absent.yaml", "cannot be read", "YAML file"),
+    (("controller_rig",), {"plant": {}}, "spec.yaml: controller_rig", "'friction' is missing", "mapping"),
+    (("controller", "implicitness"), 1.5, "spec.yaml: controller: fasmc", "implicitness is 1.5", "1"),
+    (("controller", "rate_correction"), -0.1, "spec.yaml: controller: fasmc", "rate_correction is -0.1", "0"),
+    (("oil_temperature",), 40.0, "spec.yaml", "oil_temperature is 40.0", "200"),
+    (("oil_warming",), 11.0, "spec.yaml", "oil_warming is 11.0", "10"),
     (("durration",), 1.0, "spec.yaml", "'durration' is unknown", "duration"),
     ((7,), 1.0, "spec.yaml", "7 is unknown", "duration"),
     (("effects",), [{"name": "gremlin"}], "spec.yaml: effects[0]", "'gremlin'", "valve_dead_zone"),
@@ -130,6 +152,14 @@ def test_a_wrong_spec_is_refused(rig_mapping, keys, value, where, what, expected
     assert error.where == where
     assert what in error.what
     assert expected in error.expected
+
+
+def test_a_wrong_value_in_the_controllers_rig_is_refused_with_its_place(rig_mapping):
+    believed = changed(rig_mapping, ("plant", "valve_gain"), -1.0)
+    plain = {"rig": rig_mapping, "controller_rig": believed, "reference": "sine", "controller": "fasmc"}
+    error = refusal(spec_from_mapping, plain, "spec.yaml", Path())
+    assert error.where == "spec.yaml: controller_rig: plant"
+    assert "valve_gain is -1.0" in error.what
 
 
 @pytest.mark.parametrize("content", [None, 3, "text", [], True])
@@ -214,10 +244,12 @@ def test_a_load_spectrum_is_found_beside_its_spec(tmp_path, rig_mapping):
     assert load_spec(tmp_path / "spec.yaml").reference.parameters.points == ((0.0, 1e3), (1.5, -2e3))
 
 
-def round_trip(plain: dict[str, Any]) -> None:
+def round_trip(plain: dict[str, Any]) -> Spec:
     spec = spec_from_mapping(plain, "spec", Path())
     text = yaml.safe_dump(yaml.safe_load(yaml.safe_dump(_lists(spec_to_mapping(spec)))))
-    assert spec_from_mapping(yaml.safe_load(text), "again", Path()) == spec
+    again = spec_from_mapping(yaml.safe_load(text), "again", Path())
+    assert again == spec
+    return again
 
 
 def _lists(value: Any) -> Any:
@@ -243,6 +275,66 @@ def test_every_controller_survives_a_round_trip(rig_mapping, name, observer):
     round_trip(
         {"rig": rig_mapping, "controller": {"name": name}, "reference": signal("sine"), "compensation": observer, "seed": 3}
     )
+
+
+@pytest.mark.parametrize("name", OBSERVERS.names())
+def test_compensation_is_a_name_or_a_mapping(rig_mapping, name):
+    plain = {"rig": rig_mapping, "reference": "sine", "controller": "fasmc"}
+    parameters = OBSERVERS.load(name).Parameters()
+    for given in (name, {"name": name}, {"name": name, **parameters._asdict()}):
+        assert spec_from_mapping({**plain, "compensation": given}, "spec", Path()).compensation == Use(name, parameters)
+
+
+@pytest.mark.parametrize(
+    "given", [{"name": "gms", "steps": 17}, {"name": "stribeck", "smoothing": 0.003}, {"name": "stribeck", "smoothing": 1}]
+)
+def test_parameters_of_the_compensation_survive_a_round_trip(rig_mapping, given):
+    again = round_trip({"rig": rig_mapping, "reference": "sine", "controller": "fasmc", "compensation": given})
+    assert {"name": again.compensation.name, **again.compensation.parameters._asdict()} == given
+
+
+def test_the_controllers_rig_and_the_oil_survive_a_round_trip(rig_mapping):
+    believed = changed(rig_mapping, ("plant", "piston_area"), 2.5e-3)
+    believed = changed(believed, ("friction", "coulomb_force"), 600.0)
+    warm = {"name": "temperature_dependent_friction", "coulomb_slope": -4.0, "viscous_slope": -60.0}
+    again = round_trip(
+        {
+            "rig": changed(rig_mapping, ("effects",), [{"name": "coulomb_shift"}]),
+            "controller_rig": changed(believed, ("effects",), [{"name": "valve_dead_zone"}]),
+            "effects": [warm],
+            "reference": "sine",
+            "controller": {"name": "fasmc", "implicitness": 0.7, "rate_correction": 0.4},
+            "oil_temperature": 303.0,
+            "oil_warming": -0.25,
+        }
+    )
+    assert again.rig.plant.piston_area == 2.6e-3
+    assert again.controller_rig.plant.piston_area == 2.5e-3
+    assert again.controller_rig.friction.coulomb_force == 600.0
+    assert [use.name for use in again.rig.effects] == ["coulomb_shift", "temperature_dependent_friction"]
+    assert [use.name for use in again.controller_rig.effects] == ["valve_dead_zone"]
+    assert again.settings.oil_temperature == 303.0
+    assert again.settings.oil_warming == -0.25
+    assert again.controller.parameters.implicitness == 0.7
+    assert again.controller.parameters.rate_correction == 0.4
+
+
+@pytest.mark.parametrize("given", [{}, {"controller_rig": None}])
+def test_the_controller_believes_in_the_rig_file_without_the_specs_effects_where_nothing_is_said(rig_mapping, given):
+    rig = {**rig_mapping, "effects": [{"name": "coulomb_shift"}]}
+    plain = {"rig": rig, "reference": "sine", "controller": "fasmc", "effects": [{"name": "valve_dead_zone"}]}
+    spec = spec_from_mapping({**plain, **given}, "spec", Path())
+    assert spec.controller_rig == rig_from_mapping(rig, "rig")
+    assert spec.rig == spec.controller_rig.with_effects(spec.rig.effects[1:])
+
+
+def test_the_controllers_rig_is_found_beside_its_spec(tmp_path, rig_mapping):
+    believed = changed(rig_mapping, ("plant", "valve_gain"), 1.3)
+    (tmp_path / "believed.yaml").write_text(yaml.safe_dump(_lists(believed)), encoding="utf-8")
+    plain = {"rig": _lists(rig_mapping), "controller_rig": "believed.yaml", "reference": "sine", "controller": "fasmc"}
+    (tmp_path / "spec.yaml").write_text(yaml.safe_dump(plain), encoding="utf-8")
+    spec = load_spec(tmp_path / "spec.yaml")
+    assert (spec.rig.plant.valve_gain, spec.controller_rig.plant.valve_gain) == (1.0, 1.3)
 
 
 @pytest.mark.parametrize("name", DISTURBANCES.names())

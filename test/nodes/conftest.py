@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from ehls_ros.control.controllers import CONTROLLERS
+
 rclpy = pytest.importorskip("rclpy", reason="needs ROS 2 Jazzy or its wheels")
 pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
 
@@ -19,10 +21,13 @@ SPEC = """
 title: a short run
 rig: {rig}
 duration: {duration}
-reference: {{name: sine, amplitude: 1.0e+4, frequency: 0.5}}
+reference: {reference}
 disturbance: {{name: force, signal: {{name: sine, amplitude: 5.0e+3, frequency: 1.0}}}}
 controller: {{name: {controller}}}
 """
+
+FORCE = "{name: sine, amplitude: 1.0e+4, frequency: 0.5}"
+POSITION = "{name: velocity_sweep, velocities: [0.02], travel: 2.0e-3, rest: 0.02}"
 
 RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
 
@@ -70,7 +75,9 @@ def graph(tmp_path: Path) -> Iterator[Graph]:
 def spec_file(tmp_path: Path) -> Callable[..., Path]:
     def write(duration: float = 0.5, controller: str = "fasmc") -> Path:
         path = tmp_path / "spec.yaml"
-        path.write_text(SPEC.format(rig=RIG, duration=duration, controller=controller), encoding="utf-8")
+        reference = {"force": FORCE, "position": POSITION}[CONTROLLERS.load(controller).FOLLOWS]
+        text = SPEC.format(rig=RIG, duration=duration, controller=controller, reference=reference)
+        path.write_text(text, encoding="utf-8")
         return path
 
     return write

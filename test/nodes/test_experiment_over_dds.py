@@ -36,7 +36,7 @@ def assert_same(one, other, relative):
         assert np.nanmax(np.abs(one[name] - other[name])) <= scale, name
 
 
-@pytest.mark.parametrize("controller", ["fasmc", "sic"])
+@pytest.mark.parametrize("controller", ["fasmc", "sic", "pid"])
 def test_lockstep_is_deterministic_and_the_same_in_one_process(spec_file, tmp_path, controller):
     spec = spec_file(duration=0.5, controller=controller)
     first = trajectory_of(ehls("experiment", spec, "--out", tmp_path / "first", "--json"))
@@ -45,7 +45,20 @@ def test_lockstep_is_deterministic_and_the_same_in_one_process(spec_file, tmp_pa
     assert len(first) == 501
     assert not np.isnan(first["valve_command_m"]).any()
     assert_same(first, second, relative=0.0)
-    assert_same(first, alone, relative=1e-9)
+    assert_same(first, alone, relative=0.0 if controller == "pid" else 1e-9)
+
+
+def test_a_position_is_followed_over_dds(spec_file, tmp_path):
+    done = ehls("experiment", spec_file(duration=1.0, controller="pid"), "--out", tmp_path / "run", "--json")
+    recorded = trajectory_of(done)
+    assert "force_reference_n" not in recorded
+    assert np.max(np.abs(recorded["position_reference_rate_m_s"])) == 0.02
+    assert not np.isnan(recorded["position_reference_m"]).any()
+    assert np.max(np.abs(recorded["position_m"] - recorded["position_reference_m"])) < 0.5e-3
+    metrics = json.loads(done.stdout.splitlines()[-1])
+    assert metrics["max_error_n"] is None
+    assert metrics["missed_cycles"] == 0
+    assert "mm\n" in done.stdout
 
 
 def test_the_run_folder_holds_what_the_contract_says(spec_file, tmp_path):

@@ -34,6 +34,7 @@ def test_descriptors_carry_unit_range_and_help(graph, participant, spec_file):
         ("plant_sim_node", "timing:=sometimes", ("timing is 'sometimes'", "lockstep")),
         ("recorder_node", "storage:=tape", ("storage is 'tape'", "mcap")),
         ("friction_estimator_node", "model:=magic", ("'magic'", "gms")),
+        ("pid_node", "timing:=lockstep", ("reference is a force for fasmc", "follows a position")),
     ],
 )
 def test_a_wrong_parameter_ends_the_node_with_one_line_and_code_2(node, parameter, words):

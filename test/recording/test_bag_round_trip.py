@@ -77,6 +77,7 @@ def test_values_no_measurement_has_come_back(tmp_path: Path):
         ["force_n"],
         ["e3_mpa"],
         ["valve_command_m", "position_m"],
+        ["position_m", "position_reference_m", "position_reference_rate_m_s", "position_reference_acceleration_m_s2"],
         ["friction_gms_n"],
         ["valve_command_m", "response_s"],
     ],

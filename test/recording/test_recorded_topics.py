@@ -1,7 +1,8 @@
 import pytest
 
+from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.recording.cdr import flatten
-from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE, RESPONSE, TELEMETRY_TOPICS, TOPICS, Topic
+from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE, REFERENCE_TOPICS, RESPONSE, TELEMETRY_TOPICS, TOPICS, Topic
 from ehls_ros.recording.typestore import MESSAGE_FILES, typestore
 from ehls_ros.trajectory import SIGNALS
 
@@ -15,6 +16,11 @@ def test_every_signal_comes_from_one_field():
 def test_the_fields_of_a_cycle_topic_are_header_cycle_and_its_signals(topic: Topic):
     fields = [field.name for field in flatten(typestore().fielddefs, topic.type)]
     assert fields == ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id", "cycle", *topic.signals]
+
+
+def test_whatever_a_controller_follows_has_a_topic():
+    assert set(REFERENCE_TOPICS) == {CONTROLLERS.load(name).FOLLOWS for name in CONTROLLERS.names()}
+    assert all(topic in CYCLE_TOPICS for topic in REFERENCE_TOPICS.values())
 
 
 def test_every_message_definition_is_recorded():

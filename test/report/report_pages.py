@@ -1,20 +1,21 @@
 """What tests read out of a report's page."""
 
 import base64
+import html
 import json
 import re
 
 import numpy as np
 
 
-def panels(html):
+def panels(text):
     """Title, traces and layout of every figure; a number JSON does not know is an error, as in a browser."""
 
     def refuse(constant):
         raise ValueError(constant)
 
     pattern = r'<h2>(.*?)</h2>.*?<script type="application/json">(.*?)</script>'
-    found = [(title, json.loads(text, parse_constant=refuse)) for title, text in re.findall(pattern, html, re.DOTALL)]
+    found = [(title, json.loads(described, parse_constant=refuse)) for title, described in re.findall(pattern, text, re.DOTALL)]
     return {title: (figure["data"], figure["layout"]) for title, figure in found}
 
 
@@ -30,12 +31,36 @@ def drawn_axes(layout):
     }
 
 
-def check(html):
+def check(text):
     """What must hold of every figure of every report."""
-    for title, (traces, layout) in panels(html).items():
+    for title, (traces, layout) in panels(text).items():
         for name, axis in drawn_axes(layout).items():
             assert re.search(r"\[[^\]]+\]$", axis["title"]["text"]), f"{title}: {name} has no unit"
         for trace in traces:
             assert trace.get("yaxis", "y").replace("y", "yaxis") in layout, f"{title}: no axis for {trace.get('name')}"
         shown = [trace for trace in traces if trace.get("hoverinfo") != "skip"]
         assert any(np.isfinite(numbers(trace["y"])).any() for trace in shown), f"{title} is empty"
+
+
+def parts(text):
+    """Headings of the parts, in order."""
+    return re.findall(r'<h2 class="part"[^>]*>(.*?)</h2>', html.unescape(text))
+
+
+def rows(text, part):
+    """Rows of the tables of one part, a list of texts each; the second line of a cell follows after a bar."""
+    start = text.index(f">{html.escape(part)}</h2>")
+    end = text.find('<h2 class="part"', start)
+    found = re.findall(r"<tr>(.*?)</tr>", text[start:end])
+    return [
+        [
+            re.sub(r"<[^>]+>", "", cell.replace("<small>", " | "))
+            for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", html.unescape(row))
+        ]
+        for row in found
+    ]
+
+
+def row(text, part, name):
+    """The row of that name."""
+    return next(cells for cells in rows(text, part) if cells[0].split(" | ")[0] == name)

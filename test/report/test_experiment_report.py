@@ -1,5 +1,3 @@
-import base64
-import json
 import re
 import subprocess
 import sys
@@ -9,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
+from report_pages import check, numbers, panels
 
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.report.experiment import summary, write_experiment_report
@@ -27,6 +26,7 @@ TITLES = {
     "Valve": {"valve_command_m"},
     "Load pressure": {"load_pressure_pa"},
     "Motion": {"position_m"},
+    "Position error": {"position_m", "position_reference_m"},
     "Estimated friction": {"friction_gms_n"},
     "Adaptation": {"delta_n"},
     "Sliding variable": {"s_mpa_s"},
@@ -86,40 +86,6 @@ def report(whole_report, monkeypatch):
     return whole_report
 
 
-def panels(html):
-    """Title, traces and layout of every figure; a number JSON does not know is an error, as in a browser."""
-
-    def refuse(constant):
-        raise ValueError(constant)
-
-    pattern = r'<h2>(.*?)</h2>.*?<script type="application/json">(.*?)</script>'
-    found = [(title, json.loads(text, parse_constant=refuse)) for title, text in re.findall(pattern, html, re.DOTALL)]
-    return {title: (figure["data"], figure["layout"]) for title, figure in found}
-
-
-def numbers(array):
-    if isinstance(array, list):
-        return np.array([np.nan if value is None else value for value in array])
-    return np.frombuffer(base64.b64decode(array["bdata"]), "<f4")
-
-
-def drawn_axes(layout):
-    return {
-        name: axis for name, axis in layout.items() if re.fullmatch(r"[xy]axis\d*", name) and axis.get("visible") is not False
-    }
-
-
-def check(html):
-    """What must hold of every figure of every report."""
-    for title, (traces, layout) in panels(html).items():
-        for name, axis in drawn_axes(layout).items():
-            assert re.search(r"\[[^\]]+\]$", axis["title"]["text"]), f"{title}: {name} has no unit"
-        for trace in traces:
-            assert trace.get("yaxis", "y").replace("y", "yaxis") in layout, f"{title}: no axis for {trace.get('name')}"
-        shown = [trace for trace in traces if trace.get("hoverinfo") != "skip"]
-        assert any(np.isfinite(numbers(trace["y"])).any() for trace in shown), f"{title} is empty"
-
-
 def test_all_panels_of_a_whole_run(report):
     html = report(make_run())
     assert set(panels(html)) == set(TITLES)
@@ -129,7 +95,7 @@ def test_all_panels_of_a_whole_run(report):
 
 def test_panels_over_time_share_one_time_axis(report):
     ranges = [layout["xaxis"]["range"] for _, layout in panels(report(make_run())).values() if "yaxis9" in layout]
-    assert len(ranges) == 9
+    assert len(ranges) == 10
     assert all(span == [0.0, pytest.approx(0.599)] for span in ranges)
 
 
@@ -138,8 +104,10 @@ def test_a_panel_needs_only_its_own_signals(report, title):
     html = report(only(make_run(), TITLES[title]), UNKNOWN)
     assert title in panels(html)
     check(html)
+    follows_position = "position_reference_m" in TITLES[title]
+    not_followed = {"Force tracking", "Force error"} if follows_position else {"Position error"}
     for other in set(TITLES) - set(panels(html)):
-        assert html.count(f"<b>{other}</b> is left out: ") == 1
+        assert html.count(f"<b>{other}</b> is left out: ") == (other not in not_followed)
 
 
 @pytest.mark.parametrize("missing", sorted(SIGNALS))
@@ -152,7 +120,8 @@ def test_any_signal_may_be_missing(report, missing):
 def test_nothing_recorded(report):
     html = report(Trajectory(np.empty(0), {}), {})
     assert not panels(html)
-    assert html.count("is left out") == len(TITLES)
+    assert html.count("is left out") == len(TITLES) - 1
+    assert "Position error" not in html
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
@@ -201,6 +170,36 @@ def test_a_controller_without_sliding_mode_has_no_panels_of_zeros(report):
     html = report(run)
     assert set(TITLES) - set(panels(html)) == {"Adaptation", "Sliding variable", "Sliding plane"}
     assert "bound (44)" not in html
+
+
+def position_run():
+    run = make_run()
+    rest = {name: values for name, values in run.signals.items() if not name.startswith("force_reference")}
+    rest["position_m"] = rest["position_reference_m"] + 2e-3 * (run.time_s > 0.5) + 5e-3 * (run.time_s < 0.05)
+    return replace(run, signals=rest)
+
+
+def test_a_run_along_a_position_shows_the_position_instead_of_force_tracking(report):
+    run = position_run()
+    html = report(run, evaluate(run).as_json())
+    check(html)
+    assert list(panels(html))[:2] == ["Motion", "Position error"]
+    assert not {"Force tracking", "Force error"} & set(panels(html))
+    assert "<b>Force" not in html
+    names = {title: [trace.get("name") for trace in traces] for title, (traces, _) in panels(html).items()}
+    assert {"piston position", "position reference", "piston velocity", "velocity reference"} <= set(names["Motion"])
+    traces, layout = panels(html)["Position error"]
+    assert numbers(traces[0]["y"]).max() == pytest.approx(5.0)
+    assert layout["yaxis"]["range"] == pytest.approx([-2.5, 2.5])
+    for words in ("stayed within 2.00 mm of the reference", "Largest position error, last half", "2.00 mm", "1.15 mm"):
+        assert words in html
+
+
+@pytest.mark.parametrize(("missed", "good"), [(0, None), (3, False)])
+def test_the_verdict_on_a_run_along_a_position(missed, good):
+    sentence, verdict = summary(position_run(), METRICS | {"max_error_n": None, "missed_cycles": missed})
+    assert f"{missed} of 600 cycles" in sentence
+    assert verdict is good
 
 
 def test_bounds_limits_and_convergence_are_drawn(report):
@@ -281,7 +280,7 @@ def test_importing_the_report_compiles_nothing():
     ],
 )
 def test_the_verdict(changes, words, good):
-    run = make_run()
+    run = only(make_run(), [name for name in SIGNALS if not name.startswith("position_reference")])
     run["force_n"][:] = run["force_reference_n"][:] = 1e4
     sentence, verdict = summary(run, METRICS | changes)
     assert verdict is good

@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
-from report_pages import check, numbers, panels
+from report_pages import check, numbers, panels, parts, row, rows
 
 from ehls_ros.report import page
 from ehls_ros.report.reproduction import write_reproduction_report
@@ -251,28 +251,6 @@ def report(whole_report, monkeypatch):
     """The same without the five megabytes of plotly.js."""
     monkeypatch.setattr("ehls_ros.report.page.get_plotlyjs", lambda: "")
     return whole_report
-
-
-def parts(text):
-    return re.findall(r'<h2 class="part"[^>]*>(.*?)</h2>', html.unescape(text))
-
-
-def rows(text, part):
-    """Rows of the tables of one part, a list of texts each; the second line of a cell follows after a bar."""
-    start = text.index(f">{html.escape(part)}</h2>")
-    end = text.find('<h2 class="part"', start)
-    found = re.findall(r"<tr>(.*?)</tr>", text[start:end])
-    return [
-        [
-            re.sub(r"<[^>]+>", "", cell.replace("<small>", " | "))
-            for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", html.unescape(row))
-        ]
-        for row in found
-    ]
-
-
-def row(text, part, name):
-    return next(cells for cells in rows(text, part) if cells[0].split(" | ")[0] == name)
 
 
 def test_the_verdict_counts_and_names_the_misses():

@@ -1,6 +1,7 @@
 """`ehls experiment`: run one experiment, record it, judge it, show it."""
 
 import json
+import math
 import sys
 import time
 from argparse import ArgumentParser, Namespace
@@ -17,7 +18,7 @@ from ehls_ros.experiments.spec import Spec, load_spec
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import write_trajectory
 from ehls_ros.report.experiment import write_experiment_report
-from ehls_ros.trajectory import Trajectory
+from ehls_ros.trajectory import Trajectory, steady_error
 
 HELP = "Run an experiment over DDS, record a bag, print metrics and write a report."
 
@@ -85,12 +86,17 @@ def _over_dds(
 
 
 def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, *, machine: bool) -> None:
-    converged = f"{metrics.convergence_s:.2f} s" if metrics.convergence_s is not None else "never"
     wall = metrics.wall_s or float("nan")
     print(f"{spec.settings.title}")
-    print(f"  largest error in the last half  {metrics.max_error_n:10.1f} N")
-    print(f"  rms error in the last half      {metrics.rms_error_n:10.1f} N")
-    print(f"  converged after                 {converged:>12}")
+    position_error = 1e3 * steady_error(trajectory, "position_m", "position_reference_m")
+    if position_error.size:
+        print(f"  largest error in the last half  {position_error.max():10.3f} mm")
+        print(f"  rms error in the last half      {math.sqrt((position_error**2).mean()):10.3f} mm")
+    else:
+        converged = f"{metrics.convergence_s:.2f} s" if metrics.convergence_s is not None else "never"
+        print(f"  largest error in the last half  {metrics.max_error_n:10.1f} N")
+        print(f"  rms error in the last half      {metrics.rms_error_n:10.1f} N")
+        print(f"  converged after                 {converged:>12}")
     print(f"  cycles, of them unanswered      {metrics.cycles:8d}, {metrics.missed_cycles}")
     print(f"  wall time                       {wall:10.2f} s ({metrics.duration_s / wall:.1f} x real time)")
     print(f"  bag                             {metrics.bag}")

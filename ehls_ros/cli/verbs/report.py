@@ -24,7 +24,8 @@ def run(options: Namespace) -> int:
     bag = data / "bag"
     trajectory = load(bag if bag.is_dir() else data, options.columns)
     out: Path = options.out or (data if bag.is_dir() else data.parent) / "report.html"
-    metrics = evaluate(trajectory).as_json() if {"force_n", "force_reference_n"} <= trajectory.signals.keys() else {}
+    controlled = {"force_reference_n", "position_reference_m"} & trajectory.signals.keys()
+    metrics = evaluate(trajectory).as_json() if controlled else {}
     try:
         write_experiment_report(trajectory, metrics, out)
     except OSError as error:

@@ -1,19 +1,21 @@
 """What a controller's file provides.
 
-``Parameters``, a named tuple declaring its parameters; ``FRICTION``, whether it uses the friction
-estimate; ``memory(parameters)``, its state before the first cycle; and a compiled
+``Parameters``, a named tuple declaring its parameters; ``FOLLOWS``, what the reference it follows is, force or
+position; ``FRICTION``, whether it uses the friction estimate; ``memory(parameters)``, its state before the first
+cycle; and a compiled
 
 ``step(m, r, f, p, model, memory, status) -> spool command [m]``
 
-with ``m`` the measurement in the order of :data:`ehls_ros.physics.rig.SENSED`, ``r`` force reference and
-its first and second derivative [N, N/s, N/s^2], ``f`` friction of the elements and viscous friction [N],
-``p`` its parameters, ``model`` the :class:`Model`, ``memory`` updated in place, and ``status`` filled in
-place by the indices below. It keeps the command within ``model.spool_limit`` without winding up, and
-finite whatever the measurement; a measurement that is no number leaves nothing in ``memory``.
+with ``m`` the measurement in the order of :data:`ehls_ros.physics.rig.SENSED`, ``r`` the reference and its first
+and second derivative, [N, N/s, N/s^2] for a force and [m, m/s, m/s^2] for a position, ``f`` friction of the
+elements and viscous friction [N], ``p`` its parameters, ``model`` the :class:`Model`, ``memory`` updated in
+place, and ``status`` filled in place by the indices below. It keeps the command within ``model.spool_limit``
+without winding up, and finite whatever the measurement; a measurement that is no number leaves nothing in
+``memory``.
 """
 
 import math
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.parameters import Plant
@@ -38,6 +40,7 @@ class ControllerLaw(Protocol):
     """The attributes of one controller's file."""
 
     Parameters: Any
+    FOLLOWS: Literal["force", "position"]
     FRICTION: bool
 
     def memory(self, p: Any) -> Array:

@@ -8,7 +8,7 @@ is 8.8e4 1/s, and an explicit u3 diverges once K T > 2, at the paper's own 1 ms 
 into m0 s' = -m0 K s and step it backwards; then the sliding variable at the end of the cycle is s/(1 + K T).
 This foreseen s is what the adaptation (36)-(38) acts on, and u3 takes what the adaptation leaves: as the
 adaptive terms grow evenly over a cycle, half their step counts as taken. All of it tends to (35)-(38) as T
-goes to 0. The adaptation takes at most all of the foreseen s in one cycle, which keeps it stable at any rate.
+goes to 0. The adaptation takes at most all of s in one cycle, which keeps it stable at any phi3.
 
 At 1 ms the foreseen s is 89 times smaller than the sampled one, so the adaptation rates that go with it are
 larger than the paper's. The paper's own phi1..3 cannot be meant in these units (phi1 = 103 would move alpha by
@@ -32,6 +32,7 @@ from ehls_ros.physics import sensors
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.schema import quantity
 
+FOLLOWS = "force"
 FRICTION = True
 
 LEAST_DROP = 0.01
@@ -63,7 +64,9 @@ class Parameters(NamedTuple):
     ] = 2.5e5
     implicitness: Annotated[
         float,
-        quantity("1", "1: robust term and adaptation stepped backwards; 0: explicitly, as printed", minimum=0.0, maximum=1.0),
+        quantity(
+            "1", "1: robust term stepped backwards; 0: explicitly, as printed, for periods below 2/K", minimum=0.0, maximum=1.0
+        ),
     ] = 1.0
     rate_correction: Annotated[
         float,
@@ -79,7 +82,7 @@ class Parameters(NamedTuple):
     ] = 5e4
 
 
-ALPHA, BETA, DELTA, CORRECTION, LAST_PRESSURE, LAST_RATE, STARTED, MEMORY_SIZE = range(8)
+ALPHA, BETA, DELTA, CORRECTION, LAST_PRESSURE, LAST_RATE, STARTED, SINCE, MEMORY_SIZE = range(9)
 
 
 def memory(p: Parameters) -> Array:
@@ -90,19 +93,17 @@ def memory(p: Parameters) -> Array:
 
 
 @kernel
-def corrected_rate(model_rate: float, pressure: float, period: float, part: float, memory: Array) -> float:
-    """Return the load pressure's rate: the model's, plus a part of what it missed over the last cycle.
+def corrected_rate(model_rate: float, pressure: float, part: float, memory: Array) -> float:
+    """Return the load pressure's rate: the model's, plus a part of what it missed since the last good reading.
 
-    Model rate [MPa/s] and pressure [MPa] are now's; the last ones are kept in ``memory``. What is no number
-    leaves nothing there.
+    Model rate [MPa/s] and pressure [MPa] are now's; the last ones are kept in ``memory``.
     """
-    if not math.isfinite(model_rate + pressure):
-        return model_rate
     if memory[STARTED] == 1.0:
-        measured = (pressure - memory[LAST_PRESSURE]) / period
+        measured = (pressure - memory[LAST_PRESSURE]) / memory[SINCE]
         missed = measured - 0.5 * (model_rate + memory[LAST_RATE])
-        memory[CORRECTION] += part * (missed - memory[CORRECTION])
-    memory[LAST_PRESSURE], memory[LAST_RATE], memory[STARTED] = pressure, model_rate, 1.0
+        if math.isfinite(missed):
+            memory[CORRECTION] += part * (missed - memory[CORRECTION])
+    memory[LAST_PRESSURE], memory[LAST_RATE], memory[STARTED], memory[SINCE] = pressure, model_rate, 1.0, 0.0
     return model_rate + memory[CORRECTION]
 
 
@@ -156,7 +157,14 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     g3_slope = -side * e3 / (2.0 * root) if drop > least_drop else 0.0
 
     model_rate = -e1 * x2 - e2 * x3 + g3 * x4  # (25)
-    x3_rate = corrected_rate(model_rate, x3, period, p.rate_correction, memory)
+    sound = math.isfinite(x1 + model_rate + supply + m[sensors.FORCE])
+    x3_rate = model_rate
+    memory[SINCE] += period
+    if sound and drop > least_drop:
+        x3_rate = corrected_rate(model_rate, x3, p.rate_correction, memory)
+    elif sound:
+        # Where the drop is held up, the model's rate is no rate; as it is, it pulls the spool back from its limit.
+        memory[CORRECTION], memory[STARTED] = 0.0, 0.0
     error = (m[sensors.FORCE] - r[0]) / area  # (26), with the force as the load cell has it
     error_rate = x3_rate - x3d_rate
     logistic = 1.0 / (1.0 + math.exp(-p.g * error))
@@ -191,7 +199,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     wanted = (u1 + u2 + u3) / (m0 * p.xi * e5 * g3) * 1e-3  # (34)
     command = saturate(wanted, model.spool_limit)
     # At the limit, only an adaptation that leads away from it goes on; after a broken measurement, none.
-    if wanted == command or wanted * s > 0.0:
+    if sound and (wanted == command or wanted * s > 0.0):
         memory[ALPHA], memory[BETA], memory[DELTA] = alpha, beta, delta
 
     status[base.E3] = error

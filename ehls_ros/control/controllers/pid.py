@@ -1,6 +1,9 @@
-"""PID with feed-forward that moves the rod at constant velocity, for friction identification.
+"""Position loop for friction identification: feed-forward of the wanted motion, and PI on the position error.
 
-The wanted motion is a ramp that turns round at the ends of its travel; the force reference is not used.
+The wanted motion's flow through the valve's flow equation (1), with what leaks at the measured load pressure,
+is fed forward; the valve's lag is made up for by the wanted acceleration. The loop has to take out only what
+that leaves: the oil's compression when friction turns round, and what the rig file does not know of the valve.
+Measured velocity is not used, for a rig has no sensor of it.
 """
 
 import math
@@ -14,6 +17,7 @@ from ehls_ros.control.controllers.base import Model, saturate
 from ehls_ros.physics import sensors
 from ehls_ros.schema import quantity
 
+FOLLOWS = "position"
 FRICTION = False
 
 LEAST_DROP = 0.01
@@ -21,62 +25,44 @@ LEAST_DROP = 0.01
 
 
 class Parameters(NamedTuple):
-    """The motion and the loop's gains."""
+    """The loop's gains."""
 
-    velocity: Annotated[
-        float, quantity("m/s", "velocity to move at; its sign is the first direction", minimum=-1.0, maximum=1.0)
-    ] = 0.02
-    travel: Annotated[float, quantity("m", "way from one end to the other, centred on the start", above=0.0, maximum=10.0)] = (
-        0.2
-    )
-    proportional: Annotated[float, quantity("1/s", "velocity asked for per position error", minimum=0.0, maximum=1e3)] = 20.0
-    integral: Annotated[float, quantity("1/s^2", "rate of that for a lasting error", minimum=0.0, maximum=1e4)] = 50.0
-    derivative: Annotated[float, quantity("1", "part of the velocity error that is added", minimum=0.0, maximum=10.0)] = 0.2
+    proportional: Annotated[float, quantity("1/s", "velocity asked for per position error", minimum=0.0, maximum=1e3)] = 40.0
+    integral: Annotated[float, quantity("1/s^2", "rate of that for a lasting error", minimum=0.0, maximum=1e4)] = 400.0
+    correction: Annotated[
+        float, quantity("m/s", "largest velocity asked for to take an error out", above=0.0, maximum=10.0)
+    ] = 0.05
 
 
-WANTED, DIRECTION, INTEGRAL, CENTRE, STARTED = range(5)
+INTEGRAL = 0
 
 
 def memory(p: Parameters) -> Array:
-    """Return a ramp that has not started."""
-    return np.zeros(5)
+    """Return an empty integral."""
+    return np.zeros(1)
 
 
 @kernel
 def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Array, status: Array) -> float:
     """Return the spool command [m]."""
-    plant, period = model.plant, model.period
-    position = m[sensors.POSITION]
+    plant = model.plant
     status[:] = 0.0
-    if not math.isfinite(position):
+    error = r[0] - m[sensors.POSITION]
+    if math.isnan(error):
         status[base.SATURATED] = 1.0
         return 0.0
-    if memory[STARTED] == 0.0:
-        memory[WANTED], memory[CENTRE], memory[STARTED] = position, position, 1.0
-        memory[DIRECTION] = 1.0 if p.velocity >= 0.0 else -1.0
-    memory[WANTED] += memory[DIRECTION] * abs(p.velocity) * period
-    away = memory[WANTED] - memory[CENTRE]
-    if away * memory[DIRECTION] > 0.5 * p.travel:
-        memory[WANTED] = memory[CENTRE] + memory[DIRECTION] * 0.5 * p.travel
-        memory[DIRECTION] = -memory[DIRECTION]
-    wanted_velocity = memory[DIRECTION] * abs(p.velocity)
-
-    error = memory[WANTED] - position
-    integral = memory[INTEGRAL] + period * error
-    velocity = (
-        wanted_velocity
-        + p.proportional * error
-        + p.integral * integral
-        + p.derivative * (wanted_velocity - m[sensors.VELOCITY])
-    )
+    integral = memory[INTEGRAL] + model.period * error
+    asked = p.proportional * error + p.integral * integral
+    correction = saturate(asked, p.correction)
+    velocity = r[1] + correction
     supply, pressure = m[sensors.SUPPLY_PRESSURE], m[sensors.LOAD_PRESSURE]
     side = 1.0 if velocity >= 0.0 else -1.0
     root = math.sqrt(max(supply - side * pressure, LEAST_DROP * plant.supply_pressure) / plant.oil_density)
-    flow = plant.piston_area * velocity + plant.leakage_coefficient * pressure
+    flow = plant.piston_area * (velocity + r[2] / plant.valve_bandwidth) + plant.leakage_coefficient * pressure
     wanted = flow / (plant.discharge_coefficient * plant.valve_area_gradient * root * plant.valve_gain)
     command = saturate(wanted, model.spool_limit)
-    # At the limit, the integral moves only away from it.
-    if wanted == command or wanted * error < 0.0:
+    # At a limit, the integral moves only away from it; after a broken measurement, not at all.
+    if (asked == correction or asked * error < 0.0) and (wanted == command or wanted * error < 0.0):
         memory[INTEGRAL] = integral
 
     status[base.SATURATED] = 1.0 if wanted != command else 0.0

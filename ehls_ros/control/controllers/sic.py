@@ -16,10 +16,14 @@ from ehls_ros.control.controllers.base import Model, saturate
 from ehls_ros.physics import sensors
 from ehls_ros.schema import quantity
 
+FOLLOWS = "force"
 FRICTION = False
 
 LEAST_DROP = 0.01
 """The pressure drop over the valve is taken no smaller than this part of the nominal supply pressure."""
+
+WINDING_DROP = 0.1
+"""Below this part of the supply pressure the valve has no more pressure to give, and the integral waits."""
 
 
 class Parameters(NamedTuple):
@@ -30,7 +34,7 @@ class Parameters(NamedTuple):
     ] = 280.0
     integral: Annotated[
         float, quantity("1/s^2", "rate at which the remaining error is taken out", minimum=0.0, maximum=1e4)
-    ] = 100.0
+    ] = 200.0
     compensation: Annotated[float, quantity("1", "part of the motion's flow that is fed forward", minimum=0.0, maximum=1.5)] = (
         1.0
     )
@@ -70,8 +74,8 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     wanted_rate = r[1] / plant.piston_area - p.proportional * error - p.integral * integral
     wanted = (p.compensation * motion + plant.leakage_coefficient * pressure + compliance * wanted_rate) / flow_gain
     command = saturate(wanted, model.spool_limit)
-    # At the limit of the spool or of the supply, the integral moves only away from it.
-    if (wanted == command and drop > least_drop) or wanted * error > 0.0:
+    # Near the limit of the spool or of the supply, the integral moves only away from it.
+    if (wanted == command and drop > WINDING_DROP * plant.supply_pressure) or wanted * error > 0.0:
         memory[INTEGRAL] = integral
 
     status[:] = 0.0

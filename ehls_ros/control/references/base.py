@@ -2,7 +2,8 @@
 
 ``Parameters``, a named tuple declaring its parameters, and ``sample(t, p)``: value and first and second
 time derivative, all analytic, at times ``t`` [s] of shape (n,), as an array of shape (n, 3). The value is a
-force [N] for the loader, and a displacement [m] where a position servo follows it.
+force [N] for a controller that follows a force, and a position [m] for one that follows a position and for the
+position servo.
 """
 
 from typing import Any, Protocol
