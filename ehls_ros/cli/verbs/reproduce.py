@@ -44,7 +44,7 @@ def run(options: Namespace) -> int:
     table = {"cells": results["cells"]}
     (folder / TABLE).write_text(json.dumps(valid_json(table), indent=2) + "\n", encoding="utf-8")
     (folder / EVERYTHING).write_text(json.dumps(valid_json(results)) + "\n", encoding="utf-8")
-    write_reproduction_report(results, dict(study.runs), folder / REPORT)
+    write_reproduction_report(results, {(c, r, d): run for (c, r, d), run in study.runs.items()}, folder / REPORT)
     _print(results, folder)
     if options.json:
         print(json.dumps(valid_json(table)))

@@ -1,0 +1,263 @@
+"""A recording made ready for identification: even blocks of position and force, velocity and acceleration from position.
+
+Identification needs the position and the driving force; velocity and acceleration are taken from a local
+cubic fit of the position, because a rig has no sensor for them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.signal import savgol_coeffs
+
+from ehls_ros.arrays import Array
+from ehls_ros.errors import BadInput
+from ehls_ros.physics.rig import Rig
+from ehls_ros.trajectory import Trajectory
+
+WIDE_WINDOW, SMALL_WINDOW = 9, 9
+"""Blocks a local fit spans; in presliding fewer, because there every micrometre to and fro pulls the elements along."""
+
+ORDER = 3
+"""Order of the local polynomial."""
+
+NEIGHBOURS = 11
+"""Samples a sample is compared with to tell whether it is an outlier."""
+
+OUTLIER = 6.0
+"""Standard deviations from its neighbours at which a sample is an outlier."""
+
+MOST_OUTLIERS = 0.25
+"""Part of a signal that may be outliers; beyond it, it cannot be told which samples are the right ones."""
+
+STUCK_TIME, STUCK_TRAVEL = 1.0, 1e-3
+"""Time [s] and travel [m] over which a force that does not change by a bit is a stuck sensor."""
+
+TURN_DOUBT = 4.0
+"""Standard deviations of a position sample by which a turn may be missed: what moves to and fro less is not seen."""
+
+STUCK_FORCE = 2.5
+"""Change of force, in static friction, that no piston stands without moving: 2 take it from one side to the other."""
+
+FULL_BLOCK = 0.5
+"""Part of its samples a block needs to count."""
+
+SMALLEST_MISFIT = 1e-5
+"""Misfit of the local fit that is never too large, as a part of the travel."""
+
+GAUSS = 1.4826
+"""Standard deviation of a normal distribution per median absolute deviation."""
+
+Mask = NDArray[np.bool_]
+
+
+class Motion(NamedTuple):
+    """One recording in blocks, shape (n,) each.
+
+    Attributes:
+        name: what the recording is called in messages.
+        period: time between blocks [s].
+        time: middle of each block [s].
+        position: mean position, smoothed [m].
+        velocity: its derivative [m/s].
+        acceleration: its second derivative [m/s^2].
+        force: mean driving force, outliers left out [N].
+        fresh: whether a block begins a stretch without gaps.
+        resolved: whether position and its derivatives can be trusted: no gap, and no motion the local fit cannot follow.
+        force_noise: standard deviation of a block's mean force from the sensor's noise [N].
+        velocity_noise: standard deviation of the velocity from the sensor's noise [m/s].
+        turn_doubt: how far beyond where it was seen a turn may lie, by the sensor's noise [m].
+        outliers: part of the samples that were left out.
+    """
+
+    name: str
+    period: float
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    force: Array
+    fresh: Mask
+    resolved: Mask
+    force_noise: float
+    velocity_noise: float
+    turn_doubt: float
+    outliers: float
+
+
+def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float, window: int = WIDE_WINDOW) -> Motion:
+    """Bring a recording into even blocks.
+
+    Args:
+        trajectory: the recording; needs ``position_m``, and ``force_n`` or ``load_pressure_pa``.
+        rig: the rig, for the piston area and for limits that tell a wrong unit.
+        name: what the recording is called in errors.
+        period: length of a block [s].
+        window: blocks a local fit spans, odd.
+
+    Returns:
+        The motion.
+
+    Raises:
+        BadInput: a signal is missing, stuck, mostly outliers or of a size that no such rig can have.
+    """
+    position = _signal(trajectory, "position_m", name)
+    if "force_n" in trajectory and np.any(np.isfinite(trajectory["force_n"])):
+        source, force = "force_n", trajectory["force_n"]
+    elif "load_pressure_pa" in trajectory:
+        source, force = "load_pressure_pa", rig.plant.piston_area * trajectory["load_pressure_pa"]
+    else:
+        raise BadInput("signal 'force_n' is missing", name, "force_n, or load_pressure_pa of which it can be made")
+    time = trajectory.time_s - trajectory.time_s[0]
+    if len(time) < 2 * window or time[-1] < 2 * window * period:
+        raise BadInput(f"it is {time[-1]:.3g} s long with {len(time)} samples", name, f"at least {2 * window * period:g} s")
+    good_position, good_force = _inliers(position, "position_m", name), _inliers(force, source, name)
+    _check_sizes(position[good_position], force[good_force], source, rig, name)
+    _check_stuck(time, position, force, source, rig, name)
+
+    blocks = int(time[-1] // period)
+    x, x_time, count_x = _means(time, position, good_position, period, blocks)
+    f, f_time, count_f = _means(time, force, good_force, period, blocks)
+    expected = period / float(np.median(np.diff(time)))
+    there = (count_x >= FULL_BLOCK * expected) & (count_f >= FULL_BLOCK * expected)
+    middle = (np.arange(blocks, dtype=np.float64) + 0.5) * period
+    _, velocity, _, _ = _local_fit(x, there, period, window)
+    # A block that lacks samples has its mean elsewhere than in its middle.
+    x = x + velocity * (middle - x_time)
+    smooth, velocity, acceleration, inside = _local_fit(x, there, period, window)
+    f = f + np.gradient(np.where(there, f, np.interp(middle, middle[there], f[there])), period) * (middle - f_time)
+
+    per_block = max(1.0, expected)
+    position_noise = noise(position[good_position]) / np.sqrt(per_block)
+    force_noise = noise(force[good_force]) / np.sqrt(per_block)
+    misfit = np.abs(x - smooth)
+    least = SMALLEST_MISFIT * float(np.ptp(smooth[inside])) if np.any(inside) else 0.0
+    usual = max(GAUSS * float(np.median(misfit[inside])) if np.any(inside) else 0.0, position_noise, least)
+    resolved = inside & ~_widened(misfit > 5.0 * usual, window // 2)
+    # What the local fit smears, plain differences keep: the way the elements were pulled.
+    filled = np.interp(middle, middle[there], x[there])
+    velocity = np.where(resolved, velocity, np.gradient(filled, period))
+    fresh = there & ~np.concatenate([[False], there[:-1]])
+    return Motion(
+        name=name,
+        period=period,
+        time=middle,
+        position=smooth,
+        velocity=velocity,
+        acceleration=acceleration,
+        force=f,
+        fresh=fresh,
+        resolved=resolved,
+        force_noise=force_noise,
+        velocity_noise=slope_noise(position_noise, period, window),
+        turn_doubt=TURN_DOUBT * noise(position[good_position]),
+        outliers=1.0 - float(np.mean(good_position & good_force)),
+    )
+
+
+def _signal(trajectory: Trajectory, signal: str, name: str) -> Array:
+    if signal not in trajectory:
+        raise BadInput(f"signal '{signal}' is missing", name, f"a recording with {signal}")
+    values = trajectory[signal]
+    if not np.any(np.isfinite(values)):
+        raise BadInput(f"signal '{signal}' has no finite sample", name, f"a recording with {signal}")
+    return values
+
+
+def _inliers(values: Array, signal: str, name: str) -> Mask:
+    """Tell which samples are finite and agree with their neighbours."""
+    finite = np.isfinite(values)
+    filled = np.where(finite, values, np.interp(np.arange(len(values)), np.flatnonzero(finite), values[finite]))
+    off = np.abs(filled - median_filter(filled, NEIGHBOURS, mode="nearest"))
+    steps = np.abs(np.diff(filled))
+    usual = max(GAUSS * float(np.median(off)), float(np.median(steps)), 1e-12 * float(np.max(np.abs(filled))))
+    # Where a signal hardly moves against its resolution, the median says nothing: look at what is not zero.
+    moved = off[off > 0.0]
+    if moved.size:
+        usual = max(usual, float(np.quantile(moved, 0.25)))
+    good: Mask = finite & (off <= OUTLIER * usual)
+    bad = float(np.mean(~good & finite)) + float(np.mean(~finite))
+    if np.mean(finite) > 0.0 and np.mean(good[finite]) < 1.0 - MOST_OUTLIERS:
+        raise BadInput(f"{100 * bad:.0f} % of signal '{signal}' are outliers", name, f"at most {100 * MOST_OUTLIERS:.0f} %")
+    return good
+
+
+def _check_sizes(position: Array, force: Array, source: str, rig: Rig, name: str) -> None:
+    """Refuse what only a wrong unit explains."""
+    travel, room = float(np.ptp(position)), rig.limits.position[1] - rig.limits.position[0]
+    if travel > 5.0 * room:
+        raise BadInput(f"position_m moves {travel:.3g} m, the rig {room:.3g} m", name, "position in metres (see --columns)")
+    largest = float(np.max(np.abs(force)))
+    if largest > 20.0 * rig.limits.force:
+        what = f"the force from {source} reaches {largest:.3g} N, the rig's limit is {rig.limits.force:.3g} N"
+        raise BadInput(what, name, "SI units: N, Pa (see --columns)")
+    if travel <= 0.0:
+        raise BadInput("position_m does not change", name, "a recording in which the piston moves")
+    if float(np.ptp(force)) <= 0.0:
+        raise BadInput(f"{source} does not change", name, "a force sensor that is not stuck")
+
+
+def _check_stuck(time: Array, position: Array, force: Array, source: str, rig: Rig, name: str) -> None:
+    """Refuse a signal that does not change by a bit while the other one says that there is motion."""
+    start, end = _longest_constant(force)
+    if time[end] - time[start] > STUCK_TIME and abs(position[end] - position[start]) > STUCK_TRAVEL:
+        what = f"{source} is stuck from {time[start]:.3g} to {time[end]:.3g} s while the piston moves"
+        raise BadInput(what, name, "a force sensor that is not stuck; cut that part off")
+    start, end = _longest_constant(position)
+    holds = STUCK_FORCE * rig.friction.static_force
+    if time[end] - time[start] > STUCK_TIME and np.ptp(force[start : end + 1]) > holds:
+        what = f"position_m is stuck from {time[start]:.3g} to {time[end]:.3g} s while the force changes"
+        raise BadInput(what, name, "a position sensor that is not stuck; cut that part off")
+
+
+def _longest_constant(values: Array) -> tuple[int, int]:
+    changes = np.flatnonzero(np.diff(values) != 0.0)
+    edges = np.concatenate([[-1], changes, [len(values) - 1]])
+    longest = int(np.argmax(np.diff(edges)))
+    return int(edges[longest]) + 1, int(edges[longest + 1])
+
+
+def _means(time: Array, values: Array, good: Mask, period: float, blocks: int) -> tuple[Array, Array, Array]:
+    """Return mean, mean time and number of the good samples of each block; NaN where there is none."""
+    # A sample on the edge of two blocks belongs to the later one, whatever rounding says.
+    index = np.minimum((time[good] / period + 1e-6).astype(np.intp), blocks)
+    count = np.bincount(index, minlength=blocks + 1)[:blocks].astype(np.float64)
+    total = np.bincount(index, weights=values[good], minlength=blocks + 1)[:blocks]
+    moment = np.bincount(index, weights=time[good], minlength=blocks + 1)[:blocks]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return total / count, moment / count, count
+
+
+def _local_fit(x: Array, there: Mask, period: float, window: int) -> tuple[Array, Array, Array, Mask]:
+    """Return smoothed position, velocity, acceleration, and where a whole window lay inside one stretch."""
+    filled = np.interp(np.arange(len(x)), np.flatnonzero(there), x[there]) if np.any(there) else np.zeros(len(x))
+    rows = [savgol_coeffs(window, ORDER, deriv=d, delta=period, use="dot") for d in range(3)]
+    half = window // 2
+    padded = np.pad(filled, half, mode="edge")
+    smooth, velocity, acceleration = (np.convolve(padded, row[::-1], mode="valid") for row in rows)
+    inside = ~_widened(~there, half)
+    inside[:half] = inside[-half:] = False
+    return smooth, velocity, acceleration, inside
+
+
+def _widened(mask: Mask, by: int) -> Mask:
+    wide: Mask = np.convolve(mask, np.ones(2 * by + 1), mode="same") > 0.5
+    return wide
+
+
+def slope_noise(block_noise: float, period: float, window: int = WIDE_WINDOW) -> float:
+    """Return the noise of the velocity [m/s] that comes of a block's mean position having one [m]."""
+    return block_noise * float(np.sqrt(np.sum(savgol_coeffs(window, ORDER, deriv=1, delta=period) ** 2)))
+
+
+def noise(values: Array) -> float:
+    """Return the standard deviation of white noise from third differences, which a smooth signal has none of.
+
+    A quantised signal that stands still has no differences at all, so the mean counts, with the largest left out.
+    """
+    differences = np.abs(np.diff(values, 3))
+    if not differences.size:
+        return 0.0
+    kept = differences[differences <= np.quantile(differences, 0.98)]
+    return float(np.sqrt(np.mean(kept**2) / 20.0))

@@ -1,0 +1,6 @@
+"""Optimisers of sums of squares, one file each; ``base`` says what a file provides."""
+
+from ehls_ros.families import Family
+from ehls_ros.identification.optimisers.base import Optimiser
+
+OPTIMISERS: Family[Optimiser] = Family("ehls_ros.identification.optimisers", "optimiser")

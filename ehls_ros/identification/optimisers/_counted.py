@@ -1,0 +1,154 @@
+"""A problem as a library's optimiser sees it: points of the unit box in batches, compiled, counted, the best one kept."""
+
+import math
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.identification.optimisers._kernels import composed
+from ehls_ros.identification.optimisers.base import Problem, Result, checked, ended
+
+_TEMPLATE = '''"""Objective, generated."""
+from numba import njit
+from ehls_ros.identification.optimisers import _kernels
+{residuals}
+
+cost_at = _kernels.cost(residuals)
+derivatives = _kernels.jacobian(residuals)
+
+
+@njit(cache=True, error_model="numpy")
+def costs(points, spread, data, lower, upper, x, r, out):
+    for k in range(out.size):
+        out[k] = cost_at(points[k], data, lower, upper, x, r)
+    return _kernels.gathered(points, spread)
+
+
+@njit(cache=True, error_model="numpy")
+def cost(u, data, lower, upper, x, r):
+    return cost_at(u, data, lower, upper, x, r)
+
+
+@njit(cache=True, error_model="numpy")
+def jacobian(u, r, data, lower, upper, x, moved, beside, out):
+    derivatives(u, r, data, lower, upper, x, moved, beside, out)
+'''
+
+
+class Enough(Exception):
+    """Ends a library's search from inside: it has converged, reached the target or used up its evaluations."""
+
+
+class Counted:
+    """The objective, its evaluations counted.
+
+    Attributes:
+        size: number of parameters.
+        evaluations: how many were made.
+        best: best point so far in the unit box, shape (parameters,).
+        lowest: its cost.
+    """
+
+    def __init__(
+        self, problem: Problem, seed: int, budget: int, target: float, *, tolerance: float = 0.0, patience: int = 0
+    ) -> None:
+        """Check the problem and compile it.
+
+        Args:
+            problem: what to minimise.
+            seed: the seed, checked only.
+            budget: most evaluations.
+            target: cost at which to stop.
+            tolerance: a batch of points less wide than this in the unit box has converged.
+            patience: so many batches without a relative fall of the cost by the tolerance have converged; 0: not asked.
+
+        Raises:
+            BadInput: the problem cannot be posed.
+        """
+        self._problem = checked(problem, seed)
+        self._kernel = composed(_TEMPLATE, self._problem)
+        self._box = (self._problem.data, self._problem.lower, self._problem.upper)
+        self.size = self._problem.lower.size
+        self._x, self._moved = np.empty(self.size), np.empty(self.size)
+        self._r = np.empty(problem.residual_count)
+        self._at = np.full(self.size, np.nan), self._r
+        self._budget = budget
+        self._target = target
+        self._tolerance = tolerance
+        self._patience = patience
+        self._converged = False
+        self._history: list[float] = []
+        self.evaluations = 0
+        self.best = np.full(self.size, 0.5)
+        self.lowest = math.inf
+
+    def costs(self, points: Array) -> Array:
+        """Return the costs of points of the unit box, shape (n, parameters): one iteration.
+
+        Raises:
+            Enough: the target is reached, the search has converged, or not all points could be afforded.
+        """
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        afforded = min(len(points), self._budget - self.evaluations)
+        out = np.full(len(points), math.inf)
+        gathered = self._kernel.costs(points, self._tolerance, *self._box, self._x, self._r, out[:afforded])
+        self.evaluations += afforded
+        first = int(out.argmin())
+        self._noted(points[first], float(out[first]))
+        self._converged = gathered or self._stagnates()
+        if self._converged or afforded < len(points):
+            raise Enough
+        return out
+
+    def residuals(self, u: Array) -> Array:
+        """Return the residuals at a point of the unit box, shape (residual_count,): one iteration.
+
+        Raises:
+            Enough: the target is reached, or the evaluations are used up.
+        """
+        self._afford(1)
+        r = np.empty(self._r.size)
+        cost = self._kernel.cost(u, *self._box, self._x, r)
+        self._at = u.copy(), r
+        self._noted(u, cost)
+        return r
+
+    def jacobian(self, u: Array) -> Array:
+        """Return the residuals' derivatives by the coordinates of the unit box, shape (residual_count, parameters).
+
+        Args:
+            u: point, best that of the last call of :meth:`residuals`.
+
+        Raises:
+            Enough: the evaluations are used up.
+        """
+        if not np.array_equal(u, self._at[0]):
+            self.residuals(u)
+        self._afford(self.size)
+        out = np.empty((self._r.size, self.size))
+        self._kernel.jacobian(u, self._at[1], *self._box, self._x, self._moved, self._r, out)
+        return out
+
+    def result(self, *, agreed: bool) -> Result:
+        """Return the best point; ``agreed`` if the search ended by its own rule."""
+        agreed = agreed or self._converged
+        history = np.array(self._history)
+        return ended(self._problem, self.best, self.lowest, self.evaluations, history, agreed, self._target)
+
+    def _stagnates(self) -> bool:
+        if not 0 < self._patience < len(self._history):
+            return False
+        before = self._history[-1 - self._patience]
+        return before < math.inf and before - self.lowest <= self._tolerance * before
+
+    def _afford(self, evaluations: int) -> None:
+        if self.evaluations + evaluations > self._budget:
+            raise Enough
+        self.evaluations += evaluations
+
+    def _noted(self, u: Array, cost: float) -> None:
+        if cost < self.lowest:
+            self.lowest, self.best = cost, u.copy()
+        self._history.append(self.lowest)
+        if self.lowest <= self._target:
+            raise Enough

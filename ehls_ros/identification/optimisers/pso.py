@@ -1,0 +1,218 @@
+"""The paper's optimiser, our own and compiled: a particle swarm with crossover and mutation.
+
+The paper says no more of it than that "crossover and mutation factor based on the idea of GA" were introduced, so operators and
+numbers are ours, chosen on the paper's static objective:
+
+* the swarm: v = w v + c1 r1 (p_i - x) + c2 r2 (g - x), x = x + v, reflected at the bounds, with the constriction coefficients
+  of M. Clerc, J. Kennedy, IEEE Trans. Evol. Comput. 6 (2002) for c1 + c2 = 4.25. r1 and r2 are one number a particle, not one a
+  coordinate, so that no direction is preferred;
+* crossover, of the personal bests: p_i with p_i + F (p_a - p_i + p_b - p_c), p_a being the better of two drawn at random, p_b
+  and p_c any, F from 0.5 to 1. The difference of two members, as in differential evolution, knows the direction of a valley;
+* mutation: now and then a coordinate of the child is drawn anew from its whole range.
+
+A child that is better than its parent p_i takes its place. The search ends when all personal bests agree. It uses no gradient,
+and no local search at its end.
+"""
+
+import math
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.identification.optimisers import _random
+from ehls_ros.identification.optimisers._kernels import composed, cost, gathered
+from ehls_ros.identification.optimisers._random import State, index, uniform
+from ehls_ros.identification.optimisers.base import Problem, Result, checked, ended
+from ehls_ros.schema import quantity
+
+
+class Parameters(NamedTuple):
+    """Size and habits of the swarm."""
+
+    evaluations: Annotated[int, quantity("1", "most evaluations of the objective", minimum=1, maximum=10**9)] = 100_000
+    particles: Annotated[int, quantity("1", "size of the swarm", minimum=4, maximum=10_000)] = 20
+    inertia: Annotated[float, quantity("1", "share w of its velocity a particle keeps", minimum=0.0, maximum=1.0)] = 0.61
+    cognitive: Annotated[float, quantity("1", "pull c1 of a particle's own best", minimum=0.0, maximum=4.0)] = 1.295
+    social: Annotated[float, quantity("1", "pull c2 of the swarm's best", minimum=0.0, maximum=4.0)] = 1.295
+    crossovers: Annotated[int, quantity("1", "children of each personal best an iteration", minimum=0, maximum=100)] = 2
+    crossover_rate: Annotated[
+        float, quantity("1", "share of a child's coordinates that are crossed", minimum=0.0, maximum=1.0)
+    ] = 0.9
+    mutation_rate: Annotated[float, quantity("1", "share of a child's coordinates drawn anew", minimum=0.0, maximum=1.0)] = 0.02
+    tolerance: Annotated[
+        float,
+        quantity("1", "spread of the bests' costs, relative, or places, in the unit box, to end at", above=0.0, maximum=1.0),
+    ] = 1e-8
+
+
+class Swarm(NamedTuple):
+    """What the kernel works in, so that it allocates nothing; n particles in the unit box.
+
+    Attributes:
+        position: where the particles are, shape (n, parameters).
+        velocity: what they move by, same shape.
+        best: their personal bests, same shape.
+        cost: cost of each personal best, shape (n,).
+        candidate: point to evaluate next, shape (parameters,).
+        x: a point in the problem's own box, shape (parameters,).
+        r: its residuals, shape (residual_count,).
+        random: state of the random numbers.
+    """
+
+    position: Array
+    velocity: Array
+    best: Array
+    cost: Array
+    candidate: Array
+    x: Array
+    r: Array
+    random: State
+
+
+@kernel
+def _reflected(u: float) -> float:
+    """Return u thrown back at the ends of [0, 1], at most once."""
+    u = abs(u)
+    return min(u, 1.0) if u <= 1.0 else max(2.0 - u, 0.0)
+
+
+@kernel
+def _move(i: int, leader: int, p: Parameters, swarm: Swarm) -> None:
+    """Move a particle; that is the candidate."""
+    own, common = p.cognitive * uniform(swarm.random), p.social * uniform(swarm.random)
+    for j in range(swarm.candidate.size):
+        u = swarm.position[i, j]
+        v = p.inertia * swarm.velocity[i, j] + own * (swarm.best[i, j] - u) + common * (swarm.best[leader, j] - u)
+        v = min(max(v, -0.5), 0.5)
+        if not 0.0 <= u + v <= 1.0:
+            u, v = _reflected(u + v), -0.5 * v
+        else:
+            u += v
+        swarm.position[i, j], swarm.velocity[i, j], swarm.candidate[j] = u, v, u
+
+
+@kernel
+def _cross(i: int, p: Parameters, swarm: Swarm) -> None:
+    """Cross a personal best with others; their child is the candidate."""
+    n, size = swarm.best.shape
+    a, rival = index(swarm.random, n), index(swarm.random, n)
+    if swarm.cost[rival] < swarm.cost[a]:
+        a = rival
+    b, c = index(swarm.random, n), index(swarm.random, n)
+    factor = 0.5 + 0.5 * uniform(swarm.random)
+    always = index(swarm.random, size)
+    for j in range(size):
+        u = swarm.best[i, j]
+        if j == always or uniform(swarm.random) < p.crossover_rate:
+            u = _reflected(u + factor * (swarm.best[a, j] - u + swarm.best[b, j] - swarm.best[c, j]))
+        if uniform(swarm.random) < p.mutation_rate:
+            u = uniform(swarm.random)
+        swarm.candidate[j] = u
+
+
+@kernel
+def _scatter(swarm: Swarm) -> None:
+    """Place the particles at rest."""
+    _random.latin_hypercube(swarm.random, swarm.position)
+    n, size = swarm.position.shape
+    for i in range(n):
+        swarm.cost[i] = math.inf
+        for j in range(size):
+            swarm.best[i, j], swarm.velocity[i, j] = swarm.position[i, j], 0.0
+
+
+def search(residuals: Any) -> Any:
+    """Return the compiled search for a residual function."""
+    cost_at = cost(residuals)
+
+    @kernel
+    def run(
+        data: Any, lower: Array, upper: Array, p: Parameters, target: float, swarm: Swarm, history: Array
+    ) -> tuple[int, int, int, bool]:
+        """Search.
+
+        Args:
+            data: the problem's.
+            lower: lower bounds.
+            upper: upper bounds.
+            p: parameters.
+            target: cost to stop at.
+            swarm: what to work in; ``random`` is seeded.
+            history: where the lowest cost after each iteration goes.
+
+        Returns:
+            Number of the best particle, evaluations, iterations, and whether the bests agree.
+        """
+        _scatter(swarm)
+        leader, evaluations, iterations = 0, 0, 0
+        while True:
+            # First the particles are evaluated where they are: at rest at their own bests, they do not move towards themselves.
+            for phase in range(1 + p.crossovers if iterations > 0 else 1):
+                for i in range(swarm.cost.size):
+                    if phase == 0:
+                        _move(i, leader if iterations > 0 else i, p, swarm)
+                    else:
+                        _cross(i, p, swarm)
+                    found = cost_at(swarm.candidate, data, lower, upper, swarm.x, swarm.r)
+                    evaluations += 1
+                    if found < swarm.cost[i]:
+                        swarm.cost[i] = found
+                        for j in range(swarm.candidate.size):
+                            swarm.best[i, j] = swarm.candidate[j]
+                        if found < swarm.cost[leader]:
+                            leader = i
+                    history[iterations] = swarm.cost[leader]
+                    if swarm.cost[leader] <= target or evaluations >= p.evaluations:
+                        return leader, evaluations, iterations + 1, False
+            iterations += 1
+            if _agree(p.tolerance, swarm):
+                return leader, evaluations, iterations, True
+
+    return run
+
+
+@kernel
+def _agree(tolerance: float, swarm: Swarm) -> bool:
+    """Return whether the personal bests agree, in cost or in place."""
+    lowest = highest = swarm.cost[0]
+    for found in swarm.cost:
+        lowest, highest = min(lowest, found), max(highest, found)
+    if not highest < math.inf:
+        return False
+    return highest - lowest <= tolerance * lowest or gathered(swarm.best, tolerance)
+
+
+_TEMPLATE = '''"""Particle swarm, generated."""
+from numba import njit
+from ehls_ros.identification.optimisers import pso
+{residuals}
+
+run = pso.search(residuals)
+
+
+@njit(cache=True, error_model="numpy")
+def minimise(data, lower, upper, p, target, swarm, history):
+    return run(data, lower, upper, p, target, swarm, history)
+'''
+
+
+def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.inf) -> Result:
+    """Search; an iteration is one move of the swarm and the crossovers after it."""
+    problem = checked(problem, seed)
+    n, size = p.particles, problem.lower.size
+    swarm = Swarm(
+        position=np.empty((n, size)),
+        velocity=np.empty((n, size)),
+        best=np.empty((n, size)),
+        cost=np.empty(n),
+        candidate=np.empty(size),
+        x=np.empty(size),
+        r=np.empty(problem.residual_count),
+        random=np.array([seed], dtype=np.uint64),
+    )
+    history = np.empty(2 + p.evaluations // (n * (1 + p.crossovers)))
+    leader, evaluations, iterations, agreed = composed(_TEMPLATE, problem).minimise(
+        problem.data, problem.lower, problem.upper, p, float(target), swarm, history
+    )
+    return ended(problem, swarm.best[leader], float(swarm.cost[leader]), evaluations, history[:iterations], agreed, target)

@@ -1,0 +1,169 @@
+"""The hysteresis loop (22), (23): from its branches to the friction elements, without nodes picked by hand.
+
+After each reversal the elements stick, each until its force has gone from one side to the other. So the force
+gained since the reversal is a sum of ramps, sum k_i min(d, D_i) over the way d since then, with D_i = 2 alpha_i s/k_i.
+Ramps with many ends are fitted at once, none of them negative; the few that remain are the elements.
+"""
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import nnls
+
+from ehls_ros.arrays import Array
+from ehls_ros.identification.motion import Mask, Motion
+from ehls_ros.physics.parameters import Friction
+
+RAMPS = 60
+"""Ends of ramps that are tried."""
+
+POINTS = 200
+"""Points of the mean branch."""
+
+STICKING, LEAST_STICKING = 0.8, 3
+"""Part of the shortest way on which all elements stick that is looked at after a turn, and the blocks it needs."""
+
+LEAST_BRANCHES = 3
+"""Branches a recording needs to count."""
+
+
+class Branch(NamedTuple):
+    """The mean branch of all reversals, shape (n,).
+
+    Attributes:
+        way: way since the reversal [m].
+        force: friction force gained since the reversal [N].
+        branches: number of branches it is the mean of.
+    """
+
+    way: Array
+    force: Array
+    branches: int
+
+
+class Node(NamedTuple):
+    """Where the branch bends: an element has given way.
+
+    Attributes:
+        way: way since the reversal [m].
+        force: force gained by then [N].
+        slope: slope of the branch before it, K_i [N/m].
+    """
+
+    way: float
+    force: float
+    slope: float
+
+
+def mean_branch(motions: Sequence[Motion], usable: Sequence[Mask], rest: Sequence[Array]) -> Branch | None:
+    """Return the mean of all branches between two reversals.
+
+    Args:
+        motions: the recordings.
+        usable: blocks of each that may count.
+        rest: force balance without the friction elements of each [N], to be taken off.
+
+    Returns:
+        The branch; None where there are too few reversals.
+    """
+    pieces: list[tuple[Array, Array]] = []
+    for motion, good, other in zip(motions, usable, rest, strict=True):
+        friction = motion.force - other
+        turns = (np.flatnonzero(np.diff(np.sign(motion.velocity)) != 0.0) + 1).tolist()
+        for start, end in itertools.pairwise(turns):
+            if end - start < 8 or not np.all(good[start - 1 : end]):
+                continue
+            way = np.abs(motion.position[start:end] - _turning_point(motion.position, start))
+            gained = np.abs(friction[start:end] - _turning_point(friction, start))
+            pieces.append((way, gained))
+    if len(pieces) < LEAST_BRANCHES:
+        return None
+    longest = float(np.median([way[-1] for way, _ in pieces]))
+    grid = np.linspace(0.0, longest, POINTS)
+    rows = [np.interp(grid, way, force, right=np.nan) for way, force in pieces]
+    with np.errstate(invalid="ignore"):
+        mean = np.nanmedian(rows, axis=0)
+    return Branch(grid, mean, len(pieces))
+
+
+def corrected_turns(motion: Motion, left: Array, friction: Friction) -> Motion:
+    """Return a motion whose turns lie where the force says.
+
+    Around a turn the piston moves to and fro by less than the sensor resolves, and each micrometre further that
+    it goes before it turns lowers the force of the sticking elements by all their stiffness. So the force left over
+    while all stick tells by how much the turn was missed; as much is added to the way before and taken off after it.
+
+    Args:
+        motion: the recording.
+        left: force a fit did not explain, shape (n,) [N]; NaN where a block does not count.
+        friction: the friction that was fitted.
+    """
+    stiffness = float(np.sum(friction.element_stiffness))
+    shortest = min(
+        2.0 * a * friction.coulomb_force / k for a, k in zip(friction.element_weight, friction.element_stiffness, strict=True)
+    )
+    velocity = motion.velocity.copy()
+    turns = np.flatnonzero(np.diff(np.sign(motion.velocity)) != 0.0) + 1
+    ends = np.append(turns[1:], len(velocity))
+    for turn, end in zip(turns, ends, strict=True):
+        way = np.abs(motion.position[turn:end] - motion.position[turn])
+        if len(way) < 2 or way.max() < shortest:
+            continue  # to and fro on the spot
+        sticks = left[turn:end][way < STICKING * shortest]
+        sticks = sticks[np.isfinite(sticks)]
+        if len(sticks) < LEAST_STICKING:
+            continue
+        direction = np.sign(motion.velocity[turn - 1])
+        missed = float(np.clip(-direction * np.median(sticks) / stiffness, -motion.turn_doubt, motion.turn_doubt))
+        velocity[turn - 1] += direction * missed / motion.period
+        velocity[turn] -= direction * missed / motion.period
+    return motion._replace(velocity=velocity)
+
+
+def _turning_point(values: Array, at: int) -> float:
+    """Return a signal where the motion turned, between the blocks at - 1 and at."""
+    return float(0.5 * (values[at - 1] + values[at]))
+
+
+def ramps(branch: Branch) -> tuple[Array, Array]:
+    """Return ends D [m] and stiffness k [N/m] of the ramps that make up a branch, by non-negative least squares."""
+    shortest = max(branch.way[-1] / 500.0, 1e-9)
+    ends = np.geomspace(shortest, branch.way[-1], RAMPS)
+    columns = np.minimum(branch.way[:, np.newaxis], ends)
+    scale = np.linalg.norm(columns, axis=0)
+    stiffness, _ = nnls(columns / scale, np.nan_to_num(branch.force))
+    stiffness = stiffness / scale
+    kept = stiffness * ends > 1e-3 * np.sum(stiffness * ends)
+    return ends[kept], stiffness[kept]
+
+
+def merged(ends: Array, stiffness: Array, elements: int) -> tuple[Array, Array]:
+    """Return the ramps put together to a number of elements: neighbours with the closest ends first.
+
+    Args:
+        ends: ends of the ramps, increasing, shape (n,) [m].
+        stiffness: their stiffness, shape (n,) [N/m].
+        elements: how many are to be left; where there are fewer ramps, the strongest are split.
+
+    Returns:
+        Ends and stiffness, shape (elements,). What the elements hold together stays the same.
+    """
+    d, k = list(ends), list(stiffness)
+    while len(d) > elements:
+        gaps = [np.log(d[i + 1] / d[i]) * min(d[i] * k[i], d[i + 1] * k[i + 1]) for i in range(len(d) - 1)]
+        i = int(np.argmin(gaps))
+        force, both = d[i] * k[i] + d[i + 1] * k[i + 1], k[i] + k[i + 1]
+        d[i : i + 2], k[i : i + 2] = [force / both], [both]
+    while len(d) < elements:
+        i = int(np.argmax(np.multiply(d, k)))
+        d[i : i + 1], k[i : i + 1] = [0.7 * d[i], 1.4 * d[i]], [0.5 * k[i], 0.5 * k[i]]
+    return np.array(d), np.array(k)
+
+
+def nodes(ends: Array, stiffness: Array) -> list[Node]:
+    """Return the nodes N1..N of the branch that elements make, with the slopes K_i of (22)."""
+    order = np.argsort(ends)
+    d, k = ends[order], stiffness[order]
+    return [Node(float(d[i]), float(np.sum(k * np.minimum(d, d[i]))), float(np.sum(k[i:]))) for i in range(len(d))]

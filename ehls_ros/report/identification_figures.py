@@ -1,0 +1,387 @@
+"""The figures of the identification report: each function takes what was found and gives a panel."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+from ehls_ros.identification.gms_force import linear_columns
+from ehls_ros.identification.identify import SMALL_TRAVEL, Identification
+from ehls_ros.identification.joint import JointFit
+from ehls_ros.identification.motion import Mask, Motion
+from ehls_ros.identification.static import StaticFit
+from ehls_ros.identification.stribeck import StaticFriction
+from ehls_ros.physics.parameters import Friction
+from ehls_ros.report.figures import ELEMENT_LINES
+from ehls_ros.report.identification_findings import as_shown, elements_remark
+from ehls_ros.report.page import LeftOut, Panel, number
+from ehls_ros.report.plot import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    MILLIMETRE,
+    MILLIMETRE_PER_SECOND,
+    NEWTON,
+    ORANGE,
+    PURPLE,
+    SECOND,
+    SKY,
+    VERMILION,
+    Axis,
+    Trace,
+    Unit,
+    decades,
+    dots,
+    line,
+    packed,
+    plane_layout,
+    time_layout,
+    time_line,
+)
+
+CURVE_POINTS = 400
+"""Points of a curve on each side of standstill."""
+
+FLAT = 0.02
+"""Part of the Stribeck curve's rise that is left where its low speeds end."""
+
+LOOP_BLOCKS = 4000
+"""Most blocks of a recording that are drawn as a hysteresis loop."""
+
+EXCERPT = 1500
+"""Blocks of a recording the joint fit is shown for."""
+
+POINTS = 3000
+"""Most residuals of a recording drawn as a cloud."""
+
+COST, ITERATION = Unit("–"), Unit("–")
+WAYS = ((1.0, "forwards", BLUE, "circle"), (-1.0, "backwards", PURPLE, "diamond-open"))
+RECORDING_COLORS = (SKY, ORANGE, GREEN, PURPLE, VERMILION)
+
+
+class _Curve(NamedTuple):
+    """A fitted Stribeck curve.
+
+    Attributes:
+        friction: its coefficients.
+        viscous: both viscous coefficients together [N s/m].
+    """
+
+    friction: StaticFriction | Friction
+    viscous: float
+
+    def force(self, velocity: Array, *, viscous: bool = True) -> Array:
+        """Return the steady friction (9), (20), shape (n,) [N]; velocity is not zero."""
+        f = self.friction
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            decay = np.exp(-((np.abs(velocity) / f.stribeck_velocity) ** f.stribeck_exponent))
+            level = f.coulomb_force + (f.static_force - f.coulomb_force) * decay  # (7)
+            return np.sign(velocity) * level + (self.viscous * velocity if viscous else 0.0)
+
+
+def _curves(found: Identification, static: StaticFit) -> tuple[_Curve, _Curve]:
+    """Return the static fit's curve and the joint fit's."""
+    known = found.rig.plant.viscous_damping
+    own = static.friction
+    return _Curve(own, known + own.viscous_coefficient), _Curve(
+        found.rig.friction, known + float(found.rig.friction.viscous_coefficient)
+    )
+
+
+def stribeck(found: Identification) -> Panel | LeftOut:
+    """Draw steady friction against velocity: classes of the data, and the curve with and without its viscous part."""
+    title = "Stribeck curve"
+    static = found.static
+    if static is None:
+        return LeftOut(title, _NO_STATIC)
+    fitted, joint = _curves(found, static)
+    fastest = float(np.max(np.abs(static.velocity)))
+    side = np.geomspace(1e-4 * fastest, fastest, CURVE_POINTS)
+    velocity = np.concatenate([-side[::-1], [np.nan], side])
+    at = velocity * MILLIMETRE_PER_SECOND.factor
+    traces = [
+        _classes(static.velocity, static.force, "data, classes of velocity", BLUE),
+        line(at, fitted.force(velocity), "static fit", NEWTON, VERMILION, width=1.8),
+        line(at, fitted.force(velocity, viscous=False), "without the viscous part", NEWTON, GREEN, width=1.5, dash="dash"),
+        line(at, joint.force(velocity), "joint fit", NEWTON, BLACK, width=1.2, dash="dot"),
+    ]
+    layout = plane_layout(Axis("velocity", MILLIMETRE_PER_SECOND), Axis("friction", NEWTON))
+    note = f"{number(len(static.velocity))} classes; spring and constant force are taken out."
+    return Panel(title, traces, layout, note, height=400, over_time=False)
+
+
+def stribeck_slow(found: Identification) -> Panel | LeftOut:
+    """Draw the same at low speed, both directions upon each other."""
+    title = "Stribeck curve at low speed"
+    static = found.static
+    if static is None:
+        return LeftOut(title, _NO_STATIC)
+    fitted, joint = _curves(found, static)
+    speed = np.abs(static.velocity)
+    end = _low_end(static.friction, speed)
+    traces: list[Trace] = []
+    for way, name, color, symbol in WAYS:
+        shown = (way * static.velocity > 0.0) & (speed <= end)
+        if shown.any():
+            traces.append(_classes(speed[shown], way * static.force[shown], name, color, symbol))
+    velocity = np.linspace(0.0, end, CURVE_POINTS + 1)[1:]
+    at = velocity * MILLIMETRE_PER_SECOND.factor
+    traces += [
+        line(at, fitted.force(velocity), "static fit", NEWTON, VERMILION, width=1.8),
+        line(at, fitted.force(velocity, viscous=False), "without the viscous part", NEWTON, GREEN, width=1.5, dash="dash"),
+        line(at, joint.force(velocity), "joint fit", NEWTON, BLACK, width=1.2, dash="dot"),
+    ]
+    span = (0.0, 1.02 * end * MILLIMETRE_PER_SECOND.factor)
+    layout = plane_layout(Axis("speed", MILLIMETRE_PER_SECOND, span), Axis("friction along the motion", NEWTON))
+    return Panel(title, traces, layout, "Both directions upon each other.", height=400, over_time=False)
+
+
+def static_residuals(found: Identification) -> Panel | LeftOut:
+    """Draw what the static fit leaves over against speed."""
+    title = "Residual of the static fit"
+    static = found.static
+    if static is None:
+        return LeftOut(title, _NO_STATIC)
+    fitted, _ = _curves(found, static)
+    left = static.force - fitted.force(static.velocity)
+    speed = np.abs(static.velocity) * MILLIMETRE_PER_SECOND.factor
+    traces: list[Trace] = []
+    for way, name, color, symbol in WAYS:
+        shown = way * static.velocity > 0.0
+        if shown.any():
+            bars = {"type": "data", "array": packed(static.deviation[shown]), "thickness": 0.8, "width": 0, "color": color}
+            mark = dots(speed[shown], left[shown], name, NEWTON, color, symbol=symbol, size=6)
+            traces.append(mark | {"error_y": bars})
+    span = decades(speed)
+    layout = plane_layout(Axis("speed", MILLIMETRE_PER_SECOND, span, logarithmic=True), Axis("data less static fit", NEWTON))
+    usual, ratio = _root_mean_square(left), _root_mean_square(left / static.deviation)
+    note = (
+        f"Root mean square {number(usual)} N, {number(ratio, 2)} times what noise alone leaves."
+        " Bars: one standard deviation from noise."
+    )
+    return Panel(title, traces, layout, note, height=320, over_time=False)
+
+
+def _root_mean_square(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else math.nan
+
+
+def _classes(velocity: Array, force: Array, name: str, color: str, symbol: str = "circle") -> Trace:
+    return dots(velocity * MILLIMETRE_PER_SECOND.factor, force, name, NEWTON, color, symbol=symbol, size=6)
+
+
+def _low_end(friction: StaticFriction, speed: Array) -> float:
+    """Return the speed at which the Stribeck curve has come down [m/s], such that some of the data lie below it."""
+    slowest, fastest = float(speed.min()), float(speed.max())
+    try:
+        down = friction.stribeck_velocity * (-math.log(FLAT)) ** (1.0 / friction.stribeck_exponent)
+    except (OverflowError, ZeroDivisionError):
+        down = math.inf
+    return min(max(1.2 * down, 3.0 * slowest), fastest) if math.isfinite(down) else fastest
+
+
+def hysteresis(found: Identification) -> Panel | LeftOut:
+    """Draw the friction of the elements against displacement, recorded and fitted."""
+    title = "Hysteresis loop"
+    small = [i for i, motion in enumerate(found.motions) if _is_small(motion)]
+    if found.branch is None or not small:
+        return LeftOut(title, _no_branch(found))
+    traces: list[Trace] = []
+    modelled: list[Trace] = []
+    for order, i in enumerate(small):
+        motion, left = found.motions[i], found.fit.residuals[i]
+        last = slice(max(0, len(motion.time) - LOOP_BLOCKS), None)
+        force = np.where(motion.resolved, elements_part(motion, found.fit), np.nan)
+        at = (motion.position - _middle(motion)) * MILLIMETRE.factor
+        color = RECORDING_COLORS[order % len(RECORDING_COLORS)]
+        recorded = line(at[last], force[last], f"recorded, {motion.name}", NEWTON, color, width=4.0)
+        fitted = line(at[last], (force - left)[last], "fitted", NEWTON, BLACK, width=1.2)
+        traces.append(recorded | {"mode": "lines"})
+        modelled.append(fitted | {"mode": "lines", "showlegend": order == 0, "legendgroup": "fitted"})
+    layout = plane_layout(Axis("displacement from the middle", MILLIMETRE), Axis("friction", NEWTON))
+    note = "Without viscous friction."
+    return Panel(title, [*traces, *modelled], layout, note, height=420, over_time=False)
+
+
+def branch(found: Identification) -> Panel | LeftOut:
+    """Draw the mean branch of the loop with the nodes, their slopes, and the ramps of the fitted elements."""
+    title = "Mean branch with nodes"
+    mean, nodes = found.branch, found.nodes
+    if mean is None or not nodes:
+        return LeftOut(title, _no_branch(found))
+    way = np.array([node.way for node in nodes])
+    force = np.array([node.force for node in nodes])
+    stiffness = element_stiffness(found)
+    at = np.unique(np.concatenate([[0.0], mean.way, way[np.isfinite(way)]]))
+    traces = [line(mean.way * MILLIMETRE.factor, mean.force, f"mean of {mean.branches} branches", NEWTON, GREY, width=4.0)]
+    parts = stiffness[:, np.newaxis] * np.minimum(at, way[:, np.newaxis])
+    shown = at * MILLIMETRE.factor
+    if len(nodes) > 1:
+        traces.append(line(shown, parts.sum(axis=0), "all elements", NEWTON, VERMILION, width=1.6, dash="dash"))
+    for index, part in enumerate(parts):
+        color, dash = ELEMENT_LINES[index % len(ELEMENT_LINES)]
+        name = f"element {index + 1}, k = {number(1e-3 * stiffness[index], 4)} N/mm"
+        traces.append(line(shown, part, name, NEWTON, color, width=1.4, dash=dash))
+    names = [f"N{i}" for i in range(1, len(nodes) + 1)]
+    mark = dots(way * MILLIMETRE.factor, force, "nodes", NEWTON, BLACK, size=9, remarks=names)
+    traces.append(mark | {"mode": "markers+text", "textposition": "top left"})
+    layout = plane_layout(Axis("way since the reversal", MILLIMETRE), Axis("force gained since", NEWTON))
+    remark = elements_remark(found)
+    note = f"{remark[0].upper()}{remark[1:]}."
+    return Panel(title, traces, layout, note, height=420, over_time=False)
+
+
+def element_stiffness(found: Identification) -> Array:
+    """Return the stiffness of the element that gives way at each node, by (22), shape (nodes,) [N/m]."""
+    slope = np.array([node.slope for node in found.nodes])
+    stiffness: Array = slope - np.append(slope[1:], 0.0)
+    return stiffness
+
+
+def _is_small(motion: Motion) -> bool:
+    """Tell whether a recording is one of presliding."""
+    return bool(np.any(motion.resolved)) and float(np.ptp(motion.position[motion.resolved])) < SMALL_TRAVEL
+
+
+def _middle(motion: Motion) -> float:
+    there = motion.position[motion.resolved]
+    return 0.5 * float(there.min() + there.max())
+
+
+def _no_branch(found: Identification) -> str:
+    return "it has too few reversals" if any(map(_is_small, found.motions)) else "no presliding is recorded"
+
+
+def elements_part(motion: Motion, fit: JointFit) -> Array:
+    """Return the recorded force without all but the friction elements' part, shape (n,) [N]."""
+    return motion.force - linear_columns(motion, fit.linear_names) @ fit.linear
+
+
+def excerpt(motion: Motion, residual: Array, noise: float) -> Panel | LeftOut:
+    """Draw an excerpt of a recording: force measured and modelled, and what is left over.
+
+    Args:
+        motion: the recording.
+        residual: force not explained, NaN where a block did not count, shape (n,) [N].
+        noise: its standard deviation [N].
+    """
+    title = f"Joint fit: {motion.name}"
+    counted = np.isfinite(residual)
+    if not counted.any():
+        return LeftOut(title, "none of its blocks counted")
+    part = _excerpt(counted)
+    time, force, left = motion.time[part] - motion.time[part][0], motion.force[part], residual[part]
+    span = float(time[-1]) or motion.period
+    traces = [
+        time_line(time, force, "measured", NEWTON, SKY, width=4.0),
+        _small_dots(time_line(time, force - left, "fitted, where it counts", NEWTON, BLACK, width=1.2)),
+        _small_dots(time_line(time, left, "measured less fitted", NEWTON, BLUE, row=2, width=1.0)),
+        *_noise_band(span, noise),
+    ]
+    layout = time_layout(span, [Axis("force", NEWTON, share=1.5), Axis("left over", NEWTON)])
+    layout["xaxis"]["title"]["text"] = f"time since {number(float(motion.time[part][0]), 4)} s [{SECOND.symbol}]"
+    return Panel(title, traces, layout, _counted_note(counted, motion, noise), height=380, over_time=False)
+
+
+def _small_dots(trace: Trace) -> Trace:
+    """Keep the dots of samples without neighbours from hiding what is drawn below them."""
+    return trace | {"marker": trace["marker"] | {"size": 2}}
+
+
+def _excerpt(counted: Mask) -> slice:
+    """Return the stretch closest to the middle that holds about as many counted blocks as any."""
+    length = min(EXCERPT, len(counted))
+    total = np.concatenate([[0], np.cumsum(counted)])
+    inside = total[length:] - total[:-length]
+    enough = np.flatnonzero(inside >= min(0.9 * length * float(np.mean(counted)), float(inside.max())))
+    start = int(enough[np.argmin(np.abs(enough - 0.5 * (len(counted) - length)))])
+    return slice(start, start + length)
+
+
+def _counted_note(counted: Mask, motion: Motion, noise: float) -> str:
+    return (
+        f"Blocks of {as_shown(1e3 * motion.period)} ms; {number(100 * float(np.mean(counted)), 2)} % of them count."
+        f" Standard deviation of what is left over: {number(noise)} N; the sensor's noise makes {number(motion.force_noise)} N."
+    )
+
+
+def _noise_band(end: float, noise: float) -> list[Trace]:
+    if not math.isfinite(noise):
+        return []
+    ends = np.array([0.0, end])
+    name = f"± one standard deviation, {number(noise)} N"
+    traces = [
+        line(ends, np.full(2, sign * noise), name, NEWTON, VERMILION, row=2, width=1.3, dash="dash") for sign in (1.0, -1.0)
+    ]
+    return [traces[0] | {"legendgroup": name}, traces[1] | {"legendgroup": name, "showlegend": False}]
+
+
+def residual_over_time(motion: Motion, residual: Array) -> Panel | LeftOut:
+    """Draw what the joint fit leaves over in the whole of a recording."""
+    title = f"Left over in time: {motion.name}"
+    if not np.isfinite(residual).any():
+        return LeftOut(title, "none of its blocks counted")
+    kept, note = _thinned(residual)
+    layout = time_layout(float(motion.time[-1]), [Axis("left over", NEWTON)]) | {"showlegend": False, "hovermode": "closest"}
+    return Panel(title, [_cloud(motion.time[kept], residual[kept])], layout, note, height=260, over_time=False)
+
+
+def residual_over_velocity(motion: Motion, residual: Array) -> Panel | LeftOut:
+    """Draw what the joint fit leaves over against velocity."""
+    title = f"Left over against velocity: {motion.name}"
+    if not np.isfinite(residual).any():
+        return LeftOut(title, "none of its blocks counted")
+    kept, note = _thinned(residual)
+    velocity = motion.velocity[kept] * MILLIMETRE_PER_SECOND.factor
+    layout = plane_layout(Axis("velocity", MILLIMETRE_PER_SECOND), Axis("left over", NEWTON)) | {"showlegend": False}
+    return Panel(title, [_cloud(velocity, residual[kept])], layout, note, height=260, over_time=False)
+
+
+def _thinned(residual: Array) -> tuple[NDArray[np.intp], str]:
+    """Return which residuals are drawn, and a sentence where these are not all."""
+    counted = np.flatnonzero(np.isfinite(residual))
+    stride = -(-counted.size // POINTS)
+    return counted[::stride], "" if stride == 1 else f"One block in {stride}."
+
+
+def _cloud(x: Array, residual: Array) -> Trace:
+    mark = dots(x, residual, "measured less fitted", NEWTON, BLUE, size=3)
+    mark["marker"] |= {"opacity": 0.5, "line": {"width": 0}}
+    return mark
+
+
+def convergence(found: Identification) -> Panel | LeftOut:
+    """Draw the lowest cost of the static fit's search against its iterations."""
+    title = "Convergence of the swarm" if is_swarm(found.method) else "Convergence of the search"
+    if found.static is None:
+        return LeftOut(title, _NO_STATIC)
+    search = found.static.search
+    cost = _positive(search.history)
+    if not np.isfinite(cost).any():
+        return LeftOut(title, "it has no finite cost")
+    iteration = np.arange(1.0, len(cost) + 1.0)
+    traces = [line(iteration, cost, "lowest cost so far", COST, BLUE, width=2.0)]
+    axes = Axis("iteration", ITERATION), Axis("cost", COST, decades(cost), logarithmic=True)
+    layout = plane_layout(*axes) | {"showlegend": False}
+    layout["yaxis"]["automargin"] = True
+    how = "converged" if search.converged else f"not converged: {search.advice}"
+    note = f"Half the sum of squares, in standard deviations; {found.method}, {number(search.evaluations)} evaluations, {how}."
+    return Panel(title, traces, layout, note, height=300, over_time=False)
+
+
+def is_swarm(method: str) -> bool:
+    """Tell whether an optimiser is a particle swarm, by its name."""
+    return "pso" in method or "swarm" in method
+
+
+def _positive(values: Sequence[float] | NDArray[np.float64]) -> Array:
+    known = np.asarray(values, dtype=float)
+    return np.where(np.isfinite(known) & (known > 0.0), known, np.nan)
+
+
+_NO_STATIC = "nothing slides steadily, so that there is no static fit"

@@ -1,0 +1,326 @@
+"""What an identification says, in words and in numbers written as surely as they are known."""
+
+import math
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.identification.identify import EVIDENCE, Identification
+from ehls_ros.identification.uncertainty import Estimate
+from ehls_ros.physics.parameters import Friction, Plant
+from ehls_ros.physics.rig import Rig
+from ehls_ros.report.page import MISSING_NUMBER, number
+from ehls_ros.report.plot import Unit
+from ehls_ros.report.reproduction_findings import listed
+from ehls_ros.schema import declarations
+
+NORMAL_95 = 1.96
+"""Half of the 95 % interval of a normal distribution, in standard errors."""
+
+TOGETHER = 1.2
+"""Ratio of the ways at which elements give way, below which they act as one."""
+
+STRONG = 0.9
+"""Correlation from which a pair is worth naming."""
+
+NOISY = 3.0
+"""Residuals, as a multiple of the sensor's noise, from which on noise does not explain them."""
+
+EXACT = 1e-12
+"""Standard error, as a part of the value, from which on it is not told from zero."""
+
+SYMBOLS = {
+    "coulomb_force": "Fc",
+    "static_force": "Fs",
+    "stribeck_velocity": "Vs",
+    "stribeck_exponent": "δ",
+    "viscous_coefficient": "σf",
+    "attraction_rate": "C",
+    "element_stiffness": "k",
+    "element_weight": "α",
+    "spring_stiffness": "ks",
+    "viscous_damping": "B0",
+    "moving_mass": "m0",
+    "gravity": "g",
+}
+READABLE = {
+    "stribeck_velocity": Unit("mm/s", 1e3),
+    "viscous_coefficient": Unit("N s/mm", 1e-3),
+    "viscous_damping": Unit("N s/mm", 1e-3),
+    "element_stiffness": Unit("N/mm", 1e-3),
+    "spring_stiffness": Unit("N/mm", 1e-3),
+}
+"""Units the paper and the figures have where the rig file has SI units."""
+
+HEADLINE = tuple(name for name in SYMBOLS if name in Friction._fields and not name.startswith("element"))
+"""What the verdict gives as numbers."""
+
+_HELP = {d.name: d.description for group in (Plant, Friction) for d in declarations(group)}
+_ELEMENT_HELP = {"element_stiffness": "presliding stiffness of element", "element_weight": "share of element"}
+
+
+class Written(NamedTuple):
+    """An estimate as text.
+
+    Attributes:
+        value: to the last digit the standard error leaves.
+        error: the standard error, to as many.
+        low: lower end of the 95 % interval.
+        high: upper end.
+    """
+
+    value: str
+    error: str
+    low: str
+    high: str
+
+
+class NotTold(NamedTuple):
+    """A coefficient the data do not tell.
+
+    Attributes:
+        name: its name in the rig file.
+        value: what the new rig file has, as text.
+        reason: why it is not told.
+    """
+
+    name: str
+    value: str
+    reason: str
+
+
+def written(value: float, std: float, digits: int = 2) -> Written:
+    """Write a value and its standard error with the same number of decimals.
+
+    Args:
+        value: the value.
+        std: its standard error; what is not finite is written as a dash.
+        digits: significant digits of the standard error.
+    """
+    if not math.isfinite(value):
+        return Written(*[MISSING_NUMBER] * 4)
+    if not math.isfinite(std):
+        return Written(as_given(value), *[MISSING_NUMBER] * 3)
+    if std <= EXACT * abs(value):
+        text = as_given(value)
+        return Written(text, number(std, digits), text, text)
+    exponent = int(f"{std:.{digits - 1}e}".split("e")[1])
+    decimals = max(0, digits - 1 - exponent)
+    low, high = value - NORMAL_95 * std, value + NORMAL_95 * std
+    return Written(*(_fixed(x, decimals) for x in (value, std, low, high)))
+
+
+def _fixed(value: float, decimals: int) -> str:
+    return f"{value:,.{decimals}f}".replace(",", "\u202f").replace("-", "−")
+
+
+def as_given(value: float) -> str:
+    """Write a number that was given and not measured: all its digits, no more."""
+    if not math.isfinite(value):
+        return MISSING_NUMBER
+    text = f"{value:,.10g}" if value == 0 or 1e-6 <= abs(value) < 1e10 else f"{value:.6g}"
+    if "e-" in text and abs(value) >= 1e-6:
+        text = f"{value:.12f}".rstrip("0")
+    return text.replace(",", "\u202f").replace("-", "−")
+
+
+def percent(part: float) -> str:
+    """Write a part as a percentage that is not written out below a thousandth of one."""
+    if not math.isfinite(part):
+        return MISSING_NUMBER
+    return f"{number(100 * part, 2)} %" if abs(part) >= 1e-5 or part == 0 else "< 0.001 %"
+
+
+def split(name: str) -> tuple[str, str]:
+    """Part the name of an element's coefficient from its number, which is empty for others."""
+    found = re.fullmatch(r"(element_\w+?)_(\d+)", name)
+    return (found[1], found[2]) if found else (name, "")
+
+
+def symbol(name: str) -> str:
+    """Give the paper's symbol of a coefficient, or its name where there is none."""
+    base, index = split(name)
+    return SYMBOLS[base] + index if base in SYMBOLS else name
+
+
+def meaning(name: str) -> str:
+    """Say what a coefficient is, from its declaration."""
+    base, index = split(name)
+    text = f"{_ELEMENT_HELP[base]} {index}" if index and base in _ELEMENT_HELP else _HELP.get(base, "")
+    return re.sub(r" \[.*?\]", "", text.split(";", maxsplit=1)[0])
+
+
+def unit_text(unit: str) -> str:
+    """Write a unit with raised powers."""
+    return unit.replace("^2", "²").replace("^3", "³").replace("^5", "⁵")
+
+
+def readable(name: str, estimate: Estimate, digits: int = 1) -> str:
+    """Write an estimate with its standard error in the unit of the figures."""
+    unit = READABLE.get(split(name)[0], Unit(unit_text(estimate.unit)))
+    text = written(unit.factor * estimate.value, unit.factor * estimate.std, digits)
+    shown = "" if unit.symbol == "1" else f" {unit.symbol}"
+    return f"{text.value}{shown} ± {text.error}"
+
+
+def value_in(rig: Rig, name: str) -> float | tuple[float, ...] | None:
+    """Look a coefficient up in a rig; None where it has none of that name or number."""
+    base, index = split(name)
+    for group in (rig.friction, rig.plant):
+        if base in group._fields:
+            value = getattr(group, base)
+            if not index:
+                return tuple(map(float, value)) if isinstance(value, tuple) else float(value)
+            return float(value[int(index) - 1]) if 0 < int(index) <= len(value) else None
+    return None
+
+
+def not_told(found: Identification) -> list[NotTold]:
+    """Give what the data do not tell, with the reason for each."""
+    return [NotTold(name, _kept(found, name), _reason(found, name)) for name in found.not_identifiable]
+
+
+def _kept(found: Identification, name: str) -> str:
+    # The rig file's elements are sorted; those of the fit have the numbers of the estimates.
+    fitted = found.rig._replace(friction=found.fit.friction)
+    value = value_in(fitted if split(name)[1] else found.rig, name)
+    if value is None:
+        return MISSING_NUMBER
+    return ", ".join(map(as_shown, value)) if isinstance(value, tuple) else as_shown(value)
+
+
+def as_shown(value: float) -> str:
+    """Write a number that stands in a rig file, fitted or given: six digits at most."""
+    return as_given(float(f"{value:.6g}"))
+
+
+def _reason(found: Identification, name: str) -> str:
+    said = [remark.rstrip(".") for remark in found.remarks if re.search(rf"\b{re.escape(name)}\b", remark)]
+    if said:
+        return "; ".join(said)
+    if name.startswith("element") and found.branch is None:
+        return "no presliding is recorded"
+    if found.static is None:
+        return "nothing slides steadily"
+    return "the fit left it alone"
+
+
+def other_remarks(found: Identification) -> list[str]:
+    """Give the remarks that are no reason for something not told, and not about the number of elements, which has its place."""
+    named = [re.compile(rf"\b{re.escape(name)}\b") for name in found.not_identifiable]
+    left = [remark for remark in found.remarks if not any(name.search(remark) for name in named)]
+    return [remark for remark in left if found.branch is None or "Bayesian" not in remark]
+
+
+def verdict_sentence(found: Identification) -> tuple[str, bool | None]:
+    """Sum an identification up.
+
+    Args:
+        found: what was found.
+
+    Returns:
+        One sentence, and whether all that was looked for is told; None if a part of the experiments is missing, False if
+        the data are vague or the search has not converged.
+    """
+    told = [f"{symbol(name)} {readable(name, found.estimates[name])}" for name in HEADLINE if name in found.estimates]
+    parts = [f"{listed(told)} (± one standard error)" if told else "No coefficient of friction is told by these data"]
+    parts.append(elements_remark(found))
+    missing = [name for name in found.not_identifiable if not _acts_alike(found, name)]
+    if missing:
+        parts.append(f"not identifiable: {listed(missing)}")
+    if any(_acts_alike(found, name) for name in found.not_identifiable):
+        parts.append("viscous_damping is not told from viscous_coefficient")
+    good: bool | None = True
+    if found.static is None or found.branch is None:
+        good = None
+    if any(_is_vague(found, name) for name in missing):
+        good = False
+    if found.static is not None and not found.static.search.converged:
+        parts.append("the search has not converged")
+        good = False
+    return "; ".join(parts) + ".", good
+
+
+def _acts_alike(found: Identification, name: str) -> bool:
+    return name == "viscous_damping" and "viscous_coefficient" in found.estimates
+
+
+def _is_vague(found: Identification, name: str) -> bool:
+    """Tell whether a coefficient was looked for in vain, not left out for want of a recording."""
+    said = [remark for remark in found.remarks if re.search(rf"\b{re.escape(name)}\b", remark)]
+    return any("standard error" in remark or "told apart" in remark for remark in said)
+
+
+def elements_remark(found: Identification) -> str:
+    """Say how many friction elements explain the loop."""
+    count = len(found.fit.friction.element_stiffness)
+    if found.branch is None:
+        return "the hysteresis loop is not told"
+    plural = "s" if count > 1 else ""
+    if len(found.criteria) > 1:
+        return f"{_COUNTS.get(count, str(count))} friction element{plural} explain{'' if plural else 's'} the loop"
+    return f"the loop is fitted with {_COUNTS.get(count, str(count))} friction element{plural}, as asked for"
+
+
+_COUNTS = {1: "one", 2: "two", 3: "three", 4: "four"}
+
+
+def criteria_remark(found: Identification) -> str:
+    """Say what the Bayesian information criterion makes of other numbers of elements."""
+    chosen = len(found.fit.friction.element_stiffness)
+    ours = found.criteria.get(chosen, math.nan)
+    others = [(count, value - ours) for count, value in sorted(found.criteria.items()) if count != chosen]
+    text = f"{elements_remark(found)}."
+    text = text[0].upper() + text[1:]
+    if others:
+        told = [f"{_change(change)} with {count}" for count, change in others]
+        text += (
+            f" The Bayesian information criterion (BIC) changes by {listed(told)}; one more element has to lower it by"
+            f" {EVIDENCE:g}."
+        )
+    ways = [node.way for node in found.nodes]
+    if len(ways) > 1 and 0 < max(ways) < TOGETHER * min(ways):
+        text += f" They give way within {number(100 * (max(ways) / min(ways) - 1), 2)} % of one way, so they act as one."
+    return text
+
+
+def _change(value: float) -> str:
+    return f"{value:+,.0f}".replace(",", "\u202f").replace("-", "−") if math.isfinite(value) else MISSING_NUMBER
+
+
+def correlation_remark(found: Identification) -> str:
+    """Name the most strongly correlated pairs."""
+    names = list(found.estimates)
+    pairs = [
+        (abs(float(found.correlations[i, j])), names[j], names[i], float(found.correlations[i, j]))
+        for i in range(len(names))
+        for j in range(i)
+        if np.isfinite(found.correlations[i, j])
+    ]
+    strong = sorted((pair for pair in pairs if pair[0] >= STRONG), reverse=True)[:5]
+    if strong:
+        told = [f"{symbol(first)} and {symbol(second)} {_fixed(value, 3)}" for _, first, second, value in strong]
+        return f"Strongest: {listed(told)}."
+    if not pairs:
+        return ""
+    _, first, second, value = max(pairs)
+    return f"None reaches {STRONG:g} in size; the largest is {_fixed(value, 2)}, {symbol(first)} and {symbol(second)}."
+
+
+def noise_remark(found: Identification) -> str:
+    """Say how what is left over compares with the noise of the force sensor."""
+    ratios: Mapping[str, float] = {
+        motion.name: left / motion.force_noise
+        for motion, left in zip(found.motions, found.fit.noise, strict=True)
+        if motion.force_noise > 0 and math.isfinite(left)
+    }
+    if not ratios:
+        return ""
+    worst = max(ratios, key=lambda name: ratios[name])
+    text = f"What is left over is at most {number(ratios[worst], 2)} times the force sensor's noise"
+    text += f" ({worst})." if len(ratios) > 1 else "."
+    if ratios[worst] > NOISY:
+        text += " So it is the model that limits the fit, and the standard errors hold only as far as the model does."
+    return text
