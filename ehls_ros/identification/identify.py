@@ -17,6 +17,9 @@ from ehls_ros.physics.parameters import Friction
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
+DEFAULT_OPTIMISER = "pso"
+"""The quickest on `benchmarks/optimisers.py`, with no failed run; least squares is the most exact."""
+
 SMALL_TRAVEL = 0.02
 """Travel up to which a recording is one of presliding, looked at in short blocks [m]."""
 
@@ -105,7 +108,7 @@ def identify(
     recordings: Mapping[str, Trajectory],
     rig: Rig,
     *,
-    optimiser: str = "least_squares",
+    optimiser: str = DEFAULT_OPTIMISER,
     parameters: Any = None,
     elements: int | None = None,
     seed: int = 0,

@@ -14,7 +14,7 @@ from rich.table import Table
 from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import load_rig
-from ehls_ros.identification.identify import Identification, identify
+from ehls_ros.identification.identify import DEFAULT_OPTIMISER, Identification, identify
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.columns import read_columns
@@ -26,9 +26,6 @@ HELP = "Identify a rig's friction from recordings: a rig file, identification.js
 
 RIG, RESULT, REPORT = "rig_identified.yaml", "identification.json", "report.html"
 """What the folder receives."""
-
-DEFAULT_OPTIMISER = "least_squares"
-"""The fastest and surest on `benchmarks/optimisers.py`."""
 
 
 def arguments(parser: ArgumentParser) -> None:
