@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from ehls_ros.experiments.loop import run_in_process
+from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.experiments.loop import run_in_process, sampled
 from ehls_ros.experiments.spec import load_rig, load_spec
 from ehls_ros.identification.identify import identify
 from ehls_ros.identification.joint import least_covariance
@@ -70,6 +71,26 @@ def recordings(rig: Rig, seed: int, repeats: int) -> dict[str, Trajectory]:
     return out
 
 
+def given(rig: Rig, seed: int, repeats: int) -> dict[str, Trajectory]:
+    """Move the rod exactly as wanted, without a loop that answers to the sensors' noise, and record it."""
+    out = {}
+    random = np.random.default_rng(seed)
+    for name in ("friction_sweep_quick" if repeats == 1 else "friction_sweep", "friction_presliding"):
+        spec = load_spec(CONFIG / "experiments" / f"{name}.yaml")
+        period = spec.settings.control_period
+        x, v, a = sampled(spec.reference, period).rows(0, spec.cycles).T
+        estimator = FrictionEstimator("gms", rig.friction, period)
+        elements = np.array([estimator.update(speed)[0] for speed in v])
+        p, f = rig.plant, rig.friction
+        force = p.moving_mass * (a + p.gravity) + (p.viscous_damping + f.viscous_coefficient) * v + p.spring_stiffness * x
+        signals = {}
+        for signal, sensor, values in (("position_m", "position", x), ("force_n", "force", force + elements)):
+            s = rig.sensors[sensor]
+            signals[signal] = np.round((values + s.noise_std * random.standard_normal(len(v))) / s.resolution) * s.resolution
+        out[name] = Trajectory(np.arange(len(v)) * period, signals)
+    return out
+
+
 def truth(friction: Friction, elements: int) -> dict[str, float]:
     """Return the true coefficients by the names of the estimates."""
     out = {name: float(getattr(friction, name)) for name in (*PAPER, "attraction_rate")}
@@ -89,11 +110,11 @@ def bound(found: Any, rig: Rig) -> dict[str, float]:
     return {name: e.std for name, e in estimates(fit._replace(covariance=covariance), rig).by_name.items()}
 
 
-def one(kind: str, repeats: int, seed: int) -> dict[str, Any]:
+def one(kind: str, repeats: int, motion: str, seed: int) -> dict[str, Any]:
     """Record and identify once."""
     measured = load_rig(CONFIG / "rig_paper_measured.yaml")
     rig = measured._replace(friction=measured.friction._replace(**TRUTHS[kind]))
-    data = recordings(rig, seed, repeats)
+    data = (recordings if motion == "loop" else given)(rig, seed, repeats)
     guess = rig._replace(friction=rig.friction._replace(**GUESS))
     start = time.perf_counter()
     found = identify(data, guess)
@@ -118,12 +139,18 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=50, help="how many (%(default)s)")
     parser.add_argument("--repeats", type=int, choices=(1, 6), default=6, help="repeats of the sweep (%(default)s)")
     parser.add_argument("--truth", choices=tuple(TRUTHS), default="paper", help="friction of the simulated rig (%(default)s)")
+    parser.add_argument(
+        "--motion",
+        choices=("loop", "given"),
+        default="loop",
+        help="loop: the rod is moved by the position loop, whose sensors' noise shakes it; given: it moves as wanted",
+    )
     options = parser.parse_args()
-    one(options.truth, 1, 0)
+    one(options.truth, 1, options.motion, 0)
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
-        runs = list(pool.map(partial(one, options.truth, options.repeats), range(options.seeds)))
+        runs = list(pool.map(partial(one, options.truth, options.repeats, options.motion), range(options.seeds)))
     counts = [run["elements"] for run in runs]
-    print(f"{options.truth} friction, {options.repeats} repeats, {options.seeds} seeds, two processes at once")
+    print(f"{options.truth} friction, motion {options.motion}, {options.repeats} repeats, {options.seeds} seeds")
     print("elements found: " + ", ".join(f"{n} in {counts.count(n)} runs" for n in sorted(set(counts))))
     walls = [run["wall"] for run in runs]
     print(f"identification: median {np.median(walls):.1f} s, {min(walls):.1f} to {max(walls):.1f} s")

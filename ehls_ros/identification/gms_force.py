@@ -21,9 +21,6 @@ ONE_STEP = gms.Parameters(steps=1)
 MOST_PARTS = 60
 """Most integration steps in a block."""
 
-PARTS, FINE_PARTS, FINE = 2, 4, 0.03
-"""Integration steps in a block, and in one shorter than so many seconds: there a block is to resolve the loop's corners."""
-
 _RUN = '''"""Friction elements along a motion, generated."""
 from numba import njit
 from ehls_ros.control.observers import gms
@@ -53,10 +50,9 @@ def run(velocity, fresh, period, parts, friction, p, state, out):
 def elements_force(motion: Motion, friction: Friction) -> Array:
     """Return the mean force of the elements together in each block, shape (n,) [N]."""
     out = np.empty(len(motion.velocity))
-    parts = FINE_PARTS if motion.period < FINE else PARTS
     # A slipping element follows at the rate C/s; the integration has to be finer than that.
     quickest = friction.attraction_rate / min(friction.coulomb_force, friction.static_force)
-    parts = max(parts, min(math.ceil(quickest * motion.period), MOST_PARTS))
+    parts = max(1, min(math.ceil(quickest * motion.period), MOST_PARTS))
     run = kernel_module(_RUN).run
     run(motion.velocity, motion.fresh, motion.period, parts, friction, ONE_STEP, gms.state(friction), out)
     return out

@@ -23,7 +23,7 @@ DEFAULT_OPTIMISER = "pso"
 SMALL_TRAVEL = 0.02
 """Travel up to which a recording is one of presliding, looked at in short blocks [m]."""
 
-BLOCK_LENGTHS, BLOCKS = (0.005, 0.01, 0.02, 0.05, 0.1), 20_000
+BLOCK_LENGTHS, BLOCKS = (0.005, 0.01, 0.02, 0.05, 0.1), 100_000
 """Lengths of a block [s], and how many blocks all recordings together are cut into at most while the longest allows it."""
 
 BRANCH_BLOCKS, LONGEST_FINE = 80, 0.02
