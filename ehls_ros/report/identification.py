@@ -21,13 +21,14 @@ from ehls_ros.report.page import (
     figures,
     heading,
     left_out,
+    listed,
     number,
     paragraph,
+    signed,
     table,
     verdict,
     write_page,
 )
-from ehls_ros.report.reproduction_findings import listed, signed
 
 RECORDINGS = 6
 """Most recordings the joint fit is drawn for."""

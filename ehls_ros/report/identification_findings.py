@@ -11,9 +11,12 @@ from ehls_ros.identification.identify import EVIDENCE, Identification
 from ehls_ros.identification.uncertainty import Estimate
 from ehls_ros.physics.parameters import Friction, Plant
 from ehls_ros.physics.rig import Rig
-from ehls_ros.report.page import MISSING_NUMBER, number
+from ehls_ros.report.page import (
+    MISSING_NUMBER,
+    listed,
+    number,
+)
 from ehls_ros.report.plot import Unit
-from ehls_ros.report.reproduction_findings import listed
 from ehls_ros.schema import declarations
 
 NORMAL_95 = 1.96

@@ -89,6 +89,16 @@ def number(value: object, digits: int = 3) -> str:
     return f"{value:,.{max(digits - 1 - magnitude, 0)}f}".replace(",", "\u202f")
 
 
+def signed(value: float, digits: int = 3) -> str:
+    """Write a change with its sign."""
+    return f"{'+' if value > 0 else '−' if value < 0 else '±'}{number(abs(value), digits)}"
+
+
+def listed(parts: Sequence[str]) -> str:
+    """Join words as a sentence does."""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+
 def verdict(text: str, *, good: bool | None) -> str:
     """Make the sentence that sums the page up.
 

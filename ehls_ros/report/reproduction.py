@@ -21,8 +21,10 @@ from ehls_ros.report.page import (
     figures,
     heading,
     left_out,
+    listed,
     number,
     paragraph,
+    signed,
     table,
     verdict,
     write_page,
@@ -306,7 +308,7 @@ def _choice_entry(choice: Mapping[str, Any], place: tuple[str, str], errors: Map
     share = change / ours if ours > 0 else 0.0
     if abs(share) < 5e-3:
         return Entry("≈ 0")
-    return Entry(f"{findings.signed(change)} N", f"{findings.signed(100 * share, 2)} %", max(-1.0, min(share, 1.0)))
+    return Entry(f"{signed(change)} N", f"{signed(100 * share, 2)} %", max(-1.0, min(share, 1.0)))
 
 
 def _robustness(results: Results, runs: Runs) -> list[str]:
@@ -364,7 +366,7 @@ def _disturbances(runs: Runs) -> str:
         )
         if amplitude is not None and frequency is not None:
             told[name] = f"{name} is {findings.as_set(1e-3 * amplitude)} kN at {findings.as_set(frequency)} Hz"
-    return f" {findings.listed(list(told.values()))}." if told else ""
+    return f" {listed(list(told.values()))}." if told else ""
 
 
 def _tuning(run: Trajectory) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from ehls_ros.report.plot import (
     Axis,
     Trace,
     Unit,
+    decades,
     dots,
     line,
     plane_layout,
@@ -86,7 +87,7 @@ def table_dots(cells: Sequence[Mapping[str, Any]]) -> Panel:
         traces.append(dots(at, theirs, f"{controller}, the paper's", NEWTON, color, size=9, symbol="diamond-open"))
     layout = plane_layout(
         Axis("reference and disturbance", PURE_NUMBER, (0.5, len(keys) + 0.5), names=tuple(cell_name(*key) for key in keys)),
-        Axis("largest error", NEWTON, _decades(everything), logarithmic=True),
+        Axis("largest error", NEWTON, decades(everything), logarithmic=True),
     )
     return Panel("Largest errors, ours and the paper's", [*pairs, *traces], layout, height=380, over_time=False)
 
@@ -196,8 +197,8 @@ def bounds(row: Mapping[str, Any]) -> Panel:
         if 1e-3 * time[-1] < bound < time[-1]:
             traces.append(time_mark(bound, f"{name}: {number(bound)} {SECOND.symbol}", dash=dash))
     rows = [
-        Axis("|error|", NEWTON, _decades([*error, error_bound]), logarithmic=True),
-        Axis("|s|", PAPER_PRESSURE_RATE, _decades([*s, s_bound]), logarithmic=True),
+        Axis("|error|", NEWTON, decades([*error, error_bound]), logarithmic=True),
+        Axis("|s|", PAPER_PRESSURE_RATE, decades([*s, s_bound]), logarithmic=True),
     ]
     title = f"The law in continuous time: {row['reference']}, {row['disturbance']}"
     return Panel(title, traces, time_layout(time[-1], rows), height=340, over_time=False)
@@ -221,7 +222,7 @@ def sampling(results: Mapping[str, Any], bound_n: float | None, period_s: float 
     colors = {"explicit": VERMILION, "implicit": BLUE}
     dashes: dict[str, str] = {}
     lines = [(entry, error_list(entry["errors_n"])) for entry in results["lines"]]
-    low, high = _decades([error for _, errors in lines for error in errors])
+    low, high = decades([error for _, errors in lines for error in errors])
     high *= 3.0
     traces: list[Trace] = []
     for entry, errors in lines:
@@ -263,7 +264,7 @@ def gains(found: Mapping[str, Any], used: float | None) -> Panel:
     worst = error_list([gain["worst_n"] for gain in tried])
     margin = np.array([gain["phase_margin_deg"] for gain in tried], dtype=float)
     allowed = np.array([bool(gain["admissible"]) for gain in tried])
-    low, high = _decades(worst)
+    low, high = decades(worst)
     remarks = [f"{as_set(g['proportional'])} 1/s and {as_set(g['integral'])} 1/s²" for g in tried]
     traces: list[Trace] = []
     for which, name, color in ((allowed, "keeps its margins", BLUE), (~allowed, "beyond its margins", VERMILION)):
@@ -314,7 +315,7 @@ def widths(found: Mapping[str, Any], gms_worst_n: float | None) -> Panel:
     width = np.array([entry["smoothing_m_s"] for entry in tried]) * MILLIMETRE_PER_SECOND.factor
     errors = np.array([error_list(entry["errors_n"]) for entry in tried])
     worst = error_list([entry["worst_n"] for entry in tried])
-    low, high = _decades([*errors.ravel(), *worst])
+    low, high = decades([*errors.ravel(), *worst])
     ends = np.array([0.7 * width.min(), 1.4 * width.max()])
     traces: list[Trace] = []
     references = list(dict.fromkeys(reference for reference, _ in found["cells"]))
@@ -376,10 +377,3 @@ def off_by(robustness: Mapping[str, Any], nominal_n: float | None) -> Panel:
     title = "One coefficient of the rig off"
     height = 110 + 21 * len(names)
     return Panel(title, traces, layout, "Largest error over all cells.", height=height, over_time=False)
-
-
-def _decades(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float]:
-    """Give the ends of a logarithmic axis with some air around the values above zero."""
-    drawn = np.asarray(values, dtype=float)
-    drawn = drawn[np.isfinite(drawn) & (drawn > 0)]
-    return (0.7 * float(drawn.min()), 1.5 * float(drawn.max())) if drawn.size else (1.0, 10.0)

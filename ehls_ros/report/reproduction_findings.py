@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.report.figures import setting
-from ehls_ros.report.page import number
+from ehls_ros.report.page import listed, number, signed
 from ehls_ros.trajectory import Trajectory
 
 Results = Mapping[str, Any]
@@ -72,11 +72,6 @@ def error_text(value: float | None, unit: str = "N", digits: int = 3) -> str:
 def as_set(value: float) -> str:
     """Write a number that was chosen, not measured: no digits it was not given."""
     return f"{float(value):,.6g}".replace(",", "\u202f").replace("-", "−")
-
-
-def listed(parts: Sequence[str]) -> str:
-    """Join words as a sentence does."""
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
 def errors_by_key(cells: Sequence[Mapping[str, Any]]) -> dict[Key, float]:
@@ -466,11 +461,6 @@ def choices_remarks(choices: Sequence[Mapping[str, Any]], cells: Sequence[Mappin
             text += f" The force is lost with {listed(lost)}."
         remarks.append(text)
     return remarks
-
-
-def signed(value: float, digits: int = 3) -> str:
-    """Write a change with its sign."""
-    return f"{'+' if value > 0 else '−' if value < 0 else '±'}{number(abs(value), digits)}"
 
 
 def robustness_remark(robustness: Mapping[str, Any], nominal_n: float | None) -> str:

@@ -11,6 +11,7 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
+from ehls_ros.cli.folder import writable
 from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import load_rig
@@ -50,7 +51,7 @@ def run(options: Namespace) -> int:
         raise BadInput(f"--elements is {options.elements}", "command line", "1 to 20")
     rig = load_rig(options.rig)
     columns = read_columns(options.columns) if options.columns else None
-    folder = _writable(options.out)
+    folder = writable(options.out, RESULT)
     recordings = _recordings(options.data, columns)
     with progress_bar("identifying") as bar:
         found = identify(
@@ -70,15 +71,6 @@ def run(options: Namespace) -> int:
     if options.json:
         print(json.dumps(result))
     return 0
-
-
-def _writable(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / RESULT).touch()
-    except OSError as error:
-        raise BadInput(f"the folder cannot be written ({error.strerror})", str(folder), "a writable folder") from None
-    return folder
 
 
 def _recordings(paths: Sequence[Path], columns: Any) -> dict[str, Trajectory]:

@@ -11,6 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from ehls_ros.cli.folder import writable
 from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.reproduction import paper
@@ -35,7 +36,7 @@ def run(options: Namespace) -> int:
     """Run it."""
     if options.workers is not None and options.workers < 1:
         raise BadInput(f"--workers is {options.workers}", "command line", "1 or more")
-    folder = _writable(options.out)
+    folder = writable(options.out, TABLE)
     with progress_bar("compiling"):
         compile_s = compile_everything(options.workers)
     with progress_bar("the paper's cases") as progress:
@@ -49,15 +50,6 @@ def run(options: Namespace) -> int:
     if options.json:
         print(json.dumps(valid_json(table)))
     return 0
-
-
-def _writable(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / TABLE).touch()
-    except OSError as error:
-        raise BadInput(f"the folder cannot be written ({error.strerror})", str(folder), "a writable folder") from None
-    return folder
 
 
 def valid_json(value: Any) -> Any:
