@@ -47,8 +47,8 @@ RATES = np.geomspace(30.0, 3e4, 7)
 MASS_SIGNAL = 10.0
 """Inertia force, in standard deviations of the force's noise, from which the mass is fitted."""
 
-LAST_PART = 0.4
-"""Part of a stroke that counts however short it is."""
+LAST_PART, LEAST_SETTLED = 0.4, 0.85
+"""Part of a stroke that counts where it is short, and part of the settling time that it needs all the same."""
 
 SETTLED = 6.0
 """Lags s/C of the slipping elements after which sliding counts as steady."""
@@ -308,8 +308,8 @@ def _sliding_long(motion: Motion, way: float, time: float) -> Mask:
     way_since = np.abs(motion.position - motion.position[start])
     stroke = np.cumsum(turned) - 1
     lasts = np.bincount(stroke) * motion.period
-    # Strokes too short for the time count with their last part.
-    needed = np.minimum(time, (1.0 - LAST_PART) * lasts)[stroke]
+    # Strokes too short for the time count with their last part, unless that is still settling.
+    needed = np.clip((1.0 - LAST_PART) * lasts, LEAST_SETTLED * time, time)[stroke]
     moves = np.abs(motion.velocity) > 5.0 * motion.velocity_noise
     long: Mask = moves & (way_since >= way) & (time_since >= needed)
     return long
