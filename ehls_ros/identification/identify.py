@@ -10,7 +10,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
 from ehls_ros.identification import joint, presliding, static
 from ehls_ros.identification.gms_force import elements_force, linear_columns
-from ehls_ros.identification.motion import SMALL_WINDOW, WIDE_WINDOW, Mask, Motion, noise, prepare, slope_noise
+from ehls_ros.identification.motion import SMALL_TRAVEL, Mask, Motion, noise, prepare, slope_noise
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.uncertainty import Estimate, estimates
 from ehls_ros.physics.parameters import Friction
@@ -19,9 +19,6 @@ from ehls_ros.trajectory import Trajectory
 
 DEFAULT_OPTIMISER = "pso"
 """The quickest on `benchmarks/optimisers.py`, with no failed run; least squares is the most exact."""
-
-SMALL_TRAVEL = 0.02
-"""Travel up to which a recording is one of presliding, looked at in short blocks [m]."""
 
 BLOCK_LENGTHS, BLOCKS = (0.005, 0.01, 0.02, 0.05, 0.1), 100_000
 """Lengths of a block [s], and how many blocks all recordings together are cut into at most while the longest allows it."""
@@ -136,22 +133,22 @@ def identify(
     if not recordings:
         raise BadInput("there is no recording", "identification", "at least one recording")
     tell("reading the motion", 0, 4)
-    motions = _motions(recordings, rig)
-    usable = [m.resolved & _state_known(m) if _is_small(m) else m.resolved for m in motions]
+    recorded = _motions(recordings, rig)
+    usable = [m.resolved & _state_known(m) if m.small else m.resolved for m in recorded]
     if not any(np.any(u) for u in usable):
         raise BadInput("no stretch of any recording can be used", ", ".join(recordings), "longer recordings without gaps")
-    linear = _linear(motions, rig)
-    motions = [_without_the_known(m, linear, rig) for m in motions]
+    linear = _linear(recorded, rig)
+    motions = [_without_the_known(m, linear, rig) for m in recorded]
 
     tell("static fit", 1, 4)
     chosen = parameters if parameters is not None else OPTIMISERS.load(optimiser).Parameters()
     # Steady sliding has no inertia to speak of: its mass is the rig file's.
     straight = [name for name in linear if name not in ("viscous", "mass")]
     slow = [_is_steady(m, rig) for m in motions]
-    small = [i for i, m in enumerate(motions) if _is_small(m)]
+    small = [i for i, m in enumerate(motions) if m.small]
     wide = [i for i in range(len(motions)) if i not in small]
     steady = static.steady_fit(
-        [_without_the_known(motions[i], [*straight, *(["mass"] if "mass" not in linear else [])], rig) for i in wide],
+        [_without_the_known(recorded[i], straight, rig) for i in wide],
         [usable[i] & slow[i] for i in wide],
         straight,
         rig.plant.viscous_damping,
@@ -169,7 +166,8 @@ def identify(
         what = "there is neither steady sliding nor a hysteresis loop"
         raise BadInput(what, ", ".join(recordings), "strokes at constant velocities both ways, or a small sine")
     criteria: dict[int, float] = {}
-    starts = {len(start.element_stiffness): start}
+    number = len(start.element_stiffness)
+    starts = {number: start}
     if branch is not None:
         ends, stiffness = presliding.ramps(branch)
         _check_stiffness(", ".join(motions[i].name for i in small), rig, float(np.sum(stiffness)))
@@ -181,11 +179,11 @@ def identify(
             free = [name for name in joint.Layout(n).names if name not in STATIC]
             if steady is None:
                 free.append("coulomb_force")
-            trial = joint.fit(near, masks, first, linear, free=free, turning=[True] * len(near), rounds=2)
+            trial = joint.fit(near, masks, first, linear, free=free, turning=True, rounds=2)
             starts[n], criteria[n] = trial.friction, _criterion(trial, near)
-            if n > 1 and criteria[n] > criteria[n - 1] - EVIDENCE:
+            if n - 1 in criteria and criteria[n] > criteria[n - 1] - EVIDENCE:
                 break  # one more did not help
-    number = _number_of_elements(criteria) if criteria else len(start.element_stiffness)
+            number = n
 
     tell("joint fit", 3, 4)
     slip = 3.0 * float(np.max(_ramps_of(starts[number])[0])) if branch is not None else FORGET
@@ -219,11 +217,7 @@ def identify(
 def _motions(recordings: Mapping[str, Trajectory], rig: Rig) -> list[Motion]:
     total = sum(float(t.time_s[-1] - t.time_s[0]) for t in recordings.values() if len(t) > 1)
     shortest = min(total / BLOCKS, BLOCK_LENGTHS[-1])
-    motions = []
-    for name, trajectory in recordings.items():
-        window = SMALL_WINDOW if _travel(trajectory) < SMALL_TRAVEL else WIDE_WINDOW
-        motions.append(prepare(trajectory, rig, name, _block_length(trajectory, shortest), window))
-    return motions
+    return [prepare(t, rig, name, _block_length(t, shortest)) for name, t in recordings.items()]
 
 
 def _travel(trajectory: Trajectory) -> float:
@@ -259,15 +253,9 @@ def _block_length(trajectory: Trajectory, shortest: float) -> float:
 
 def _state_known(motion: Motion) -> Mask:
     """Tell which blocks come after the second turn of their stretch: by then every element has slipped once."""
-    turns = np.concatenate([[False], np.sign(motion.velocity[1:]) != np.sign(motion.velocity[:-1])])
-    count = np.cumsum(turns)
-    at_start = np.maximum.accumulate(np.where(motion.fresh, count, 0))
-    known: Mask = count - at_start >= 2
+    at_start = np.maximum.accumulate(np.where(motion.fresh, motion.strokes, 0))
+    known: Mask = motion.strokes - at_start >= 2
     return known
-
-
-def _is_small(motion: Motion) -> bool:
-    return float(np.ptp(motion.position[motion.resolved])) < SMALL_TRAVEL if np.any(motion.resolved) else False
 
 
 def _linear(motions: Sequence[Motion], rig: Rig) -> list[str]:
@@ -302,11 +290,10 @@ def _sliding_long(motion: Motion, way: float, time: float) -> Mask:
 
     Long blocks smear a turn; what the elements do there is for the recordings of presliding to tell.
     """
-    turned = np.concatenate([[True], np.sign(motion.velocity[1:]) != np.sign(motion.velocity[:-1])]) | motion.fresh
-    start = np.maximum.accumulate(np.where(turned, np.arange(len(turned)), 0))
-    time_since = (np.arange(len(turned)) - start) * motion.period
+    stroke = motion.strokes
+    start = np.searchsorted(stroke, stroke)
+    time_since = (np.arange(len(stroke)) - start) * motion.period
     way_since = np.abs(motion.position - motion.position[start])
-    stroke = np.cumsum(turned) - 1
     lasts = np.bincount(stroke) * motion.period
     # Strokes too short for the time count with their last part, unless that is still settling.
     needed = np.clip((1.0 - LAST_PART) * lasts, LEAST_SETTLED * time, time)[stroke]
@@ -408,16 +395,6 @@ def _criterion(trial: joint.JointFit, motions: Sequence[Motion]) -> float:
     return independent * float(np.log(squares / (count + left_out))) + len(trial.covariance) * float(np.log(independent))
 
 
-def _number_of_elements(criteria: Mapping[int, float]) -> int:
-    """Return the smallest number that no larger one betters with evidence."""
-    counts = sorted(criteria)
-    best = counts[0]
-    for n in counts[1:]:
-        if criteria[n] < criteria[best] - EVIDENCE:
-            best = n
-    return best
-
-
 def _fit_in_turn(
     motions: Sequence[Motion],
     counted: Sequence[Mask],
@@ -438,11 +415,10 @@ def _fit_in_turn(
     elements = [name for name in joint.Layout(len(start.element_stiffness)).names if name not in STATIC]
     if not small:
         return joint.fit(*chosen(wide), start, linear, free=STATIC)
-    turning = [True] * len(small)
     if not wide:
-        return joint.fit(*chosen(small), start, linear, free=["coulomb_force", *elements], turning=turning)
+        return joint.fit(*chosen(small), start, linear, free=["coulomb_force", *elements], turning=True)
     sliding = joint.fit(*chosen(wide), start, linear, free=STATIC)
-    presliding_fit = joint.fit(*chosen(small), sliding.friction, linear, free=elements, turning=turning)
+    presliding_fit = joint.fit(*chosen(small), sliding.friction, linear, free=elements, turning=True)
     return joint.combined(sliding, presliding_fit, wide, small)
 
 

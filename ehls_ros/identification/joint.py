@@ -135,11 +135,6 @@ class JointFit(NamedTuple):
         """The friction's coefficients without the viscous one."""
         return self.layout.unpack(self.z)
 
-    @property
-    def bayes(self) -> float:
-        """Bayesian information criterion, from the smallest residual noise it was given."""
-        return 2.0 * self.cost + len(self.covariance) * math.log(max(self.blocks, 2.0))
-
 
 class _Problem:
     """Residuals of all recordings, in standard deviations."""
@@ -209,8 +204,8 @@ def fit(
     start: Friction,
     linear_names: Sequence[str],
     *,
-    free: Sequence[str] | None = None,
-    turning: Sequence[bool] = (),
+    free: Sequence[str],
+    turning: bool = False,
     rounds: int = ROUNDS,
 ) -> JointFit:
     """Fit friction elements and force balance to recordings.
@@ -220,8 +215,8 @@ def fit(
         usable: blocks of each that may count.
         start: where to start; its number of elements is kept.
         linear_names: linear coefficients to fit, of :func:`ehls_ros.identification.gms_force.linear_columns`.
-        free: names of the searched coefficients, of :attr:`Layout.names`; the others stay at the start. None: all.
-        turning: of which recordings the turns may be corrected between two fits; none said: of none.
+        free: names of the searched coefficients, of :attr:`Layout.names`; the others stay at the start.
+        turning: whether the recordings' turns are corrected between two fits.
         rounds: fits in a row.
 
     Returns:
@@ -229,7 +224,7 @@ def fit(
     """
     layout = Layout(len(start.element_stiffness))
     z = layout.pack(start)
-    searched = np.array([free is None or name in free for name in layout.names])
+    searched = np.array([name in free for name in layout.names])
     deviations = [max(m.force_noise, 1e-9) for m in motions]
     inflation = [1.0] * len(motions)
     masks = [u & np.isfinite(m.force) for u, m in zip(usable, motions, strict=True)]
@@ -266,12 +261,11 @@ def fit(
             u & np.isfinite(m.force) & (np.abs(r) <= FAR * d)
             for u, m, r, d in zip(usable, motions, left, deviations, strict=True)
         ]
-        corrects = [*turning, *([False] * (len(motions) - len(turning)))]
-        friction = problem.friction(out.x)
-        motions = [
-            corrected_turns(m, np.where(u, r, np.nan), friction) if c else m
-            for m, u, r, c in zip(motions, masks, left, corrects, strict=True)
-        ]
+        if turning:
+            friction = problem.friction(out.x)
+            motions = [
+                corrected_turns(m, np.where(u, r, np.nan), friction) for m, u, r in zip(motions, masks, left, strict=True)
+            ]
         # Correlated blocks count once: a recording weighs less by its correlation time.
         inflation = [_correlation_time(r / s, u) for r, s, u in zip(left, deviations, masks, strict=True)]
     problem = _Problem(motions, masks, _inflated(deviations, inflation), layout, linear_names, z, searched)
@@ -331,8 +325,7 @@ def _strokes(motions: Sequence[Motion], masks: Sequence[Mask]) -> Array:
     """Return for each block that counts the number of the stroke it belongs to: a way in one direction."""
     numbers, first = [], 0
     for motion, mask in zip(motions, masks, strict=True):
-        turned = np.concatenate([[0], np.diff(np.sign(motion.velocity)) != 0.0]) | motion.fresh
-        stroke = first + np.cumsum(turned)
+        stroke = first + motion.strokes
         numbers.append(stroke[mask])
         first = int(stroke[-1]) + 1
     return np.concatenate(numbers)

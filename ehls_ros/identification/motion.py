@@ -16,8 +16,11 @@ from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
-WIDE_WINDOW, SMALL_WINDOW = 9, 9
-"""Blocks a local fit spans; in presliding fewer, because there every micrometre to and fro pulls the elements along."""
+WINDOW = 9
+"""Blocks a local fit spans."""
+
+SMALL_TRAVEL = 0.02
+"""Travel up to which a recording is one of presliding, looked at in short blocks [m]."""
 
 ORDER = 3
 """Order of the local polynomial."""
@@ -85,8 +88,26 @@ class Motion(NamedTuple):
     turn_doubt: float
     outliers: float
 
+    @property
+    def small(self) -> bool:
+        """Whether it is one of presliding: it goes less than :data:`SMALL_TRAVEL`."""
+        return bool(np.any(self.resolved)) and float(np.ptp(self.position[self.resolved])) < SMALL_TRAVEL
 
-def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float, window: int = WIDE_WINDOW) -> Motion:
+    @property
+    def turns(self) -> NDArray[np.intp]:
+        """Numbers of the blocks that go the other way than the one before."""
+        return np.flatnonzero(np.diff(np.sign(self.velocity)) != 0.0) + 1
+
+    @property
+    def strokes(self) -> NDArray[np.intp]:
+        """Number of each block's stroke, from 0: a way in one direction without a gap, shape (n,)."""
+        begins = self.fresh.copy()
+        begins[self.turns] = True
+        begins[0] = False
+        return np.cumsum(begins)
+
+
+def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motion:
     """Bring a recording into even blocks.
 
     Args:
@@ -94,7 +115,6 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float, window: 
         rig: the rig, for the piston area and for limits that tell a wrong unit.
         name: what the recording is called in errors.
         period: length of a block [s].
-        window: blocks a local fit spans, odd.
 
     Returns:
         The motion.
@@ -110,8 +130,8 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float, window: 
     else:
         raise BadInput("signal 'force_n' is missing", name, "force_n, or load_pressure_pa of which it can be made")
     time = trajectory.time_s - trajectory.time_s[0]
-    if len(time) < 2 * window or time[-1] < 2 * window * period:
-        raise BadInput(f"it is {time[-1]:.3g} s long with {len(time)} samples", name, f"at least {2 * window * period:g} s")
+    if len(time) < 2 * WINDOW or time[-1] < 2 * WINDOW * period:
+        raise BadInput(f"it is {time[-1]:.3g} s long with {len(time)} samples", name, f"at least {2 * WINDOW * period:g} s")
     good_position, good_force = _inliers(position, "position_m", name), _inliers(force, source, name)
     _check_sizes(position[good_position], force[good_force], source, rig, name)
     _check_stuck(time, position, force, source, rig, name)
@@ -122,10 +142,10 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float, window: 
     expected = period / float(np.median(np.diff(time)))
     there = (count_x >= FULL_BLOCK * expected) & (count_f >= FULL_BLOCK * expected)
     middle = (np.arange(blocks, dtype=np.float64) + 0.5) * period
-    _, velocity, _, _ = _local_fit(x, there, period, window)
+    _, velocity, _, _ = _local_fit(x, there, period)
     # A block that lacks samples has its mean elsewhere than in its middle.
     x = x + velocity * (middle - x_time)
-    smooth, velocity, acceleration, inside = _local_fit(x, there, period, window)
+    smooth, velocity, acceleration, inside = _local_fit(x, there, period)
     f = f + np.gradient(np.where(there, f, np.interp(middle, middle[there], f[there])), period) * (middle - f_time)
 
     per_block = max(1.0, expected)
@@ -134,7 +154,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float, window: 
     misfit = np.abs(x - smooth)
     least = SMALLEST_MISFIT * float(np.ptp(smooth[inside])) if np.any(inside) else 0.0
     usual = max(GAUSS * float(np.median(misfit[inside])) if np.any(inside) else 0.0, position_noise, least)
-    resolved = inside & ~_widened(misfit > 5.0 * usual, window // 2)
+    resolved = inside & ~_widened(misfit > 5.0 * usual, WINDOW // 2)
     # What the local fit smears, plain differences keep: the way the elements were pulled.
     filled = np.interp(middle, middle[there], x[there])
     velocity = np.where(resolved, velocity, np.gradient(filled, period))
@@ -150,7 +170,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float, window: 
         fresh=fresh,
         resolved=resolved,
         force_noise=force_noise,
-        velocity_noise=slope_noise(position_noise, period, window),
+        velocity_noise=slope_noise(position_noise, period),
         turn_doubt=TURN_DOUBT * noise(position[good_position]),
         outliers=1.0 - float(np.mean(good_position & good_force)),
     )
@@ -229,11 +249,11 @@ def _means(time: Array, values: Array, good: Mask, period: float, blocks: int) -
         return total / count, moment / count, count
 
 
-def _local_fit(x: Array, there: Mask, period: float, window: int) -> tuple[Array, Array, Array, Mask]:
+def _local_fit(x: Array, there: Mask, period: float) -> tuple[Array, Array, Array, Mask]:
     """Return smoothed position, velocity, acceleration, and where a whole window lay inside one stretch."""
     filled = np.interp(np.arange(len(x)), np.flatnonzero(there), x[there]) if np.any(there) else np.zeros(len(x))
-    rows = [savgol_coeffs(window, ORDER, deriv=d, delta=period, use="dot") for d in range(3)]
-    half = window // 2
+    rows = [savgol_coeffs(WINDOW, ORDER, deriv=d, delta=period, use="dot") for d in range(3)]
+    half = WINDOW // 2
     padded = np.pad(filled, half, mode="edge")
     smooth, velocity, acceleration = (np.convolve(padded, row[::-1], mode="valid") for row in rows)
     inside = ~_widened(~there, half)
@@ -246,9 +266,9 @@ def _widened(mask: Mask, by: int) -> Mask:
     return wide
 
 
-def slope_noise(block_noise: float, period: float, window: int = WIDE_WINDOW) -> float:
+def slope_noise(block_noise: float, period: float) -> float:
     """Return the noise of the velocity [m/s] that comes of a block's mean position having one [m]."""
-    return block_noise * float(np.sqrt(np.sum(savgol_coeffs(window, ORDER, deriv=1, delta=period) ** 2)))
+    return block_noise * float(np.sqrt(np.sum(savgol_coeffs(WINDOW, ORDER, deriv=1, delta=period) ** 2)))
 
 
 def noise(values: Array) -> float:

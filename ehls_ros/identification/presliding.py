@@ -71,8 +71,7 @@ def mean_branch(motions: Sequence[Motion], usable: Sequence[Mask], rest: Sequenc
     pieces: list[tuple[Array, Array]] = []
     for motion, good, other in zip(motions, usable, rest, strict=True):
         friction = motion.force - other
-        turns = (np.flatnonzero(np.diff(np.sign(motion.velocity)) != 0.0) + 1).tolist()
-        for start, end in itertools.pairwise(turns):
+        for start, end in itertools.pairwise(motion.turns.tolist()):
             if end - start < 8 or not np.all(good[start - 1 : end]):
                 continue
             way = np.abs(motion.position[start:end] - _turning_point(motion.position, start))
@@ -105,9 +104,7 @@ def corrected_turns(motion: Motion, left: Array, friction: Friction) -> Motion:
         2.0 * a * friction.coulomb_force / k for a, k in zip(friction.element_weight, friction.element_stiffness, strict=True)
     )
     velocity = motion.velocity.copy()
-    turns = np.flatnonzero(np.diff(np.sign(motion.velocity)) != 0.0) + 1
-    ends = np.append(turns[1:], len(velocity))
-    for turn, end in zip(turns, ends, strict=True):
+    for turn, end in itertools.pairwise([*motion.turns.tolist(), len(velocity)]):
         way = np.abs(motion.position[turn:end] - motion.position[turn])
         if len(way) < 2 or way.max() < shortest:
             continue  # to and fro on the spot

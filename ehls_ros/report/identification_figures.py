@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.identification.gms_force import linear_columns
-from ehls_ros.identification.identify import SMALL_TRAVEL, Identification
+from ehls_ros.identification.identify import Identification
 from ehls_ros.identification.joint import JointFit
 from ehls_ros.identification.motion import Mask, Motion
 from ehls_ros.identification.static import StaticFit
@@ -188,7 +188,7 @@ def _low_end(friction: StaticFriction, speed: Array) -> float:
 def hysteresis(found: Identification) -> Panel | LeftOut:
     """Draw the friction of the elements against displacement, recorded and fitted."""
     title = "Hysteresis loop"
-    small = [i for i, motion in enumerate(found.motions) if _is_small(motion)]
+    small = [i for i, motion in enumerate(found.motions) if motion.small]
     if found.branch is None or not small:
         return LeftOut(title, _no_branch(found))
     traces: list[Trace] = []
@@ -243,18 +243,13 @@ def element_stiffness(found: Identification) -> Array:
     return stiffness
 
 
-def _is_small(motion: Motion) -> bool:
-    """Tell whether a recording is one of presliding."""
-    return bool(np.any(motion.resolved)) and float(np.ptp(motion.position[motion.resolved])) < SMALL_TRAVEL
-
-
 def _middle(motion: Motion) -> float:
     there = motion.position[motion.resolved]
     return 0.5 * float(there.min() + there.max())
 
 
 def _no_branch(found: Identification) -> str:
-    return "it has too few reversals" if any(map(_is_small, found.motions)) else "no presliding is recorded"
+    return "it has too few reversals" if any(motion.small for motion in found.motions) else "no presliding is recorded"
 
 
 def elements_part(motion: Motion, fit: JointFit) -> Array:
