@@ -13,7 +13,10 @@ def writable(folder: Path, file: str) -> Path:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        new = not (folder / file).exists()
         (folder / file).touch()
+        if new:
+            (folder / file).unlink()  # work that is interrupted leaves no empty result
     except OSError as error:
         raise BadInput(f"the folder cannot be written ({error.strerror})", str(folder), "a writable folder") from None
     return folder
