@@ -34,7 +34,7 @@ unlocated = integration.integrator(evaluate, switch, size=model.FRICTION + {elem
 
 @njit(cache=True, error_model="numpy")
 def advance_unlocated(t, y, mode, plant, friction, inputs, effects, step, steps, work):
-    return unlocated(t, y, mode, model.Coefficients(plant, friction, inputs, effects), step, steps, work)
+    return unlocated(t, y, mode, model.Coefficients(plant, friction, inputs, effects, inputs[model.U]), step, steps, work)
 """
 
 

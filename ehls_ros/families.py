@@ -24,6 +24,7 @@ class Family(Generic[Member]):
         """
         self.package = package
         self.noun = noun
+        self._loaded: dict[Any, Member] = {}
 
     def names(self) -> tuple[str, ...]:
         """Return the names of all members, sorted."""
@@ -40,6 +41,11 @@ class Family(Generic[Member]):
         Raises:
             BadInput: there is no such member.
         """
+        # Listing the folder takes longer than most of what a member is asked for.
+        if isinstance(name, str) and name in self._loaded:
+            return self._loaded[name]
         if name not in self.names():
             raise BadInput(f"{self.noun} {name!r} is unknown", where, f"one of {', '.join(self.names())}")
-        return cast(Member, import_module(f"{self.package}.{name}"))
+        member = cast(Member, import_module(f"{self.package}.{name}"))
+        self._loaded[name] = member
+        return member

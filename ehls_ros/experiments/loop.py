@@ -37,7 +37,6 @@ _LOOP = """
 
 from ehls_ros.control.controllers import {controller} as law
 from ehls_ros.control.observers import {observer} as observer
-from ehls_ros.physics.plant import FD, FD_RATE, START, TEMPERATURE, U, VD, XD
 
 
 @njit(cache=True, error_model="numpy")
@@ -48,8 +47,7 @@ def loop(
     dense = 0
     for i in range(record.shape[0]):
         k = first + i
-        sensors.true_signals(y, inputs[TEMPERATURE], plant, truth)
-        sensors.measure(k, truth, noise[i], sensor_state, measured)
+        observe(k, k * period, y, plant, inputs, effects, sensor_state, noise[i], truth, measured)
         observer.update(measured[sensors.VELOCITY], period, design_friction, compensation, observer_state)
         u = law.step(measured, reference[i], observer_state.estimate, tuning, design, memory, status)
         column = 0
@@ -64,11 +62,9 @@ def loop(
         for value in status:
             record[i, column] = value
             column += 1
-        inputs[U], inputs[FD], inputs[FD_RATE] = u, disturbance[i, 0], disturbance[i, 1]
-        inputs[XD], inputs[VD], inputs[START] = disturbance[i, 2], disturbance[i, 3], k * period
-        c = model.Coefficients(plant, friction, inputs, effects)
-        dense += run(k * period, y, mode, c, step, steps, work)
-        inputs[TEMPERATURE] += warming * period
+        model.hold(inputs, k * period, u, disturbance[i, 0], disturbance[i, 1], disturbance[i, 2], disturbance[i, 3])
+        dense += move(k * period, y, mode, plant, friction, inputs, effects, step, steps, work)
+        inputs[model.TEMPERATURE] += warming * period
     return dense
 """
 

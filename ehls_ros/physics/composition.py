@@ -23,7 +23,7 @@ import numpy as np
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS
 from ehls_ros.physics.friction import FRICTION_MODELS
-from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.rig import EffectUse, Rig
 
 PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -93,38 +93,52 @@ def plant_source(rig: Rig) -> str:
     """Return the text of the kernel module for a rig's friction model and effects.
 
     The module's ``advance(t, y, mode, plant, friction, inputs, effects, step, steps, work)`` moves the plant on;
-    ``sense(cycle, y, temperature, plant, sensors, noise, truth, measured)`` reads its sensors; ``EFFECT_STATES``
-    counts the effects' own states.
+    ``sense(cycle, t, y, plant, inputs, effects, state, noise, truth, measured)`` reads its sensors; ``hold(w, ...)``
+    is that of :mod:`ehls_ros.physics.plant`; ``EFFECT_STATES`` counts the effects' own states.
     """
     elements = rig_elements(rig)
-    imports, chains, rates, states, offset = [], {hook: list[str]() for hook in HOOKS}, list[str](), 0, 0
-    for index, use in enumerate(rig.effects):
+    imports, rates, jumps, states, offset = list[str](), list[str](), list[str](), 0, 0
+    chains = {hook: list[str]() for hook in HOOKS}
+    for index, use in enumerate(effects_in_kernel(rig)):
         effect = EFFECTS.load(use.name)
         own = getattr(effect, "STATES", 0)
         count = len(use.parameters)
         # An effect may lie in a folder added to the family's path, outside the package's sources.
         file = Path(inspect.getfile(cast(ModuleType, effect)))
         text = hashlib.sha256(file.read_bytes()).hexdigest()[:16]
-        view = f"z[{states}:{states + own}], p[{offset}:{offset + count}]"
+        parameters = f"p[{offset}:{offset + count}]"
+        view = f"t, y, w, z[{states}:{states + own}], {parameters}, plant"
         imports.append(f"from ehls_ros.physics.effects import {use.name} as effect_{index}  # {text}")
         for hook in HOOKS:
             if hasattr(effect, hook):
-                chains[hook].append(f"    value = effect_{index}.{hook}(value, t, y, w, {view})")
+                chains[hook].append(f"    value = effect_{index}.{hook}(value, {view})")
+        if hasattr(effect, "jump"):
+            jumps.append(f"    value = min(value, effect_{index}.jump(t, w, {parameters}))")
         if own:
-            rates.append(f"    effect_{index}.derivatives(t, y, w, {view}, dz[{states}:{states + own}])")
+            rates.append(f"    effect_{index}.derivatives(value, {view}, dz[{states}:{states + own}])")
+        if hasattr(effect, "command"):
+            rates += chains["command"][-1:]
         states += own
         offset += count
     hooks = "\n\n".join(
-        "\n".join(["@kernel", f"def {hook}(value, t, y, w, z, p):", *chains[hook], "    return value", ""]) for hook in HOOKS
+        "\n".join(["@kernel", f"def {hook}(value, t, y, w, z, p, plant):", *chains[hook], "    return value", ""])
+        for hook in HOOKS
     )
     return _PLANT.format(
         friction=rig.friction_model,
         imports="\n".join(imports),
         hooks=hooks,
-        rates="\n".join(rates) or "    pass",
+        jumps="\n".join(jumps),
+        late="received, jump" if jumps else "None, None",
+        rates="\n".join(rates) if states else "    pass",
         elements=elements,
         states=states,
     )
+
+
+def effects_in_kernel(rig: Rig) -> tuple[EffectUse, ...]:
+    """Return a rig's effects that have hooks; the parameters of these are the kernel's ``effects``."""
+    return tuple(use for use in rig.effects if any(hasattr(EFFECTS.load(use.name), hook) for hook in HOOKS))
 
 
 def rig_elements(rig: Rig) -> int:
@@ -133,6 +147,7 @@ def rig_elements(rig: Rig) -> int:
 
 
 _PLANT = '''"""Plant kernel, generated."""
+from math import inf
 from numba import njit
 from ehls_ros.arrays import kernel
 from ehls_ros.physics import integration, plant as model, sensors
@@ -145,24 +160,45 @@ EFFECT_STATES = {states}
 {hooks}
 
 @kernel
-def effect_rates(t, y, w, z, p, dz):
+def jump(t, w, p):
+    value = inf
+{jumps}
+    return value
+
+
+@kernel
+def effect_rates(value, t, y, w, z, p, plant, dz):
 {rates}
 
 
-evaluate, switch = model.system(model.Parts(
-    friction_model, {elements},
+parts = model.Parts(
+    friction_model, {elements}, {late},
     command, opening, supply_pressure, bulk_modulus, leakage, friction_level, force, effect_rates,
-))
+)
+evaluate, switch = model.system(parts)
 run = integration.integrator(evaluate, switch, size=model.FRICTION + {elements} + EFFECT_STATES)
+move = model.mover(run, parts)
+
+
+@kernel
+def observe(cycle, t, y, plant, inputs, effects, state, noise, truth, measured):
+    z = y[model.FRICTION + {elements}:]
+    supply = supply_pressure(plant.supply_pressure, t, y, inputs, z, effects, plant)
+    sensors.true_signals(y, inputs[model.TEMPERATURE], supply, plant, truth)
+    sensors.measure(cycle, truth, noise, state, measured)
 
 
 @njit(cache=True, error_model="numpy")
 def advance(t, y, mode, plant, friction, inputs, effects, step, steps, work):
-    return run(t, y, mode, model.Coefficients(plant, friction, inputs, effects), step, steps, work)
+    return move(t, y, mode, plant, friction, inputs, effects, step, steps, work)
 
 
 @njit(cache=True, error_model="numpy")
-def sense(cycle, y, temperature, plant, state, noise, truth, measured):
-    sensors.true_signals(y, temperature, plant, truth)
-    sensors.measure(cycle, truth, noise, state, measured)
+def sense(cycle, t, y, plant, inputs, effects, state, noise, truth, measured):
+    observe(cycle, t, y, plant, inputs, effects, state, noise, truth, measured)
+
+
+@njit(cache=True, error_model="numpy")
+def hold(w, start, command, force, force_rate, displacement, velocity):
+    model.hold(w, start, command, force, force_rate, displacement, velocity)
 '''

@@ -45,6 +45,7 @@ class Sensor(NamedTuple):
 
     noise_std: Annotated[float, quantity("signal", "standard deviation of white noise per sample", minimum=0.0)] = 0.0
     resolution: Annotated[float, quantity("signal", "step of the converter; 0: none", minimum=0.0)] = 0.0
+    gain: Annotated[float, quantity("1", "reading per true value", above=0.0)] = 1.0
     bias: Annotated[float, quantity("signal", "constant offset")] = 0.0
     bandwidth: Annotated[float, quantity("rad/s", "first-order bandwidth; 0: no lag", minimum=0.0)] = 0.0
     delay: Annotated[float, quantity("s", "pure delay", minimum=0.0, maximum=1.0)] = 0.0

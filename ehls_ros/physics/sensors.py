@@ -1,4 +1,4 @@
-"""What the rig's sensors make of the truth: lag, delay, bias, noise, resolution, in this order."""
+"""What the rig's sensors make of the truth: lag, delay, gain, bias, noise, resolution, in this order."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -18,7 +18,7 @@ class SensorState(NamedTuple):
     """Sensors prepared for the kernel; one row a signal of :data:`SENSED`.
 
     Attributes:
-        table: columns smoothing factor of the lag, delay [cycles], bias, noise_std, resolution.
+        table: columns smoothing factor of the lag, delay [cycles], gain, bias, noise_std, resolution.
         lagged: output of the first-order lag.
         past: ring buffer of lagged values, shape (signals, cycles of the longest delay + 2).
     """
@@ -38,24 +38,32 @@ def prepare(sensors: Mapping[str, Sensor], period: float) -> SensorState:
     Returns:
         Their state, before the first sample.
     """
-    table = np.zeros((len(SENSED), 5))
+    table = np.zeros((len(SENSED), 6))
     for row, signal in enumerate(SENSED):
         sensor = sensors.get(signal, Sensor())
         smoothing = 1.0 - np.exp(-sensor.bandwidth * period) if sensor.bandwidth > 0.0 else 1.0
-        table[row] = smoothing, sensor.delay / period, sensor.bias, sensor.noise_std, sensor.resolution
+        table[row] = smoothing, sensor.delay / period, sensor.gain, sensor.bias, sensor.noise_std, sensor.resolution
     longest = int(np.ceil(table[:, 1].max()))
     return SensorState(table, np.zeros(len(SENSED)), np.zeros((len(SENSED), longest + 2)))
 
 
 @kernel
-def true_signals(y: Array, temperature: float, plant: Plant, truth: Array) -> None:
-    """Write the true values of what the sensors read, shape (signals,), from the plant's state."""
+def true_signals(y: Array, temperature: float, supply: float, plant: Plant, truth: Array) -> None:
+    """Write the true values of what the sensors read.
+
+    Args:
+        y: the plant's state.
+        temperature: oil temperature [K].
+        supply: supply pressure at the valve [Pa].
+        plant: the rig's coefficients.
+        truth: where the values go, shape (signals,).
+    """
     truth[POSITION] = y[X]
     truth[VELOCITY] = y[V]
     truth[LOAD_PRESSURE] = y[PL]
     truth[SPOOL] = y[XV]
     truth[FORCE] = plant.piston_area * y[PL]
-    truth[SUPPLY_PRESSURE] = plant.supply_pressure
+    truth[SUPPLY_PRESSURE] = supply
     truth[OIL_TEMPERATURE] = temperature
 
 
@@ -72,7 +80,7 @@ def measure(cycle: int, truth: Array, noise: Array, state: SensorState, measured
     """
     columns = state.past.shape[1]
     for row in range(truth.size):
-        smoothing, delay, bias, deviation, resolution = state.table[row]
+        smoothing, delay, gain, bias, deviation, resolution = state.table[row]
         if cycle == 0:
             state.lagged[row] = truth[row]
             state.past[row, :] = truth[row]
@@ -82,7 +90,7 @@ def measure(cycle: int, truth: Array, noise: Array, state: SensorState, measured
         part = delay - whole
         newer = state.past[row, (cycle - whole) % columns]
         older = state.past[row, (cycle - whole - 1) % columns]
-        value = newer + part * (older - newer) + bias + deviation * noise[row]
+        value = gain * (newer + part * (older - newer)) + bias + deviation * noise[row]
         if resolution > 0.0:
             value = np.round(value / resolution) * resolution
         measured[row] = value

@@ -6,9 +6,10 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.physics import sensors
-from ehls_ros.physics.composition import kernel_module, plant_source, rig_elements
+from ehls_ros.physics.composition import effects_in_kernel, kernel_module, plant_source, rig_elements
+from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.integration import WORK_ROWS
-from ehls_ros.physics.plant import FD, FD_RATE, FRICTION, INPUTS, START, TEMPERATURE, VD, XD, U, X
+from ehls_ros.physics.plant import FRICTION, INPUTS, PERIOD, TEMPERATURE, X
 from ehls_ros.physics.rig import SENSED, Rig
 
 DEFAULT_STEP = 1e-4
@@ -16,6 +17,17 @@ DEFAULT_STEP = 1e-4
 
 OIL_TEMPERATURE = 313.15
 """Oil temperature where nothing is said [K]."""
+
+
+def earlier_commands(rig: Rig, period: float) -> int:
+    """Return how many commands sent before the present one the rig's effects look back on.
+
+    Args:
+        rig: the rig.
+        period: control period [s].
+    """
+    reach = max((getattr(EFFECTS.load(use.name), "REACH", 0.0) for use in rig.effects), default=0.0)
+    return math.ceil(reach / period)
 
 
 class Simulator:
@@ -54,11 +66,12 @@ class Simulator:
         self.step = period / self.steps
         kernel = kernel_module(plant_source(rig))
         elements = rig_elements(rig)
-        self._advance, self._sense = kernel.advance, kernel.sense
+        self._advance, self._sense, self._hold = kernel.advance, kernel.sense, kernel.hold
         self.y = np.zeros(FRICTION + elements + kernel.EFFECT_STATES)
         self.mode = np.zeros(1 + elements)
-        self.inputs = np.zeros(INPUTS)
-        self.effects = np.array([value for use in rig.effects for value in use.parameters], dtype=np.float64)
+        self.inputs = np.zeros(INPUTS + earlier_commands(rig, period))
+        self.inputs[PERIOD] = period
+        self.effects = np.array([value for use in effects_in_kernel(rig) for value in use.parameters], dtype=np.float64)
         self.work = np.empty((WORK_ROWS, self.y.size))
         self.sensors = sensors.prepare(self.rig.sensors, period)
         self.truth = np.zeros(len(SENSED))
@@ -73,6 +86,7 @@ class Simulator:
     def _warm_up(self) -> None:
         """Compile now what would otherwise compile in the first cycle."""
         self.measure(np.zeros(len(SENSED)))
+        self._hold(self.inputs, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         self.mode[0] = 1.0
         self._run(0)
         self.y[:] = 0.0
@@ -102,8 +116,18 @@ class Simulator:
         Returns:
             The readings in the order of ``SENSED``; the same array every time.
         """
-        temperature = self.inputs[TEMPERATURE]
-        self._sense(self.cycle, self.y, temperature, self.rig.plant, self.sensors, noise, self.truth, self.measured)
+        self._sense(
+            self.cycle,
+            self.cycle * self.period,
+            self.y,
+            self.rig.plant,
+            self.inputs,
+            self.effects,
+            self.sensors,
+            noise,
+            self.truth,
+            self.measured,
+        )
         return self.measured
 
     def advance(self, command: float, force: float, force_rate: float, displacement: float, velocity: float) -> int:
@@ -119,10 +143,8 @@ class Simulator:
         Returns:
             Number of integration steps in which events came too densely to be located.
         """
-        w = self.inputs
-        w[U], w[FD], w[FD_RATE], w[XD], w[VD] = command, force, force_rate, displacement, velocity
-        w[START] = self.cycle * self.period
+        self._hold(self.inputs, self.cycle * self.period, command, force, force_rate, displacement, velocity)
         dense = self._run(self.steps)
-        w[TEMPERATURE] += self.warming * self.period
+        self.inputs[TEMPERATURE] += self.warming * self.period
         self.cycle += 1
         return dense

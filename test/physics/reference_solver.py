@@ -73,12 +73,11 @@ class GeneralisedMaxwellSlip:
     def start(self, v: float, other: float, acceleration: float) -> None:
         pass
 
-    def force(self, v: float, other: float, F: Floats) -> float:
+    def force(self, v: float, other: float, s: float, F: Floats) -> float:
         return math.fsum(F) + self.c.sigma_f * v
 
-    def rates(self, v: float, F: Floats) -> list[float]:
+    def rates(self, v: float, s: float, F: Floats) -> list[float]:
         c = self.c
-        s = c.s(v) if any(self.modes) else math.nan
         return [
             c.C * (mode * alpha - f / s) if mode else k * v
             for mode, alpha, k, f in zip(self.modes, c.alpha, c.k, F, strict=True)
@@ -90,7 +89,7 @@ class GeneralisedMaxwellSlip:
             if not mode:
 
                 def excess(t: float, y: Floats, i: int = i) -> float:
-                    return float(math.copysign(y[4 + i], y[4 + i] * y[1]) - self.c.alpha[i] * self.c.s(y[1]))
+                    return float(math.copysign(y[4 + i], y[4 + i] * y[1]) - self.c.alpha[i] * plant.level(y))
 
                 def slip(t: float, y: Floats, i: int = i) -> None:
                     self.modes[i] = 1 if y[1] > 0 else -1
@@ -117,10 +116,10 @@ class Stribeck:
         if self.mode == 0 and abs(other) > self.c.Fs:
             self.mode = 1 if other > 0 else -1
 
-    def force(self, v: float, other: float, F: Floats) -> float:
-        return self.mode * self.c.s(v) + self.c.sigma_f * v if self.mode else other
+    def force(self, v: float, other: float, s: float, F: Floats) -> float:
+        return self.mode * s + self.c.sigma_f * v if self.mode else other
 
-    def rates(self, v: float, F: Floats) -> list[float]:
+    def rates(self, v: float, s: float, F: Floats) -> list[float]:
         return []
 
     def events(self, plant: "Plant") -> list[Event]:
@@ -152,11 +151,11 @@ class LuGre:
         if self.side == 0:
             self.side = 1 if acceleration > 0 else -1
 
-    def force(self, v: float, other: float, F: Floats) -> float:
+    def force(self, v: float, other: float, s: float, F: Floats) -> float:
         return float(F[0]) + self.c.sigma_f * v
 
-    def rates(self, v: float, F: Floats) -> list[float]:
-        return [math.fsum(self.c.k) * (v - self.side * v * F[0] / self.c.s(v))]
+    def rates(self, v: float, s: float, F: Floats) -> list[float]:
+        return [math.fsum(self.c.k) * (v - self.side * v * F[0] / s)]
 
     def events(self, plant: "Plant") -> list[Event]:
         return [Event(lambda t, y: float(y[1]), -self.side, self._turn)]
@@ -169,7 +168,12 @@ LAWS: dict[str, Callable[[Constants], Any]] = {"gms": GeneralisedMaxwellSlip, "s
 
 
 class Plant:
-    """(1)-(4) with modes; the state is x, v, pL, xv, then the friction law's forces."""
+    """(1)-(4) with modes; the state is x, v, pL, xv, then the friction law's forces, then a subclass's own states.
+
+    A subclass with effects overrides what they change.
+    """
+
+    own_tolerance: tuple[float, ...] = ()
 
     def __init__(self, c: Constants, law: str) -> None:
         self.c = c
@@ -177,11 +181,42 @@ class Plant:
         self.side = 0
         self.t0, self.u, self.fd, self.fd_rate = 0.0, 0.0, 0.0, 0.0
 
+    def begin(self, t: float, u: float, fd: float, fd_rate: float) -> None:
+        """Take the inputs of a cycle."""
+        self.t0, self.u, self.fd, self.fd_rate = t, u, fd, fd_rate
+
+    def until(self, t: float, end: float) -> float:
+        """Return how far the command stands as it is, and make it the one that holds from t on."""
+        return end
+
+    def level(self, y: Floats) -> float:
+        """Return (7)."""
+        return self.c.s(float(y[1]))
+
+    def extra_force(self, t: float, y: Floats) -> float:
+        return 0.0
+
+    def opening(self, xv: float) -> float:
+        c = self.c
+        return xv - c.overlap[0] if self.side > 0 else xv + c.overlap[1] if self.side < 0 else 0.0
+
+    def supply(self, y: Floats) -> float:
+        return self.c.ps
+
+    def leakage(self, y: Floats) -> float:
+        return float(self.c.Ctc * y[2])
+
+    def modulus(self, y: Floats) -> float:
+        return self.c.beta_e
+
+    def own_rates(self, t: float, y: Floats) -> list[float]:
+        return []
+
     def other_force(self, t: float, y: Floats) -> float:
         """Return the right side of (3) without friction."""
         c = self.c
         fd = self.fd + self.fd_rate * (t - self.t0)
-        return float(c.Ac * y[2] - c.B0 * y[1] - c.ks * y[0] - c.m0 * c.g - fd)
+        return float(c.Ac * y[2] - c.B0 * y[1] - c.ks * y[0] - c.m0 * c.g - fd) + self.extra_force(t, y)
 
     def spool_rate(self, y: Floats) -> float:
         return float(self.c.omega_v * (self.c.Kv * self.u - y[3]))
@@ -189,16 +224,17 @@ class Plant:
     def rhs(self, t: float, y: Floats) -> Floats:
         c = self.c
         _, v, pL, xv = y[:4].tolist()
-        other = self.other_force(t, y)
-        opening = xv - c.overlap[0] if self.side > 0 else xv + c.overlap[1] if self.side < 0 else 0.0
-        QL = c.Cd * c.w * opening * math.sqrt((c.ps - self.side * pL) / c.rho)
+        F = y[4 : 4 + self.law.states]
+        other, s = self.other_force(t, y), self.level(y)
+        QL = c.Cd * c.w * self.opening(xv) * math.sqrt((self.supply(y) - self.side * pL) / c.rho)
         return np.array(
             [
                 v,
-                (other - self.law.force(v, other, y[4:])) / c.m0,
-                4.0 * c.beta_e / c.Vt * (QL - c.Ac * v - c.Ctc * pL),
+                (other - self.law.force(v, other, s, F)) / c.m0,
+                4.0 * self.modulus(y) / c.Vt * (QL - c.Ac * v - self.leakage(y)),
                 self.spool_rate(y),
-                *self.law.rates(v, y[4:]),
+                *self.law.rates(v, s, F),
+                *self.own_rates(t, y),
             ]
         )
 
@@ -237,7 +273,13 @@ class Solution(NamedTuple):
 
 
 def solve(
-    constants: Constants, law: str, inputs: Floats, period: float, rtol: float = RELATIVE_TOLERANCE, position: float = 0.0
+    constants: Constants,
+    law: str,
+    inputs: Floats,
+    period: float,
+    rtol: float = RELATIVE_TOLERANCE,
+    position: float = 0.0,
+    kind: type[Plant] = Plant,
 ) -> Solution:
     """Integrate the plant from rest without pressure.
 
@@ -248,19 +290,22 @@ def solve(
         period: time between two cycles [s].
         rtol: relative tolerance; the absolute ones go along.
         position: initial position [m].
+        kind: the plant, with its effects.
 
     Returns:
         The solution.
     """
-    plant = Plant(constants, law)
-    y = np.zeros(4 + plant.law.states)
+    plant = kind(constants, law)
+    atol = np.array([*ABSOLUTE_TOLERANCE, *[FORCE_TOLERANCE] * plant.law.states, *plant.own_tolerance])
+    atol *= rtol / RELATIVE_TOLERANCE
+    y = np.zeros(atol.size)
     y[0] = position
-    atol = np.array([*ABSOLUTE_TOLERANCE, *[FORCE_TOLERANCE] * plant.law.states]) * (rtol / RELATIVE_TOLERANCE)
     out, count = [y.copy()], 0
-    for cycle, (plant.u, plant.fd, plant.fd_rate) in enumerate(inputs.tolist()):
+    for cycle, given in enumerate(inputs.tolist()):
         t, end = cycle * period, (cycle + 1) * period
-        plant.t0 = t
+        plant.begin(t, *given)
         while t < end:
+            until = plant.until(t, end)
             plant.start(t, y)
             events = plant.valve_events(y) + plant.law.events(plant)
             watched = []
@@ -271,7 +316,7 @@ def solve(
 
                 watch.terminal, watch.direction = True, event.direction  # type: ignore[attr-defined]
                 watched.append(watch)
-            part = solve_ivp(plant.rhs, (t, end), y, method="DOP853", rtol=rtol, atol=atol, events=watched)
+            part = solve_ivp(plant.rhs, (t, until), y, method="DOP853", rtol=rtol, atol=atol, events=watched)
             if part.status < 0:
                 raise RuntimeError(part.message)
             t, y = float(part.t[-1]), part.y[:, -1].copy()

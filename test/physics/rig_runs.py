@@ -1,10 +1,14 @@
-"""Running the simulator through given inputs."""
+"""Running the simulator through given inputs, and effects by stage."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from reference_solver import Floats
 
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.effects.base import HOOKS
 from ehls_ros.physics.simulator import Simulator
 
 PAPER_RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
@@ -18,3 +22,14 @@ def run(simulator: Simulator, inputs: Floats) -> Floats:
         assert simulator.advance(u, force, rate, 0.0, 0.0) == 0
         states.append(simulator.y.copy())
     return np.array(states)
+
+
+def stage_effects(stage: str, changed: Mapping[str, Mapping[str, float]]) -> list[dict[str, Any]]:
+    """Return all effects of a stage that have hooks, as a rig file lists them, some of them with values other than neutral.
+
+    All of them every time, so that the tests of a stage share one kernel.
+    """
+    effects = {name: EFFECTS.load(name) for name in EFFECTS.names()}
+    names = [n for n, e in effects.items() if stage == e.STAGE and any(hasattr(e, hook) for hook in HOOKS)]
+    assert set(changed) <= set(names)
+    return [{"name": name, **changed.get(name, {})} for name in names]

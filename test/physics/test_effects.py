@@ -1,5 +1,6 @@
 """What every effect's file has to provide, and that it does nothing until it is asked to."""
 
+import inspect
 import json
 import os
 import subprocess
@@ -9,16 +10,31 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from rig_runs import PAPER_RIG
+from rig_runs import PAPER_RIG, PERIOD
 
-from ehls_ros.physics.composition import kernel_module, plant_source
+from ehls_ros.physics.composition import effects_in_kernel, kernel_module, plant_source
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects.base import HOOKS, Stage
+from ehls_ros.physics.effects.base import HOOKS, Peak, Quantile, Share, Stage
 from ehls_ros.physics.plant import INPUTS
 from ehls_ros.physics.rig import rig_from_mapping, rig_to_mapping
 from ehls_ros.schema import declarations
+from ehls_ros.trajectory import SIGNALS
 
 NAMES = EFFECTS.names()
+# The names users have in rig files and diagnoses, by stage.
+CONTRACT = {
+    "valve": """valve_dead_zone valve_null_bias valve_gain_asymmetry valve_gain_shift valve_saturation valve_bandwidth_shift
+        valve_second_order valve_hysteresis command_delay""",
+    "flow": """supply_pressure_droop bulk_modulus_shift entrained_air internal_leakage_shift turbulent_leakage
+        external_leakage""",
+    "friction": """coulomb_shift coulomb_asymmetry viscous_shift viscous_asymmetry stribeck_shift presliding_stiffness_shift
+        pressure_dependent_friction position_dependent_friction temperature_dependent_friction""",
+    "mechanics": "mass_shift spring_rate_shift spring_hardening hinge_backlash end_stop flexible_mode",
+    "sensors": """pressure_sensor_bias pressure_sensor_gain pressure_sensor_lag position_sensor_bias position_sensor_gain
+        sensor_delay""",
+    "environment": "periodic_disturbance constant_load coupling_stiffness",
+}
+HOOK_ARGUMENTS = ["value", "t", "y", "w", "z", "p", "plant"]
 
 
 @pytest.fixture(scope="session")
@@ -31,6 +47,11 @@ def uncompiled(tmp_path_factory):
     )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("stage", CONTRACT)
+def test_the_names_promised_are_there(stage):
+    assert [name for name in CONTRACT[stage].split() if stage != EFFECTS.load(name).STAGE] == []
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -59,8 +80,52 @@ def test_parameters_are_declared_with_unit_range_help_and_neutral_default(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_an_effect_acts_somewhere(name):
     effect = EFFECTS.load(name)
-    assert hasattr(effect, "shift") or any(hasattr(effect, hook) for hook in HOOKS)
+    hooks = [getattr(effect, hook) for hook in HOOKS if hasattr(effect, hook)]
+    assert hooks or hasattr(effect, "shift")
+    for hook in hooks:
+        assert list(inspect.signature(hook.py_func).parameters) == HOOK_ARGUMENTS
     assert hasattr(effect, "derivatives") == (getattr(effect, "STATES", 0) > 0)
+    if hasattr(effect, "derivatives"):
+        assert list(inspect.signature(effect.derivatives.py_func).parameters) == ["u", *HOOK_ARGUMENTS[1:], "dz"]
+    assert hasattr(effect, "received") == hasattr(effect, "jump") == hasattr(effect, "REACH")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_effect_needs_signals_that_there_are(name):
+    assert set(getattr(EFFECTS.load(name), "NEEDS", ())) <= set(SIGNALS)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_ways_to_fit_an_effect_start_off_the_neutral_values_and_within_range(name, make_rig):
+    effect = EFFECTS.load(name)
+    declared = {parameter.name: parameter for parameter in declarations(effect.Parameters)}
+    forms = effect.forms(make_rig())
+    assert forms
+    for form in forms:
+        assert form.free
+        assert not set(form.free) & set(form.fixed)
+        assert set(form.free) | set(form.fixed) <= set(declared)
+        assert len({len(starts) for starts in form.free.values() if starts}) <= 1
+        for key, value in form.fixed.items():
+            assert declared[key].minimum <= value <= declared[key].maximum
+            assert value != declared[key].default
+        for key, starts in form.free.items():
+            for start in starts:
+                match start:
+                    case Share(signal, part):
+                        assert signal in SIGNALS
+                        assert part > 0.0
+                    case Quantile(signal, part):
+                        assert signal in SIGNALS
+                        assert 0.0 < part < 1.0
+                    case Peak(rank):
+                        assert rank >= 1
+                    case _:
+                        assert declared[key].minimum <= start <= declared[key].maximum
+        # From the neutral values alone no fit would start.
+        for point in zip(*(starts for starts in form.free.values() if starts), strict=True):
+            named = zip((key for key, starts in form.free.items() if starts), point, strict=True)
+            assert any(start != declared[key].default for key, start in named)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -89,24 +154,29 @@ _RATES = """
 
 @njit(cache=True, error_model="numpy")
 def rates(t, y, mode, plant, friction, inputs, effects, rate):
-    return evaluate(t, y, mode, model.Coefficients(plant, friction, inputs, effects), rate)
+    return evaluate(t, y, mode, model.Coefficients(plant, friction, inputs, effects, inputs[model.U]), rate)
 """
 
 
 def test_all_effects_compile_together_and_neutral_change_nothing(make_rig):
     """One evaluation of the equations: a whole integrator of all effects takes long to compile."""
-    plain, loaded = make_rig(), make_rig(effects=[{"name": name} for name in NAMES])
+    rigs = [make_rig(), make_rig(effects=[{"name": name} for name in NAMES])]
+    kernels = [kernel_module(plant_source(rig) + _RATES) for rig in rigs]
+    effective = [rig.effective() for rig in rigs]
+    settings = [np.array([value for use in effects_in_kernel(rig) for value in use.parameters]) for rig in rigs]
     random = np.random.default_rng(5)
     for _ in range(200):
-        inputs = random.standard_normal(INPUTS) * [1e-3, 5e3, 1e4, 1e-2, 0.1, 10.0, 0.0] + [0, 0, 0, 0, 0, 313.15, 0]
+        inputs = random.standard_normal(INPUTS) * [1e-3, 5e3, 1e4, 1e-2, 0.1, 10.0, 0.0, 0.0]
+        inputs += [0.0, 0.0, 0.0, 0.0, 0.0, 313.15, 0.0, PERIOD]
         start = random.standard_normal(7) * [0.05, 0.1, 2e6, 1e-3, 300.0, 40.0, 40.0]
         answers = []
-        for rig in (plain, loaded):
-            kernel = kernel_module(plant_source(rig) + _RATES)
+        for kernel, rig, parameters in zip(kernels, effective, settings, strict=True):
             y = np.concatenate([start, np.zeros(kernel.EFFECT_STATES)])
             rate, mode = np.empty(y.size), np.array([np.sign(start[3]), 0.0, 1.0, -1.0])
-            parameters = np.array([value for use in rig.effects for value in use.parameters], dtype=np.float64)
-            effective = rig.effective()
-            event = kernel.rates(0.5, y, mode, effective.plant, effective.friction, inputs, parameters, rate)
+            given = [values.copy() for values in (y, inputs, parameters)]
+            event = kernel.rates(0.5, y, mode, rig.plant, rig.friction, inputs, parameters, rate)
             answers.append([event, *rate[:7]])
+            assert np.all(np.isfinite(rate))
+            for values, before in zip((y, inputs, parameters), given, strict=True):
+                np.testing.assert_array_equal(values, before)
         assert answers[0] == answers[1]

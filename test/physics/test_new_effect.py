@@ -19,18 +19,23 @@ PROBE = '''"""Every hook at once, each with a parameter of its own; and the posi
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects.base import Form
+from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL, V
+from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE = "mechanics"
 EQUATION = "see the hooks"
 SOURCE = "a test"
 STATES = 1
+REACH = 0.0
 
 
 class Parameters(NamedTuple):
     """One a hook."""
 
+    received: Annotated[float, quantity("1", "part that arrives", minimum=0.0, maximum=2.0)] = 1.0
     command: Annotated[float, quantity("1", "gain of the command", minimum=0.0, maximum=2.0)] = 1.0
     opening: Annotated[float, quantity("1", "gain of the opening", minimum=0.0, maximum=2.0)] = 1.0
     supply_pressure: Annotated[float, quantity("1", "part of the supply", minimum=0.0, maximum=2.0)] = 1.0
@@ -41,48 +46,63 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+def received(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
     return value * p[0]
 
 
 @kernel
-def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+def jump(t: float, w: Array, p: Array) -> float:
+    return t + 0.31e-3
+
+
+@kernel
+def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
     return value * p[1]
 
 
 @kernel
-def supply_pressure(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
     return value * p[2]
 
 
 @kernel
-def bulk_modulus(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+def supply_pressure(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
     return value * p[3]
 
 
 @kernel
-def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
-    return value + p[4] * y[PL]
+def bulk_modulus(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    return value * p[4]
 
 
 @kernel
-def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
-    return value * p[5]
+def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    return value + p[5] * y[PL]
 
 
 @kernel
-def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
-    return value - p[6] * z[0]
+def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    return value * p[6]
 
 
 @kernel
-def derivatives(t: float, y: Array, w: Array, z: Array, p: Array, dz: Array) -> None:
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    return value - p[7] * z[0]
+
+
+@kernel
+def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
     dz[0] = y[V]
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    return (Form({"force": ()}),)
 '''
 
 PAPER = Constants()
 # Each hook's parameter, and the constants of the paper that do the same.
 SAME = {
+    "received": (0.6, replace(PAPER, Kv=0.6)),
     "command": (0.7, replace(PAPER, Kv=0.7)),
     "opening": (1.3, replace(PAPER, w=1.3 * PAPER.w)),
     "supply_pressure": (0.8, replace(PAPER, ps=0.8 * PAPER.ps)),

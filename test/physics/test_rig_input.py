@@ -106,6 +106,7 @@ def test_effects_that_are_wrong(effects, said, rig_data):
         ({"pressure": {}}, ["'pressure'", "load_pressure"]),
         ({"force": {"noise": 1.0}}, ["sensors: force", "'noise'", "noise_std"]),
         ({"force": {"delay": -1.0}}, ["sensors: force", "delay", "-1.0", "greater than or equal to 0"]),
+        ({"force": {"gain": 0.0}}, ["sensors: force", "gain", "0.0", "greater than 0"]),
         ({"force": 4.0}, ["sensors: force", "4.0", "noise_std"]),
         ([], ["sensors", "[]"]),
     ],

@@ -41,6 +41,19 @@ def test_only_the_sensor_meant_is_imperfect():
     np.testing.assert_array_equal(beside, RAMP)
 
 
+def test_gain_scales_the_truth_and_not_the_bias():
+    readings, _ = read(RAMP, gain=1.5, bias=0.25)
+    np.testing.assert_allclose(readings, 1.5 * RAMP + 0.25, rtol=1e-15)
+
+
+def test_gain_scales_neither_noise_nor_resolution():
+    noise = np.random.default_rng(2).standard_normal((500, len(SENSED)))
+    loud, plain = (read(np.zeros(500), noise, noise_std=4.0, gain=gain)[0] for gain in (10.0, 1.0))
+    np.testing.assert_array_equal(loud, plain)
+    steps = read(RAMP, gain=10.0, resolution=0.7)[0] / 0.7
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
+
+
 def test_noise_has_its_standard_deviation_and_is_white():
     random = np.random.default_rng(1)
     readings, _ = read(np.zeros(5000), random.standard_normal((5000, len(SENSED))), noise_std=4.0)

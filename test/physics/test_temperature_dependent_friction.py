@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from rig_runs import PERIOD
+from rig_runs import PERIOD, stage_effects
 
 from ehls_ros.physics.plant import PL, TEMPERATURE, V
 from ehls_ros.physics.rig import SENSED, Rig
@@ -22,8 +22,8 @@ def make_free_rig(make_rig: Callable[..., Rig]) -> Callable[..., Rig]:
     """Return the rig with nothing but friction, changed by the temperature as told."""
 
     def make(coulomb_slope: float, viscous_slope: float, **values: float) -> Rig:
-        effect = {"name": "temperature_dependent_friction", "coulomb_slope": coulomb_slope, "viscous_slope": viscous_slope}
-        return make_rig(plant=FREE, effects=[{**effect, **values}])
+        slopes = {"coulomb_slope": coulomb_slope, "viscous_slope": viscous_slope}
+        return make_rig(plant=FREE, effects=stage_effects("friction", {"temperature_dependent_friction": {**slopes, **values}}))
 
     return make
 

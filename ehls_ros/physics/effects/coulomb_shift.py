@@ -1,29 +1,30 @@
 """Friction higher or lower than identified, as another seal, load or oil makes it."""
 
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects.base import Stage
+from ehls_ros.physics.effects._level import LEAST
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
-
-if TYPE_CHECKING:
-    from ehls_ros.physics.rig import Rig
 
 STAGE: Stage = "friction"
 EQUATION = "s(v) -> s(v) + offset: Fc and Fs move together"
 SOURCE = "Olsson, Åström, Canudas de Wit, Gäfvert, Lischinsky, Friction Models and Friction Compensation, 1998"
 
-LEAST = 1.0
-"""A Stribeck curve at zero would leave a slipping element nothing to go to [N]."""
-
 
 class Parameters(NamedTuple):
     """How far the Stribeck curve moves."""
 
-    offset: Annotated[float, quantity("N", "what is added to the Stribeck curve", minimum=-5e3, maximum=5e3)] = 0.0
+    offset: Annotated[float, quantity("N", "what is added to the Stribeck curve", minimum=-1e5, maximum=1e5)] = 0.0
 
 
-def shift(rig: "Rig", parameters: Parameters) -> "Rig":
-    """Return the rig with Coulomb and static friction moved; Fc stays at or above :data:`LEAST`."""
+def shift(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with Coulomb and static friction moved; Fc stays at or above ``LEAST``."""
     coulomb = max(LEAST, rig.friction.coulomb_force + parameters.offset)
     moved = coulomb - rig.friction.coulomb_force
     return rig._replace(friction=rig.friction._replace(coulomb_force=coulomb, static_force=rig.friction.static_force + moved))
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """The offset."""
+    return (Form({"offset": ()}),)

@@ -3,13 +3,16 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Stage
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V, X, servo_displacement, servo_velocity
+from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "environment"
 EQUATION = "F = stiffness (x_servo - x) + damping (v_servo - v)"
 SOURCE = "two masses on an elastic beam; Kang et al. 2018, Fig. 1"
+NEEDS = ("disturbance_displacement_m",)
 
 
 class Parameters(NamedTuple):
@@ -20,6 +23,11 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
     """Pull the loader toward the servo."""
     return value + p[0] * (servo_displacement(t, w) - y[X]) + p[1] * (servo_velocity(w) - y[V])
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """A spring, without and with its damper."""
+    return Form({"stiffness": ()}), Form({"stiffness": (), "damping": ()})

@@ -3,16 +3,17 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Stage
+from ehls_ros.physics.effects._level import raised
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import TEMPERATURE, V
+from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "friction"
 EQUATION = "s(v) -> s(v) + a (T - T0), at least 1 N;  Ff -> Ff + b (T - T0) v"
 SOURCE = "Simoni, Beschi, Legnani, Visioli, Modelling the temperature in joint friction of industrial manipulators, 2019"
-
-LEAST = 1.0
-"""A Stribeck curve at zero would leave a slipping element nothing to go to [N]."""
+NEEDS = ("oil_temperature_k",)
 
 
 class Parameters(NamedTuple):
@@ -30,12 +31,21 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
     """Move the Stribeck curve."""
-    return max(value + p[0] * (w[TEMPERATURE] - p[2]), LEAST)
+    return raised(value, p[0] * (w[TEMPERATURE] - p[2]))
 
 
 @kernel
-def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array) -> float:
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
     """Add the change of the viscous part; friction acts against +x."""
     return value - p[1] * (w[TEMPERATURE] - p[2]) * y[V]
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """Either slope, or both."""
+    return (
+        Form({"coulomb_slope": ()}),
+        Form({"viscous_slope": ()}),
+        Form({"coulomb_slope": (), "viscous_slope": ()}),
+    )

@@ -1,0 +1,27 @@
+"""The oil column is stiffer or softer than the rig file has it."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "flow"
+EQUATION = "βe -> factor βe"
+SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 2: effective bulk modulus with gas and elastic walls"
+
+
+class Parameters(NamedTuple):
+    """Factor on the bulk modulus."""
+
+    factor: Annotated[float, quantity("1", "factor on the effective bulk modulus", minimum=0.01, maximum=10.0)] = 1.0
+
+
+def shift(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the bulk modulus scaled."""
+    return rig._replace(plant=rig.plant._replace(bulk_modulus=parameters.factor * rig.plant.bulk_modulus))
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """The factor."""
+    return (Form({"factor": ()}),)

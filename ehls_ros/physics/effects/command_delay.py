@@ -1,0 +1,48 @@
+"""The command reaches the valve late: converter, field bus or a slow cycle. Of two in a rig the later in the list holds."""
+
+import math
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.plant import INPUTS, PERIOD, START
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "valve"
+EQUATION = "u(t) -> u(t - delay)"
+SOURCE = "Åström, Wittenmark, Computer-Controlled Systems, 1997: delays that are no whole number of periods"
+REACH = 0.05
+
+ROUNDING = 1e-7
+"""Moments nearer to each other are one, as a part of the control period."""
+
+
+class Parameters(NamedTuple):
+    """The delay."""
+
+    delay: Annotated[float, quantity("s", "time a command takes to the valve", minimum=0.0, maximum=REACH)] = 0.0
+
+
+@kernel
+def received(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Look up the command that was sent a delay ago."""
+    ago = math.ceil((p[0] - (t - w[START])) / w[PERIOD] - ROUNDING)
+    known = w.size - INPUTS
+    return w[INPUTS + min(ago, known) - 1] if ago > 0 and known > 0 else value
+
+
+@kernel
+def jump(t: float, w: Array, p: Array) -> float:
+    """Return when the next command arrives of those sent so far."""
+    left = p[0] - (t - w[START])
+    if left <= ROUNDING * w[PERIOD]:
+        return math.inf
+    after = left - math.floor(left / w[PERIOD]) * w[PERIOD]
+    return t + (after if after > ROUNDING * w[PERIOD] else w[PERIOD])
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """Short, middling, long."""
+    return (Form({"delay": (0.001, 0.004, 0.012)}),)

@@ -1,0 +1,30 @@
+"""A force that nobody counted: a weight, a hose, a mounting under tension."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "environment"
+EQUATION = "F = force"
+SOURCE = "Kang et al. 2018, (3), with a constant more on its right side"
+
+
+class Parameters(NamedTuple):
+    """The force."""
+
+    force: Annotated[float, quantity("N", "force along +x", minimum=-1e6, maximum=1e6)] = 0.0
+
+
+@kernel
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Push."""
+    return value + p[0]
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """The force."""
+    return (Form({"force": ()}),)

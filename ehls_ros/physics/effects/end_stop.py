@@ -1,0 +1,47 @@
+"""An end stop inside the stroke: beyond it the piston is pushed back, and never pulled."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects.base import Form, Quantile, Stage
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.plant import V, X
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "mechanics"
+EQUATION = "F = -(stiffness d + damping max(d', 0)), d > 0 the depth beyond upper; mirrored below lower"
+SOURCE = "Gilardi, Sharf, Literature survey of contact dynamics modelling, Mechanism and Machine Theory 37, 2002: Kelvin-Voigt"
+
+
+class Parameters(NamedTuple):
+    """Where the stops are, and what they are like; ten metres are beyond any stroke."""
+
+    upper: Annotated[float, quantity("m", "position of the upper stop", minimum=-10.0, maximum=10.0)] = 10.0
+    lower: Annotated[float, quantity("m", "position of the lower stop", minimum=-10.0, maximum=10.0)] = -10.0
+    stiffness: Annotated[float, quantity("N/m", "stiffness of a stop", minimum=1e3, maximum=1e9)] = 1e7
+    damping: Annotated[float, quantity("N s/m", "damping on the way into a stop", minimum=0.0, maximum=1e6)] = 1e4
+
+
+@kernel
+def push(depth: float, speed: float, p: Array) -> float:
+    """Return what a stop pushes with, ``depth`` behind its face, at a speed into it [N]."""
+    return p[2] * depth + p[3] * max(speed, 0.0) if depth > 0.0 else 0.0
+
+
+@kernel
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Push back."""
+    return value - push(y[X] - p[0], y[V], p) + push(p[1] - y[X], -y[V], p)
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """The upper stop, the lower, both: seldom, at times and often reached."""
+    upper = tuple(Quantile("position_m", part) for part in (0.995, 0.95, 0.85))
+    lower = tuple(Quantile("position_m", part) for part in (0.005, 0.05, 0.15))
+    stiffness = (1e6, 1e6, 1e6)
+    return (
+        Form({"upper": upper, "stiffness": stiffness}),
+        Form({"lower": lower, "stiffness": stiffness}),
+        Form({"upper": upper, "lower": lower, "stiffness": stiffness}),
+    )

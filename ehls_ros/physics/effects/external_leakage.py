@@ -1,0 +1,34 @@
+"""Oil that leaves the chambers outward, past the rod seals."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects._chambers import chambers
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "flow"
+EQUATION = "leakage -> leakage + ((first + each) p1 - (second + each) p2)/2,  p1,2 = (ps ± pL)/2"
+SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 6: external leakage in the volume balances of both chambers"
+
+
+class Parameters(NamedTuple):
+    """Leakage to the outside from the first chamber, the second, and both alike."""
+
+    first: Annotated[float, quantity("m^5/(N s)", "leakage of the chamber that drives +x", minimum=0.0, maximum=1e-9)] = 0.0
+    second: Annotated[float, quantity("m^5/(N s)", "leakage of the chamber that drives -x", minimum=0.0, maximum=1e-9)] = 0.0
+    each: Annotated[float, quantity("m^5/(N s)", "leakage of both chambers, of each", minimum=0.0, maximum=1e-9)] = 0.0
+
+
+@kernel
+def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Add half the difference of what both lose, as (2) is half the sum of both balances."""
+    first, second = chambers(y, plant)
+    return value + 0.5 * ((p[0] + p[2]) * first - (p[1] + p[2]) * second)
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """One chamber, the other, both."""
+    return Form({"first": ()}), Form({"second": ()}), Form({"each": ()})

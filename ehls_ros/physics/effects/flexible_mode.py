@@ -1,0 +1,65 @@
+"""A mass on a spring of its own: what is bolted to the piston does not move as one piece.
+
+States: how far the mass is ahead of the piston (from where its weight leaves it), and its velocity. Part of the mass may
+be counted already in the rig file's moving mass; that part is taken off there, and its weight, which the spring still
+carries, put back.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.plant import V
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "mechanics"
+EQUATION = "r' = v2 - v,  v2' = -(ω² r + 2 ζ ω r'),  F = mass (ω² r + 2 ζ ω r'),  ω = 2π frequency;  m0 -> m0 - taken mass"
+SOURCE = "Den Hartog, Mechanical Vibrations, 1956, ch. 3: two-mass systems"
+STATES = 2
+
+SMALLEST = 0.01
+"""Part of the moving mass that always stays with the piston."""
+
+
+class Parameters(NamedTuple):
+    """The mass, its natural frequency on a piston held, and how much of it the rig file counts already."""
+
+    mass: Annotated[float, quantity("kg", "mass that is not rigidly with the piston", minimum=0.0, maximum=1e4)] = 0.0
+    frequency: Annotated[float, quantity("Hz", "natural frequency on a piston held", minimum=0.1, maximum=400.0)] = 10.0
+    damping: Annotated[float, quantity("1", "damping ratio on a piston held", minimum=0.0, maximum=1.0)] = 0.02
+    taken: Annotated[float, quantity("1", "part of it that the moving mass counts already", minimum=0.0, maximum=1.0)] = 0.0
+
+
+def shift(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig without the mass it counts already."""
+    mass = max(rig.plant.moving_mass - parameters.taken * parameters.mass, SMALLEST * rig.plant.moving_mass)
+    return rig._replace(plant=rig.plant._replace(moving_mass=mass))
+
+
+@kernel
+def pull(velocity: float, z: Array, p: Array) -> float:
+    """Return what the spring pulls the piston with per mass [m/s^2]."""
+    omega = 2.0 * math.pi * p[1]
+    return omega * (omega * z[0] + 2.0 * p[2] * (z[1] - velocity))
+
+
+@kernel
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Pull the piston, and carry the weight taken off the moving mass."""
+    return value + p[0] * (pull(y[V], z, p) - p[3] * plant.gravity)
+
+
+@kernel
+def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
+    """Move the mass."""
+    dz[0] = z[1] - y[V]
+    dz[1] = -pull(y[V], z, p)
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """A mass that the rig file does not know, or one that it has with the piston; slow, middling, fast."""
+    free = {"mass": (), "frequency": (5.0, 15.0, 40.0), "damping": (0.05, 0.05, 0.05)}
+    return Form(free), Form(free, {"taken": 1.0})

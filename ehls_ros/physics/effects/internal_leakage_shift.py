@@ -1,0 +1,28 @@
+"""More or less oil passes the piston than the rig file has it."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "flow"
+EQUATION = "Ctc -> Ctc + added, at least 0"
+SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 6: leakage across the piston"
+
+
+class Parameters(NamedTuple):
+    """What is added to the leakage coefficient."""
+
+    added: Annotated[float, quantity("m^5/(N s)", "added to the leakage coefficient", minimum=-1e-9, maximum=1e-9)] = 0.0
+
+
+def shift(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the leakage moved."""
+    leakage = max(rig.plant.leakage_coefficient + parameters.added, 0.0)
+    return rig._replace(plant=rig.plant._replace(leakage_coefficient=leakage))
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """What is added."""
+    return (Form({"added": ()}),)

@@ -1,0 +1,27 @@
+"""More or less mass moves than the rig file has it; its weight changes with it."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "mechanics"
+EQUATION = "m0 -> factor m0"
+SOURCE = "Kang et al. 2018, (3)"
+
+
+class Parameters(NamedTuple):
+    """Factor on the moving mass."""
+
+    factor: Annotated[float, quantity("1", "factor on the moving mass", minimum=0.02, maximum=50.0)] = 1.0
+
+
+def shift(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the mass scaled."""
+    return rig._replace(plant=rig.plant._replace(moving_mass=parameters.factor * rig.plant.moving_mass))
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """The factor."""
+    return (Form({"factor": ()}),)

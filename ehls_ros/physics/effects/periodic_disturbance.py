@@ -1,0 +1,34 @@
+"""A force of one frequency on the piston: a pump's ripple, a machine running nearby."""
+
+import math
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects.base import Form, Peak, Stage
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "environment"
+EQUATION = "F = sine sin(2π frequency t) + cosine cos(2π frequency t)"
+SOURCE = "Bodson, Sacks, Khosla, Harmonic generation in adaptive feedforward cancellation schemes, IEEE TAC 39, 1994"
+
+
+class Parameters(NamedTuple):
+    """The wave, counted from the start of the experiment."""
+
+    sine: Annotated[float, quantity("N", "sine part along +x", minimum=-1e6, maximum=1e6)] = 0.0
+    cosine: Annotated[float, quantity("N", "cosine part along +x", minimum=-1e6, maximum=1e6)] = 0.0
+    frequency: Annotated[float, quantity("Hz", "frequency", minimum=1e-3, maximum=1e3)] = 1.0
+
+
+@kernel
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Push."""
+    angle = 2.0 * math.pi * p[2] * t
+    return value + p[0] * math.sin(angle) + p[1] * math.cos(angle)
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """A wave at one of the residual's strongest lines."""
+    return (Form({"sine": (), "cosine": (), "frequency": (Peak(1), Peak(2))}),)

@@ -1,0 +1,43 @@
+"""Friction that changes along the stroke: a tube out of round, a rod that is bent, a guide that is worn."""
+
+import math
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects._level import raised
+from ehls_ros.physics.effects.base import Form, Share, Stage
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.plant import X
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "friction"
+EQUATION = "s -> s + slope x + curvature x² + sine sin(2π x/wavelength) + cosine cos(2π x/wavelength), at least 1 N"
+SOURCE = "Armstrong-Hélouvry, Control of Machines with Friction, 1991: position-dependent friction"
+
+
+class Parameters(NamedTuple):
+    """What depends on position; the rig file's friction holds where it all is zero."""
+
+    slope: Annotated[float, quantity("N/m", "Stribeck level per position", minimum=-1e6, maximum=1e6)] = 0.0
+    curvature: Annotated[float, quantity("N/m^2", "Stribeck level per squared position", minimum=-1e8, maximum=1e8)] = 0.0
+    sine: Annotated[float, quantity("N", "sine part of a wave along the stroke", minimum=-1e5, maximum=1e5)] = 0.0
+    cosine: Annotated[float, quantity("N", "cosine part of a wave along the stroke", minimum=-1e5, maximum=1e5)] = 0.0
+    wavelength: Annotated[float, quantity("m", "length of the wave", minimum=1e-3, maximum=10.0)] = 0.1
+
+
+@kernel
+def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Move the curve with the position."""
+    angle = 2.0 * math.pi * y[X] / p[4]
+    return raised(value, (p[0] + p[1] * y[X]) * y[X] + p[2] * math.sin(angle) + p[3] * math.cos(angle))
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """A slope, a bend, a wave that is shorter or longer than the stroke."""
+    wavelengths = tuple(Share("position_m", part) for part in (0.3, 0.7, 1.5))
+    return (
+        Form({"slope": ()}),
+        Form({"slope": (), "curvature": ()}),
+        Form({"sine": (), "cosine": (), "wavelength": wavelengths}),
+    )

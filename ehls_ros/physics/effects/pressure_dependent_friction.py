@@ -1,0 +1,34 @@
+"""Seals that the oil presses against their faces: friction grows with the load pressure."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects._level import raised
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.plant import PL
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "friction"
+EQUATION = "s(v) -> s(v) + slope |pL|, at least 1 N"
+SOURCE = (
+    "Bonchis, Corke, Rye, A pressure-based, velocity independent, friction model for asymmetric hydraulic cylinders, ICRA 1999"
+)
+
+
+class Parameters(NamedTuple):
+    """Friction per pressure; the rig file's holds without load."""
+
+    slope: Annotated[float, quantity("N/Pa", "Stribeck level per load pressure", minimum=-0.05, maximum=0.05)] = 0.0
+
+
+@kernel
+def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Move the curve with the pressure."""
+    return raised(value, p[0] * abs(y[PL]))
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """The slope."""
+    return (Form({"slope": ()}),)

@@ -1,0 +1,28 @@
+"""The load pressure sensors do not read zero without pressure; the load cell is another sensor."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.physics.effects._sensor import with_sensors
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "sensors"
+EQUATION = "pL,read = pL + bias"
+SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: zero shift"
+
+
+class Parameters(NamedTuple):
+    """The zero shift."""
+
+    bias: Annotated[float, quantity("Pa", "added to the load pressure's reading", minimum=-1e7, maximum=1e7)] = 0.0
+
+
+def shift(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the zero moved."""
+    return with_sensors(rig, ["load_pressure"], lambda sensor: sensor._replace(bias=sensor.bias + parameters.bias))
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """The bias."""
+    return (Form({"bias": ()}),)

@@ -1,0 +1,28 @@
+"""The load pressure sensors read too much or too little; the load cell is another sensor."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.physics.effects._sensor import with_sensors
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "sensors"
+EQUATION = "pL,read = gain pL"
+SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: sensitivity"
+
+
+class Parameters(NamedTuple):
+    """The sensitivity."""
+
+    gain: Annotated[float, quantity("1", "factor on the load pressure's reading", minimum=0.1, maximum=10.0)] = 1.0
+
+
+def shift(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the sensitivity scaled."""
+    return with_sensors(rig, ["load_pressure"], lambda sensor: sensor._replace(gain=parameters.gain * sensor.gain))
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """The gain."""
+    return (Form({"gain": ()}),)

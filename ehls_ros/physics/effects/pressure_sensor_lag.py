@@ -1,0 +1,36 @@
+"""The load pressure sensors follow late: long lines, air in them, a filter; the load cell is another sensor."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.physics.effects._sensor import with_sensors
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.parameters import Sensor
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "sensors"
+EQUATION = "time_constant p' = pL - p; a lag the sensor has already is lengthened by it"
+SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: first-order instruments"
+
+
+class Parameters(NamedTuple):
+    """The lag."""
+
+    time_constant: Annotated[
+        float, quantity("s", "time constant added to the load pressure's reading", minimum=0.0, maximum=1.0)
+    ] = 0.0
+
+
+def shift(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the time constants of both lags added up, which two lags in series come to when slow."""
+
+    def lagging(sensor: Sensor) -> Sensor:
+        whole = parameters.time_constant + (1.0 / sensor.bandwidth if sensor.bandwidth > 0.0 else 0.0)
+        return sensor._replace(bandwidth=1.0 / whole if whole > 0.0 else 0.0)
+
+    return with_sensors(rig, ["load_pressure"], lagging)
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """Short, middling, long."""
+    return (Form({"time_constant": (0.002, 0.01, 0.05)}),)

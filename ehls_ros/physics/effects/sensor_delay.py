@@ -1,0 +1,38 @@
+"""Readings that come late: a slow converter or bus, or channels that are sampled at different moments."""
+
+from collections.abc import Callable
+from typing import Annotated, NamedTuple
+
+from ehls_ros.physics.effects._sensor import with_sensors
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.parameters import Sensor
+from ehls_ros.physics.rig import SENSED, Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "sensors"
+EQUATION = "read(t) = true(t - delay)"
+SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: dead-time elements"
+
+
+class Parameters(NamedTuple):
+    """Delays of one channel, or of all; the load cell's and the velocity's are among all only."""
+
+    position: Annotated[float, quantity("s", "delay of the position's reading", minimum=0.0, maximum=0.5)] = 0.0
+    pressure: Annotated[float, quantity("s", "delay of the load pressure's reading", minimum=0.0, maximum=0.5)] = 0.0
+    every: Annotated[float, quantity("s", "delay of every reading", minimum=0.0, maximum=0.5)] = 0.0
+
+
+def shift(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the delays added."""
+
+    def later(by: float) -> Callable[[Sensor], Sensor]:
+        return lambda sensor: sensor._replace(delay=sensor.delay + by)
+
+    rig = with_sensors(rig, SENSED, later(parameters.every))
+    rig = with_sensors(rig, ["position"], later(parameters.position))
+    return with_sensors(rig, ["load_pressure"], later(parameters.pressure))
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """Each, short, middling and long."""
+    return tuple(Form({name: (0.001, 0.004, 0.012)}) for name in Parameters._fields)

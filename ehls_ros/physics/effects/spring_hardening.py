@@ -1,0 +1,31 @@
+"""A spring that grows stiffer (or softer) the further it is bent."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.plant import X
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "mechanics"
+EQUATION = "ks x -> ks x + cubic x³"
+SOURCE = "Kovacic, Brennan, The Duffing Equation, 2011"
+
+
+class Parameters(NamedTuple):
+    """The cubic part."""
+
+    cubic: Annotated[float, quantity("N/m^3", "cubic stiffness", minimum=-1e12, maximum=1e12)] = 0.0
+
+
+@kernel
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Add the cubic part, against the displacement."""
+    return value - p[0] * y[X] * y[X] * y[X]
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """The cubic part."""
+    return (Form({"cubic": ()}),)

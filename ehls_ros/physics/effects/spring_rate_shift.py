@@ -1,0 +1,28 @@
+"""The spring device is stiffer or softer than the rig file has it."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "mechanics"
+EQUATION = "ks -> ks + added, at least 0"
+SOURCE = "Kang et al. 2018, (3)"
+
+
+class Parameters(NamedTuple):
+    """What is added to the stiffness."""
+
+    added: Annotated[float, quantity("N/m", "added to the spring's stiffness", minimum=-1e8, maximum=1e8)] = 0.0
+
+
+def shift(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the stiffness moved."""
+    stiffness = max(rig.plant.spring_stiffness + parameters.added, 0.0)
+    return rig._replace(plant=rig.plant._replace(spring_stiffness=stiffness))
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """What is added."""
+    return (Form({"added": ()}),)

@@ -1,0 +1,66 @@
+"""The supply gives way under flow: pressure is lost between pump and valve.
+
+The flow is that of (1) through the spool as it stands, whatever other effects make of its opening.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects._play import RATE
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.plant import PL, XV
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "flow"
+EQUATION = "ps -> ps - loss, at least 0;  loss = resistance |QL| + quadratic QL², at once or behind a first-order lag"
+SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 3: pressure lost in laminar and turbulent flow; ch. 11: supplies"
+STATES = 1
+
+
+class Parameters(NamedTuple):
+    """What the line and the supply lose, and how fast."""
+
+    resistance: Annotated[float, quantity("Pa s/m^3", "pressure lost per flow", minimum=0.0, maximum=1e12)] = 0.0
+    quadratic: Annotated[float, quantity("Pa s^2/m^6", "pressure lost per squared flow", minimum=0.0, maximum=1e16)] = 0.0
+    time_constant: Annotated[float, quantity("s", "lag of the loss; 0: at once", minimum=0.0, maximum=10.0)] = 0.0
+
+
+@kernel
+def conductance(y: Array, plant: Plant) -> float:
+    """Return QL² per pressure across the valve [m^6/(s^2 Pa)]."""
+    area = plant.discharge_coefficient * plant.valve_area_gradient * y[XV]
+    return area * area / plant.oil_density
+
+
+@kernel
+def drop(supply: float, y: Array) -> float:
+    """Return the pressure across the valve, none below zero [Pa]."""
+    return max(supply - math.copysign(y[PL], y[PL] * y[XV]), 0.0)
+
+
+@kernel
+def supply_pressure(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Take the loss off: where it comes at once, QL² = conductance (drop - loss(QL)) is a quadratic equation."""
+    if p[2] > 0.0:
+        loss = z[0]
+    else:
+        squared = conductance(y, plant)
+        a, b = 1.0 + squared * p[1], squared * p[0]
+        flow = (math.sqrt(b * b + 4.0 * a * squared * drop(value, y)) - b) / (2.0 * a)
+        loss = (p[0] + p[1] * flow) * flow
+    return max(value - loss, 0.0)
+
+
+@kernel
+def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
+    """Follow the loss that the present flow has in the end."""
+    squared = conductance(y, plant) * drop(plant.supply_pressure - z[0], y)
+    dz[0] = (p[0] * math.sqrt(squared) + p[1] * squared - z[0]) / max(p[2], 1.0 / RATE)
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """A laminar loss, a turbulent one, a laminar one that lags."""
+    return Form({"resistance": ()}), Form({"quadratic": ()}), Form({"resistance": (), "time_constant": (0.05,)})

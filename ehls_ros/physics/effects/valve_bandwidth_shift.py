@@ -1,0 +1,27 @@
+"""The spool is faster or slower than the rig file has it."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "valve"
+EQUATION = "ωv -> factor ωv"
+SOURCE = "Kang et al. 2018, (4)"
+
+
+class Parameters(NamedTuple):
+    """Factor on the bandwidth."""
+
+    factor: Annotated[float, quantity("1", "factor on the valve's bandwidth", minimum=0.02, maximum=50.0)] = 1.0
+
+
+def shift(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the bandwidth scaled."""
+    return rig._replace(plant=rig.plant._replace(valve_bandwidth=parameters.factor * rig.plant.valve_bandwidth))
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """Slower, faster."""
+    return (Form({"factor": (0.5, 2.0)}),)

@@ -1,0 +1,42 @@
+"""The valve answers more to one side than to the other."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "valve"
+EQUATION = "u -> (1 + command_±) u,  xv,eff = (1 + opening_±) xv,  by the sign of u and of xv"
+SOURCE = "Jelali, Kroll, Hydraulic Servo-systems, 2003: flow gains of a servo valve that differ by direction"
+
+
+class Parameters(NamedTuple):
+    """Relative changes of the gain from command to spool, and from spool to open area."""
+
+    command_positive: Annotated[float, quantity("1", "change of the spool's gain, u > 0", minimum=-0.95, maximum=5.0)] = 0.0
+    command_negative: Annotated[float, quantity("1", "change of the spool's gain, u < 0", minimum=-0.95, maximum=5.0)] = 0.0
+    opening_positive: Annotated[float, quantity("1", "change of the open area, xv > 0", minimum=-0.95, maximum=5.0)] = 0.0
+    opening_negative: Annotated[float, quantity("1", "change of the open area, xv < 0", minimum=-0.95, maximum=5.0)] = 0.0
+
+
+@kernel
+def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Scale the command."""
+    return value * (1.0 + (p[0] if value > 0.0 else p[1]))
+
+
+@kernel
+def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Scale the opening."""
+    return value * (1.0 + (p[2] if value > 0.0 else p[3]))
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """Both sides of the one gain, or of the other."""
+    return (
+        Form({"command_positive": (), "command_negative": ()}),
+        Form({"opening_positive": (), "opening_negative": ()}),
+    )

@@ -1,0 +1,34 @@
+"""The spool travels farther, or the valve passes more, than the rig file has it."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "valve"
+EQUATION = "Kv -> gain Kv;  Cd -> flow_gain Cd"
+SOURCE = "Kang et al. 2018, (1) and (4)"
+
+
+class Parameters(NamedTuple):
+    """Factors on both gains."""
+
+    gain: Annotated[float, quantity("1", "factor on the spool displacement per command", minimum=0.05, maximum=20.0)] = 1.0
+    flow_gain: Annotated[float, quantity("1", "factor on the discharge coefficient", minimum=0.05, maximum=20.0)] = 1.0
+
+
+def shift(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with both gains scaled."""
+    plant = rig.plant
+    return rig._replace(
+        plant=plant._replace(
+            valve_gain=parameters.gain * plant.valve_gain,
+            discharge_coefficient=parameters.flow_gain * plant.discharge_coefficient,
+        )
+    )
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """Either."""
+    return Form({"gain": ()}), Form({"flow_gain": ()})

@@ -1,0 +1,42 @@
+"""The valve goes no further: its amplifier or stroke ends, or its ports are open all the way."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects._play import clamp
+from ehls_ros.physics.effects.base import Form, Share, Stage
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "valve"
+EQUATION = "u -> min(max(u, -command_limit), command_limit);  xv,eff likewise with opening_limit"
+SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 10: saturation"
+
+
+class Parameters(NamedTuple):
+    """Both limits; one metre is beyond any valve."""
+
+    command_limit: Annotated[float, quantity("m", "largest command the spool follows", minimum=1e-6, maximum=1.0)] = 1.0
+    opening_limit: Annotated[float, quantity("m", "largest opening of the orifice", minimum=1e-6, maximum=1.0)] = 1.0
+
+
+@kernel
+def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Cut the command off."""
+    return clamp(value, -p[0], p[0])
+
+
+@kernel
+def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Cut the opening off."""
+    return clamp(value, -p[1], p[1])
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """Either, seldom, at times and often reached."""
+    parts = (0.97, 0.85, 0.6)
+    return (
+        Form({"command_limit": tuple(Share("valve_command_m", part) for part in parts)}),
+        Form({"opening_limit": tuple(Share("spool_m", part) for part in parts)}),
+    )

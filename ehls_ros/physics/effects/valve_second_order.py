@@ -1,0 +1,43 @@
+"""A spool with inertia: it follows the command as a second-order system instead of the first order of (4).
+
+The command that (4) is given is such that its spool is Kv q, the second-order answer, whatever the bandwidth.
+"""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "valve"
+EQUATION = "q'' = ωn² (u - q) - 2 ζ ωn q';  u -> q + q'/ωv, with which (4) has the solution xv = Kv q"
+SOURCE = "Thayer, Transfer functions for Moog servovalves, Moog Technical Bulletin 103, 1958"
+STATES = 2
+
+
+class Parameters(NamedTuple):
+    """The second-order spool; a natural frequency of zero leaves it as it is."""
+
+    natural_frequency: Annotated[float, quantity("rad/s", "natural frequency; 0: first order", minimum=0.0, maximum=5e3)] = 0.0
+    damping: Annotated[float, quantity("1", "damping ratio", minimum=0.01, maximum=2.0)] = 0.7
+
+
+@kernel
+def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Undo the first order for the second."""
+    return z[0] + z[1] / plant.valve_bandwidth if p[0] > 0.0 else value
+
+
+@kernel
+def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
+    """Move q and its rate."""
+    dz[0] = z[1]
+    dz[1] = p[0] * (p[0] * (u - z[0]) - 2.0 * p[1] * z[1])
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """From the bandwidth on upward."""
+    frequencies = tuple(factor * rig.plant.valve_bandwidth for factor in (1.0, 2.0, 4.0))
+    return (Form({"natural_frequency": frequencies, "damping": (0.7, 0.7, 0.7)}),)

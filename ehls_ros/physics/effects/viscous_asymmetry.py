@@ -1,0 +1,33 @@
+"""Viscous friction that depends on the direction of motion."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.plant import V
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
+
+STAGE: Stage = "friction"
+EQUATION = "Ff -> Ff + asymmetry |v|: σf + asymmetry toward +x, σf - asymmetry toward -x"
+SOURCE = "Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models, ... machines with friction, Automatica 30, 1994"
+
+
+class Parameters(NamedTuple):
+    """Half the difference of both directions."""
+
+    asymmetry: Annotated[
+        float, quantity("N s/m", "viscous friction more toward +x and less toward -x", minimum=-1e6, maximum=1e6)
+    ] = 0.0
+
+
+@kernel
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Add the difference; friction acts against +x."""
+    return value - p[0] * abs(y[V])
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """The asymmetry."""
+    return (Form({"asymmetry": ()}),)

@@ -1,0 +1,180 @@
+"""Effects without memory, each against a number worked out by hand; and those that shift parameters."""
+
+import math
+from operator import attrgetter
+
+import numpy as np
+import pytest
+
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.plant import INPUTS, PL, TEMPERATURE, VD, XD, XV, V, X
+
+STATE = {"x": X, "v": V, "pL": PL, "xv": XV}
+INPUT = {"T": TEMPERATURE, "xd": XD, "vd": VD}
+ATMOSPHERE = 101325.0
+
+# Effect, parameters, hook, value before, state and inputs, value after. The paper's rig: ps = 7 MPa, ks = 40 kN/m, g = 9.81.
+WORKED = [
+    ("valve_null_bias", {"command": 2e-5}, "command", -1e-4, {}, -8e-5),
+    ("valve_null_bias", {"opening": -3e-5}, "opening", 1e-5, {}, -2e-5),
+    ("valve_gain_asymmetry", {"command_positive": 0.1, "command_negative": -0.2}, "command", 1e-4, {}, 1.1e-4),
+    ("valve_gain_asymmetry", {"command_positive": 0.1, "command_negative": -0.2}, "command", -1e-4, {}, -0.8e-4),
+    ("valve_gain_asymmetry", {"opening_positive": 0.5, "opening_negative": 0.3}, "opening", 2e-4, {}, 3e-4),
+    ("valve_gain_asymmetry", {"opening_positive": 0.5, "opening_negative": 0.3}, "opening", -2e-4, {}, -2.6e-4),
+    ("valve_saturation", {"command_limit": 3e-4}, "command", 5e-4, {}, 3e-4),
+    ("valve_saturation", {"command_limit": 3e-4}, "command", -5e-4, {}, -3e-4),
+    ("valve_saturation", {"opening_limit": 3e-4}, "opening", -2e-4, {}, -2e-4),
+    ("valve_saturation", {"opening_limit": 3e-4}, "opening", -4e-4, {}, -3e-4),
+    ("valve_dead_zone", {"positive": 2e-5, "negative": 5e-5}, "opening", 1e-4, {}, 8e-5),
+    ("valve_dead_zone", {"positive": 2e-5, "negative": 5e-5}, "opening", -1e-4, {}, -5e-5),
+    ("valve_dead_zone", {"positive": 2e-5, "negative": 5e-5}, "opening", -3e-5, {}, 0.0),
+    # The air has its whole volume at 1 atm, and (1/32)^(1/1.4) of it at 32 atm; it is 1.4 p stiff.
+    ("entrained_air", {"load": 0.01}, "bulk_modulus", 7e8, {"pL": 0.0}, 1.0 / (1.0 / 7e8 + 0.01 / (1.4 * ATMOSPHERE))),
+    (
+        "entrained_air",
+        {"load": 0.01},
+        "bulk_modulus",
+        7e8,
+        {"pL": -31.0 * ATMOSPHERE},
+        1.0 / (1.0 / 7e8 + 0.01 * 2.0 ** (-5.0 / 1.4) / (1.4 * 32.0 * ATMOSPHERE)),
+    ),
+    # One chamber at 7 MPa, the other at no more than the atmosphere's pressure.
+    (
+        "entrained_air",
+        {"chambers": 0.02},
+        "bulk_modulus",
+        7e8,
+        {"pL": 7e6},
+        1.0
+        / (
+            1.0 / 7e8 + 0.01 / (1.4 * ATMOSPHERE) + 0.01 * (1.0 + 7e6 / ATMOSPHERE) ** (-1.0 / 1.4) / (1.4 * (7e6 + ATMOSPHERE))
+        ),
+    ),
+    ("turbulent_leakage", {"coefficient": 1e-8}, "leakage", 1e-5, {"pL": 4e6}, 3e-5),
+    ("turbulent_leakage", {"coefficient": 1e-8}, "leakage", 0.0, {"pL": -9e6}, -3e-5),
+    # Chambers at 5 and 2 MPa.
+    ("external_leakage", {"first": 2e-11}, "leakage", 1e-5, {"pL": 3e6}, 1e-5 + 5e-5),
+    ("external_leakage", {"second": 2e-11}, "leakage", 0.0, {"pL": 3e6}, -2e-5),
+    ("external_leakage", {"each": 2e-11}, "leakage", 0.0, {"pL": 3e6}, 3e-5),
+    ("external_leakage", {"second": 2e-11}, "leakage", 0.0, {"pL": 9e6}, 0.0),
+    ("coulomb_asymmetry", {"offset": 50.0}, "friction_level", 800.0, {"v": 0.1}, 850.0),
+    ("coulomb_asymmetry", {"offset": 50.0}, "friction_level", 800.0, {"v": -0.1}, 750.0),
+    ("coulomb_asymmetry", {"offset": 50.0}, "friction_level", 800.0, {"v": 0.0}, 800.0),
+    ("coulomb_asymmetry", {"offset": 900.0}, "friction_level", 800.0, {"v": -0.1}, 1.0),
+    ("viscous_asymmetry", {"asymmetry": 300.0}, "force", 5.0, {"v": 0.1}, -25.0),
+    ("viscous_asymmetry", {"asymmetry": 300.0}, "force", 5.0, {"v": -0.1}, -25.0),
+    ("pressure_dependent_friction", {"slope": 1e-4}, "friction_level", 800.0, {"pL": -2e6}, 1000.0),
+    ("pressure_dependent_friction", {"slope": -1e-3}, "friction_level", 800.0, {"pL": 2e6}, 1.0),
+    ("position_dependent_friction", {"slope": 1e3, "curvature": 1e4}, "friction_level", 800.0, {"x": -0.2}, 1000.0),
+    ("position_dependent_friction", {"slope": -1e4}, "friction_level", 800.0, {"x": 0.2}, 1.0),
+    ("position_dependent_friction", {"sine": 30.0, "wavelength": 0.4}, "friction_level", 800.0, {"x": 0.1}, 830.0),
+    ("position_dependent_friction", {"cosine": 30.0, "wavelength": 0.4}, "friction_level", 800.0, {"x": 0.2}, 770.0),
+    ("temperature_dependent_friction", {"coulomb_slope": -50.0}, "friction_level", 800.0, {"T": 333.15}, 1.0),
+    ("temperature_dependent_friction", {"viscous_slope": -60.0}, "force", 1.0, {"T": 323.15, "v": 0.1}, 61.0),
+    ("spring_hardening", {"cubic": 1e7}, "force", 0.0, {"x": -0.02}, 80.0),
+    # ks x is in (3) already; what comes on top takes it off within the gap, and half a gap's worth beyond.
+    ("hinge_backlash", {"gap": 4e-3}, "force", 0.0, {"x": 1e-3}, 40.0),
+    ("hinge_backlash", {"gap": 4e-3}, "force", 0.0, {"x": -0.05}, -80.0),
+    ("end_stop", {"upper": 0.1, "stiffness": 1e6, "damping": 1e3}, "force", 7.0, {"x": 0.099, "v": 1.0}, 7.0),
+    ("end_stop", {"upper": 0.1, "stiffness": 1e6, "damping": 1e3}, "force", 7.0, {"x": 0.101, "v": 1.0}, 7.0 - 2000.0),
+    ("end_stop", {"upper": 0.1, "stiffness": 1e6, "damping": 1e3}, "force", 7.0, {"x": 0.101, "v": -1.0}, 7.0 - 1000.0),
+    ("end_stop", {"lower": -0.1, "stiffness": 1e6, "damping": 1e3}, "force", 7.0, {"x": -0.101, "v": -1.0}, 7.0 + 2000.0),
+    ("end_stop", {"lower": -0.1, "stiffness": 1e6, "damping": 1e3}, "force", 7.0, {"x": -0.101, "v": 1.0}, 7.0 + 1000.0),
+    ("flexible_mode", {"mass": 20.0, "taken": 0.5}, "force", 0.0, {}, -98.1),
+    ("periodic_disturbance", {"sine": 30.0, "cosine": 7.0, "frequency": 2.0}, "force", 1.0, {"t": 0.125}, 31.0),
+    ("periodic_disturbance", {"sine": 30.0, "cosine": 7.0, "frequency": 2.0}, "force", 1.0, {"t": 0.25}, -6.0),
+    ("constant_load", {"force": -40.0}, "force", 1.0, {}, -39.0),
+    (
+        "coupling_stiffness",
+        {"stiffness": 1e5, "damping": 1e3},
+        "force",
+        0.0,
+        {"x": 0.01, "v": 0.1, "xd": 0.03, "vd": 0.3},
+        2200.0,
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "parameters", "hook", "before", "given", "after"), WORKED)
+def test_a_hook_gives_what_was_worked_out(name, parameters, hook, before, given, after, make_rig):
+    effect = EFFECTS.load(name)
+    y, w = np.zeros(7), np.zeros(INPUTS)
+    w[TEMPERATURE] = 313.15
+    for key, value in given.items():
+        if key in STATE:
+            y[STATE[key]] = value
+        elif key in INPUT:
+            w[INPUT[key]] = value
+    p = np.array(effect.Parameters(**parameters))
+    z = np.zeros(getattr(effect, "STATES", 0))
+    got = getattr(effect, hook).py_func(before, given.get("t", 0.0), y, w, z, p, make_rig().plant)
+    assert got == pytest.approx(after, rel=1e-12, abs=1e-18)
+
+
+# Effect, parameters, what of the rig changes, and to what from the paper's value.
+SHIFTED = [
+    ("valve_gain_shift", {"gain": 0.8}, "plant.valve_gain", 0.8),
+    ("valve_gain_shift", {"flow_gain": 1.5}, "plant.discharge_coefficient", 0.93),
+    ("valve_bandwidth_shift", {"factor": 0.5}, "plant.valve_bandwidth", 55.731853715),
+    ("bulk_modulus_shift", {"factor": 0.5}, "plant.bulk_modulus", 3.45e8),
+    ("internal_leakage_shift", {"added": 1e-12}, "plant.leakage_coefficient", 5.7e-12),
+    ("internal_leakage_shift", {"added": -1e-11}, "plant.leakage_coefficient", 0.0),
+    ("mass_shift", {"factor": 1.2}, "plant.moving_mass", 84.0),
+    ("spring_rate_shift", {"added": 5e3}, "plant.spring_stiffness", 4.5e4),
+    ("spring_rate_shift", {"added": -5e4}, "plant.spring_stiffness", 0.0),
+    ("flexible_mode", {"mass": 20.0, "taken": 0.5}, "plant.moving_mass", 60.0),
+    ("flexible_mode", {"mass": 200.0, "taken": 1.0}, "plant.moving_mass", 0.7),
+    ("coulomb_shift", {"offset": 100.0}, "friction.coulomb_force", 740.8),
+    ("coulomb_shift", {"offset": 100.0}, "friction.static_force", 965.4),
+    ("coulomb_shift", {"offset": -1000.0}, "friction.coulomb_force", 1.0),
+    ("viscous_shift", {"added": 735.0}, "friction.viscous_coefficient", 8000.0),
+    ("viscous_shift", {"added": -1e4}, "friction.viscous_coefficient", 0.0),
+    ("stribeck_shift", {"static_offset": 34.6}, "friction.static_force", 900.0),
+    ("stribeck_shift", {"static_offset": -500.0}, "friction.static_force", 640.8),
+    ("stribeck_shift", {"velocity_factor": 2.0}, "friction.stribeck_velocity", 4.062e-3),
+    ("stribeck_shift", {"exponent_factor": 2.0}, "friction.stribeck_exponent", 1.7528),
+    ("stribeck_shift", {"exponent_factor": 9.0}, "friction.stribeck_exponent", 4.0),
+    ("presliding_stiffness_shift", {"factor": 2.0}, "friction.element_stiffness", (3.768e6, 3.938e5, 3.682e5)),
+]
+
+
+@pytest.mark.parametrize(("name", "parameters", "place", "value"), SHIFTED)
+def test_a_shift_moves_what_it_says(name, parameters, place, value, make_rig):
+    rig = make_rig(effects=[{"name": name, **parameters}])
+    assert attrgetter(place)(rig.effective()) == pytest.approx(value, rel=1e-12)
+
+
+def test_two_shifts_add_up(make_rig):
+    rig = make_rig(effects=[{"name": "mass_shift", "factor": 1.5}, {"name": "flexible_mode", "mass": 5.0, "taken": 1.0}])
+    assert rig.effective().plant.moving_mass == pytest.approx(100.0)
+
+
+def test_a_mass_taken_over_by_a_flexible_mode_weighs_what_it_did(make_rig):
+    """At rest, where the mode pulls with nothing but the weight."""
+    rig = make_rig(effects=[{"name": "flexible_mode", "mass": 20.0, "taken": 1.0}]).effective()
+    force = EFFECTS.load("flexible_mode").force.py_func
+    p = np.array(rig.effects[0].parameters)
+    pulled = force(0.0, 0.0, np.zeros(7), np.zeros(INPUTS), np.zeros(2), p, rig.plant)
+    assert pulled - rig.plant.moving_mass * rig.plant.gravity == pytest.approx(-70.0 * 9.81)
+
+
+@pytest.mark.parametrize("spool", [2e-4, -2e-4])
+@pytest.mark.parametrize("pressure", [3e6, -3e6, 6.9e6, 9e6])
+@pytest.mark.parametrize(
+    ("resistance", "quadratic"), [(0.0, 0.0), (3e9, 0.0), (0.0, 4e12), (3e9, 4e12), (1e12, 0.0), (0.0, 1e16)]
+)
+def test_the_supply_loses_what_the_flow_through_the_valve_costs(resistance, quadratic, pressure, spool, make_rig):
+    droop = EFFECTS.load("supply_pressure_droop")
+    y = np.zeros(7)
+    y[PL], y[XV] = pressure, spool
+    p = np.array(droop.Parameters(resistance, quadratic))
+    supply = droop.supply_pressure.py_func(7e6, 0.0, y, np.zeros(INPUTS), np.zeros(1), p, make_rig().plant)
+    across = supply - math.copysign(1.0, spool) * pressure
+    if math.copysign(1.0, spool) * pressure > 7e6:
+        # The load drives the oil back: nothing is drawn from the supply.
+        assert supply == 7e6
+        return
+    flow = 0.62 * 0.0267 * abs(spool) * math.sqrt(max(across, 0.0) / 840.0)
+    lost = resistance * flow + quadratic * flow**2
+    assert 0.0 <= supply <= 7e6
+    assert supply == pytest.approx(max(7e6 - lost, 0.0), rel=1e-6)
