@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 from scipy.signal import savgol_coeffs
 
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
+from ehls_ros.samples import GAUSS, Mask, inliers, noise
 from ehls_ros.trajectory import Trajectory
 
 WINDOW = 9
@@ -24,12 +24,6 @@ SMALL_TRAVEL = 0.02
 
 ORDER = 3
 """Order of the local polynomial."""
-
-NEIGHBOURS = 11
-"""Samples a sample is compared with to tell whether it is an outlier."""
-
-OUTLIER = 6.0
-"""Standard deviations from its neighbours at which a sample is an outlier."""
 
 MOST_OUTLIERS = 0.25
 """Part of a signal that may be outliers; beyond it, it cannot be told which samples are the right ones."""
@@ -48,11 +42,6 @@ FULL_BLOCK = 0.5
 
 SMALLEST_MISFIT = 1e-5
 """Misfit of the local fit that is never too large, as a part of the travel."""
-
-GAUSS = 1.4826
-"""Standard deviation of a normal distribution per median absolute deviation."""
-
-Mask = NDArray[np.bool_]
 
 
 class Motion(NamedTuple):
@@ -187,19 +176,11 @@ def _signal(trajectory: Trajectory, signal: str, name: str) -> Array:
 
 def _inliers(values: Array, signal: str, name: str) -> Mask:
     """Tell which samples are finite and agree with their neighbours."""
-    finite = np.isfinite(values)
-    filled = np.where(finite, values, np.interp(np.arange(len(values)), np.flatnonzero(finite), values[finite]))
-    off = np.abs(filled - median_filter(filled, NEIGHBOURS, mode="nearest"))
-    steps = np.abs(np.diff(filled))
-    usual = max(GAUSS * float(np.median(off)), float(np.median(steps)), 1e-12 * float(np.max(np.abs(filled))))
-    # Where a signal hardly moves against its resolution, the median says nothing: look at what is not zero.
-    moved = off[off > 0.0]
-    if moved.size:
-        usual = max(usual, float(np.quantile(moved, 0.25)))
-    good: Mask = finite & (off <= OUTLIER * usual)
-    bad = float(np.mean(~good & finite)) + float(np.mean(~finite))
+    finite, good = np.isfinite(values), inliers(values)
     if np.mean(finite) > 0.0 and np.mean(good[finite]) < 1.0 - MOST_OUTLIERS:
-        raise BadInput(f"{100 * bad:.0f} % of signal '{signal}' are outliers", name, f"at most {100 * MOST_OUTLIERS:.0f} %")
+        raise BadInput(
+            f"{100 * np.mean(~good):.0f} % of signal '{signal}' are outliers", name, f"at most {100 * MOST_OUTLIERS:.0f} %"
+        )
     return good
 
 
@@ -269,15 +250,3 @@ def _widened(mask: Mask, by: int) -> Mask:
 def slope_noise(block_noise: float, period: float) -> float:
     """Return the noise of the velocity [m/s] that comes of a block's mean position having one [m]."""
     return block_noise * float(np.sqrt(np.sum(savgol_coeffs(WINDOW, ORDER, deriv=1, delta=period) ** 2)))
-
-
-def noise(values: Array) -> float:
-    """Return the standard deviation of white noise from third differences, which a smooth signal has none of.
-
-    A quantised signal that stands still has no differences at all, so the mean counts, with the largest left out.
-    """
-    differences = np.abs(np.diff(values, 3))
-    if not differences.size:
-        return 0.0
-    kept = differences[differences <= np.quantile(differences, 0.98)]
-    return float(np.sqrt(np.mean(kept**2) / 20.0))

@@ -13,8 +13,9 @@ import numpy as np
 from scipy.optimize import nnls
 
 from ehls_ros.arrays import Array
-from ehls_ros.identification.motion import Mask, Motion
+from ehls_ros.identification.motion import Motion
 from ehls_ros.physics.parameters import Friction
+from ehls_ros.samples import Mask
 
 RAMPS = 60
 """Ends of ramps that are tried."""

@@ -15,9 +15,10 @@ from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
 from ehls_ros.identification import stribeck
 from ehls_ros.identification.gms_force import linear_columns
-from ehls_ros.identification.motion import GAUSS, Mask, Motion
+from ehls_ros.identification.motion import Motion
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.optimisers.base import Result
+from ehls_ros.samples import GAUSS, Mask
 
 SETTLE_TIMES = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0)
 """Times after a reversal or a break-away that are tried as the end of settling [s]."""

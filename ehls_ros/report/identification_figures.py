@@ -11,7 +11,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.identification.gms_force import linear_columns
 from ehls_ros.identification.identify import Identification
 from ehls_ros.identification.joint import JointFit
-from ehls_ros.identification.motion import Mask, Motion
+from ehls_ros.identification.motion import Motion
 from ehls_ros.identification.static import StaticFit
 from ehls_ros.identification.stribeck import StaticFriction
 from ehls_ros.physics.parameters import Friction
@@ -42,6 +42,7 @@ from ehls_ros.report.plot import (
     time_layout,
     time_line,
 )
+from ehls_ros.samples import Mask
 
 CURVE_POINTS = 400
 """Points of a curve on each side of standstill."""
