@@ -14,6 +14,7 @@ from ehls_ros.experiments.spec import Spec, spec_from_mapping
 from ehls_ros.schema import declarations, parse
 
 DURATION = 8.0
+STEP_LEVELS = [1e3, 6e3, -4e3, -2e3]
 SPECTRUM = [(0.5, 0.0), (1.2, 3e3), (2.0, -4e3), (2.6, 1e3), (4.0, 6e3), (5.5, 5e3), (6.0, 0.0)]
 
 
@@ -46,11 +47,13 @@ class Case(NamedTuple):
 
 # A member that is not listed is tested with its defaults and has to be smooth throughout.
 CASES = {
+    "amplitude_sweep": Case({"start_amplitude": 2e3, "sweep": 6.0, "offset": 1e3}, joints=(6.0,)),
     "chirp": Case({"sweep": 6.0, "offset": 1e3}, lambda p: [p.sweep]),
     "constant": Case({"value": -3e3}),
     "irregular": Case({"seed": 3}, joints=(0.5,)),
     "load_spectrum": Case({"points": SPECTRUM}, joints=(SPECTRUM[0][0], SPECTRUM[-1][0])),
     "sine": Case({"offset": 2e3, "phase": 0.4}),
+    "steps": Case({"levels": STEP_LEVELS, "hold": 1.0, "rise": 0.7}, joints=(1.0, 1.7, 2.7, 3.4, 4.4, 5.1)),
     "triangle": Case({}, triangle_corners),
     "velocity_sweep": Case({"velocities": [0.01, 0.05], "travel": 0.06, "longest": 1.5, "repeats": 1}, sweep_corners),
 }
