@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.estimate import Estimate
 from ehls_ros.identification.joint import JointFit
 from ehls_ros.physics.parameters import Friction, Plant
 from ehls_ros.physics.rig import Rig
@@ -25,20 +26,6 @@ SHARP = 0.02
 """Standard error, as a part of the value, below which a coefficient is known whatever it is correlated with."""
 
 STEP = 1e-6
-
-
-class Estimate(NamedTuple):
-    """One coefficient.
-
-    Attributes:
-        value: its value.
-        std: its standard error.
-        unit: unit of both.
-    """
-
-    value: float
-    std: float
-    unit: str
 
 
 class Estimates(NamedTuple):

@@ -1,0 +1,217 @@
+"""Residuals in units of their noise, and the loss by which one model is preferred to another.
+
+Every window's residual is divided by its noise floor: the scatter that the sensors' noise gives it, found by adding more
+noise of the same size to the recording, and a tolerance for what no model of a rig reaches. Windows lie in blocks of a few
+seconds; a model is judged on each block with the coefficients fitted to the others.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.record import COMMAND, LOAD, SERVO_POSITION, SERVO_VELOCITY, Record
+from ehls_ros.diagnosis.stages import Channel, Comparison, Setup, usable
+from ehls_ros.physics.rig import Rig
+from ehls_ros.samples import Mask
+
+REALISATIONS = 8
+"""How often noise is added to find what it does."""
+
+TOLERANCE = 1e-4
+"""What no model reaches, as a part of the largest term in a channel's balance."""
+
+HUBER = 3.0
+"""Whitened residual from which on the loss grows linearly, so that a few windows do not decide."""
+
+BLOCK = 2.5
+"""Length of a block [s]."""
+
+FEWEST_BLOCKS, MOST_BLOCKS = 6, 60
+"""Limits of the number of blocks."""
+
+MOST_LEFT = 2.0
+"""How much larger than thought noise may be that a model saves."""
+
+EXACT = (COMMAND, LOAD, SERVO_POSITION, SERVO_VELOCITY)
+"""Signals that are commanded, not measured: they have no noise of their own."""
+
+
+class Errors(NamedTuple):
+    """Whitened residuals of the usable windows, by channel."""
+
+    values: Mapping[Channel, Array]
+
+    def together(self, channels: Sequence[Channel]) -> Array:
+        """Return those of some channels one after another."""
+        return np.concatenate([self.values[c] for c in channels]) if channels else np.empty(0)
+
+
+class Evidence:
+    """One recording beside models, in units of the noise.
+
+    Attributes:
+        rig: the model as it was given.
+        channels: the channels with usable windows.
+        floor: noise floor of each usable window, by channel, in the channel's unit.
+        noise: the part of it that the sensors' noise makes, rms, by channel.
+        block: number of the block each usable window lies in, by channel.
+        blocks: how many blocks there are.
+        base: whitened residuals of the model as it was given.
+    """
+
+    def __init__(self, record: Record, rig: Rig, setup: Setup, seed: int) -> None:
+        """Lay the given model beside the recording and find the noise floor."""
+        self.record = record
+        self.rig = rig
+        self.setup = setup
+        comparison = Comparison(record, setup)
+        masks = {channel: usable(comparison, channel) for channel in setup.channels}
+        self.channels: tuple[Channel, ...] = tuple(c for c in setup.channels if np.any(masks[c]))
+        self.masks: dict[Channel, Mask] = masks
+        raw = comparison.residuals(rig, self.channels)
+        scatter = _scatter(comparison, rig, raw, self.channels, seed)
+        sizes = sizes_of(comparison, rig)
+        self.noise = {c: float(np.sqrt(np.mean(scatter[c][masks[c]] ** 2))) for c in self.channels}
+        self.sizes = {c: sizes[c] for c in self.channels}
+        self.floor: dict[Channel, Array] = {
+            c: np.sqrt(scatter[c][masks[c]] ** 2 + (TOLERANCE * sizes[c]) ** 2) for c in self.channels
+        }
+        self.blocks = int(np.clip(round(len(record.time) * record.period / BLOCK), FEWEST_BLOCKS, MOST_BLOCKS))
+        self.block = {c: self._block_of(c) for c in self.channels}
+        self.base = self._whitened(raw)
+        self.noisy_record = _noisy(record, np.random.default_rng(seed + 1))
+        self.noisy_base = self._whitened(Comparison(self.noisy_record, setup).residuals(rig, self.channels))
+        self.relevant = comparison.relevant(rig)
+
+    def comparison(self) -> Comparison:
+        """Return a fresh comparison, for another thread to use."""
+        return Comparison(self.record, self.setup)
+
+    def quieted(self, comparison: Comparison, rig: Rig, errors: Errors, channels: Sequence[Channel]) -> dict[Channel, float]:
+        """Return the loss that a model saves in each channel by averaging noise, rather than by being right [nats].
+
+        Args:
+            comparison: the thread's own, of the record with noise added.
+            rig: the model.
+            errors: its whitened residuals without the noise.
+            channels: where it differs from the given model.
+        """
+        noisy = self._whitened(comparison.residuals(rig, tuple(channels)))
+        saved = {}
+        for c in channels:
+            before = float(np.sum(loss(self.noisy_base.values[c] - self.base.values[c])))
+            after = float(np.sum(loss(noisy.values[c] - errors.values[c])))
+            # Where more than the noise added is left, the noise is that much larger than thought.
+            left = float(np.sum(loss(errors.values[c]))) / max(after, 1e-300)
+            saved[c] = (before - after) * float(np.clip(left, 1.0, MOST_LEFT))
+        return saved
+
+    def times(self, channel: Channel) -> Array:
+        """Return the middle of each usable window [s]."""
+        window = self.window(channel)
+        starts = window.starts(len(self.record.time))
+        middle = np.minimum(starts + window.weights.size // 2, len(self.record.time) - 1)
+        return self.record.time[middle][self.masks[channel]]
+
+    def window(self, channel: Channel):  # noqa: ANN201
+        """Return the windows of a channel."""
+        return self.setup.average if channel in ("spool", "supply", "cell") else self.setup.window
+
+    def means(self, channel: Channel, values: Array) -> Array:
+        """Return the mean of a signal over each usable window."""
+        return self.window(channel).mean(values)[self.masks[channel]]
+
+    def errors(self, comparison: Comparison, rig: Rig, known: Errors | None = None, known_rig: Rig | None = None) -> Errors:
+        """Return the whitened residuals of a model.
+
+        Args:
+            comparison: the thread's own.
+            rig: the model.
+            known: residuals of another model, of which those that must be equal are taken over.
+            known_rig: that model.
+        """
+        taken = self.base if known is None else known
+        before = self.relevant if known_rig is None else comparison.relevant(known_rig)
+        now = comparison.relevant(rig)
+        changed = tuple(c for c in self.channels if now[c] != before[c])
+        fresh = self._whitened(comparison.residuals(rig, changed)) if changed else None
+        return Errors({c: fresh.values[c] if fresh is not None and c in changed else taken.values[c] for c in self.channels})
+
+    def _whitened(self, raw: Mapping[Channel, Array]) -> Errors:
+        out = {}
+        for channel, values in raw.items():
+            e = values[self.masks[channel]] / self.floor[channel]
+            out[channel] = np.nan_to_num(e, nan=1e6, posinf=1e6, neginf=-1e6)
+        return Errors(out)
+
+    def _block_of(self, channel: Channel) -> NDArray[np.intp]:
+        # By sample, not by time: the stretches of a long recording follow each other.
+        window = self.window(channel)
+        starts = window.starts(len(self.record.time))[self.masks[channel]]
+        return np.minimum(starts * self.blocks // len(self.record.time), self.blocks - 1)
+
+
+def loss(e: Array) -> Array:
+    """Return Huber's loss of whitened residuals, a negative log-likelihood up to a constant."""
+    size = np.abs(e)
+    return np.where(size <= HUBER, 0.5 * e * e, HUBER * size - 0.5 * HUBER**2)
+
+
+def weights(e: Array) -> Array:
+    """Return the weights by which a quadratic loss stands in for Huber's."""
+    return np.minimum(1.0, HUBER / np.maximum(np.abs(e), 1e-12))
+
+
+def sizes_of(comparison: Comparison, rig: Rig) -> dict[Channel, float]:
+    """Return the rms of the largest term in each channel's balance, in the channel's unit."""
+    plant, record = rig.effective().plant, comparison.record
+    rms = {name: float(np.sqrt(np.mean(record.signals[name] ** 2))) for name in record.signals}
+    flow = (
+        float(np.sqrt(np.mean(comparison.flow_terms(rig.effective())[:, 0] ** 2)))
+        if "volume" in comparison.setup.channels
+        else 0.0
+    )
+    speed = comparison.motion(rig.effective()).velocity if "force" in comparison.setup.channels else np.zeros(1)
+    swept = plant.piston_area * float(np.sqrt(np.mean(speed**2)))
+    driving = plant.piston_area * rms["load_pressure_pa"] if "load_pressure_pa" in rms else rms.get("force_n", 0.0)
+    return {
+        "spool": rms.get("spool_m", 0.0),
+        "volume": max(flow, swept),
+        "supply": rms.get("supply_pressure_pa", 0.0),
+        "force": max(driving, rms.get("disturbance_force_n", 0.0)),
+        "cell": driving,
+        "velocity": float(np.sqrt(np.mean(speed**2))),
+    }
+
+
+def _noisy(record: Record, rng: np.random.Generator) -> Record:
+    """Return the record with as much noise again as its sensors have."""
+    noisy = {
+        name: values if name in EXACT else values + record.noise[name] * rng.standard_normal(len(values))
+        for name, values in record.signals.items()
+    }
+    return record._replace(signals=noisy)
+
+
+def _scatter(
+    comparison: Comparison, rig: Rig, raw: Mapping[Channel, Array], channels: Sequence[Channel], seed: int
+) -> dict[Channel, Array]:
+    """Return the standard deviation that the sensors' noise gives each window's residual."""
+    rng = np.random.default_rng(seed)
+    record = comparison.record
+    squares = {c: np.zeros(len(raw[c])) for c in channels}
+    for _ in range(REALISATIONS):
+        again = Comparison(_noisy(record, rng), comparison.setup).residuals(rig, tuple(channels))
+        for c in channels:
+            squares[c] += (again[c] - raw[c]) ** 2
+    out = {}
+    for c in channels:
+        variance = squares[c] / REALISATIONS
+        typical = float(np.median(variance))
+        local = uniform_filter1d(variance, 9, mode="nearest")
+        out[c] = np.sqrt(np.maximum(local, 0.5 * typical))
+    return out

@@ -1,0 +1,271 @@
+"""Fitting a hypothesis, and judging it on data that it was not fitted to."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.evidence import Errors, Evidence, loss, weights
+from ehls_ros.diagnosis.hypotheses import Hypothesis, bounds, extended
+from ehls_ros.diagnosis.stages import Channel, Comparison
+from ehls_ros.physics.rig import Rig
+
+LEAST_CHANGE, MOST_CHANGE = 0.5, 20.0
+"""Change of the whitened residuals that a difference quotient's step makes, as a norm."""
+
+STEP_TRIES = 5
+"""How often a step of a difference quotient is made larger or smaller."""
+
+MOST_ITERATIONS = 8
+"""Most Gauss-Newton steps."""
+
+SETTLED = 0.02
+"""Decrease of the loss at which a fit has settled [nats]."""
+
+
+class Fit(NamedTuple):
+    """A hypothesis fitted to a recording.
+
+    Attributes:
+        hypothesis: what was fitted.
+        values: its free parameters.
+        channels: the channels it changes.
+        errors: whitened residuals with it.
+        jacobian: their derivatives by the parameters, for the channels it changes, one after another.
+        loss: loss over the channels it changes.
+        steps: steps of the difference quotients.
+    """
+
+    hypothesis: Hypothesis
+    values: Array
+    channels: tuple[Channel, ...]
+    errors: Errors
+    jacobian: Array
+    loss: float
+    steps: Array
+
+
+class Worker:
+    """What one thread needs to evaluate hypotheses."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        """Give the thread a comparison of its own."""
+        self.evidence = evidence
+        self.comparison: Comparison = evidence.comparison()
+        self.noisy = Comparison(evidence.noisy_record, evidence.setup)
+
+    def errors(self, rig: Rig) -> Errors:
+        """Return whitened residuals of a model."""
+        return self.evidence.errors(self.comparison, rig)
+
+    def start(self, hypothesis: Hypothesis, values: Array, steps: Array | None = None) -> Fit:
+        """Evaluate a hypothesis and its derivatives without fitting it."""
+        errors = self.errors(extended(self.evidence.rig, hypothesis, values))
+        return self._linearised(hypothesis, values, errors, steps)
+
+    def _linearised(self, hypothesis: Hypothesis, values: Array, errors: Errors, steps: Array | None) -> Fit:
+        evidence, rig = self.evidence, self.evidence.rig
+        lower, upper = bounds(hypothesis)
+        known_rig = extended(rig, hypothesis, values)
+        steps = _first_steps(values, lower, upper) if steps is None else steps.copy()
+        columns, touched = [], dict.fromkeys((), True)
+        for i in range(len(values)):
+            step = steps[i]
+            column: Errors | None = None
+            for _ in range(STEP_TRIES):
+                # Away from the nearer end of the range.
+                signed = step if values[i] + step <= upper[i] else -step
+                moved = values.copy()
+                moved[i] += signed
+                other = evidence.errors(self.comparison, extended(rig, hypothesis, moved), errors, known_rig)
+                column = Errors({c: (other.values[c] - errors.values[c]) / signed for c in evidence.channels})
+                change = abs(signed) * float(np.sqrt(sum(v @ v for v in column.values.values())))
+                if change < LEAST_CHANGE and step < 0.2 * (upper[i] - lower[i]):
+                    step = min(step * (1e3 if change == 0.0 else min(1e3, 3.0 / change)), 0.25 * (upper[i] - lower[i]))
+                elif change > MOST_CHANGE:
+                    step *= max(0.01, 5.0 / change)
+                else:
+                    break
+            steps[i] = step
+            if column is None:
+                raise AssertionError
+            columns.append(column)
+            touched.update({c: True for c in evidence.channels if np.any(column.values[c])})
+        channels = tuple(c for c in evidence.channels if c in touched or np.any(errors.values[c] != evidence.base.values[c]))
+        jacobian = np.column_stack([column.together(channels) for column in columns]) if columns else np.empty((0, 0))
+        total = float(np.sum(loss(errors.together(channels))))
+        return Fit(hypothesis, values, channels, errors, jacobian, total, steps)
+
+    def fit(self, begin: Fit, iterations: int = MOST_ITERATIONS) -> Fit:
+        """Minimise the loss by Gauss-Newton steps with Levenberg's damping, within the parameters' ranges."""
+        evidence = self.evidence
+        lower, upper = bounds(begin.hypothesis)
+        now, damping = begin, 1e-6
+        for _ in range(iterations):
+            e = now.errors.together(now.channels)
+            gained = False
+            for _ in range(4):
+                step = gauss_newton(now.jacobian, e, damping, now.values, lower, upper)
+                values = np.clip(now.values + step, lower, upper)
+                errors = self.errors(extended(evidence.rig, now.hypothesis, values))
+                total = float(np.sum(loss(errors.together(now.channels))))
+                if total < now.loss:
+                    gained = True
+                    break
+                damping = max(damping, 1e-4) * 10.0
+            if not gained:
+                break
+            decrease = now.loss - total
+            damping = max(damping / 10.0, 1e-9)
+            now = self._linearised(now.hypothesis, values, errors, now.steps)
+            if decrease < SETTLED + 1e-4 * total:
+                break
+        return now
+
+
+def _first_steps(values: Array, lower: Array, upper: Array) -> Array:
+    span = np.minimum(np.where(np.isfinite(upper - lower), upper - lower, 1.0), 1e12)
+    return np.where(values != 0.0, 1e-2 * np.abs(values), 1e-4 * span)
+
+
+def gauss_newton(jacobian: Array, e: Array, damping: float, values: Array, lower: Array, upper: Array) -> Array:
+    """Return a damped Gauss-Newton step that stays within the ranges."""
+    free = np.ones(len(values), dtype=np.bool_)
+    step = np.zeros(len(values))
+    w = weights(e)
+    for _ in range(len(values)):
+        j = jacobian[:, free]
+        normal = (j * w[:, None]).T @ j
+        gradient = (j * w[:, None]).T @ e
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        scaled = normal / np.outer(scale, scale) + damping * np.eye(len(scale))
+        step[:] = 0.0
+        step[free] = -np.linalg.lstsq(scaled, gradient / scale, rcond=1e-12)[0] / scale
+        # A parameter that would leave its range is held at the end of it.
+        out = free & (((values + step < lower) & (values <= lower)) | ((values + step > upper) & (values >= upper)))
+        if not np.any(out):
+            break
+        free &= ~out
+        step[out] = 0.0
+        if not np.any(free):
+            break
+    return step
+
+
+def predicted_loss(fit: Fit) -> float:
+    """Return the loss that one Gauss-Newton step is expected to reach."""
+    if not fit.values.size:
+        return fit.loss
+    e = fit.errors.together(fit.channels)
+    lower, upper = bounds(fit.hypothesis)
+    step = gauss_newton(fit.jacobian, e, 1e-9, fit.values, lower, upper)
+    step = np.clip(fit.values + step, lower, upper) - fit.values
+    return float(np.sum(loss(e + fit.jacobian @ step)))
+
+
+class Held(NamedTuple):
+    """How a fit does on blocks that it was not fitted to.
+
+    Attributes:
+        gain: decrease of the loss against the model as it was given, by channel and block [nats], not yet scaled.
+        errors: whitened residuals of the channels it changes, each block's with the parameters fitted to the others.
+        inflation: by channel, how much more the remaining residuals scatter than noise would.
+        covariance: of the parameters, shape (p, p).
+        disagreement: of each parameter, how much more its variance is by what the blocks say than by noise: at least 1.
+    """
+
+    gain: dict[Channel, Array]
+    errors: Errors
+    inflation: dict[Channel, float]
+    covariance: Array
+    disagreement: Array
+
+
+def held_out(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Held:
+    """Judge a fit on each block with the parameters fitted to the others.
+
+    A block's influence on the parameters is taken off to first order, which needs no further evaluation. What a model
+    gains by averaging the sensors' noise does not count.
+    """
+    e = fit.errors.together(fit.channels)
+    block = np.concatenate([evidence.block[c] for c in fit.channels]) if fit.channels else np.empty(0, dtype=np.intp)
+    p = len(fit.values)
+    inflation = {c: inflation_of(fit.errors.values[c]) for c in fit.channels}
+    w, normal = weights(e), np.zeros((p, p))
+    j = fit.jacobian
+    gradients, normals = np.zeros((evidence.blocks, p)), np.zeros((evidence.blocks, p, p))
+    without = e.copy()
+    for b in range(evidence.blocks):
+        inside = block == b
+        if not np.any(inside):
+            continue
+        jb, wb = j[inside], w[inside]
+        normals[b] = (jb * wb[:, None]).T @ jb
+        gradients[b] = (jb * wb[:, None]).T @ e[inside]
+    normal = normals.sum(axis=0)
+    for b in range(evidence.blocks):
+        inside = block == b
+        if p and np.any(inside):
+            shift = np.linalg.lstsq(normal - normals[b], gradients[b], rcond=1e-10)[0]
+            without[inside] = e[inside] + j[inside] @ shift
+    base = evidence.base.together(fit.channels)
+    difference = loss(base) - loss(without)
+    quieted = dict.fromkeys(fit.channels, 0.0)
+    if worker is not None and fit.channels:
+        model = extended(evidence.rig, fit.hypothesis, fit.values)
+        quieted = evidence.quieted(worker.noisy, model, fit.errors, fit.channels)
+    gain, errors, begin = dict[Channel, Array](), dict(evidence.base.values), 0
+    for c in fit.channels:
+        end = begin + len(evidence.block[c])
+        quieter = max(quieted[c], 0.0) / evidence.blocks
+        gain[c] = -quieter + np.bincount(evidence.block[c], weights=difference[begin:end], minlength=evidence.blocks)
+        errors[c] = without[begin:end]
+        begin = end
+    return Held(gain, Errors(errors), inflation, *_covariance(normal, gradients, fit, inflation, evidence))
+
+
+def inflation_of(e: Array) -> float:
+    """Return by how much residuals scatter more than noise would: at least 1."""
+    return max(1.0, float(np.mean(np.minimum(e * e, HUBER_SQUARE))))
+
+
+HUBER_SQUARE = 9.0
+"""Square at which a whitened residual counts no further for the scatter."""
+
+
+def _covariance(
+    normal: Array, gradients: Array, fit: Fit, inflation: dict[Channel, float], evidence: Evidence
+) -> tuple[Array, Array]:
+    """Return the parameters' covariance, the larger of what noise and what the blocks' disagreement says; and the ratio."""
+    if not fit.values.size:
+        return np.empty((0, 0)), np.empty(0)
+    inverse = np.linalg.pinv(normal)
+    lengths = [len(evidence.block[c]) for c in fit.channels]
+    scale = np.repeat([inflation[c] for c in fit.channels], lengths)
+    j = fit.jacobian
+    w = weights(fit.errors.together(fit.channels))
+    noise = inverse @ ((j * (w * w * scale)[:, None]).T @ j) @ inverse
+    blocks = max(evidence.blocks - len(fit.values), 1)
+    between = inverse @ (gradients.T @ gradients) @ inverse * evidence.blocks / blocks
+    larger = np.maximum(1.0, np.sqrt(np.maximum(np.diag(between), 0.0) / np.maximum(np.diag(noise), 1e-300)))
+    return noise * np.outer(larger, larger), larger**2
+
+
+def lines_of(e: Array, times: Array, count: int) -> Sequence[float]:
+    """Return the frequencies of the strongest lines in a residual's spectrum [Hz]."""
+    if len(e) < 16:
+        return []
+    step = float(np.median(np.diff(times)))
+    even = np.interp(np.arange(times[0], times[-1], step), times, np.clip(e, -20.0, 20.0))
+    even = (even - even.mean()) * np.hanning(len(even))
+    padded = 4 * len(even)
+    spectrum = np.abs(np.fft.rfft(even, padded)) ** 2
+    frequency = np.fft.rfftfreq(padded, step)
+    spectrum[frequency < 2.0 / (len(even) * step)] = 0.0
+    found = []
+    for _ in range(count):
+        peak = int(np.argmax(spectrum))
+        found.append(float(frequency[peak]))
+        spectrum[np.abs(frequency - frequency[peak]) < 3.0 / (len(even) * step)] = 0.0
+    return found

@@ -1,0 +1,138 @@
+"""What may be wrong with a model: every effect in every form in which it can be fitted."""
+
+from collections.abc import Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.record import Record
+from ehls_ros.errors import BadInput
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.effects.base import Form, Peak, Quantile, Share
+from ehls_ros.physics.rig import EffectUse, Rig
+from ehls_ros.schema import Declaration, declarations
+
+
+class Candidate(NamedTuple):
+    """One effect in one of its forms.
+
+    Attributes:
+        name: of the effect.
+        number: of the form, in the order of the effect's file.
+        free: names of the parameters to fit.
+        fixed: the other parameters that are not at their neutral values.
+        starts: values of the free parameters from which fits start, shape (starts, free).
+        lower, upper: range of the free parameters, shape (free,).
+        units: units of the free parameters.
+        neutral: their neutral values, shape (free,).
+    """
+
+    name: str
+    number: int
+    free: tuple[str, ...]
+    fixed: tuple[tuple[str, float], ...]
+    starts: Array
+    lower: Array
+    upper: Array
+    units: tuple[str, ...]
+    neutral: Array
+
+    def use(self, values: Array) -> EffectUse:
+        """Return the effect switched on with values of the free parameters, held within their ranges."""
+        inside = np.clip(values, self.lower, self.upper)
+        named = {**dict(self.fixed), **{n: float(v) for n, v in zip(self.free, inside, strict=True)}}
+        return EffectUse(self.name, EFFECTS.load(self.name).Parameters(**named))
+
+
+Hypothesis = tuple[Candidate, ...]
+"""Candidates that act together."""
+
+
+def extended(rig: Rig, hypothesis: Hypothesis, values: Array) -> Rig:
+    """Return a rig with a hypothesis' effects switched on.
+
+    Args:
+        rig: the model as it was given.
+        hypothesis: what is switched on.
+        values: the free parameters of all of them one after another.
+    """
+    uses, offset = [], 0
+    for candidate in hypothesis:
+        uses.append(candidate.use(values[offset : offset + len(candidate.free)]))
+        offset += len(candidate.free)
+    return rig.with_effects(tuple(uses))
+
+
+def bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:
+    """Return the ranges of a hypothesis' free parameters one after another."""
+    if not hypothesis:
+        return np.empty(0), np.empty(0)
+    return np.concatenate([c.lower for c in hypothesis]), np.concatenate([c.upper for c in hypothesis])
+
+
+def candidates(record: Record, rig: Rig, lines: Sequence[float]) -> tuple[list[Candidate], dict[str, str]]:
+    """Return every effect in every form that these data can be asked about.
+
+    Args:
+        record: the recording.
+        rig: the model as it was given; an effect it already has is asked about as a change on top of it.
+        lines: frequencies of the strongest lines in the residuals' spectra [Hz].
+
+    Returns:
+        The candidates, and the effects that cannot be judged with the reason.
+    """
+    found, out = list[Candidate](), dict[str, str]()
+    for name in EFFECTS.names():
+        effect = EFFECTS.load(name)
+        missing = [signal for signal in getattr(effect, "NEEDS", ()) if signal not in record]
+        if missing:
+            out[name] = f"needs {', '.join(missing)}"
+            continue
+        if any(use.name == name for use in rig.effects):
+            out[name] = "the rig file has it already"
+            continue
+        for number, form in enumerate(effect.forms(rig)):
+            found.append(_candidate(name, number, form, record, lines))
+    return found, out
+
+
+@cache
+def _declared(name: str) -> dict[str, Declaration]:
+    return {d.name: d for d in declarations(EFFECTS.load(name).Parameters)}
+
+
+def _candidate(name: str, number: int, form: Form, record: Record, lines: Sequence[float]) -> Candidate:
+    declared = _declared(name)
+    free = tuple(form.free)
+    count = max([1, *[len(starts) for starts in form.free.values()]])
+    rows = np.empty((count, len(free)))
+    neutral = np.array([float(declared[p].default) for p in free])
+    for column, parameter in enumerate(free):
+        starts = form.free[parameter] or (float(declared[parameter].default),) * count
+        if len(starts) != count:
+            raise BadInput(f"{parameter} has {len(starts)} starts", f"effect {name}, form {number}", f"{count} as the others")
+        rows[:, column] = [_start(start, record, lines) for start in starts]
+    lower = np.array([_finite(declared[p].minimum, -np.inf) for p in free])
+    upper = np.array([_finite(declared[p].maximum, np.inf) for p in free])
+    if all(form.free.values()):
+        # What is small is found from the neutral values, wherever they tell a direction.
+        rows = np.vstack([neutral, rows])
+    rows = np.clip(rows, lower, upper)
+    units = tuple(declared[p].unit for p in free)
+    return Candidate(name, number, free, tuple(form.fixed.items()), np.unique(rows, axis=0), lower, upper, units, neutral)
+
+
+def _finite(value: float | None, otherwise: float) -> float:
+    return otherwise if value is None else float(value)
+
+
+def _start(start: float | Share | Quantile | Peak, record: Record, lines: Sequence[float]) -> float:
+    if isinstance(start, Share):
+        return start.part * float(np.max(np.abs(record.values(start.signal))))
+    if isinstance(start, Quantile):
+        return float(np.quantile(record.values(start.signal), start.part))
+    if isinstance(start, Peak):
+        return float(lines[min(start.rank, len(lines)) - 1]) if lines else 1.0
+    return float(start)

@@ -1,0 +1,415 @@
+"""The model's parts run along a recording, every effect at its place, in compiled kernels.
+
+The simulator compiles the effects that a rig has. Here all of them are compiled once, each behind a flag, so that
+trying a hypothesis costs no compilation. A part is one relation of the model with the hooks that act in it:
+
+==============  =============================================  ==========================================================
+part            integrates                                     gives, a row a sample
+==============  =============================================  ==========================================================
+``spool``       the spool (4) from the command                 spool displacement [m]
+``flow``        what the effects of the flow remember          load flow [m^3/s], leakage [m^3/s], bulk modulus [Pa],
+                                                               supply pressure [Pa]
+``friction``    the friction model's forces (6), (8)           friction force [N]
+``force``       what the effects on the force remember         force beyond (3) [N]
+==============  =============================================  ==========================================================
+
+Position, velocity, load pressure and spool come from the recording, straight between two samples.
+"""
+
+import hashlib
+import inspect
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+from ehls_ros.physics.composition import kernel_module
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.rig import EffectUse
+
+PARTS = {
+    "spool": ("received", "command"),
+    "flow": ("opening", "supply_pressure", "bulk_modulus", "leakage"),
+    "friction": ("friction_level",),
+    "force": ("force",),
+}
+"""The hooks that act in each part."""
+
+
+class Motion(NamedTuple):
+    """What the parts are run along, each of shape (n,): see :mod:`ehls_ros.physics.plant`."""
+
+    time: Array
+    position: Array
+    velocity: Array
+    pressure: Array
+    spool: Array
+    command: Array
+    disturbance: Array
+    servo_position: Array
+    servo_velocity: Array
+    temperature: Array
+
+
+class Switched(NamedTuple):
+    """Effects as a part's kernel takes them: a flag for each, and the parameters of all in one row."""
+
+    on: NDArray[np.bool_]
+    parameters: Array
+
+
+@cache
+def effects_of(part: str) -> tuple[str, ...]:
+    """Return the names of the effects that act in a part through a hook."""
+    return tuple(n for n in EFFECTS.names() if any(hasattr(EFFECTS.load(n), hook) for hook in PARTS[part]))
+
+
+@cache
+def _neutral(part: str) -> tuple[float, ...]:
+    return tuple(float(value) for name in effects_of(part) for value in EFFECTS.load(name).Parameters())
+
+
+def switched(part: str, effects: Sequence[EffectUse]) -> Switched:
+    """Lay out the effects in use for a part's kernel; of an effect used twice, the last one counts."""
+    names = effects_of(part)
+    on, parameters = np.zeros(len(names), dtype=np.bool_), np.array(_neutral(part), dtype=np.float64)
+    uses = {use.name: use.parameters for use in effects}
+    offset = 0
+    for index, name in enumerate(names):
+        count = len(EFFECTS.load(name).Parameters._fields)
+        if name in uses:
+            on[index] = True
+            parameters[offset : offset + count] = uses[name]
+        offset += count
+    return Switched(on, parameters)
+
+
+def remembers(part: str, effects: Sequence[EffectUse]) -> bool:
+    """Tell whether one of the effects in use has states of its own in a part."""
+    return any(use.name in effects_of(part) and getattr(EFFECTS.load(use.name), "STATES", 0) for use in effects)
+
+
+def kernel(part: str, friction_model: str = "gms", elements: int = 1) -> ModuleType:
+    """Return the compiled module of a part; its ``run`` fills rows of ``out``.
+
+    Args:
+        part: one of :data:`PARTS`.
+        friction_model: for ``friction``, the model's name.
+        elements: for ``friction``, how many forces it integrates.
+    """
+    return kernel_module(_source(part, friction_model, elements) if part == "friction" else _source(part, "", 0))
+
+
+@cache
+def _source(part: str, friction_model: str, elements: int) -> str:
+    imports, rates, jumps, states, offset = list[str](), list[str](), list[str](), 0, 0
+    chains = {hook: list[str]() for hook in PARTS[part]}
+    for index, name in enumerate(effects_of(part)):
+        effect: Any = EFFECTS.load(name)
+        own, count = getattr(effect, "STATES", 0), len(effect.Parameters._fields)
+        digest = hashlib.sha256(Path(inspect.getfile(cast(ModuleType, effect))).read_bytes()).hexdigest()[:16]
+        imports.append(f"from ehls_ros.physics.effects import {name} as effect_{index}  # {digest}")
+        parameters = f"p[{offset}:{offset + count}]"
+        view = f"t, y, w, z[{states}:{states + own}], {parameters}, plant"
+        for hook in PARTS[part]:
+            if hasattr(effect, hook):
+                chains[hook].append(f"    if on[{index}]:\n        value = effect_{index}.{hook}(value, {view})")
+        if part == "spool" and hasattr(effect, "jump"):
+            jumps.append(f"    if on[{index}]:\n        value = min(value, effect_{index}.jump(t, w, {parameters}))")
+        if own:
+            rates.append(f"    if on[{index}]:\n        effect_{index}.derivatives(value, {view}, dz[{states}:{states + own}])")
+        if part == "spool" and hasattr(effect, "command"):
+            rates.append(chains["command"][-1])
+        states += own
+        offset += count
+    hooks = "\n\n".join(
+        "\n".join(["@plain", f"def {hook}(value, t, y, w, z, p, plant, on):", *chains[hook], "    return value", ""])
+        for hook in PARTS[part]
+    )
+    template = {"spool": _SPOOL, "flow": _FLOW, "friction": _FRICTION, "force": _FORCE}[part]
+    head = _HEAD.format(imports="\n".join(imports), hooks=hooks, rates="\n".join(rates), jumps="\n".join(jumps))
+    own_sources = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]
+    return f"# {own_sources}\n" + head + template.format(states=states, model=friction_model, elements=elements)
+
+
+_HEAD = '''"""Part of the model along a recording, generated."""
+import numpy as np
+from numba import njit
+from ehls_ros.physics import integration, plant as model
+from ehls_ros.physics.beam import applied_force
+from ehls_ros.physics.friction.base import stribeck_level
+from ehls_ros.physics.plant import X, V, PL, XV, FRICTION, U, FD, FD_RATE, XD, VD, TEMPERATURE, START, PERIOD, INPUTS
+from ehls_ros.physics.valve import load_flow, spool_rate
+{imports}
+
+plain = njit(error_model="numpy")
+
+
+{hooks}
+
+@plain
+def jump(t, w, p, on):
+    value = np.inf
+{jumps}
+    return value
+
+
+@plain
+def effect_rates(value, t, y, w, z, p, plant, on, dz):
+    dz[:] = 0.0
+{rates}
+
+
+@plain
+def inputs(k, m, period, w):
+    """Set the inputs at sample k; they hold until the next."""
+    w[U], w[START], w[PERIOD] = m.command[k], m.time[k], period
+    after = min(k + 1, m.time.size - 1)
+    w[FD], w[FD_RATE] = m.disturbance[k], (m.disturbance[after] - m.disturbance[k]) / period
+    w[XD], w[VD], w[TEMPERATURE] = m.servo_position[k], m.servo_velocity[k], m.temperature[k]
+    for i in range(w.size - INPUTS):
+        w[INPUTS + i] = m.command[max(k - 1 - i, 0)]
+
+
+@plain
+def measured(k, m, y):
+    """Set the plant's state at sample k."""
+    y[X], y[V], y[PL], y[XV] = m.position[k], m.velocity[k], m.pressure[k], m.spool[k]
+
+
+@plain
+def slopes(k, m, period, rate):
+    """Set the rates of the plant's state from sample k to the next."""
+    after = min(k + 1, m.time.size - 1)
+    rate[X] = (m.position[after] - m.position[k]) / period
+    rate[V] = (m.velocity[after] - m.velocity[k]) / period
+    rate[PL] = (m.pressure[after] - m.pressure[k]) / period
+    rate[XV] = (m.spool[after] - m.spool[k]) / period
+
+
+@plain
+def nothing(t, y, mode, c):
+    pass
+
+'''
+
+
+_REMEMBERED = """
+@plain
+def remember(k, m, period, steps, w, slope, p, plant, on, y, rates, stage):
+    \"\"\"Move the effects' own states from sample k to the next by Runge-Kutta steps; the measured state follows its slopes.\"\"\"
+    step = period / steps
+    for part in range(steps):
+        t = m.time[k] + part * step
+        for turn in range(4):
+            ahead = 0.0 if turn == 0 else (step if turn == 3 else 0.5 * step)
+            for i in range(FRICTION):
+                stage[i] = y[i] + ahead * slope[i]
+            for i in range({states}):
+                stage[FRICTION + i] = y[FRICTION + i] + (ahead * rates[turn - 1, i] if turn else 0.0)
+            effect_rates(w[U], t + ahead, stage, w, stage[FRICTION:], p, plant, on, rates[turn])
+        for i in range(FRICTION):
+            y[i] += step * slope[i]
+        for i in range({states}):
+            y[FRICTION + i] += step / 6.0 * (rates[0, i] + 2.0 * rates[1, i] + 2.0 * rates[2, i] + rates[3, i])
+
+"""
+
+_SPOOL = """
+@plain
+def evaluate(t, y, mode, c, rate):
+    \"\"\"Write the rates of the measured state, of the spool and of the effects' own; no events.\"\"\"
+    w, slope, p, plant, on, arrived = c
+    z = y[FRICTION:]
+    rate[:FRICTION] = slope
+    rate[XV] = spool_rate(y[XV], command(arrived, t, y, w, z, p, plant, on), plant)  # (4)
+    effect_rates(arrived, t, y, w, z, p, plant, on, rate[FRICTION:])
+    return -1.0
+
+
+go = integration.integrator(evaluate, nothing, size=FRICTION + {states}, most_events=0)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def run(m, fresh, period, steps, history, plant, friction, p, on, out):
+    \"\"\"Without steps, commands stand still between their jumps and (4) is followed exactly.\"\"\"
+    y, mode, w = np.zeros(FRICTION + {states}), np.zeros(1), np.zeros(INPUTS + history)
+    slope, work = np.zeros(FRICTION), np.zeros((integration.WORK_ROWS, y.size))
+    whole = np.exp(-plant.valve_bandwidth * period)
+    for k in range(m.time.size):
+        spool = y[XV]
+        measured(k, m, y)
+        y[XV] = spool
+        if fresh[k]:
+            measured(k, m, y)
+            y[FRICTION:] = 0.0
+        out[k, 0] = y[XV]
+        inputs(k, m, period, w)
+        slopes(k, m, period, slope)
+        now, last, tolerance = m.time[k], m.time[k] + period, 1e-9 * period
+        while last - now > tolerance:
+            until = min(jump(now + tolerance, w, p, on), last) if history else last
+            # Asked amid the piece, where no rounding can take it past a jump.
+            arrived = received(w[U], 0.5 * (now + until), y, w, y[FRICTION:], p, plant, on) if history else w[U]
+            if steps == 0:
+                held = plant.valve_gain * command(arrived, now, y, w, y[FRICTION:], p, plant, on)
+                left = whole if until - now == period else np.exp(-plant.valve_bandwidth * (until - now))
+                y[XV] = held + (y[XV] - held) * left  # (4)
+            else:
+                pieces = max(1, int(np.ceil((until - now) / period * steps - 1e-6)))
+                go(now, y, mode, (w, slope, p, plant, on, arrived), (until - now) / pieces, pieces, work)
+            now = until
+"""
+
+_FLOW = (
+    _REMEMBERED
+    + """
+@njit(cache=True, error_model="numpy", nogil=True)
+def run(m, fresh, period, steps, history, plant, friction, p, on, out):
+    y, w, slope = np.zeros(FRICTION + {states}), np.zeros(INPUTS), np.zeros(FRICTION)
+    rates, stage = np.zeros((4, {states})), np.zeros(FRICTION + {states})
+    for k in range(m.time.size):
+        measured(k, m, y)
+        if fresh[k]:
+            y[FRICTION:] = 0.0
+        t, z = m.time[k], y[FRICTION:]
+        inputs(k, m, period, w)
+        spool = opening(y[XV], t, y, w, z, p, plant, on)
+        supply = supply_pressure(plant.supply_pressure, t, y, w, z, p, plant, on)
+        out[k, 0] = load_flow(spool, 1.0 if spool >= 0.0 else -1.0, y[PL], supply, plant)  # (1)
+        out[k, 1] = leakage(plant.leakage_coefficient * y[PL], t, y, w, z, p, plant, on)
+        out[k, 2] = bulk_modulus(plant.bulk_modulus, t, y, w, z, p, plant, on)
+        out[k, 3] = supply
+        if steps:
+            slopes(k, m, period, slope)
+            remember(k, m, period, steps, w, slope, p, plant, on, y, rates, stage)
+"""
+)
+
+_FORCE = (
+    _REMEMBERED
+    + """
+@njit(cache=True, error_model="numpy", nogil=True)
+def run(m, fresh, period, steps, history, plant, friction, p, on, out):
+    y, w, slope = np.zeros(FRICTION + {states}), np.zeros(INPUTS), np.zeros(FRICTION)
+    rates, stage = np.zeros((4, {states})), np.zeros(FRICTION + {states})
+    for k in range(m.time.size):
+        measured(k, m, y)
+        if fresh[k]:
+            y[FRICTION:] = 0.0
+        inputs(k, m, period, w)
+        out[k, 0] = force(0.0, m.time[k], y, w, y[FRICTION:], p, plant, on)
+        if steps:
+            slopes(k, m, period, slope)
+            remember(k, m, period, steps, w, slope, p, plant, on, y, rates, stage)
+"""
+)
+
+_FRICTION = """
+from ehls_ros.physics.friction import {model} as law
+
+FORCES = FRICTION + {elements}
+MOST_EVENTS = 4
+MOST_TURNS = 16
+STEEP, FINE = 0.1, 6
+
+
+@plain
+def level_at(t, y, w, z, p, plant, friction, on):
+    \"\"\"Return the Stribeck level [N].\"\"\"
+    return friction_level(stribeck_level(y[V], friction), t, y, w, z, p, plant, on)  # (7)
+
+
+@plain
+def others(t, y, w, extra, plant):
+    \"\"\"Return every other force on the mass [N].\"\"\"
+    return applied_force(y[X], y[V], y[PL], model.disturbance_force(t, w), extra, plant)
+
+
+@plain
+def ahead(y, forces, slope, level, begun, step, mode, friction, rate, middle, end):
+    \"\"\"Write the forces a step on by the midpoint rule, the measured state straight on; level grows evenly.\"\"\"
+    for i in range(FRICTION):
+        end[i] = y[i] + step * slope[i]
+    law.rates(y[V], begun, forces, mode, friction, rate)  # (6), (8)
+    for i in range({elements}):
+        middle[i] = forces[i] + 0.5 * step * rate[i]
+    law.rates(0.5 * (y[V] + end[V]), 0.5 * (begun + level), middle, mode, friction, rate)
+    for i in range({elements}):
+        end[FRICTION + i] = forces[i] + step * rate[i]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def run(m, fresh, period, steps, weights, start, plant, friction, p, on, extra, out):
+    y, mode, w, slope = np.zeros(FRICTION), np.zeros({elements}), np.zeros(INPUTS), np.zeros(FRICTION)
+    z, dz, forces = np.zeros({states}), np.zeros({states}), np.zeros({elements})
+    rate, middle, end = np.zeros({elements}), np.zeros({elements}), np.zeros(FORCES)
+    for k in range(m.time.size):
+        measured(k, m, y)
+        inputs(k, m, period, w)
+        slopes(k, m, period, slope)
+        t = m.time[k]
+        # The Stribeck curve is steep where the motion turns.
+        steep = abs(slope[V]) * period > STEEP * (abs(y[V]) + friction.stribeck_velocity)
+        parts = max(steps, FINE) if steep else steps
+        step = period / parts
+        if fresh[k]:
+            z[:] = 0.0
+            mode[:] = 0.0
+            level = level_at(t, y, w, z, p, plant, friction, on)
+            # The forces a stretch begins with are not known; together they balance the others as far as they can.
+            balance = min(max(start[k], -level), level)
+            for i in range({elements}):
+                forces[i] = balance * weights[i]
+        level = level_at(t, y, w, z, p, plant, friction, on)
+        out[k, 0] = law.force(y[V], others(t, y, w, extra[k], plant), level, forces, mode, friction)
+        for part in range(parts):
+            left, events = step, 0
+            while left > 1e-6 * step:
+                if law.event(y[V], others(t, y, w, extra[k], plant), level, forces, mode, friction) > 0.0:
+                    law.switch(y[V], others(t, y, w, extra[k], plant), level, forces, mode, friction)
+                before = law.event(y[V], others(t, y, w, extra[k], plant), level, forces, mode, friction)
+                for i in range(FRICTION):
+                    end[i] = y[i] + left * slope[i]
+                later = level_at(t + left, end, w, z, p, plant, friction, on)
+                ahead(y, forces, slope, later, level, left, mode, friction, rate, middle, end)
+                taken = left
+                after = law.event(end[V], others(t + taken, end, w, extra[k], plant), later, end[FRICTION:], mode, friction)
+                if after > 0.0 and before < 0.0 and events < MOST_EVENTS:
+                    events += 1
+                    low, high = 0.0, left
+                    full = later
+                    for turn in range(MOST_TURNS):
+                        # Of several elements the one nearest to its limit need not be the first there: halve in between.
+                        share = after / (after - before) if turn % 2 == 0 else 0.5
+                        # A little behind the estimate, so that both ends of the bracket close in.
+                        taken = min(max(high - (high - low) * share + 1e-4 * left, low), high)
+                        value = level + (full - level) * taken / left
+                        ahead(y, forces, slope, value, level, taken, mode, friction, rate, middle, end)
+                        found = law.event(end[V], others(t + taken, end, w, extra[k], plant), value, end[FRICTION:], mode, friction)
+                        if found > 0.0:
+                            high, after = taken, found
+                        else:
+                            low, before = taken, min(found, -1e-12)
+                        if high - low < 1e-3 * left:
+                            break
+                    taken = max(high, 1e-6 * step)
+                    later = level + (full - level) * taken / left
+                    ahead(y, forces, slope, later, level, taken, mode, friction, rate, middle, end)
+                if {states}:
+                    effect_rates(w[U], t, y, w, z, p, plant, on, dz)
+                    for i in range({states}):
+                        z[i] += taken * dz[i]
+                for i in range(FRICTION):
+                    y[i] = end[i]
+                for i in range({elements}):
+                    forces[i] = end[FRICTION + i]
+                t += taken
+                left -= taken
+                level = later
+"""

@@ -1,0 +1,217 @@
+"""A recording made ready for diagnosis: signals on one even time base, with what can be trusted of them."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from ehls_ros.arrays import Array
+from ehls_ros.errors import BadInput
+from ehls_ros.physics.rig import Rig
+from ehls_ros.samples import Mask, filled, inliers, noise
+from ehls_ros.trajectory import Trajectory
+
+COMMAND, SPOOL, PRESSURE, SUPPLY = "valve_command_m", "spool_m", "load_pressure_pa", "supply_pressure_pa"
+POSITION, VELOCITY, FORCE, LOAD = "position_m", "velocity_m_s", "force_n", "disturbance_force_n"
+TEMPERATURE, SERVO_POSITION, SERVO_VELOCITY = "oil_temperature_k", "disturbance_displacement_m", "disturbance_velocity_m_s"
+
+USED = (
+    COMMAND, SPOOL, PRESSURE, SUPPLY, POSITION, VELOCITY, FORCE, LOAD, TEMPERATURE, SERVO_POSITION, SERVO_VELOCITY,
+)  # fmt: skip
+"""Signals diagnosis looks at."""
+
+HELD = (COMMAND,)
+"""Signals that hold their value until the next sample."""
+
+SPIKE, SPIKE_NEIGHBOURS = 20.0, 41
+"""How often the usual change from sample to sample a lone spike of a command is, and the samples that tell it."""
+
+LONGEST_FILLED = 3
+"""Samples in a row that may be missing and are filled in by a straight line."""
+
+LEAST_SAMPLES = 200
+"""Samples below which nothing can be said."""
+
+MOST_BAD = 0.25
+"""Part of a signal that may be missing or outliers."""
+
+LONGEST_WHOLE = 150.0
+"""Longest recording that is looked at whole [s]; of a longer one, as much, in stretches spread evenly over it."""
+
+STRETCHES = 15
+"""Stretches taken of a long recording."""
+
+UNIT_FACTOR = 20.0
+"""How far beyond the rig's limits a signal may go before only a wrong unit explains it."""
+
+
+class Record(NamedTuple):
+    """Signals on an even time base.
+
+    Attributes:
+        name: what the recording is called in messages.
+        period: sampling period [s].
+        time: sample times, shape (n,) [s].
+        signals: values by name, finite everywhere, shape (n,).
+        good: where a signal's values were measured, shape (n,).
+        noise: standard deviation of each signal's white noise, resolution included.
+        fresh: samples that begin a stretch without a break before it.
+        duration: time the whole recording spans [s].
+        remarks: what was done to the data, one sentence each.
+    """
+
+    name: str
+    period: float
+    time: Array
+    signals: dict[str, Array]
+    good: dict[str, Mask]
+    noise: dict[str, float]
+    fresh: Mask
+    duration: float
+    remarks: tuple[str, ...]
+
+    def __contains__(self, signal: object) -> bool:
+        """Tell whether a signal was recorded."""
+        return signal in self.signals
+
+    def values(self, signal: str) -> Array:
+        """Return a signal, zeros where it was not recorded, shape (n,)."""
+        return self.signals[signal] if signal in self.signals else np.zeros(len(self.time))
+
+    def parts(self, ranges: Sequence[tuple[int, int]]) -> "Record":
+        """Return the record of some ranges of samples, each a stretch of its own."""
+        index = np.concatenate([np.arange(*r) for r in ranges])
+        fresh = self.fresh[index]
+        fresh[np.cumsum([0, *[end - begin for begin, end in ranges[:-1]]])] = True
+        return self._replace(
+            time=self.time[index],
+            signals={name: values[index] for name, values in self.signals.items()},
+            good={name: right[index] for name, right in self.good.items()},
+            fresh=fresh,
+        )
+
+
+def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
+    """Bring a recording onto an even time base and find what of it can be trusted.
+
+    Args:
+        trajectory: the recording, any subset of :data:`USED`.
+        rig: the rig, for limits that tell a wrong unit.
+        name: what the recording is called in errors.
+
+    Returns:
+        The record. A signal that is missing, or has no finite sample, is not in it.
+
+    Raises:
+        BadInput: time does not grow, or a signal is mostly outliers, or of a size no such rig can have.
+    """
+    time = np.asarray(trajectory.time_s, dtype=np.float64)
+    if len(time) < LEAST_SAMPLES:
+        raise BadInput(f"there are {len(time)} samples", name, f"at least {LEAST_SAMPLES}")
+    steps = np.diff(time)
+    if not np.all(np.isfinite(time)) or np.any(steps <= 0.0):
+        raise BadInput("time_s does not grow from sample to sample", name, "increasing times in seconds")
+    period = float(np.median(steps))
+    remarks: list[str] = []
+    chosen = _stretches(time, remarks)
+    # A sample belongs to the grid point it is nearest to.
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(chosen) > 1]))
+    pieces = np.split(chosen, starts[1:])
+    grids = [time[p[0]] + period * np.arange(round((time[p[-1]] - time[p[0]]) / period) + 1) for p in pieces]
+    grid = np.concatenate(grids)
+    fresh = np.zeros(len(grid), dtype=np.bool_)
+    fresh[np.cumsum([0, *[len(g) for g in grids[:-1]]])] = True
+    signals, good, level = dict[str, Array](), dict[str, Mask](), dict[str, float]()
+    lost = 1.0 - len(chosen) / len(grid)
+    if lost > 1e-3:
+        remarks.append(f"{100 * lost:.2g} % of the samples are missing")
+    for signal in USED:
+        if signal not in trajectory:
+            continue
+        values = np.asarray(trajectory[signal], dtype=np.float64)[chosen]
+        if not np.any(np.isfinite(values)):
+            remarks.append(f"{signal} has no finite sample and is left out")
+            continue
+        right = _not_spikes(values) if signal in HELD else inliers(values)
+        bad = 1.0 - float(np.mean(right))
+        if bad > MOST_BAD:
+            what = f"{100 * bad:.0f} % of signal '{signal}' are missing or outliers"
+            raise BadInput(what, name, f"at most {100 * MOST_BAD:.0f} %")
+        if bad > 1e-4:
+            remarks.append(f"{100 * bad:.2g} % of {signal} are missing or outliers and were left out")
+        signals[signal], good[signal] = _on_grid(time[chosen], values, right, grid, period, signal in HELD)
+        level[signal] = _noise(values[right])
+    _check_sizes(signals, rig, name)
+    if period > 0.0 and float(np.max(np.abs(steps - period))) > 0.01 * period and lost <= 1e-3:
+        remarks.append("the sampling is uneven; values are taken at even times by straight lines")
+    return Record(name, period, grid, signals, good, level, fresh, float(time[-1] - time[0]), tuple(remarks))
+
+
+def _stretches(time: Array, remarks: list[str]) -> Array:
+    duration = float(time[-1] - time[0])
+    if duration <= LONGEST_WHOLE:
+        return np.arange(len(time))
+    length = LONGEST_WHOLE / STRETCHES
+    begins = time[0] + np.linspace(0.0, duration - length, STRETCHES)
+    remarks.append(f"of {duration:.0f} s, {STRETCHES} stretches of {length:.0f} s spread evenly over it are looked at")
+    parts = [np.arange(*np.searchsorted(time, [b, b + length])) for b in begins]
+    # Stretches in a gap of the recording may be empty, and one sample between two would join them.
+    return np.unique(np.concatenate([p[1:] for p in parts if len(p) > 2]))
+
+
+def _on_grid(time: Array, values: Array, right: Mask, grid: Array, period: float, held: bool) -> tuple[Array, Mask]:
+    """Return a signal's values on the grid, and where they rest on measured ones."""
+    known, at = values[right], time[right]
+    if held:
+        index = np.clip(np.searchsorted(at, grid + 0.01 * period, side="right") - 1, 0, len(at) - 1)
+        out = known[index]
+    else:
+        out = np.interp(grid, at, known)
+    after = np.clip(np.searchsorted(at, grid - 0.5 * period), 0, len(at) - 1)
+    before = np.clip(after - 1, 0, len(at) - 1)
+    near = np.minimum(np.abs(at[after] - grid), np.abs(at[before] - grid)) <= 0.5 * period
+    inside = (at[after] - at[before] <= (LONGEST_FILLED + 1.5) * period) & (grid >= at[0]) & (grid <= at[-1])
+    return out, near | inside
+
+
+def _not_spikes(values: Array) -> Mask:
+    """Tell which samples of a command are finite and no lone spikes; a command may jump, and come back later."""
+    whole = filled(values) if np.any(np.isfinite(values)) else values
+    before, after = np.concatenate([whole[:1], whole[:-1]]), np.concatenate([whole[1:], whole[-1:]])
+    off = np.minimum(np.abs(whole - before), np.abs(whole - after))
+    alone = (whole - before) * (whole - after) > 0.0
+    around = median_filter(np.abs(whole - before), SPIKE_NEIGHBOURS, mode="nearest") + np.abs(after - before)
+    good: Mask = np.isfinite(values) & ~(alone & (off > SPIKE * around) & (off > 1e-6 * np.max(np.abs(whole))))
+    return good
+
+
+def _noise(values: Array) -> float:
+    """Return the standard deviation of a signal's noise; a resolution counts where it is coarser."""
+    moves = np.abs(np.diff(values[: min(len(values), 20000)]))
+    moves = moves[moves > 1e-12 * max(float(np.max(np.abs(values))), 1e-300)]
+    lattice = float(np.min(moves)) if moves.size else 0.0
+    # Only a step that all differences are multiples of is a resolution.
+    if lattice > 0.0 and np.max(np.abs(moves / lattice - np.round(moves / lattice))) > 1e-3:
+        lattice = 0.0
+    return max(noise(values), lattice / math.sqrt(12.0))
+
+
+def _check_sizes(signals: dict[str, Array], rig: Rig, name: str) -> None:
+    """Refuse what only a wrong unit explains."""
+    room = max(abs(rig.limits.position[0]), abs(rig.limits.position[1]))
+    limits = {
+        COMMAND: (rig.limits.spool, "m"),
+        SPOOL: (rig.limits.spool, "m"),
+        PRESSURE: (max(rig.limits.load_pressure, rig.plant.supply_pressure), "Pa"),
+        SUPPLY: (rig.plant.supply_pressure, "Pa"),
+        POSITION: (room, "m"),
+        VELOCITY: (rig.limits.velocity, "m/s"),
+        FORCE: (rig.limits.force, "N"),
+    }
+    for signal, (limit, unit) in limits.items():
+        if signal in signals and float(np.quantile(np.abs(signals[signal]), 0.99)) > UNIT_FACTOR * limit:
+            largest = float(np.max(np.abs(signals[signal])))
+            what = f"{signal} reaches {largest:.3g}, the rig's limit is {limit:.3g} {unit}"
+            raise BadInput(what, name, "SI units (see --columns)")

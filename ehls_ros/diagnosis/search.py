@@ -1,0 +1,406 @@
+"""Looking for the causes: all effects one by one, then what has to act beside the best of them."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from queue import SimpleQueue
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.evidence import Evidence, loss
+from ehls_ros.diagnosis.fit import Fit, Held, Worker, gauss_newton, held_out, inflation_of, predicted_loss
+from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, bounds
+from ehls_ros.diagnosis.stages import Channel
+
+NEEDED = 12.0
+"""Gain on held-out data that another cause has to bring, beyond the penalty [nats]; noise reaches it once in 10^5 searches."""
+
+RELEVANT = 3e-4
+"""Part of a balance's largest term below which a difference matters to nobody, however sure it is."""
+
+SURE = 4.5
+"""Standard errors that a cause's surest parameter has to be from its neutral value."""
+
+MENDED = 0.3
+"""Part of what is left unexplained that another cause has to gain."""
+
+PENALTY = 3.0
+"""What every parameter of a cause costs [nats]."""
+
+PROMISING = 5.0
+"""Predicted gain from which on a hypothesis is fitted [nats]."""
+
+BEAM = 4
+"""Hypotheses that are carried on to the next number of causes."""
+
+REFINED = 6
+"""Extensions of each that are fitted."""
+
+REFINED_SINGLES = 24
+"""Single causes that are fitted."""
+
+SCREENED_BLOCKS = 8
+"""Blocks of the recording from which it is told where fits start."""
+
+MOST_CAUSES = 4
+"""Most causes that are looked for together."""
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and how much of it all is done."""
+
+
+class Judged(NamedTuple):
+    """A fitted hypothesis and how it does on held-out data."""
+
+    fit: Fit
+    held: Held
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """What was fitted."""
+        return self.fit.hypothesis
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its causes."""
+        return tuple(c.name for c in self.fit.hypothesis)
+
+    def score(self, inflation: dict[Channel, float]) -> float:
+        """Return the held-out gain less the penalty for parameters [nats].
+
+        Args:
+            inflation: by which each channel's losses are divided, the same for all that are compared.
+        """
+        gain = sum(float(g.sum()) / inflation[c] for c, g in self.held.gain.items())
+        return gain - PENALTY * len(self.fit.values)
+
+
+class Searched(NamedTuple):
+    """What a search found.
+
+    Attributes:
+        best: the hypothesis that explains most, without causes where none is needed.
+        rests: for each of its causes, the best hypothesis that does without it.
+        rivals: for each of its causes, the hypotheses with another cause in its place, best first.
+        singles: every cause by itself that was fitted, best first.
+        screened: every cause where its fit starts, with its derivatives.
+        inflation: by which each channel's losses are divided.
+    """
+
+    best: Judged
+    rests: tuple[Judged, ...]
+    rivals: tuple[tuple[Judged, ...], ...]
+    singles: tuple[Judged, ...]
+    screened: tuple[Fit, ...]
+    inflation: dict[Channel, float]
+
+
+class Pool:
+    """Threads, each with its own worker; the kernels run without Python's lock."""
+
+    def __init__(self, evidence: Evidence, threads: int) -> None:
+        """Start the threads."""
+        self.evidence = evidence
+        self.threads = threads
+        self._free: SimpleQueue[Worker] = SimpleQueue()
+        for _ in range(threads):
+            self._free.put(Worker(evidence))
+        self._executor = ThreadPoolExecutor(threads)
+
+    def map(self, work: Callable[[Worker, object], object], items: Sequence[object]) -> list[object]:
+        """Do the work on every item, in their order."""
+
+        def one(item: object) -> object:
+            worker = self._free.get()
+            try:
+                return work(worker, item)
+            finally:
+                self._free.put(worker)
+
+        return list(self._executor.map(one, items))
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self._executor.shutdown()
+
+
+def search(evidence: Evidence, found: Sequence[Candidate], threads: int, progress: Progress) -> Searched:
+    """Find the causes that explain a recording.
+
+    Args:
+        evidence: the recording beside the model as it was given.
+        found: the causes to try.
+        threads: how many to try at once.
+        progress: told how far it is.
+    """
+    pool = Pool(evidence, threads)
+    try:
+        return _search(evidence, found, pool, progress)
+    finally:
+        pool.close()
+
+
+def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress: Progress) -> Searched:
+    progress("every cause by itself", 0.0)
+    begins = _begins(evidence, found, pool)
+    progress("every cause by itself", 0.2)
+    screened: list[Fit] = [f for f in pool.map(_start, begins) if isinstance(f, Fit)]
+    progress("every cause by itself", 0.35)
+    fit = _nothing(evidence)
+    nothing = Judged(fit, held_out(evidence, fit))
+    gains = np.array([_base_loss(evidence, f) - predicted_loss(f) for f in screened])
+    order = [int(i) for i in np.argsort(-gains) if gains[i] > PROMISING][:REFINED_SINGLES]
+    singles = _fitted(evidence, pool, [screened[i] for i in order])
+    progress("causes together", 0.55)
+
+    best, beam = nothing, [nothing]
+    inflation = _inflation(evidence, [nothing, *singles])
+    level = singles
+    for count in range(1, MOST_CAUSES + 1):
+        inflation = _inflation(evidence, [best, *level])
+        ranked = sorted(level, key=lambda j: -j.score(inflation))
+        ranked = [j for j in ranked if _needed(evidence, j, best, inflation)]
+        if not ranked:
+            break
+        best = ranked[0]
+        beam = _distinct(ranked)[:BEAM]
+        if count == MOST_CAUSES:
+            break
+        begins = [b for member in beam for b in _extensions(evidence, member, screened)]
+        level = _fitted(evidence, pool, begins)
+        progress("causes together", 0.55 + 0.1 * count)
+    best, rests, rivals = _settled(evidence, pool, best, screened, nothing, inflation)
+    inflation = _inflation(evidence, [best, *[j for js in rivals for j in js]])
+    progress("causes together", 1.0)
+    return Searched(best, rests, rivals, tuple(sorted(singles, key=lambda j: -j.score(inflation))), tuple(screened), inflation)
+
+
+def _nothing(evidence: Evidence) -> Fit:
+    return Fit((), np.empty(0), (), evidence.base, np.empty((0, 0)), 0.0, np.empty(0))
+
+
+def _base_loss(evidence: Evidence, fit: Fit) -> float:
+    return float(np.sum(loss(evidence.base.together(fit.channels))))
+
+
+def _begins(evidence: Evidence, found: Sequence[Candidate], pool: Pool) -> list[Fit]:
+    """Return where the fit of each candidate starts best, from parts of the recording; none for one that changes nothing."""
+    parts = _telling_parts(evidence)
+    if parts is None:
+        return [f for f in pool.map(_screen, list(found)) if isinstance(f, Fit)]
+    few = Evidence(evidence.record.parts(parts), evidence.rig, evidence.setup, seed=0)
+    thin = Pool(few, pool.threads)
+    try:
+        return [f for f in thin.map(_screen, list(found)) if isinstance(f, Fit)]
+    finally:
+        thin.close()
+
+
+def _telling_parts(evidence: Evidence) -> list[tuple[int, int]] | None:
+    """Return the blocks in which the given model does worst, and as many spread evenly over the recording."""
+    samples, blocks = len(evidence.record.time), evidence.blocks
+    if blocks <= 3 * SCREENED_BLOCKS // 2:
+        return None
+    worst = np.zeros(blocks)
+    for c in evidence.channels:
+        total = np.bincount(evidence.block[c], weights=loss(evidence.base.values[c]), minlength=blocks)
+        worst = np.maximum(worst, total / max(float(total.mean()), 1e-300))
+    chosen = {int(b) for b in np.linspace(0, blocks - 1, SCREENED_BLOCKS // 2).round()}
+    for b in np.argsort(-worst):
+        if len(chosen) >= SCREENED_BLOCKS:
+            break
+        chosen.add(int(b))
+    return [(-(-b * samples // blocks), -(-(b + 1) * samples // blocks)) for b in sorted(chosen)]
+
+
+def _start(worker: Worker, begin: object) -> Fit | None:
+    """Evaluate a candidate and its derivatives where its fit starts."""
+    assert isinstance(begin, Fit)  # noqa: S101
+    fit = worker.start(begin.hypothesis, begin.values, begin.steps)
+    return fit if fit.channels and np.any(fit.jacobian) else None
+
+
+def _screen(worker: Worker, candidate: object) -> Fit | None:
+    """Return the start of a candidate from which one step promises most, or none where none changes anything."""
+    assert isinstance(candidate, Candidate)  # noqa: S101
+    best: Fit | None = None
+    promise = -np.inf
+    steps = None
+    for values in candidate.starts:
+        fit = worker.start((candidate,), values, steps)
+        steps = fit.steps
+        if not fit.channels or not np.any(fit.jacobian):
+            continue
+        gain = _base_loss(worker.evidence, fit) - predicted_loss(fit)
+        if gain > promise:
+            best, promise = fit, gain
+    return best
+
+
+def _fitted(evidence: Evidence, pool: Pool, begins: Sequence[Fit]) -> list[Judged]:
+    def work(worker: Worker, begin: object) -> object:
+        assert isinstance(begin, Fit)  # noqa: S101
+        if not begin.jacobian.size or len(begin.hypothesis) > 1:
+            begin = worker.start(begin.hypothesis, begin.values, begin.steps)
+        fit = worker.fit(begin)
+        return Judged(fit, held_out(evidence, fit, worker))
+
+    return [j for j in pool.map(work, list(begins)) if isinstance(j, Judged)]
+
+
+def _inflation(evidence: Evidence, judged: Sequence[Judged]) -> dict[Channel, float]:
+    """Return each channel's inflation under the hypothesis that explains the channel best."""
+    out: dict[Channel, float] = {}
+    for c in evidence.channels:
+        least, best = np.inf, None
+        for j in judged:
+            total = float(np.sum(loss(j.fit.errors.values[c])))
+            if total < least:
+                least, best = total, j
+        if best is None:
+            continue
+        out[c] = best.held.inflation.get(c) or _of(evidence, best, c)
+    return out
+
+
+def _of(evidence: Evidence, judged: Judged, channel: Channel) -> float:
+    return inflation_of(judged.fit.errors.values[channel])
+
+
+def _distinct(ranked: Sequence[Judged]) -> list[Judged]:
+    """Keep one hypothesis for each set of names, the best."""
+    seen, out = set[frozenset[str]](), []
+    for judged in ranked:
+        names = frozenset(judged.names)
+        if names not in seen:
+            seen.add(names)
+            out.append(judged)
+    return out
+
+
+def _extensions(evidence: Evidence, member: Judged, screened: Sequence[Fit]) -> list[Fit]:
+    """Return the starts of a hypothesis with one more cause that promise most beyond it."""
+    promises = []
+    for other in screened:
+        if other.hypothesis[0].name in member.names:
+            continue
+        gain, begin = _promise(evidence, member.fit, other)
+        if gain > PROMISING:
+            promises.append((gain, begin))
+    promises.sort(key=lambda item: -item[0])
+    return [begin for _, begin in promises[:REFINED]]
+
+
+def _promise(evidence: Evidence, fit: Fit, other: Fit) -> tuple[float, Fit]:
+    """Predict what one more cause gains, both taken as linear, and where their fit together starts."""
+    channels = tuple(c for c in evidence.channels if c in fit.channels or c in other.channels)
+    rows = [len(evidence.block[c]) for c in channels]
+    p, q = len(fit.values), len(other.values)
+    e, j, begin = np.empty(sum(rows)), np.zeros((sum(rows), p + q)), 0
+    own, its = _sections(evidence, fit), _sections(evidence, other)
+    for c, count in zip(channels, rows, strict=True):
+        here = slice(begin, begin + count)
+        e[here] = fit.errors.values[c] + other.errors.values[c] - evidence.base.values[c]
+        if c in own:
+            j[here, :p] = fit.jacobian[own[c]]
+        if c in its:
+            j[here, p:] = other.jacobian[its[c]]
+        begin += count
+    hypothesis = (*fit.hypothesis, *other.hypothesis)
+    lower, upper = bounds(hypothesis)
+    values = np.concatenate([fit.values, other.values])
+    moved = np.clip(values + gauss_newton(j, e, 1e-9, values, lower, upper), lower, upper)
+    after = float(np.sum(loss(e + j @ (moved - values))))
+    before = float(np.sum(loss(fit.errors.together(channels))))
+    # The added cause at its start, the others as they were: what is linear starts where the step would take it.
+    start = np.concatenate([fit.values, other.values])
+    start[p:] = moved[p:]
+    steps = np.concatenate([fit.steps, other.steps])
+    return before - after, Fit(hypothesis, start, channels, fit.errors, j, before, steps)
+
+
+def _sections(evidence: Evidence, fit: Fit) -> dict[Channel, slice]:
+    out, begin = {}, 0
+    for c in fit.channels:
+        end = begin + len(evidence.block[c])
+        out[c] = slice(begin, end)
+        begin = end
+    return out
+
+
+def _settled(
+    evidence: Evidence, pool: Pool, best: Judged, screened: Sequence[Fit], nothing: Judged, inflation: dict[Channel, float]
+) -> tuple[Judged, tuple[Judged, ...], tuple[tuple[Judged, ...], ...]]:
+    """Try another cause in the place of each, and do without each, until nothing better is found."""
+    rests: list[Judged] = []
+    rivals: tuple[tuple[Judged, ...], ...] = ()
+    for _ in range(3):
+        rests = [_without(evidence, pool, best, index, nothing) for index in range(len(best.hypothesis))]
+        found = [_fitted(evidence, pool, _extensions(evidence, rest, screened)) for rest in rests]
+        rivals = tuple(tuple(sorted(js, key=lambda j: -j.score(inflation))) for js in found)
+        inflation = _inflation(evidence, [best, *[j for js in rivals for j in js]])
+        better = [rest for rest in rests if not _needed(evidence, best, rest, inflation)]
+        better += [js[0] for js in rivals if js and js[0].score(inflation) > best.score(inflation) + 1.0]
+        if not better:
+            break
+        best = max(better, key=lambda j: j.score(inflation))
+    return best, tuple(rests), rivals
+
+
+def _needed(evidence: Evidence, more: Judged, less: Judged, inflation: dict[Channel, float]) -> bool:
+    """Tell whether a hypothesis with a cause more is surer than chance allows, and different enough to matter."""
+    gain = more.score(inflation) - less.score(inflation)
+    if gain < NEEDED or relevance(evidence, more, less) < RELEVANT:
+        return False
+    # A cause that mends little of what is left beside it mends the form of another, not the model.
+    left = sum(_excess(evidence, more, c) / inflation[c] for c in more.held.gain)
+    return gain >= MENDED * left and _surest(more, less) >= SURE
+
+
+def _excess(evidence: Evidence, judged: Judged, channel: Channel) -> float:
+    """Return the loss of a channel beyond what noise makes [nats]."""
+    e = judged.fit.errors.values[channel]
+    noise = loss(evidence.noisy_base.values[channel] - evidence.base.values[channel])
+    return max(0.0, float(np.sum(loss(e)) - 1.5 * np.sum(noise)))
+
+
+def _surest(more: Judged, less: Judged) -> float:
+    """Return how many standard errors a cause's surest parameter is from its neutral value, by the blocks' disagreement."""
+    offset, surest = 0, 0.0
+    deviation = np.sqrt(np.maximum(np.diag(more.held.covariance), 0.0))
+    for cause in more.hypothesis:
+        part = slice(offset, offset + len(cause.free))
+        if cause.name not in less.names:
+            away = np.abs(more.fit.values[part] - cause.neutral) / np.maximum(deviation[part], 1e-300)
+            surest = max(surest, float(np.max(away)))
+        offset += len(cause.free)
+    return surest
+
+
+def relevance(evidence: Evidence, more: Judged, less: Judged) -> float:
+    """Return how far two hypotheses differ, as a part of the largest term of the balance they differ most in."""
+    largest = 0.0
+    for c in evidence.channels:
+        apart = np.abs(more.fit.errors.values[c] - less.fit.errors.values[c]) * evidence.floor[c]
+        size = max(evidence.sizes[c], 1e-300)
+        # What acts seldom has a small mean; where it acts it counts.
+        largest = max(largest, float(np.sqrt(np.mean(apart**2))) / size, float(np.quantile(apart, 0.99)) / 5.0 / size)
+    return largest
+
+
+def _without(evidence: Evidence, pool: Pool, best: Judged, index: int, nothing: Judged) -> Judged:
+    hypothesis = tuple(c for i, c in enumerate(best.hypothesis) if i != index)
+    if not hypothesis:
+        return nothing
+    keep, offset = np.ones(len(best.fit.values), dtype=np.bool_), 0
+    for i, c in enumerate(best.hypothesis):
+        keep[offset : offset + len(c.free)] = i != index
+        offset += len(c.free)
+    begin = Fit(hypothesis, best.fit.values[keep], (), best.fit.errors, np.empty((0, 0)), 0.0, best.fit.steps[keep])
+    return _fitted(evidence, pool, [begin])[0]
+
+
+def explained(evidence: Evidence, judged: Judged, channel: Channel) -> Array:
+    """Return what a hypothesis changes in a channel's whitened residuals."""
+    return evidence.base.values[channel] - judged.fit.errors.values[channel]

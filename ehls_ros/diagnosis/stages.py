@@ -1,0 +1,436 @@
+"""The model laid beside a recording, stage by stage.
+
+Each stage takes its inputs from the recording and compares its output with it, so that an error of one stage does not
+smear over the others:
+
+* ``valve``: the spool (4) simulated from the recorded command against the recorded spool;
+* ``flow``: the volume balance (1), (2) from recorded spool, pressure and position; and the supply pressure;
+* ``force_balance``: the balance (3) with the friction model run along the recorded motion;
+* ``sensors``: what two sensors of one quantity say: load cell against load pressure, velocity against position.
+
+A missing spool is replaced by the simulated one, a missing load pressure by the load cell's. The friction and the hooks
+of effects need velocity, which a local fit of the position gives.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from scipy.ndimage import shift
+from scipy.signal import savgol_coeffs
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import kernels
+from ehls_ros.diagnosis.record import (
+    COMMAND,
+    FORCE,
+    LOAD,
+    POSITION,
+    PRESSURE,
+    SERVO_POSITION,
+    SERVO_VELOCITY,
+    SPOOL,
+    SUPPLY,
+    TEMPERATURE,
+    VELOCITY,
+    Record,
+)
+from ehls_ros.diagnosis.windows import Window, smooth_window
+from ehls_ros.physics.composition import rig_elements
+from ehls_ros.physics.parameters import Sensor
+from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.simulator import OIL_TEMPERATURE, earlier_commands
+from ehls_ros.samples import Mask
+
+Stage = Literal["force_balance", "flow", "valve", "sensors"]
+STAGES: tuple[Stage, ...] = ("force_balance", "flow", "valve", "sensors")
+
+Channel = Literal["spool", "volume", "supply", "force", "cell", "velocity"]
+CHANNELS: Mapping[Channel, Stage] = {
+    "spool": "valve",
+    "volume": "flow",
+    "supply": "flow",
+    "force": "force_balance",
+    "cell": "sensors",
+    "velocity": "sensors",
+}
+"""The residuals there are, and the stage each belongs to."""
+
+UNITS: Mapping[Channel, str] = {
+    "spool": "m", "volume": "m³/s", "supply": "Pa", "force": "N", "cell": "N", "velocity": "m/s",
+}  # fmt: skip
+
+WINDOW = 0.04
+"""Length of the windows of the balances [s]."""
+
+LEAST_WINDOW = 8
+"""Samples a balance's window has at least."""
+
+SPOOL_WINDOW = 0.008
+"""Length of the windows over which spool and sensors are averaged [s]."""
+
+FIT = 0.011
+"""Length of the local fit that velocities are taken from [s]."""
+
+SETTLING = 0.3
+"""What is left out at the beginning of a stretch, where the model's memory is not known [s]."""
+
+MEMORY_STEP = 5e-4
+"""Integration step where an effect has states of its own [s]."""
+
+SENSED = {
+    "position": POSITION,
+    "velocity": VELOCITY,
+    "load_pressure": PRESSURE,
+    "spool_position": SPOOL,
+    "force": FORCE,
+    "supply_pressure": SUPPLY,
+    "oil_temperature": TEMPERATURE,
+}
+"""The recording's signals by the sensors' names in a rig file."""
+
+KEPT = 3
+"""Results kept of each part."""
+
+
+class Setup(NamedTuple):
+    """What of the model can be laid beside a recording.
+
+    Attributes:
+        window: of the balances.
+        average: of spool and sensors.
+        channels: the residuals that can be formed.
+        velocity_measured: whether velocities come from their own sensor, the quieter one.
+    """
+
+    window: Window
+    average: Window
+    channels: tuple[Channel, ...]
+    velocity_measured: bool
+
+
+class Comparison:
+    """One recording and the parts of the model that were run along it last."""
+
+    def __init__(self, record: Record, setup: Setup) -> None:
+        """Keep what is compared with."""
+        self.record = record
+        self.setup = setup
+        self._kept: dict[str, dict[Any, Any]] = {}
+
+    def residuals(self, rig: Rig, channels: tuple[Channel, ...] | None = None) -> dict[Channel, Array]:
+        """Lay a rig's model beside the recording.
+
+        Args:
+            rig: the rig, with effects.
+            channels: the residuals wanted; all that can be formed where nothing is said.
+
+        Returns:
+            Measured minus modelled of each channel in its unit, one a window.
+        """
+        whole = rig.effective()
+        wanted = self.setup.channels if channels is None else channels
+        return {channel: getattr(self, f"_{channel}")(whole) for channel in wanted}
+
+    def relevant(self, rig: Rig) -> dict[Channel, Any]:
+        """Return what each channel's residual depends on: where it is equal, so are the residuals."""
+        whole = rig.effective()
+        plant, sensors = whole.plant, whole.sensors
+        hooks = {part: self._switched_key(part, whole) for part in kernels.PARTS}
+        spool = (plant.valve_bandwidth, plant.valve_gain, hooks["spool"])
+        seen = spool if SPOOL not in self.record else None
+        x, v, p = sensors.get("position"), sensors.get("velocity"), sensors.get("load_pressure")
+        if PRESSURE not in self.record:
+            p = sensors.get("force")
+        valve = (plant.supply_pressure, plant.oil_density, plant.discharge_coefficient, plant.valve_area_gradient)
+        flow = (*valve, plant.bulk_modulus, plant.total_volume, plant.piston_area, plant.leakage_coefficient)
+        beam = (plant.moving_mass, plant.piston_area, plant.viscous_damping, plant.spring_stiffness, plant.gravity)
+        spool_sensor = sensors.get("spool_position")
+        moved = (x, v, p, spool_sensor)
+        return {
+            "spool": (spool, spool_sensor, moved if any(kernels.switched("spool", whole.effects).on) else None),
+            "volume": (flow, hooks["flow"], seen, moved),
+            "supply": (valve, hooks["flow"], seen, moved, sensors.get("supply_pressure")),
+            "force": (beam, whole.friction_model, whole.friction, hooks["friction"], hooks["force"], plant.arm_length, moved),
+            "cell": (plant.piston_area, p, sensors.get("force")),
+            "velocity": (x, v),
+        }
+
+    def _switched_key(self, part: str, rig: Rig) -> Any:
+        use = kernels.switched(part, rig.effects)
+        # A hook may read any of the plant's coefficients.
+        return (use.on.tobytes(), use.parameters.tobytes(), rig.plant) if use.on.any() else None
+
+    # --- residuals -----------------------------------------------------------------------------
+
+    def _spool(self, rig: Rig) -> Array:
+        average = self.setup.average
+        return average.mean(self.corrected(rig, "spool_position")) - average.mean(self.simulated_spool(rig))
+
+    def _volume(self, rig: Rig) -> Array:
+        window, plant, motion = self.setup.window, rig.plant, self.motion(rig)
+        terms = self.flow_terms(rig)
+        stored = plant.total_volume / (4.0 * terms[:, 2])
+        pressure = self.pressure(rig)
+        squeezed = np.empty(len(pressure))
+        squeezed[:-1] = 0.5 * (stored[1:] + stored[:-1]) * np.diff(pressure) / self.record.period
+        squeezed[-1] = 0.0
+        middle = np.concatenate([0.5 * (window.weights[1:] + window.weights[:-1]), [0.0]])
+        swept = plant.piston_area * self._swept(rig, motion)
+        return swept + window.over(squeezed, middle) - window.mean(terms[:, 0] - terms[:, 1])  # (2)
+
+    def _swept(self, rig: Rig, motion: kernels.Motion) -> Array:
+        if POSITION in self.record:
+            return self.setup.window.rate(self.corrected(rig, "position"))
+        return self.setup.window.mean(motion.velocity)
+
+    def _supply(self, rig: Rig) -> Array:
+        return self.setup.average.mean(self.corrected(rig, "supply_pressure") - self.flow_terms(rig)[:, 3])
+
+    def _force(self, rig: Rig) -> Array:
+        window, plant = self.setup.window, rig.plant
+        motion = self.motion(rig)
+        given = self._driving(rig, motion) - self.friction(rig)[:, 0]
+        if POSITION in self.record:
+            x = self.corrected(rig, "position")
+            inertia = plant.moving_mass * window.acceleration(x)
+            return inertia + plant.viscous_damping * window.rate(x) - window.mean(given)  # (3)
+        return plant.moving_mass * window.rate(motion.velocity) - window.mean(given - plant.viscous_damping * motion.velocity)
+
+    def _driving(self, rig: Rig, motion: kernels.Motion) -> Array:
+        """Return the force on the mass but for friction, damping and inertia [N]."""
+        plant = rig.plant
+        pushed = plant.piston_area * self.pressure(rig) - plant.spring_stiffness * motion.position
+        return pushed - plant.moving_mass * plant.gravity - motion.disturbance + self.extra_force(rig)[:, 0]
+
+    def _cell(self, rig: Rig) -> Array:
+        return self.setup.average.mean(
+            self.corrected(rig, "force") - rig.plant.piston_area * self.corrected(rig, "load_pressure")
+        )
+
+    def _velocity(self, rig: Rig) -> Array:
+        window = self.setup.window
+        return window.mean(self.corrected(rig, "velocity")) - window.rate(self.corrected(rig, "position"))
+
+    # --- parts of the model --------------------------------------------------------------------
+
+    def simulated_spool(self, rig: Rig) -> Array:
+        """Return the spool displacement that the model makes of the recorded command, shape (n,) [m]."""
+        key = self.relevant_parts(rig, "spool")
+        terms: Array = self._keep("spool", key, lambda: self._run("spool", rig, self._measured_motion(rig)))
+        return terms[:, 0]
+
+    def flow_terms(self, rig: Rig) -> Array:
+        """Return load flow, leakage [m^3/s], bulk modulus and supply pressure [Pa], shape (n, 4)."""
+        key = (self.relevant_parts(rig, "flow"), None if SPOOL in self.record else self.relevant_parts(rig, "spool"))
+        terms: Array = self._keep("flow", key, lambda: self._run("flow", rig, self.motion(rig)))
+        return terms
+
+    def extra_force(self, rig: Rig) -> Array:
+        """Return the force of effects beyond (3), shape (n, 1) [N]."""
+        terms: Array = self._keep("force", self.relevant_parts(rig, "force"), lambda: self._run("force", rig, self.motion(rig)))
+        return terms
+
+    def friction(self, rig: Rig) -> Array:
+        """Return the friction force along the recorded motion, shape (n, 1) [N]."""
+        key = (self.relevant_parts(rig, "friction"), rig.friction, rig.friction_model)
+        static = rig.friction_model == "stribeck"
+        if static:
+            # A static model's sticking force is whatever the others add up to.
+            key = (*key, self.relevant_parts(rig, "force"), rig.plant)
+        terms: Array = self._keep("friction", key, lambda: self._run("friction", rig, self.motion(rig)))
+        return terms
+
+    def relevant_parts(self, rig: Rig, part: str) -> Any:
+        """Return what a part's run depends on."""
+        use = kernels.switched(part, rig.effects)
+        sensors = tuple(sorted(rig.sensors.items()))
+        plant: Any = rig.plant if use.on.any() or part in ("flow", "spool") else None
+        return (use.on.tobytes(), use.parameters.tobytes(), plant, sensors)
+
+    def _run(self, part: str, rig: Rig, motion: kernels.Motion) -> Array:
+        record, period = self.record, self.record.period
+        use = kernels.switched(part, rig.effects)
+        out = np.empty((len(record.time), 4 if part == "flow" else 1))
+        remembers = kernels.remembers(part, rig.effects)
+        fine = max(1, math.ceil(period / MEMORY_STEP))
+        if part == "friction":
+            module = kernels.kernel(part, rig.friction_model, rig_elements(rig))
+            weights = np.array(rig.friction.element_weight)[: rig_elements(rig)]
+            weights = weights / weights.sum() if weights.size else weights
+            start = self._balance(rig, motion)
+            extra = np.ascontiguousarray(self.extra_force(rig)[:, 0])
+            steps = max(fine if remembers else 1, math.ceil(period / 1e-3), self._stiff_steps(rig, motion))
+            module.run(
+                motion, record.fresh, period, steps, weights, start, rig.plant, rig.friction, use.parameters, use.on, extra, out
+            )
+            return out
+        history = 0
+        steps = fine if remembers else 0
+        if part == "spool":
+            history = earlier_commands(rig, period)
+        kernels.kernel(part).run(
+            motion, record.fresh, period, steps, history, rig.plant, rig.friction, use.parameters, use.on, out
+        )
+        return out
+
+    def _stiff_steps(self, rig: Rig, motion: kernels.Motion) -> int:
+        """Return the steps in a sample that a bristle's relaxation asks for."""
+        if rig.friction_model != "lugre":
+            return 1
+        fastest = sum(rig.friction.element_stiffness) * float(np.quantile(np.abs(motion.velocity), 0.999))
+        return min(40, max(1, math.ceil(fastest / rig.friction.coulomb_force * self.record.period / 1.5)))
+
+    def _balance(self, rig: Rig, motion: kernels.Motion) -> Array:
+        """Return the friction that the other forces ask for, from smoothed motion [N]."""
+        acceleration = np.gradient(motion.velocity, self.record.period)
+        plant = rig.plant
+        inertia = (
+            plant.moving_mass * acceleration + (plant.viscous_damping + rig.friction.viscous_coefficient) * motion.velocity
+        )
+        return self._driving(rig, motion) - inertia
+
+    # --- the recording's signals, as the rig's sensors say they have to be read -----------------
+
+    def corrected(self, rig: Rig, sensor: str) -> Array:
+        """Return a signal with its sensor's gain, bias, lag and delay taken out, shape (n,)."""
+        description = rig.sensors.get(sensor, Sensor())
+        raw = self.record.values(SENSED[sensor])
+        gain, bias, bandwidth, delay = description.gain, description.bias, description.bandwidth, description.delay
+        if gain == 1.0 and bias == 0.0 and bandwidth == 0.0 and delay == 0.0:
+            return raw
+
+        def compute() -> Array:
+            values = (raw - bias) / gain
+            if bandwidth > 0.0:
+                values = values + self.local_fit(values, 1) / bandwidth
+            if delay > 0.0:
+                # A spline of high order: straight lines would average noise away, and any delay would seem to help.
+                values = shift(values, -delay / self.record.period, order=5, mode="nearest")
+            return values
+
+        corrected: Array = self._keep(f"corrected {sensor}", (gain, bias, bandwidth, delay), compute)
+        return corrected
+
+    def pressure(self, rig: Rig) -> Array:
+        """Return the load pressure, from the load cell where there is no other sensor, shape (n,) [Pa]."""
+        if PRESSURE in self.record:
+            return self.corrected(rig, "load_pressure")
+        return self.corrected(rig, "force") / rig.plant.piston_area
+
+    def local_fit(self, values: Array, derivative: int) -> Array:
+        """Return a signal or its derivative from a local cubic fit, shape (n,)."""
+        samples = max(5, 2 * round(FIT / self.record.period / 2) + 1)
+        row = savgol_coeffs(samples, 3 if derivative else 2, deriv=derivative, delta=self.record.period, use="dot")
+        return np.convolve(np.pad(values, samples // 2, mode="edge"), row[::-1], mode="valid")
+
+    def motion(self, rig: Rig) -> kernels.Motion:
+        """Return what the parts are run along; a missing spool is the simulated one."""
+        motion = self._measured_motion(rig)
+        return motion if SPOOL in self.record else motion._replace(spool=self.simulated_spool(rig))
+
+    def _measured_motion(self, rig: Rig) -> kernels.Motion:
+        sensors = tuple((name, rig.sensors.get(name)) for name in SENSED)
+        motion: kernels.Motion = self._keep("motion", (sensors, rig.plant.piston_area), lambda: self._make_motion(rig))
+        return motion
+
+    def _make_motion(self, rig: Rig) -> kernels.Motion:
+        record = self.record
+        if POSITION in record:
+            position = self.corrected(rig, "position")
+            velocity = (
+                self.local_fit(self.corrected(rig, "velocity"), 0)
+                if self.setup.velocity_measured
+                else self.local_fit(position, 1)
+            )
+            position = self.local_fit(position, 0)
+        else:
+            velocity = self.corrected(rig, "velocity")
+            position = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]))]) * record.period
+            velocity = self.local_fit(velocity, 0)
+        pressure = self.pressure(rig) if PRESSURE in record or FORCE in record else np.zeros(len(record.time))
+        temperature = (
+            self.corrected(rig, "oil_temperature") if TEMPERATURE in record else np.full(len(record.time), OIL_TEMPERATURE)
+        )
+        return kernels.Motion(
+            time=record.time,
+            position=np.ascontiguousarray(position),
+            velocity=np.ascontiguousarray(velocity),
+            pressure=np.ascontiguousarray(pressure),
+            spool=np.ascontiguousarray(self.corrected(rig, "spool_position")),
+            command=record.values(COMMAND),
+            disturbance=record.values(LOAD),
+            servo_position=record.values(SERVO_POSITION),
+            servo_velocity=record.values(SERVO_VELOCITY),
+            temperature=np.ascontiguousarray(temperature),
+        )
+
+    def _keep(self, what: str, key: Any, compute: Any) -> Any:
+        kept = self._kept.setdefault(what, {})
+        if key not in kept:
+            value = compute()
+            while len(kept) >= KEPT:
+                kept.pop(next(iter(kept)), None)
+            kept[key] = value
+        return kept[key]
+
+
+def setup(record: Record) -> Setup:
+    """Tell what of the model can be laid beside a recording."""
+    period = record.period
+    samples = max(LEAST_WINDOW, round(WINDOW / period))
+    average = smooth_window(max(3, round(SPOOL_WINDOW / period)), period, hop=2)
+    moving = POSITION in record or VELOCITY in record
+    pressure = PRESSURE in record or FORCE in record
+    spool = SPOOL in record or COMMAND in record
+    channels: list[Channel] = []
+    if SPOOL in record and COMMAND in record:
+        channels.append("spool")
+    if moving and pressure and spool:
+        channels.append("volume")
+        if SUPPLY in record:
+            channels.append("supply")
+    if moving and pressure:
+        channels.append("force")
+    if PRESSURE in record and FORCE in record:
+        channels.append("cell")
+    if POSITION in record and VELOCITY in record:
+        channels.append("velocity")
+    fit = max(5, 2 * round(FIT / period / 2) + 1)
+    measured = False
+    if VELOCITY in record and POSITION in record:
+        slope = savgol_coeffs(fit, 3, deriv=1, delta=period)
+        measured = record.noise[VELOCITY] * float(np.linalg.norm(savgol_coeffs(fit, 2))) < record.noise[POSITION] * float(
+            np.linalg.norm(slope)
+        )
+    return Setup(smooth_window(samples, period), average, tuple(channels), measured)
+
+
+NEEDED: Mapping[Channel, tuple[str, ...]] = {
+    "spool": (SPOOL,),
+    "volume": (SPOOL, PRESSURE, FORCE, POSITION, VELOCITY),
+    "supply": (SUPPLY,),
+    "force": (PRESSURE, FORCE, POSITION, VELOCITY, LOAD),
+    "cell": (PRESSURE, FORCE),
+    "velocity": (POSITION, VELOCITY),
+}
+"""Signals whose gaps make a hole in a channel."""
+
+
+def usable(comparison: Comparison, channel: Channel) -> Mask:
+    """Tell which windows of a channel rest on measured samples only, and not on the beginning of a stretch."""
+    record, used = comparison.record, comparison.setup
+    good = np.ones(len(record.time), dtype=np.bool_)
+    for signal in NEEDED[channel]:
+        if signal in record:
+            good &= record.good[signal]
+    window = used.average if channel in ("spool", "supply", "cell") else used.window
+    settling = round(SETTLING / record.period)
+    late = np.ones(len(good), dtype=np.bool_)
+    for begin in np.flatnonzero(record.fresh):
+        late[begin : begin + settling] = False
+        late[max(begin - window.weights.size, 0) : begin] = False
+    late[-max(1, round(0.06 / record.period)) :] = False
+    # A spool simulated over a gap goes on from the recorded command; a window with a gap in it counts for nothing.
+    return window.mean((good & late).astype(np.float64)) > 1.0 - 1e-9

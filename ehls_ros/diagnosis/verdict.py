@@ -1,0 +1,299 @@
+"""From what a search found to what may be said of it."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.evidence import HUBER, Errors, Evidence
+from ehls_ros.diagnosis.fit import Fit
+from ehls_ros.diagnosis.hypotheses import Candidate
+from ehls_ros.diagnosis.result import Cause, Gain, Rival, Sensitivity
+from ehls_ros.diagnosis.search import NEEDED, RELEVANT, SURE, Judged, Searched
+from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
+from ehls_ros.estimate import Estimate
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.rig import Rig
+
+EQUAL, EQUAL_PART = 4.0, 5e-3
+"""How much less than the best another cause may gain and still be as good: [nats], and as a part of the best's gain."""
+
+CLOSED = 0.9
+"""Part of the removable error that a named cause has to close; what closes less is named by nobody."""
+
+SCATTER = 1.5
+"""Power of a residual, in that of noise, from which on something else than noise may be left."""
+
+MATTERS = 1e-3
+"""Part of a balance's largest term from which on something left matters."""
+
+RESAMPLED = 1000
+"""How often the blocks are resampled for probabilities and intervals."""
+
+STAGE_OF_GROUP: Mapping[str, Stage] = {
+    "valve": "valve",
+    "flow": "flow",
+    "friction": "force_balance",
+    "mechanics": "force_balance",
+    "sensors": "sensors",
+    "environment": "force_balance",
+}
+"""The stage of the model that an effect belongs to, by what its file says."""
+
+KEY: Mapping[Stage, tuple[str, str]] = {
+    "valve": ("valve_gain_shift", "gain"),
+    "flow": ("valve_gain_shift", "flow_gain"),
+    "force_balance": ("coulomb_shift", "offset"),
+}
+"""The parameter by which it is told whether the data excite a stage."""
+
+TELLING = 0.3
+"""Size of a key parameter, as a part of its nominal value, that the data have to be able to show."""
+
+
+class Left(NamedTuple):
+    """What is left of a channel's residual.
+
+    Attributes:
+        before, after: rms of the whitened residual of the given model, and with the causes on data held out.
+        noise: rms that noise makes.
+        closed: part of the removable power that is gone; 1 where there was none.
+        exceeded: whether there was more than noise, by enough to matter.
+        remains: whether there still is.
+    """
+
+    before: float
+    after: float
+    noise: float
+    closed: float
+    exceeded: bool
+    remains: bool
+
+
+def left(evidence: Evidence, best: Judged, channel: Channel) -> Left:
+    """Tell what is left of a channel's residual."""
+    noise = evidence.noisy_base.values[channel] - evidence.base.values[channel]
+    own, before, after = _power(noise), _power(evidence.base.values[channel]), _power(best.held.errors.values[channel])
+    removable = before - own
+    closed = (before - after) / removable if removable > 0.0 else 1.0
+    return Left(
+        math.sqrt(before),
+        math.sqrt(after),
+        math.sqrt(own),
+        closed,
+        _more_than_noise(evidence, channel, evidence.base.values[channel], own),
+        _more_than_noise(evidence, channel, best.held.errors.values[channel], own),
+    )
+
+
+def _power(e: Array) -> float:
+    return float(np.mean(e * e))
+
+
+def _more_than_noise(evidence: Evidence, channel: Channel, e: Array, noise: float) -> bool:
+    # What acts seldom has a small mean; where it acts it counts.
+    for power, part in ((_power(e), 1.0), (float(np.quantile(e * e, 0.99)), 5.0)):
+        excess = math.sqrt(max(power - SCATTER * noise * (1.0 if part == 1.0 else 7.0), 0.0))
+        typical = float(np.sqrt(np.mean(evidence.floor[channel] ** 2)))
+        if excess * typical / part > MATTERS * max(evidence.sizes[channel], 1e-300):
+            return True
+    return False
+
+
+def affected(evidence: Evidence, judged: Judged, cause: Candidate) -> tuple[Channel, ...]:
+    """Return the channels that a cause of a hypothesis changes."""
+    offset = 0
+    for candidate in judged.hypothesis:
+        part = slice(offset, offset + len(candidate.free))
+        offset += len(candidate.free)
+        if candidate is not cause:
+            continue
+        channels, begin = [], 0
+        for c in judged.fit.channels:
+            end = begin + len(evidence.block[c])
+            if np.any(judged.fit.jacobian[begin:end, part]):
+                channels.append(c)
+            begin = end
+        return tuple(channels)
+    return ()
+
+
+def causes(evidence: Evidence, found: Searched, seed: int) -> tuple[Cause, ...]:
+    """Describe the causes of the best hypothesis, those that explain most first."""
+    out = []
+    for index, candidate in enumerate(found.best.hypothesis):
+        rest = found.rests[index]
+        whole = found.best.score(found.inflation) - rest.score(found.inflation)
+        others = _others(found, index, candidate)
+        probability = _probability(found, [found.best, *others], rest, seed)
+        equivalent = tuple(
+            j.hypothesis[-1].name
+            for j in others
+            if found.best.score(found.inflation) - j.score(found.inflation) < max(EQUAL, EQUAL_PART * whole)
+            and len(j.fit.values) <= len(found.best.fit.values)
+        )
+        group = EFFECTS.load(candidate.name).STAGE
+        out.append(
+            Cause(
+                name=candidate.name,
+                probability=probability,
+                equivalent_to=equivalent,
+                stage=STAGE_OF_GROUP[group],
+                group=group,
+                parameters=_estimates(found.best, index),
+                fixed=dict(candidate.fixed),
+                gain=whole,
+                sigmas=_sigmas(found.best, index),
+                rivals=tuple(_rival(evidence, found, rest, j) for j in others[:5]),
+            )
+        )
+    return tuple(sorted(out, key=lambda cause: -cause.gain))
+
+
+def _others(found: Searched, index: int, candidate: Candidate) -> list[Judged]:
+    """Return the best hypothesis with each other effect in the place of a cause."""
+    seen, out = {candidate.name, *(c.name for i, c in enumerate(found.best.hypothesis) if i != index)}, []
+    for judged in sorted(found.rivals[index], key=lambda j: -j.score(found.inflation)):
+        name = judged.hypothesis[-1].name
+        if name not in seen:
+            seen.add(name)
+            out.append(judged)
+    return out
+
+
+def _estimates(judged: Judged, index: int) -> dict[str, Estimate]:
+    offset = sum(len(c.free) for c in judged.hypothesis[:index])
+    candidate = judged.hypothesis[index]
+    deviation = np.sqrt(np.maximum(np.diag(judged.held.covariance), 0.0))
+    used = candidate.use(judged.fit.values[offset : offset + len(candidate.free)]).parameters._asdict()
+    return {
+        name: Estimate(float(used[name]), float(deviation[offset + i]), candidate.units[i])
+        for i, name in enumerate(candidate.free)
+    }
+
+
+def _sigmas(judged: Judged, index: int) -> float:
+    offset = sum(len(c.free) for c in judged.hypothesis[:index])
+    candidate = judged.hypothesis[index]
+    part = slice(offset, offset + len(candidate.free))
+    deviation = np.sqrt(np.maximum(np.diag(judged.held.covariance)[part], 1e-300))
+    return float(np.max(np.abs(judged.fit.values[part] - candidate.neutral) / deviation))
+
+
+def _rival(evidence: Evidence, found: Searched, rest: Judged, judged: Judged) -> Rival:
+    before = after = noise = 0.0
+    for c in found.best.held.gain:
+        own = evidence.noisy_base.values[c] - evidence.base.values[c]
+        before += float(np.sum(rest.held.errors.values[c] ** 2))
+        after += float(np.sum(judged.held.errors.values[c] ** 2))
+        noise += float(np.sum(own**2))
+    closed = (before - after) / (before - noise) if before > noise else 0.0
+    behind = found.best.score(found.inflation) - judged.score(found.inflation)
+    return Rival(judged.hypothesis[-1].name, behind, closed, _estimates(judged, len(judged.hypothesis) - 1))
+
+
+def _probability(found: Searched, judged: Sequence[Judged], rest: Judged, seed: int) -> float:
+    """Return how often the first of some hypotheses is preferred when the blocks are resampled.
+
+    Bayesian bootstrap of the held-out gains (Yao, Vehtari, Simpson, Gelman 2018), the hypothesis without any cause included.
+    """
+    rng = np.random.default_rng(seed)
+    rows = [_per_block(j, found.inflation) for j in [*judged, rest]]
+    blocks = max((len(r) for r in rows), default=1)
+    table = np.array([np.resize(r, blocks) if len(r) else np.zeros(blocks) for r in rows])
+    penalty = (NEEDED / 4.0) * np.array([len(j.fit.values) for j in [*judged, rest]])
+    weights = rng.dirichlet(np.ones(blocks), RESAMPLED) * blocks
+    scores = weights @ table.T - penalty
+    scores -= scores.max(axis=1, keepdims=True)
+    likely = np.exp(scores)
+    return float(np.mean(likely[:, 0] / likely.sum(axis=1)))
+
+
+def _per_block(judged: Judged, inflation: Mapping[Channel, float]) -> Array:
+    parts = [gain / inflation[c] for c, gain in judged.held.gain.items()]
+    return np.sum(parts, axis=0) if parts else np.empty(0)
+
+
+def gain(evidence: Evidence, best: Judged, seed: int) -> Gain | None:
+    """Measure what the causes gain on held-out data."""
+    channels = tuple(best.held.gain)
+    if not channels:
+        return None
+
+    def removed(errors: Errors, c: Channel) -> float:
+        return float(np.sum(evidence.base.values[c] ** 2 - errors.values[c] ** 2))
+
+    main = max(channels, key=lambda c: removed(best.held.errors, c))
+    noise = {c: evidence.noisy_base.values[c] - evidence.base.values[c] for c in channels}
+    # Only channels in which there was something to remove say what part of it is gone.
+    telling = tuple(c for c in channels if _power(evidence.base.values[c]) > 1.1 * _power(noise[c])) or (main,)
+    before, after, floor = (np.zeros(evidence.blocks) for _ in range(3))
+    for c in telling:
+        block = evidence.block[c]
+        before += np.bincount(block, evidence.base.values[c] ** 2, evidence.blocks)
+        after += np.bincount(block, best.held.errors.values[c] ** 2, evidence.blocks)
+        floor += np.bincount(block, noise[c] ** 2, evidence.blocks)
+    weights = np.random.default_rng(seed).multinomial(evidence.blocks, np.ones(evidence.blocks) / evidence.blocks, RESAMPLED)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fractions = (weights @ (before - after)) / (weights @ (before - floor))
+    fractions = fractions[np.isfinite(fractions)]
+    low, high = np.quantile(fractions, [0.025, 0.975]) if fractions.size else (0.0, 0.0)
+    removable = float(before.sum() - floor.sum())
+    closed = float(before.sum() - after.sum()) / removable if removable > 0.0 else 0.0
+    size = max(evidence.sizes[main], 1e-300)
+
+    def nrmse(e: Array) -> float:
+        return float(np.sqrt(np.mean((e * evidence.floor[main]) ** 2))) / size
+
+    return Gain(
+        main,
+        nrmse(evidence.base.values[main]),
+        nrmse(best.held.errors.values[main]),
+        nrmse(noise[main]),
+        min(closed, 1.0),
+        (float(min(low, 1.0)), float(min(high, 1.0))),
+    )
+
+
+def sensitivities(evidence: Evidence, screened: Sequence[Fit], rig: Rig) -> tuple[Sensitivity, ...]:
+    """Return the smallest sizes that would have been named, of effects whose parameter enters smoothly at its neutral value."""
+    out = []
+    for fit in screened:
+        candidate = fit.hypothesis[0]
+        if len(candidate.free) != 1 or not np.array_equal(fit.values, candidate.neutral):
+            continue
+        column = fit.jacobian[:, 0]
+        information = float(column @ column)
+        if information <= 0.0:
+            continue
+        noticed = max(SURE, math.sqrt(2.0 * NEEDED)) / math.sqrt(information)
+        begin = 0
+        for c in fit.channels:
+            end = begin + len(evidence.block[c])
+            effect = float(np.sqrt(np.mean((column[begin:end] * evidence.floor[c]) ** 2))) / max(evidence.sizes[c], 1e-300)
+            if effect > 0.0 and c == max(fit.channels, key=lambda k: len(evidence.block[k])):
+                noticed = max(noticed, RELEVANT / effect)
+            begin = end
+        out.append(Sensitivity(candidate.name, candidate.free[0], noticed, candidate.units[0]))
+    return tuple(out)
+
+
+def excited(found: Sequence[Sensitivity], rig: Rig, stage: Stage) -> bool:
+    """Tell whether the data could show an error of a stage's key parameter."""
+    if stage not in KEY:
+        return True
+    name, parameter = KEY[stage]
+    nominal = rig.friction.coulomb_force if stage == "force_balance" else 1.0
+    return any(s.smallest < TELLING * nominal for s in found if (s.name, s.parameter) == (name, parameter))
+
+
+def stage_left(evidence: Evidence, best: Judged, stage: Stage) -> dict[Channel, Left]:
+    """Return what is left in each channel of a stage."""
+    return {c: left(evidence, best, c) for c in evidence.channels if CHANNELS[c] == stage}
+
+
+def clipped(e: Array) -> Array:
+    """Return whitened residuals without what lies far outside."""
+    return np.clip(e, -5.0 * HUBER, 5.0 * HUBER)

@@ -1,0 +1,63 @@
+"""Balances over short windows: what a differential equation says, without differentiating a noisy signal.
+
+A residual of the model at one instant needs derivatives. Weighted by a smooth window φ that vanishes with its slope at
+both ends and integrated by parts, the derivatives fall on the window: ∫φ dx/dt = -∫φ' x, ∫φ d²x/dt² = ∫φ'' x.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+
+
+class Window(NamedTuple):
+    """A window of ``weights.size`` samples, laid every ``hop`` samples.
+
+    Attributes:
+        weights: φ, their sum is 1, shape (m,).
+        slopes: dφ/dt [1/s], shape (m,).
+        curvatures: d²φ/dt² [1/s^2], shape (m,).
+        hop: samples from one window to the next.
+    """
+
+    weights: Array
+    slopes: Array
+    curvatures: Array
+    hop: int
+
+    def starts(self, samples: int) -> NDArray[np.intp]:
+        """Return the first sample of each window that lies in so many samples."""
+        return np.arange(0, max(samples - self.weights.size + 1, 0), self.hop)
+
+    def over(self, values: Array, weights: Array) -> Array:
+        """Return the weighted sum of a signal over each window."""
+        if len(values) < weights.size:
+            return np.empty(0)
+        return sliding_window_view(values, weights.size)[:: self.hop] @ weights
+
+    def mean(self, values: Array) -> Array:
+        """Return the weighted mean of a signal over each window."""
+        return self.over(values, self.weights)
+
+    def rate(self, values: Array) -> Array:
+        """Return the weighted mean of a signal's derivative over each window."""
+        return -self.over(values, self.slopes)
+
+    def acceleration(self, values: Array) -> Array:
+        """Return the weighted mean of a signal's second derivative over each window."""
+        return self.over(values, self.curvatures)
+
+
+def smooth_window(samples: int, period: float, hop: int = 3) -> Window:
+    """Return the window sin^4 of so many samples, laid ``hop`` times in its length."""
+    angle = np.pi * np.arange(samples + 1) / samples
+    scale = np.pi / (samples * period)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    weights = sine**4
+    total = float(np.sum(weights))
+    slopes = 4.0 * sine**3 * cosine * scale
+    curvatures = (12.0 * sine**2 * cosine**2 - 4.0 * sine**4) * scale**2
+    return Window(weights / total, slopes / total, curvatures / total, max(1, samples // hop))

@@ -1,0 +1,85 @@
+"""What happens to measured data on their way, and rig files that are wrong."""
+
+import copy
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from .recording import Recording
+
+Rng = np.random.Generator
+
+
+def _changed(r: Recording, what: str, time: np.ndarray | None = None) -> Recording:
+    """Return a copy that says what was done to it."""
+    truth = copy.deepcopy(r.truth)
+    truth["degraded"].append(what)
+    return Recording((r.time if time is None else time).copy(), {name: a.copy() for name, a in r.columns.items()}, truth)
+
+
+def drop_samples(r: Recording, rng: Rng, share: float = 0.01) -> Recording:
+    """Lose a share of the samples, whole rows."""
+    keep = rng.random(r.time.size) >= share
+    out = _changed(r, f"{share:.2%} of the samples lost", r.time[keep])
+    out.columns = {name: a[keep] for name, a in out.columns.items()}
+    return out
+
+
+def add_outliers(r: Recording, rng: Rng, share: float = 0.001, columns: Iterable[str] | None = None) -> Recording:
+    """Replace a share of each column's values by ones off by 10 to 100 % of its range."""
+    out = _changed(r, f"{share:.2%} outliers")
+    for name in columns or list(out.columns):
+        a = out.columns[name]
+        hit = rng.random(a.size) < share
+        size = np.ptp(a) * rng.uniform(0.1, 1.0, a.size) * rng.choice([-1.0, 1.0], a.size)
+        a[hit] += size[hit]
+    return out
+
+
+def blank(r: Recording, rng: Rng, stretches: int = 3, length: float = 0.3, columns: Iterable[str] | None = None) -> Recording:
+    """Put stretches of NaN of a length, s, into every column."""
+    out = _changed(r, f"{stretches} stretches of NaN, {length} s each")
+    n = max(int(length / np.median(np.diff(r.time))), 1)
+    for name in columns or list(out.columns):
+        for first in rng.integers(0, max(r.time.size - n, 1), stretches):
+            out.columns[name][first : first + n] = np.nan
+    return out
+
+
+def shift(r: Recording, column: str, late: float) -> Recording:
+    """Let one column come late by a time, s, against the others; early where negative."""
+    out = _changed(r, f"{column} late by {late * 1e3:g} ms")
+    out.columns[column] = np.interp(r.time - late, r.time, r.columns[column])
+    return out
+
+
+def jitter(r: Recording, rng: Rng, std: float = 1.0e-4) -> Recording:
+    """Write time stamps that are off by some, s; the samples are where they were."""
+    return _changed(r, f"time stamps off by {std * 1e3:g} ms", np.sort(r.time + std * rng.standard_normal(r.time.size)))
+
+
+def without(r: Recording, *columns: str) -> Recording:
+    """Leave columns away."""
+    out = _changed(r, f"without {', '.join(columns)}")
+    for name in columns:
+        del out.columns[name]
+    return out
+
+
+def wrong_rig(rig: Mapping[str, Any], factors: Mapping[str, float]) -> dict[str, Any]:
+    """Return a rig file with parameters, such as "plant.bulk_modulus", multiplied by factors."""
+    out = copy.deepcopy(dict(rig))
+    for path, factor in factors.items():
+        section, key = path.split(".")
+        value = out[section][key]
+        out[section][key] = [v * factor for v in value] if isinstance(value, list) else value * factor
+    return out
+
+
+def draw_wrong(rng: Rng, rig: Mapping[str, Any], spread: float = 0.1, count: int = 3) -> dict[str, float]:
+    """Draw factors for `wrong_rig`: `count` parameters off by up to exp(+-spread)."""
+    names = [f"plant.{key}" for key in rig["plant"] if key not in {"arm_length", "gravity", "valve_gain"}]
+    names += [f"friction.{key}" for key in rig["friction"] if key not in {"model", "element_weight", "stribeck_exponent"}]
+    return {name: math.exp(rng.uniform(-spread, spread)) for name in rng.choice(names, count, replace=False).tolist()}

@@ -1,0 +1,606 @@
+"""The rig itself, compiled: equations (1)-(4) with friction, hidden effects, sensors and the experiment's controller.
+
+One kernel serves every effect: all sizes stand in one record (`FIELDS`), each with a value at which the effect does nothing.
+Everything compiled is in this file, because numba's cache looks at the file of the function it keeps and not at those it calls.
+
+State (`N_BASE` values, then the friction forces): piston position and speed, load pressure, spool position and speed, position
+and speed of the second body, supply pressure, inner position of the creeping spring, inner pressure of the swelling hose,
+lagged speed, pressure behind the pressure sensor's lag.
+"""
+
+import math
+
+import numba as nb
+import numpy as np
+
+X, V, PL, XV, WV, XB, VB, PS, ZS, ZH, VF, PM = range(12)
+N_BASE = 12
+N_ELEMENTS = 8
+GMS, LUGRE = 0.0, 1.0
+# Channels of the sensors.
+POSITION, VELOCITY, PRESSURE, SPOOL, SUPPLY, FORCE, TEMPERATURE = range(7)
+N_CHANNELS = 7
+N_PLAYS = 5
+ATMOSPHERE = 1.0e5
+
+# name: value without effect. Nominal values (first block) are filled in from the rig file.
+FIELDS: dict[str, float] = {
+    # rig file
+    "supply": 0.0, "density": 0.0, "bulk": 0.0, "discharge": 0.0, "gradient": 0.0, "leakage": 0.0, "volume": 0.0,
+    "mass": 0.0, "area": 0.0, "spring": 0.0, "damping": 0.0, "valve_rate": 0.0, "valve_gain": 0.0, "gravity": 0.0,
+    "spool_limit": 0.0, "model": GMS, "fc": 0.0, "fs": 0.0, "vs": 0.0, "exponent": 0.0, "viscous": 0.0, "attraction": 0.0,
+    "n_elements": 0.0,
+    # valve: between command and spool
+    "gain_pos": 1.0, "gain_neg": 1.0, "null_command": 0.0, "pilot_dead_pos": 0.0, "pilot_dead_neg": 0.0,
+    "play": 0.0, "command_delay": 0.0, "second_rate": 0.0, "second_damping": 0.7, "spool_stop": 1.0e9,
+    "stiction": 0.0, "slew": 0.0, "power": 1.0, "power_at": 1.0e-3, "hum": 0.0, "hum_rate": 0.0, "hum_phase": 0.0,
+    "null_drift": 0.0, "null_drift_time": 1.0, "sticky": 0.0, "sticky_at": 0.0, "sticky_width": 1.0, "flow_force": 0.0,
+    # valve: between spool and flow
+    "null_ports": 0.0, "ports_pos": 1.0, "ports_neg": 1.0, "dead_pos": 0.0, "dead_neg": 0.0, "dead_corner": 0.0,
+    # flow
+    "droop": 0.0, "droop_time": 0.1, "air": 0.0, "turbulent": 0.0, "external": 0.0, "external_side": 1.0,
+    "laminar": 0.0, "relief": 0.0, "relief_crack": 0.0, "relief_corner": 1.0, "rate_limit": 0.0, "hose": 0.0,
+    "hose_time": 1.0, "seal": 0.0, "seal_speed": 1.0, "line": 0.0,
+    # friction
+    "asymmetry": 0.0, "viscous_asymmetry": 0.0, "per_pressure": 0.0, "per_position": 0.0, "position_scale": 0.3,
+    "per_kelvin": 0.0, "warming": 0.0, "warming_time": 30.0, "temperature": 313.15,
+    # mechanics
+    "hardening": 0.0, "hardening_scale": 0.15, "two_body": 0.0, "second_share": 0.0, "second_stiffness": 0.0,
+    "second_loss": 0.0, "gap": 0.0, "load_on_second": 0.0, "stop_side": 0.0, "stop_at": 0.0, "stop_stiffness": 0.0,
+    "stop_loss": 0.0,
+    # environment
+    "periodic": 0.0, "periodic_rate": 0.0, "periodic_phase": 0.0, "constant": 0.0, "coupling": 0.0,
+    # force balance, outside the list
+    "quadratic": 0.0, "inertial_friction": 0.0, "inertial_scale": 1.0, "cogging": 0.0, "cogging_length": 1.0,
+    "cogging_phase": 0.0, "cogging_speed": 1.0, "creep": 0.0, "creep_time": 1.0, "patch": 0.0, "patch_at": 0.0,
+    "patch_width": 1.0, "notch": 0.0, "notch_at": 0.0, "notch_width": 1.0, "crosstalk": 0.0, "side_spring": 0.0,
+    "side_preload": 0.0, "side_at": 0.0, "side": 1.0,
+    # sensors
+    "p_gain": 1.0, "p_bias": 0.0, "p_lag": 0.0, "x_gain": 1.0, "x_bias": 0.0, "p_quadratic": 0.0, "p_play": 0.0,
+    "p_step": 0.0, "p_codes": 0.0, "x_interpolation": 0.0, "x_period": 1.0, "x_phase": 0.0, "p_per_x": 0.0, "p_per_xx": 0.0,
+    "p_per_kelvin": 0.0,
+    # controller of the experiment
+    "w_force": 0.0, "w_position": 0.0, "force_gain": 4.0e-5, "force_reset": 2.0, "force_filter": 40.0,
+    "position_gain": 3.0, "guard": 0.27, "nominal_supply": 0.0, "nominal_area": 0.0, "flow_gain": 0.0,
+}  # fmt: skip
+ARRAYS: dict[str, int] = {
+    "stiffness": N_ELEMENTS,  # N/m, of the friction elements
+    "weight": N_ELEMENTS,  # 1, of the friction elements
+    "delay": N_CHANNELS,  # s, of the sensors
+    "noise_std": N_CHANNELS,
+    "resolution": N_CHANNELS,
+}
+DTYPE = np.dtype([(name, "f8") for name in FIELDS] + [(name, "f8", (size,)) for name, size in ARRAYS.items()], align=True)
+HUGE = 1.0e9
+
+# Dormand-Prince 5(4)
+A21 = 1 / 5
+A31, A32 = 3 / 40, 9 / 40
+A41, A42, A43 = 44 / 45, -56 / 15, 32 / 9
+A51, A52, A53, A54 = 19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729
+A61, A62, A63, A64, A65 = 9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656
+B1, B3, B4, B5, B6 = 35 / 384, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
+E1, E3, E4, E5, E6, E7 = 71 / 57600, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40
+RTOL = 1.0e-9
+# Per state: far below what the rig's sensors see.
+ATOL = np.array([1e-12, 1e-10, 0.002, 1e-13, 1e-10, 1e-12, 1e-10, 0.002, 1e-12, 0.002, 1e-10, 0.002] + [1e-6] * N_ELEMENTS)
+
+
+@nb.njit(cache=True)
+def softplus(a, corner):
+    """Return max(a, 0) with its corner rounded over the given length."""
+    if corner <= 0.0:
+        return max(a, 0.0)
+    z = a / corner
+    if z > 35.0:
+        return a
+    if z < -35.0:
+        return 0.0
+    return corner * math.log1p(math.exp(z))
+
+
+@nb.njit(cache=True)
+def sliding_level(v, side, x, p_load, p):
+    """Return s: the friction that sliding to one side settles at, without the viscous part, N."""
+    s = p.fc + (p.fs - p.fc) * math.exp(-((abs(v) / p.vs) ** p.exponent))
+    if p.per_position != 0.0:
+        s *= 1.0 + p.per_position * p.position_scale * math.tanh(x / p.position_scale)
+    if p.per_pressure != 0.0:
+        s += p.per_pressure * (math.sqrt(p_load * p_load + 4.0e10) - 2.0e5)
+    if p.patch != 0.0:
+        z = (x - p.patch_at) / p.patch_width
+        s += p.patch * math.exp(-z * z)
+    if p.asymmetry != 0.0:
+        s += side * p.asymmetry
+    return max(s, 0.05 * p.fc)
+
+
+@nb.njit(cache=True)
+def orifice_flow(xv, ps, p_load, p):
+    """Return the flow to the cylinder, (1), m^3/s."""
+    x = xv + p.null_ports
+    if p.dead_pos != 0.0 or p.dead_neg != 0.0:
+        x = softplus(x - p.dead_pos, p.dead_corner) - softplus(-x - p.dead_neg, p.dead_corner)
+    if p.ports_pos != 1.0 or p.ports_neg != 1.0:
+        x *= p.ports_pos if x > 0.0 else p.ports_neg
+    side = 1.0 if x > 0.0 else -1.0
+    drop = ps - side * p_load
+    root = math.sqrt(drop) if drop >= 0.0 else -math.sqrt(-drop)
+    if p.laminar != 0.0:  # Reynolds' number goes with opening and root; below the transition Cd goes with it
+        re = abs(x) * abs(root) / (p.laminar * math.sqrt(p.supply))
+        x *= re / math.sqrt(1.0 + re * re)
+    conductance = p.discharge * p.gradient * x / math.sqrt(p.density)
+    if p.line != 0.0:  # a turbulent restriction in series takes line * Q^2
+        conductance /= math.sqrt(1.0 + p.line * conductance * conductance)
+    return conductance * root
+
+
+@nb.njit(cache=True)
+def air_modulus(pressure, p):
+    """Return the modulus of oil with free air in it at a gauge pressure, the air compressed at n = 1.3, Pa."""
+    absolute = max(pressure, 0.0) + ATMOSPHERE
+    shrunk = p.air * (ATMOSPHERE / absolute) ** (1.0 / 1.3)
+    return (1.0 - p.air + shrunk) / ((1.0 - p.air) / p.bulk + shrunk / (1.3 * absolute))
+
+
+@nb.njit(cache=True)
+def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per effect
+    """Write the state's rate.
+
+    c: spool target, disturbance and its rate, servo displacement and its rate, time these hold for, temperature.
+    """
+    target, fd0, fd_rate, servo0, servo_rate, t0, temperature = c
+    for i in range(N_BASE):
+        dy[i] = 0.0
+    x, v, p_load, xv = y[X], y[V], y[PL], y[XV]
+    ps = y[PS] if p.droop != 0.0 else p.supply
+
+    # (4) valve
+    if p.hum != 0.0:
+        target += p.hum * math.sin(p.hum_rate * t + p.hum_phase)
+    if p.flow_force != 0.0:  # the jet closes the valve: the more the greater opening and pressure drop
+        target -= p.flow_force * xv * max(ps - (p_load if xv > 0.0 else -p_load), 0.0) / p.supply
+    if p.second_rate != 0.0:
+        rate = y[WV]
+        dy[WV] = p.second_rate * (p.second_rate * (target - xv) - 2.0 * p.second_damping * y[WV])
+    else:
+        rate = p.valve_rate * (target - xv)
+    if p.slew != 0.0:
+        r = rate / p.slew
+        rate /= (1.0 + r * r * r * r) ** 0.25
+    if p.sticky != 0.0:
+        z = (xv - p.sticky_at) / p.sticky_width
+        rate *= 1.0 - p.sticky * math.exp(-z * z)
+    if p.stiction != 0.0 and not spool_free:
+        rate = 0.0
+    if (xv >= p.spool_stop and rate > 0.0) or (xv <= -p.spool_stop and rate < 0.0):
+        rate = 0.0
+        dy[WV] = -2.0e3 * y[WV]
+    dy[XV] = rate
+
+    # (1), (2) flow
+    q = orifice_flow(xv, ps, p_load, p)
+    if p.droop != 0.0:
+        dy[PS] = (p.supply - p.droop * abs(q) - ps) / p.droop_time
+    q -= p.area * v + p.leakage * p_load
+    if p.turbulent != 0.0:  # laminar below about 0.2 MPa
+        q -= p.turbulent * p_load / (p_load * p_load + 4.0e10) ** 0.25
+    if p.external != 0.0:  # one rod seal leaks to the tank: half of it appears in the load flow
+        q -= 0.5 * p.external * p.external_side * max(0.5 * (ps + p.external_side * p_load), 0.0)
+    if p.relief != 0.0:
+        q -= p.relief * (
+            softplus(p_load - p.relief_crack, p.relief_corner) - softplus(-p_load - p.relief_crack, p.relief_corner)
+        )
+    if p.seal != 0.0:
+        q -= p.seal * p_load * v * v / (v * v + p.seal_speed * p.seal_speed)
+    if p.hose != 0.0:
+        dy[ZH] = (p_load - y[ZH]) / p.hose_time
+        q -= p.hose * dy[ZH]
+    bulk = p.bulk
+    if p.air != 0.0:
+        bulk = 0.5 * (air_modulus(0.5 * (ps + p_load), p) + air_modulus(0.5 * (ps - p_load), p))
+    pressure_rate = 4.0 * bulk / p.volume * q
+    if p.rate_limit != 0.0:
+        r = pressure_rate / p.rate_limit
+        pressure_rate /= (1.0 + r * r) ** 0.5
+    dy[PL] = pressure_rate
+
+    # (3) load
+    two, on_second = p.two_body != 0.0, p.load_on_second != 0.0
+    xl, vl = (y[XB], y[VB]) if on_second else (x, v)
+    load = p.damping * vl + p.spring * xl + fd0 + fd_rate * (t - t0)
+    weight = p.mass * p.gravity
+    viscous = p.viscous
+    if p.per_kelvin != 0.0:
+        viscous *= math.exp(-p.per_kelvin * (temperature - p.temperature))
+    if p.viscous_asymmetry != 0.0:
+        viscous += p.viscous_asymmetry if vl > 0.0 else -p.viscous_asymmetry
+    load += viscous * vl
+    n = int(p.n_elements)
+    for i in range(n):
+        load += y[N_BASE + i]
+    if p.hardening != 0.0:
+        z = xl / p.hardening_scale
+        shape = 6.0 * (math.sinh(z) - z) if p.hardening > 0.0 else 3.0 * (z - math.atan(z))
+        load += p.hardening * p.hardening_scale**3 * shape
+    if p.stop_side != 0.0:
+        depth = softplus(p.stop_side * xl - p.stop_at, 1.0e-4)
+        load += p.stop_side * p.stop_stiffness * depth * max(1.0 + p.stop_loss * p.stop_side * vl, 0.0)
+    if p.periodic != 0.0:
+        phase = p.periodic_rate * t + p.periodic_phase
+        load += p.periodic * (math.sin(phase) + 0.1 * math.sin(2.0 * phase + 1.0))
+    load += p.constant
+    if p.coupling != 0.0:
+        load -= p.coupling * (servo0 + servo_rate * (t - t0) - xl)
+    if p.quadratic != 0.0:
+        load += p.quadratic * vl * abs(vl)
+    if p.inertial_friction != 0.0:
+        dy[VF] = (v - y[VF]) / 5.0e-3
+        load += p.inertial_friction * math.tanh(vl / 2.0e-3) * math.tanh(dy[VF] * math.tanh(vl / 2.0e-3) / p.inertial_scale)
+    if p.cogging != 0.0:
+        tooth = 6.283185307179586 * xl / p.cogging_length + p.cogging_phase
+        load += p.cogging * (math.sin(tooth) + 0.4 * math.sin(2.0 * tooth)) * math.tanh(vl / p.cogging_speed)
+    if p.creep != 0.0:
+        dy[ZS] = (xl - y[ZS]) / p.creep_time
+        load += p.creep * (xl - y[ZS])
+    if p.notch != 0.0:
+        z = (xl - p.notch_at) / p.notch_width
+        load += p.notch * 2.3316 * z * math.exp(-z * z)  # the factor makes `notch` the largest force
+    if p.crosstalk != 0.0:
+        fd = fd0 + fd_rate * (t - t0)
+        load += p.crosstalk * fd * fd
+    if p.side_spring != 0.0 or p.side_preload != 0.0:
+        depth = p.side * (xl - p.side_at)
+        engaged = 0.5 * (1.0 + math.tanh(depth / 3.0e-4))
+        load += p.side * (p.side_preload * engaged + p.side_spring * softplus(depth, 3.0e-4))
+
+    drive = p.area * p_load
+    dy[X] = v
+    if two:
+        second = p.second_share * p.mass
+        first = p.mass - second
+        stretch = x - y[XB]
+        hinge = p.second_stiffness * stretch
+        touch = 1.0
+        if p.gap > 0.0:
+            corner, half = 0.05 * p.gap, 0.5 * p.gap
+            hinge = p.second_stiffness * (softplus(stretch - half, corner) - softplus(-stretch - half, corner))
+            touch = 1.0 / (1.0 + math.exp(min(max((half - abs(stretch)) / corner, -50.0), 50.0)))
+        hinge += p.second_loss * touch * (v - y[VB])
+        dy[XB] = y[VB]
+        if on_second:
+            dy[V] = (drive - hinge) / first
+            dy[VB] = (hinge - load - weight) / second
+        else:
+            dy[V] = (drive - load - hinge - first * p.gravity) / first
+            dy[VB] = (hinge - second * p.gravity) / second
+    else:
+        dy[V] = (drive - load - weight) / p.mass
+    if p.p_lag != 0.0:
+        dy[PM] = (p_load - y[PM]) / p.p_lag
+
+    # friction elements, (6)-(8)
+    if p.model == LUGRE:
+        side = 1.0 if vl > 0.0 else -1.0
+        dy[N_BASE] = p.stiffness[0] * (vl - abs(vl) * y[N_BASE] / sliding_level(vl, side, xl, p_load, p))
+    else:
+        s, side = 0.0, 0.0
+        for i in range(n):
+            if modes[i] == 0:
+                dy[N_BASE + i] = p.stiffness[i] * vl
+            else:
+                if side != modes[i]:
+                    side = float(modes[i])
+                    s = sliding_level(vl, side, xl, p_load, p)
+                dy[N_BASE + i] = p.attraction * (side * p.weight[i] - y[N_BASE + i] / s)
+
+
+@nb.njit(cache=True)
+def crossed(y, modes, p, out):
+    """Mark the friction elements that have to change between stick and slip; return whether there are any."""
+    on_second = p.load_on_second != 0.0
+    v, x = (y[VB], y[XB]) if on_second else (y[V], y[X])
+    found, s = False, -1.0
+    side = 1.0 if v > 0.0 else -1.0
+    for i in range(int(p.n_elements)):
+        out[i] = 0
+        if modes[i] != 0:
+            if modes[i] * v < 0.0:
+                out[i], found = 1, True
+        elif v != 0.0 and side * y[N_BASE + i] > 0.0:
+            if s < 0.0:
+                s = sliding_level(v, side, x, y[PL], p)
+            if side * y[N_BASE + i] > p.weight[i] * s:
+                out[i], found = 1, True
+    return found
+
+
+@nb.njit(cache=True)
+def switch(y, modes, p, marked):
+    """Change the marked elements over."""
+    at = VB if p.load_on_second != 0.0 else V
+    turned = False
+    for i in range(int(p.n_elements)):
+        if marked[i]:
+            if modes[i] == 0:
+                modes[i] = 1 if y[at] > 0.0 else -1
+            else:
+                modes[i] = 0
+                turned = True
+    if turned:  # it was found where the speed is zero up to rounding
+        y[at] = 0.0
+
+
+@nb.njit(cache=True)
+def dormand_prince(t, h, y, k, stage, new, n, modes, spool_free, p, c):
+    """One step from y with its rate in k[0]; return the error in units of the tolerance."""
+    for i in range(n):
+        stage[i] = y[i] + h * A21 * k[0, i]
+    rhs(t + h / 5, stage, k[1], modes, spool_free, p, c)
+    for i in range(n):
+        stage[i] = y[i] + h * (A31 * k[0, i] + A32 * k[1, i])
+    rhs(t + 3 * h / 10, stage, k[2], modes, spool_free, p, c)
+    for i in range(n):
+        stage[i] = y[i] + h * (A41 * k[0, i] + A42 * k[1, i] + A43 * k[2, i])
+    rhs(t + 4 * h / 5, stage, k[3], modes, spool_free, p, c)
+    for i in range(n):
+        stage[i] = y[i] + h * (A51 * k[0, i] + A52 * k[1, i] + A53 * k[2, i] + A54 * k[3, i])
+    rhs(t + 8 * h / 9, stage, k[4], modes, spool_free, p, c)
+    for i in range(n):
+        stage[i] = y[i] + h * (A61 * k[0, i] + A62 * k[1, i] + A63 * k[2, i] + A64 * k[3, i] + A65 * k[4, i])
+    rhs(t + h, stage, k[5], modes, spool_free, p, c)
+    for i in range(n):
+        new[i] = y[i] + h * (B1 * k[0, i] + B3 * k[2, i] + B4 * k[3, i] + B5 * k[4, i] + B6 * k[5, i])
+    rhs(t + h, new, k[6], modes, spool_free, p, c)
+    worst = 0.0
+    for i in range(n):
+        e = h * (E1 * k[0, i] + E3 * k[2, i] + E4 * k[3, i] + E5 * k[4, i] + E6 * k[5, i] + E7 * k[6, i])
+        worst = max(worst, abs(e) / (ATOL[i] + RTOL * max(abs(y[i]), abs(new[i]))))
+    return worst
+
+
+@nb.njit(cache=True)
+def advance(t, end, h, y, n, modes, spool_free, p, c, work, marked):  # noqa: PLR0912 - the loop is the algorithm
+    """Integrate y in place from t to end with the inputs c; return the step to go on with, negative when it failed.
+
+    A friction element changes between stick and slip at the end of a step, never within: a step that goes past a change is
+    repeated as far as the change, which is found on the step's cubic interpolant.
+    """
+    k, stage, new, trial = work[:7], work[7], work[8], work[9]
+    rhs(t, y, k[0], modes, spool_free, p, c)
+    changes = 0
+    for _ in range(100000):
+        left = end - t
+        if left <= 1.0e-12:
+            return h
+        step = min(h, left)
+        if left - step < 0.1 * step:
+            step = left
+        error = dormand_prince(t, step, y, k, stage, new, n, modes, spool_free, p, c)
+        if not error <= 1.0 and step > 1.0e-9:  # also when it is not a number
+            h = step * (max(0.2, 0.9 * error**-0.2) if error < 1.0e12 else 0.1)
+            continue
+        if not error < 1.0e12:
+            return -1.0
+        grown = step * min(5.0, 0.9 * max(error, 1.0e-6) ** -0.2)
+        h = max(grown, h) if step < h else grown
+        if p.model == GMS and changes < 500 and crossed(new, modes, p, marked):
+            changes += 1
+            low, high = 0.0, 1.0
+            for _bisection in range(45):
+                z = 0.5 * (low + high)
+                for i in range(n):
+                    d = new[i] - y[i]
+                    trial[i] = y[i] + z * d + z * (z - 1.0) * ((1.0 - 2.0 * z) * d + step * ((z - 1.0) * k[0, i] + z * k[6, i]))
+                if crossed(trial, modes, p, marked):
+                    high = z
+                else:
+                    low = z
+            for i in range(n):
+                d = new[i] - y[i]
+                trial[i] = (
+                    y[i]
+                    + high * d
+                    + high * (high - 1.0) * ((1.0 - 2.0 * high) * d + step * ((high - 1.0) * k[0, i] + high * k[6, i]))
+                )
+            crossed(trial, modes, p, marked)
+            step *= high
+            if step > 1.0e-13:
+                if high < 1.0:
+                    dormand_prince(t, step, y, k, stage, new, n, modes, spool_free, p, c)
+                for i in range(n):
+                    y[i] = new[i]
+                t += step
+            switch(y, modes, p, marked)
+            rhs(t, y, k[0], modes, spool_free, p, c)
+            continue
+        t += step
+        for i in range(n):
+            y[i] = new[i]
+            k[0, i] = k[6, i]
+        if p.spool_stop < HUGE and abs(y[XV]) > p.spool_stop:
+            y[XV] = p.spool_stop if y[XV] > 0.0 else -p.spool_stop
+            rhs(t, y, k[0], modes, spool_free, p, c)
+    return -1.0
+
+
+@nb.njit(cache=True)
+def temperature_at(t, p):
+    """Return the oil's temperature, K."""
+    return p.temperature + p.warming * (1.0 - math.exp(-t / p.warming_time))
+
+
+@nb.njit(cache=True)
+def true_signals(t, y, p, out):
+    """Write what perfect sensors would show."""
+    out[POSITION] = y[X]
+    out[VELOCITY] = y[V]
+    out[PRESSURE] = y[PM] if p.p_lag != 0.0 else y[PL]
+    out[SPOOL] = y[XV]
+    out[SUPPLY] = y[PS] if p.droop != 0.0 else p.supply
+    out[FORCE] = p.area * y[PL]
+    out[TEMPERATURE] = temperature_at(t, p)
+
+
+@nb.njit(cache=True)
+def sense(t, dt, tick, history, now, p, unit_noise, zero, held, memory, last, out):  # noqa: PLR0912 - one branch per effect
+    """Write what the sensors show at t: their faults, then noise, then resolution.
+
+    history: true signals at the control's ticks up to `tick`; now: at t. zero: wandering zero of the pressure sensor; held:
+    whether pressure and position hang at their last value. memory: the pressure sensor's play.
+    """
+    for ch in range(N_CHANNELS):
+        value = now[ch]
+        if p.delay[ch] > 0.0:
+            back = t - p.delay[ch]
+            j = int(back / dt)
+            if back <= 0.0:
+                value = history[0, ch]
+            elif j >= tick:
+                part = (back - tick * dt) / max(t - tick * dt, 1.0e-12)
+                value = history[tick, ch] + part * (now[ch] - history[tick, ch])
+            else:
+                value = history[j, ch] + (back / dt - j) * (history[j + 1, ch] - history[j, ch])
+        if ch == PRESSURE:
+            if p.p_play > 0.0:
+                memory[0] = min(max(memory[0], value - p.p_play), value + p.p_play)
+                value = memory[0]
+            value = value * p.p_gain + p.p_bias + p.p_quadratic * value * value + zero
+            value += p.p_per_x * now[POSITION] + p.p_per_xx * now[POSITION] * now[POSITION]
+            value += p.p_per_kelvin * (now[TEMPERATURE] - p.temperature)
+        elif ch == POSITION:
+            if p.x_interpolation != 0.0:
+                z = 6.283185307179586 * value / p.x_period + p.x_phase
+                value += p.x_interpolation * (math.sin(z) + 0.3 * math.sin(2.0 * z + 0.7))
+            value = value * p.x_gain + p.x_bias
+        value += p.noise_std[ch] * unit_noise[ch]
+        if p.resolution[ch] > 0.0:
+            value = math.floor(value / p.resolution[ch] + 0.5) * p.resolution[ch]
+        if ch == PRESSURE and p.p_step > 0.0:
+            code = math.floor(value / p.p_step + 0.5)
+            if p.p_codes > 0.0 and (code * 5.0 + p.p_codes) % 8.0 < 1.0:
+                code += 1.0
+            value = code * p.p_step
+        if (ch == PRESSURE and held & 1) or (ch == POSITION and held & 2):
+            value = last[ch]
+        last[ch] = value
+        out[ch] = value
+
+
+@nb.njit(cache=True)
+def spool_target(u, t, plays, p):
+    """Return where a command sends the spool; plays: state of the plays in the valve's first stage."""
+    u = min(max(u, -p.spool_limit), p.spool_limit)
+    if p.play > 0.0:
+        mean = 0.0
+        for i in range(N_PLAYS):
+            half = p.play * (0.2 + 0.4 * i)  # 0.2 ... 1.8 of the mean
+            plays[i] = min(max(plays[i], u - half), u + half)
+            mean += plays[i] / N_PLAYS
+        u = mean
+    if p.pilot_dead_pos != 0.0 or p.pilot_dead_neg != 0.0:
+        u = softplus(u - p.pilot_dead_pos, 0.1 * p.pilot_dead_pos) - softplus(-u - p.pilot_dead_neg, 0.1 * p.pilot_dead_neg)
+    if p.power != 1.0:
+        z = u / p.power_at
+        u *= (z * z / (1.0 + z * z / 16.0) + 1.0e-4) ** (0.5 * (p.power - 1.0))
+    u *= p.gain_pos if u > 0.0 else p.gain_neg
+    u += p.null_command + p.null_drift * (1.0 - math.exp(-t / p.null_drift_time))
+    return p.valve_gain * u
+
+
+@nb.njit(cache=True)
+def control(dt, k, seen, f_ref, x_ref, v_ref, memory, p):
+    """Return the command: PI of force and P of position, both as a wanted speed, turned into a spool displacement.
+
+    memory: filtered force error, its integral.
+    """
+    want = v_ref[k]
+    if p.w_force != 0.0:
+        e = f_ref[k] - p.nominal_area * seen[PRESSURE]
+        memory[0] += dt * p.force_filter * (e - memory[0])
+        memory[1] = min(max(memory[1] + dt * memory[0] / p.force_reset, -2.0e3), 2.0e3)
+        want += p.w_force * p.force_gain * (memory[0] + memory[1])
+    if p.w_position != 0.0:
+        want += p.w_position * p.position_gain * (x_ref[k] - seen[POSITION])
+    ahead = seen[POSITION] + 0.02 * seen[VELOCITY]  # nobody lets the piston hit the cylinder's end
+    if ahead > p.guard:
+        want = min(want, 0.0) - 8.0 * (ahead - p.guard)
+    elif ahead < -p.guard:
+        want = max(want, 0.0) - 8.0 * (ahead + p.guard)
+    push = (seen[PRESSURE] if want > 0.0 else -seen[PRESSURE]) / p.nominal_supply
+    if push > 0.75:  # or pushes against something that does not give
+        want *= max((0.87 - push) / 0.12, -0.5)
+    want = min(max(want, -1.6), 1.6)
+    drop = p.nominal_supply - (seen[PRESSURE] if want > 0.0 else -seen[PRESSURE])
+    u = want * p.nominal_area / (p.flow_gain * math.sqrt(max(drop, 0.03 * p.nominal_supply)))
+    return min(max(u, -p.spool_limit), p.spool_limit)
+
+
+@nb.njit(cache=True)
+def simulate(  # noqa: PLR0912 - the loop is the algorithm
+    p, y, modes, dt, f_ref, x_ref, v_ref, fd, servo, hold, control_noise, zero, held,
+    at, noise, same_times, signals, commands, disturbances, displacements, states,
+):  # fmt: skip
+    """Run an experiment; return the number of control ticks done.
+
+    Arrays of the control's ticks, one tick longer than the run: f_ref, x_ref, v_ref, fd, servo, zero, held; control_noise.
+    at: times of the recording's samples, with their noise; same_times: they are the ticks. The rest is written.
+    """
+    n_ticks = f_ref.size - 1
+    n = N_BASE + int(p.n_elements)
+    history = np.empty((n_ticks + 1, N_CHANNELS))
+    u = np.empty(n_ticks)
+    work = np.zeros((10, N_BASE + N_ELEMENTS))
+    marked = np.zeros(N_ELEMENTS, np.int64)
+    seen, now, last, last_recorded = np.zeros(N_CHANNELS), np.zeros(N_CHANNELS), np.zeros(N_CHANNELS), np.zeros(N_CHANNELS)
+    force_memory, sensor_memory, plays = np.zeros(2), np.zeros(2), np.zeros(N_PLAYS)
+    whole = int(p.command_delay / dt + 1.0e-9)
+    part = max(p.command_delay - whole * dt, 0.0)
+    if part < 1.0e-9:
+        part = 0.0
+    h, row, spool_free = 2.0e-4, 0, True
+    sensor_memory[0] = y[PL]
+    target = spool_target(0.0, 0.0, plays, p)
+    for k in range(n_ticks):
+        t, end = k * dt, (k + 1) * dt
+        true_signals(t, y, p, history[k])
+        sense(t, dt, k, history, history[k], p, control_noise[k], zero[k], held[k], sensor_memory, last, seen)
+        u[k] = control(dt, k, seen, f_ref, x_ref, v_ref, force_memory, p)
+        fd_rate = 0.0 if hold else (fd[k + 1] - fd[k]) / dt
+        servo_rate = 0.0 if hold else (servo[k + 1] - servo[k]) / dt
+        temperature = history[k, TEMPERATURE]
+        arrival = t + part
+        arrived = False
+        while t < end - 1.0e-12:
+            if not arrived and t >= arrival - 1.0e-12:
+                arrived = True
+                target = spool_target(u[k - whole] if k >= whole else 0.0, t, plays, p)
+            if p.stiction != 0.0:  # stuck until the pilot's force is large, then loose until it is small
+                miss = abs(target - y[XV])
+                spool_free = miss > (0.2 * p.stiction if spool_free else p.stiction)
+            stop = end
+            if not arrived:
+                stop = min(stop, arrival)
+            if row < at.size and at[row] <= t + 1.0e-12:
+                if same_times:
+                    signals[row] = seen
+                else:
+                    true_signals(t, y, p, now)
+                    sense(t, dt, k, history, now, p, noise[row], zero[k], held[k], sensor_memory, last_recorded, signals[row])
+                commands[row] = u[k]
+                disturbances[row] = fd[k] + fd_rate * (t - k * dt)
+                displacements[row] = servo[k] + servo_rate * (t - k * dt)
+                if states.size > 0:
+                    for i in range(n):
+                        states[row, i] = y[i]
+                row += 1
+            if row < at.size and not same_times:
+                stop = min(stop, max(at[row], t + 1.0e-9))
+            h = advance(
+                t, stop, h, y, n, modes, spool_free, p,
+                (target, fd[k], fd_rate, servo[k], servo_rate, k * dt, temperature), work, marked,
+            )  # fmt: skip
+            if h < 0.0 or not abs(y[X]) < 10.0:
+                return k
+            t = stop
+    return n_ticks

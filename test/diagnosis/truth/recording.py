@@ -1,0 +1,240 @@
+"""`record`: one experiment on the real rig, as its data acquisition would keep it."""
+
+import csv
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import kernel
+from .effects import EFFECTS, LISTED, Sizes, hang, wander
+from .experiments import EXPERIMENTS, TICK, Plan
+
+CHANNELS = {
+    "position_m": kernel.POSITION,
+    "velocity_m_s": kernel.VELOCITY,
+    "load_pressure_pa": kernel.PRESSURE,
+    "spool_m": kernel.SPOOL,
+    "supply_pressure_pa": kernel.SUPPLY,
+    "force_n": kernel.FORCE,
+    "oil_temperature_k": kernel.TEMPERATURE,
+}
+# Noise and resolution: the paper's, and what config/rig_paper_measured.yaml chooses.
+SENSORS = {
+    "position_m": (2.0e-6, 5.0e-6),
+    "velocity_m_s": (1.0e-4, 0.0),
+    "load_pressure_pa": (1.0e3, 1.2e3),
+    "spool_m": (1.0e-6, 1.0e-6),
+    "supply_pressure_pa": (1.0e3, 1.2e3),
+    "force_n": (2.0, 4.0),
+    "oil_temperature_k": (0.05, 0.0),
+}
+RIG_SENSORS = {
+    "position_m": "position", "velocity_m_s": "velocity", "load_pressure_pa": "load_pressure", "spool_m": "spool_position",
+    "supply_pressure_pa": "supply_pressure", "force_n": "force", "oil_temperature_k": "oil_temperature",
+}  # fmt: skip
+COLUMNS = (
+    "valve_command_m", "spool_m", "load_pressure_pa", "supply_pressure_pa", "position_m", "velocity_m_s", "force_n",
+    "disturbance_force_n", "oil_temperature_k",
+)  # fmt: skip
+SERVO_COLUMNS = ("disturbance_displacement_m", "disturbance_velocity_m_s")
+
+
+@dataclass
+class Recording:
+    """Samples by the data contract's column names, and the truth behind them.
+
+    truth: effects (their sizes), natural (the same in terms to compare estimates with), stages (of the design's groups),
+    appears_in (the stage whose balance is upset), outside, near, experiment, seed, rate, noise, duration, degraded.
+    states: the kernel's state at every sample, where asked for.
+    """
+
+    time: np.ndarray
+    columns: dict[str, np.ndarray]
+    truth: dict[str, Any]
+    states: np.ndarray | None = None
+
+    def write_csv(self, path: str | Path) -> None:
+        """Write the samples with a header row; what was not measured is left empty."""
+        table = [self.time, *self.columns.values()]
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["time_s", *self.columns])
+            texts = [["" if value != value else f"{value:.10g}" for value in column.tolist()] for column in table]  # noqa: PLR0124
+            writer.writerows(zip(*texts, strict=True))
+
+
+def nominal_sizes(rig: Mapping[str, Any]) -> np.ndarray:
+    """Return the kernel's record for a rig file without hidden effects.
+
+    Raises:
+        ValueError: the rig file asks for what this generator does not have.
+    """
+    p = np.zeros(1, kernel.DTYPE)
+    for name, value in kernel.FIELDS.items():
+        p[name] = value
+    plant, friction = rig["plant"], rig["friction"]
+    for field, key in {
+        "supply": "supply_pressure", "density": "oil_density", "bulk": "bulk_modulus", "discharge": "discharge_coefficient",
+        "gradient": "valve_area_gradient", "leakage": "leakage_coefficient", "volume": "total_volume", "mass": "moving_mass",
+        "area": "piston_area", "spring": "spring_stiffness", "damping": "viscous_damping", "valve_rate": "valve_bandwidth",
+        "valve_gain": "valve_gain", "gravity": "gravity",
+    }.items():  # fmt: skip
+        p[field] = plant[key]
+    for field, key in {
+        "fc": "coulomb_force", "fs": "static_force", "vs": "stribeck_velocity", "exponent": "stribeck_exponent",
+        "viscous": "viscous_coefficient",
+    }.items():  # fmt: skip
+        p[field] = friction[key]
+    stiffness = np.asarray(friction["element_stiffness"], float)
+    if friction["model"] == "gms":
+        n = stiffness.size
+        if n > kernel.N_ELEMENTS:
+            raise ValueError(f"{n} friction elements: at most {kernel.N_ELEMENTS} fit")
+        p["model"], p["n_elements"], p["attraction"] = kernel.GMS, n, friction["attraction_rate"]
+        p["stiffness"][0, :n] = stiffness
+        p["weight"][0, :n] = friction["element_weight"]
+    elif friction["model"] == "lugre":
+        p["model"], p["n_elements"] = kernel.LUGRE, 1
+        p["stiffness"][0, 0] = stiffness.sum()
+    else:
+        raise ValueError(f"friction model {friction['model']!r}: the truth has gms and lugre")
+    if rig.get("effects"):
+        raise ValueError("the rig file has effects of its own: the truth starts from a nominal rig and hides its own effects")
+    limits = rig.get("limits", {})
+    p["spool_limit"] = limits.get("spool", 1.0e-2)
+    p["nominal_supply"], p["nominal_area"] = p["supply"], p["area"]
+    p["flow_gain"] = p["valve_gain"] * p["discharge"] * p["gradient"] / np.sqrt(p["density"])
+    return p
+
+
+def sensor(rig: Mapping[str, Any], column: str) -> tuple[float, float]:
+    """Return noise and resolution of a sensor: the rig file's, else those of `SENSORS`.
+
+    Raises:
+        ValueError: the rig file knows of a fault; the truth's sensors are faultless until an effect is hidden in them.
+    """
+    key = RIG_SENSORS[column]
+    given = rig.get("sensors", {}).get(key)
+    if given is None:
+        return SENSORS[column]
+    if faults := {name for name in ("bias", "bandwidth", "delay") if given.get(name)}:
+        raise ValueError(f"sensors: {key}: {sorted(faults)} is not among what the truth starts from")
+    return given.get("noise_std", 0.0), given.get("resolution", 0.0)
+
+
+def start(p: np.ndarray, plan: Plan, rig: Mapping[str, Any]) -> np.ndarray:
+    """Return the state to start from: at rest where the nominal load is balanced."""
+    y = np.zeros(kernel.N_BASE + int(p["n_elements"]))
+    plant = rig["plant"]
+    x = plan.x0
+    force = plant["spring_stiffness"] * x + plant["moving_mass"] * plant["gravity"] + plan.disturbance[0]
+    y[[kernel.X, kernel.XB, kernel.ZS]] = x
+    y[[kernel.PL, kernel.ZH, kernel.PM]] = force / plant["piston_area"]
+    y[kernel.PS] = plant["supply_pressure"]
+    if p["load_on_second"] != 0.0 and p["second_stiffness"] > 0.0:
+        y[kernel.X] += force / p["second_stiffness"] + math.copysign(0.5 * p["gap"], force)
+    elif p["two_body"] != 0.0:
+        y[kernel.XB] -= p["second_share"] * p["mass"] * plant["gravity"] / p["second_stiffness"]
+    return y
+
+
+def record(
+    rig: Mapping[str, Any],
+    effects: Mapping[str, Sizes],
+    experiment: str,
+    *,
+    seed: int,
+    duration: float = 60.0,
+    rate: float = 1000.0,
+    noise: float = 1.0,
+    columns: Iterable[str] | None = None,
+    hold: bool = False,
+    internals: bool = False,
+) -> Recording:
+    """Run an experiment on a rig that is what its file says but for hidden effects.
+
+    Args:
+        rig: content of the rig file.
+        effects: sizes by the effects' names, as `draw_effect` gives them; what a member leaves out is neutral.
+        experiment: name in `EXPERIMENTS`.
+        seed: of the experiment, the noise, and effects that have chance in them; noise and experiment stay the same
+            whatever the effects are.
+        duration: s.
+        rate: of the recording, 1/s; the control always runs at 1 kHz.
+        noise: times the sensors' noise and resolution; 0 leaves perfect sensors.
+        columns: names to record, else the data contract's, with the servo's columns where the servo moves the beam.
+        hold: the disturbance stands still over a control cycle, as in the simulator, instead of running on between the
+            recorded samples as it does on a rig.
+        internals: keep the kernel's states.
+
+    Raises:
+        KeyError: no such experiment or effect.
+        ValueError: a size or column that there is not, or a rig file this generator cannot do.
+        RuntimeError: the integrator gave up.
+    """
+    rig = dict(rig)
+    seeds = np.random.SeedSequence(seed).spawn(3)
+    chance, noise_of, plan_of = (np.random.default_rng(s) for s in seeds)
+    n_ticks = max(round(duration / TICK), 1)
+    ticks = TICK * np.arange(n_ticks + 1)
+    plan = EXPERIMENTS[experiment](plan_of, ticks, rig)
+
+    p = nominal_sizes(rig)
+    zero, held = np.zeros(n_ticks + 1), np.zeros(n_ticks + 1, np.int64)
+    truth: dict[str, Any] = {"effects": {}, "natural": {}, "stages": {}, "appears_in": {}, "outside": [], "near": {}}
+    p["warming"], p["warming_time"] = chance.uniform(-0.3, 0.3), 30.0
+    if {"hinge_backlash", "flexible_mode"} <= set(effects):
+        raise ValueError("hinge_backlash and flexible_mode: there is one second body, not two")
+    for name, given in effects.items():
+        effect = EFFECTS[name]
+        if unknown := set(given) - set(effect.neutral) - {"site", "signals", "phase"}:
+            raise ValueError(f"{name}: no size {sorted(unknown)}; there are {sorted(effect.neutral)}")
+        sizes = effect.neutral | given
+        effect.apply(p[0], sizes)
+        if name == "pressure_zero_wander":
+            zero += wander(sizes, np.random.default_rng([seed, 1]), n_ticks + 1, TICK)
+        elif name == "held_dropouts":
+            held |= hang(sizes, np.random.default_rng([seed, 2]), n_ticks + 1, TICK)
+        truth["effects"][name] = dict(sizes)
+        truth["natural"][name] = effect.natural(sizes, rig)
+        truth["stages"][name] = effect.stage
+        truth["appears_in"][name] = "flow" if sizes.get("site") == "ports" else effect.stage
+        truth["near"][name] = list(effect.near)
+        if name not in LISTED:
+            truth["outside"].append(name)
+    p["w_force"], p["w_position"] = plan.w_force, plan.w_position
+    for name, channel in CHANNELS.items():
+        p["noise_std"][0, channel], p["resolution"][0, channel] = (noise * value for value in sensor(rig, name))
+
+    n = math.floor(n_ticks * TICK * rate + 1e-6)
+    at = np.arange(n) / rate
+    same = math.isclose(rate * TICK, 1.0)
+    control_noise = noise_of.standard_normal((n_ticks, kernel.N_CHANNELS))
+    sample_noise = control_noise if same else noise_of.standard_normal((n, kernel.N_CHANNELS))
+    signals = np.empty((n, kernel.N_CHANNELS))
+    command, disturbance, displacement = np.empty(n), np.empty(n), np.empty(n)
+    y = start(p[0], plan, rig)
+    states = np.empty((n if internals else 0, y.size))
+    done = kernel.simulate(
+        p[0], y, np.zeros(kernel.N_ELEMENTS, np.int64), TICK,
+        plan.force, plan.position, plan.speed, plan.disturbance, plan.servo, hold, control_noise, zero, held,
+        at, sample_noise, same, signals, command, disturbance, displacement, states,
+    )  # fmt: skip
+    if done < n_ticks:
+        raise RuntimeError(f"{experiment} with {dict(effects)}: integration stopped after {done * TICK:.3f} s of {duration} s")
+
+    everything = {name: np.ascontiguousarray(signals[:, channel]) for name, channel in CHANNELS.items()}
+    everything["valve_command_m"], everything["disturbance_force_n"] = command, disturbance
+    coupled = "coupling_stiffness" in effects or plan.servo_recorded
+    everything["disturbance_displacement_m"] = displacement if coupled else np.zeros(n)
+    servo_speed = np.interp(at, ticks, np.gradient(plan.servo, TICK)) if coupled else np.zeros(n)
+    everything["disturbance_velocity_m_s"] = servo_speed
+    chosen = list(columns) if columns is not None else [*COLUMNS, *(SERVO_COLUMNS if coupled else ())]
+    if unknown := set(chosen) - set(everything):
+        raise ValueError(f"no columns {sorted(unknown)}; there are {sorted(everything)}")
+    truth |= {"experiment": experiment, "seed": seed, "rate": rate, "noise": noise, "duration": duration, "degraded": []}
+    return Recording(at, {name: everything[name] for name in chosen}, truth, states if internals else None)

@@ -1,0 +1,181 @@
+"""How far an effect stands out of the noise, whoever looks for it.
+
+The nominal model's equations are put to the recorded signals one by one. What they leave over with an effect, less without it
+and free of noise, is compared with what noise alone leaves. A measure for choosing sizes, not a way to diagnose: it knows the
+noise-free signals. As a script it prints the table of all effects.
+"""
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numba as nb
+import numpy as np
+import yaml
+from scipy.signal import butter, sosfiltfilt
+
+from .effects import EFFECTS, draw_effect
+from .experiments import TICK
+from .recording import SENSORS, Recording, record
+
+BAND = 25.0  # Hz, of the balances of flow and force
+STAGES = ("force_balance", "flow", "valve", "sensors")
+
+
+@nb.njit(cache=True)
+def friction_along(v, dt, stiffness, weight, attraction, fc, fs, vs, exponent, lugre):
+    """Return the friction force, its viscous part aside, of a given motion."""
+    force, mode = np.zeros(stiffness.size), np.zeros(stiffness.size)
+    out = np.empty(v.size)
+    for j in range(v.size):
+        side = 1.0 if v[j] > 0.0 else -1.0
+        s = fc + (fs - fc) * np.exp(-((abs(v[j]) / vs) ** exponent))
+        total = 0.0
+        for i in range(force.size):
+            if lugre:
+                decay = np.exp(-stiffness[i] * abs(v[j]) / s * dt)
+                force[i] = side * s + (force[i] - side * s) * decay
+            else:
+                if mode[i] * v[j] < 0.0:
+                    mode[i] = 0.0
+                if mode[i] == 0.0:
+                    force[i] += stiffness[i] * v[j] * dt
+                    if side * force[i] > weight[i] * s:
+                        force[i] = side * weight[i] * s
+                        mode[i] = side
+                else:
+                    force[i] += attraction * (side * weight[i] - force[i] / s) * dt
+            total += force[i]
+        out[j] = total
+    return out
+
+
+def leftovers(rig: Mapping[str, Any], r: Recording) -> dict[str, list[np.ndarray]]:
+    """Return what the nominal equations leave of a recording at 1 kHz with all columns, by stage."""
+    plant, friction = rig["plant"], rig["friction"]
+    c = r.columns
+    low = butter(3, BAND, fs=1.0 / TICK, output="sos")
+
+    def band(a: np.ndarray) -> np.ndarray:
+        return sosfiltfilt(low, a)[100:-100]
+
+    x = sosfiltfilt(low, c["position_m"])
+    v = np.gradient(x, TICK)
+    p_load, spool = c["load_pressure_pa"], c["spool_m"]
+    decay = np.exp(-plant["valve_bandwidth"] * TICK)
+    command = plant["valve_gain"] * c["valve_command_m"]
+    modelled = np.empty_like(spool)
+    modelled[0] = spool[0]
+    modelled[1:] = _follow(command, decay, spool[0])
+    flow = plant["discharge_coefficient"] * plant["valve_area_gradient"] * spool
+    flow *= np.sqrt(np.maximum(c["supply_pressure_pa"] - np.sign(spool) * p_load, 0.0) / plant["oil_density"])
+    compressed = plant["total_volume"] / (4.0 * plant["bulk_modulus"]) * np.gradient(p_load, TICK)
+    lugre = friction["model"] == "lugre"
+    stiffness, weight = (np.asarray(friction[key], float) for key in ("element_stiffness", "element_weight"))
+    if lugre:
+        stiffness, weight = stiffness.sum(keepdims=True), np.ones(1)
+    rub = friction_along(
+        v, TICK, stiffness, weight, friction["attraction_rate"], friction["coulomb_force"], friction["static_force"],
+        friction["stribeck_velocity"], friction["stribeck_exponent"], lugre,
+    )  # fmt: skip
+    force = (
+        plant["piston_area"] * p_load
+        - plant["moving_mass"] * (np.gradient(v, TICK) + plant["gravity"])
+        - (plant["viscous_damping"] + friction["viscous_coefficient"]) * v
+        - plant["spring_stiffness"] * x
+        - rub
+        - c["disturbance_force_n"]
+    )
+    return {
+        "force_balance": [band(force)],
+        "flow": [
+            band(flow - plant["piston_area"] * v - plant["leakage_coefficient"] * p_load - compressed),
+            band(c["supply_pressure_pa"] - plant["supply_pressure"]),
+        ],
+        "valve": [(spool - modelled)[100:-100]],
+        "sensors": [band(c["force_n"] - plant["piston_area"] * p_load), band(c["velocity_m_s"] - v)],
+    }
+
+
+@nb.njit(cache=True)
+def _follow(command, decay, first):
+    """Return (4)'s spool at the ends of the cycles of a held command."""
+    out = np.empty(command.size - 1)
+    at = first
+    for i in range(out.size):
+        at = command[i] + (at - command[i]) * decay
+        out[i] = at
+    return out
+
+
+@dataclass
+class Background:
+    """An experiment without effects: recorded without noise, what the equations leave of it, what noise adds to that (rms)."""
+
+    recording: Recording
+    left: dict[str, list[np.ndarray]]
+    floor: dict[str, list[float]]
+
+
+def background(rig: Mapping[str, Any], experiment: str, *, seed: int, duration: float = 60.0) -> Background:
+    quiet, noisy = (record(rig, {}, experiment, seed=seed, duration=duration, noise=noise) for noise in (0.0, 1.0))
+    left, spoilt = leftovers(rig, quiet), leftovers(rig, noisy)
+    floor = {stage: [_rms(a - b) for a, b in zip(spoilt[stage], left[stage], strict=True)] for stage in STAGES}
+    return Background(quiet, left, floor)
+
+
+def against(without: Background, rig: Mapping[str, Any], r: Recording) -> dict[str, float]:
+    """Return `visibility` of what is hidden in a recording without noise."""
+    found = leftovers(rig, r)
+    return {
+        stage: max(_rms(a - b) / f for a, b, f in zip(found[stage], without.left[stage], without.floor[stage], strict=True))
+        for stage in STAGES
+    }
+
+
+def visibility(
+    rig: Mapping[str, Any], effects: Mapping[str, Mapping[str, Any]], experiment: str, *, seed: int, duration: float = 60.0
+) -> dict[str, float]:
+    """Return by stage how large the effects' part of the leftovers is in units of the noise's part, both as rms."""
+
+    without = background(rig, experiment, seed=seed, duration=duration)
+    return against(without, rig, record(rig, effects, experiment, seed=seed, duration=duration, noise=0.0))
+
+
+def _rms(a: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(a * a)))
+
+
+def raw_difference(a: Recording, b: Recording) -> tuple[float, str]:
+    """Return the largest rms difference of a signal in units of its sensor's noise and resolution, and whose it is."""
+    found = (0.0, "")
+    for name, (std, resolution) in SENSORS.items():
+        if name in a.columns and name in b.columns:
+            unit = np.hypot(std, resolution / np.sqrt(12.0))
+            found = max(found, (_rms(a.columns[name] - b.columns[name]) / float(unit), name))
+    return found
+
+
+def main(rig_file: str, experiment: str = "rich", draws: int = 10) -> None:
+    """Print for every effect how visible it is over some draws: smallest, median, largest."""
+    rig = yaml.safe_load(Path(rig_file).read_text(encoding="utf-8"))
+    print(f"{'effect':31s} {'stage':14s} {'seen in':14s} {'visibility: least, median, most':32s} difference of recordings")
+    backgrounds = [background(rig, experiment, seed=seed) for seed in range(draws)]
+    for index, (name, effect) in enumerate(EFFECTS.items()):
+        seen, raw = [], []
+        for seed, without in enumerate(backgrounds):
+            hidden = {name: draw_effect(name, np.random.default_rng([seed, index]), rig)}
+            with_effect = record(rig, hidden, experiment, seed=seed, noise=0.0)
+            seen.append(list(against(without, rig, with_effect).values()))
+            raw.append(raw_difference(with_effect, without.recording)[0])
+        table = np.array(seen)
+        best = table.max(axis=1)
+        where = STAGES[int(np.median(table, axis=0).argmax())]
+        numbers = f"{best.min():9.2f} {np.median(best):9.1f} {best.max():9.0f}"
+        print(f"{name:31s} {effect.stage:14s} {where:14s} {numbers:32s} {min(raw):.1f} .. {max(raw):.0f}", flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:3])
