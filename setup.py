@@ -47,6 +47,7 @@ setup(
         "dev": requirements("dev"),
         "parquet": ["pyarrow>=15"],
         "optimisers": ["pymoo>=0.6.2", "pyswarms>=1.3"],
+        "peers": ["pysindy==2.1.0"],
     },
     entry_points={
         "console_scripts": [

@@ -195,5 +195,6 @@ def _trace(evidence: Evidence, comparison: Comparison, model: Rig, best: Judged,
         before=evidence.base.values[channel] * floor,
         after=best.held.errors.values[channel] * floor,
         floor=floor,
+        noise=(evidence.noisy_base.values[channel] - evidence.base.values[channel]) * floor,
         against=against,
     )

@@ -35,6 +35,7 @@ class Fit(NamedTuple):
         jacobian: their derivatives by the parameters, for the channels it changes, one after another.
         loss: loss over the channels it changes.
         steps: steps of the difference quotients.
+        settled: whether the loss went down no further.
     """
 
     hypothesis: Hypothesis
@@ -44,6 +45,7 @@ class Fit(NamedTuple):
     jacobian: Array
     loss: float
     steps: Array
+    settled: bool = False
 
 
 class Worker:
@@ -80,7 +82,7 @@ class Worker:
                 moved[i] += signed
                 other = evidence.errors(self.comparison, extended(rig, hypothesis, moved), errors, known_rig)
                 column = Errors({c: (other.values[c] - errors.values[c]) / signed for c in evidence.channels})
-                change = abs(signed) * float(np.sqrt(sum(v @ v for v in column.values.values())))
+                change = abs(signed) * float(np.sqrt(sum(np.sum(v * v) for v in column.values.values())))
                 if change < LEAST_CHANGE and step < 0.2 * (upper[i] - lower[i]):
                     step = min(step * (1e3 if change == 0.0 else min(1e3, 3.0 / change)), 0.25 * (upper[i] - lower[i]))
                 elif change > MOST_CHANGE:
@@ -96,6 +98,20 @@ class Worker:
         jacobian = np.column_stack([column.together(channels) for column in columns]) if columns else np.empty((0, 0))
         total = float(np.sum(loss(errors.together(channels))))
         return Fit(hypothesis, values, channels, errors, jacobian, total, steps)
+
+    def step(self, begin: Fit) -> Fit:
+        """Take one Gauss-Newton step, shortened until it helps; the derivatives stay those at its beginning."""
+        lower, upper = bounds(begin.hypothesis)
+        full = gauss_newton(begin.jacobian, begin.errors.together(begin.channels), 1e-6, begin.values, lower, upper)
+        best = begin
+        for part in (1.0, 0.3):
+            values = np.clip(begin.values + part * full, lower, upper)
+            errors = self.errors(extended(self.evidence.rig, begin.hypothesis, values))
+            total = float(np.sum(loss(errors.together(begin.channels))))
+            if total < best.loss:
+                best = begin._replace(values=values, errors=errors, loss=total)
+                break
+        return best
 
     def fit(self, begin: Fit, iterations: int = MOST_ITERATIONS) -> Fit:
         """Minimise the loss by Gauss-Newton steps with Levenberg's damping, within the parameters' ranges."""
@@ -115,12 +131,12 @@ class Worker:
                     break
                 damping = max(damping, 1e-4) * 10.0
             if not gained:
-                break
+                return now._replace(settled=True)
             decrease = now.loss - total
             damping = max(damping / 10.0, 1e-9)
             now = self._linearised(now.hypothesis, values, errors, now.steps)
             if decrease < SETTLED + 1e-4 * total:
-                break
+                return now._replace(settled=True)
         return now
 
 
@@ -136,8 +152,7 @@ def gauss_newton(jacobian: Array, e: Array, damping: float, values: Array, lower
     w = weights(e)
     for _ in range(len(values)):
         j = jacobian[:, free]
-        normal = (j * w[:, None]).T @ j
-        gradient = (j * w[:, None]).T @ e
+        normal, gradient = products(j, w, e)
         scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
         scaled = normal / np.outer(scale, scale) + damping * np.eye(len(scale))
         step[:] = 0.0
@@ -151,6 +166,11 @@ def gauss_newton(jacobian: Array, e: Array, damping: float, values: Array, lower
         if not np.any(free):
             break
     return step
+
+
+def products(j: Array, w: Array, e: Array) -> tuple[Array, Array]:
+    """Return jᵀ w j and jᵀ w e. Long and thin: threads of a matrix library would wait for each other."""
+    return np.einsum("ni,n,nj->ij", j, w, j), np.einsum("ni,n,n->i", j, w, e)
 
 
 def predicted_loss(fit: Fit) -> float:
@@ -193,7 +213,9 @@ def held_out(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Held
     p = len(fit.values)
     inflation = {c: inflation_of(fit.errors.values[c]) for c in fit.channels}
     w, normal = weights(e), np.zeros((p, p))
-    j = fit.jacobian
+    # In units of what each parameter alone changes, so that newtons per metre and metres can be solved for together.
+    scale = np.sqrt(np.maximum(np.sum(fit.jacobian**2, axis=0), 1e-300)) if p else np.ones(0)
+    j = fit.jacobian / scale if p else fit.jacobian
     gradients, normals = np.zeros((evidence.blocks, p)), np.zeros((evidence.blocks, p, p))
     without = e.copy()
     for b in range(evidence.blocks):
@@ -201,8 +223,7 @@ def held_out(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Held
         if not np.any(inside):
             continue
         jb, wb = j[inside], w[inside]
-        normals[b] = (jb * wb[:, None]).T @ jb
-        gradients[b] = (jb * wb[:, None]).T @ e[inside]
+        normals[b], gradients[b] = products(jb, wb, e[inside])
     normal = normals.sum(axis=0)
     for b in range(evidence.blocks):
         inside = block == b
@@ -222,7 +243,7 @@ def held_out(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Held
         gain[c] = -quieter + np.bincount(evidence.block[c], weights=difference[begin:end], minlength=evidence.blocks)
         errors[c] = without[begin:end]
         begin = end
-    return Held(gain, Errors(errors), inflation, *_covariance(normal, gradients, fit, inflation, evidence))
+    return Held(gain, Errors(errors), inflation, *_covariance(normal, gradients, fit, j, scale, inflation, evidence))
 
 
 def inflation_of(e: Array) -> float:
@@ -235,7 +256,7 @@ HUBER_SQUARE = 9.0
 
 
 def _covariance(
-    normal: Array, gradients: Array, fit: Fit, inflation: dict[Channel, float], evidence: Evidence
+    normal: Array, gradients: Array, fit: Fit, j: Array, unit: Array, inflation: dict[Channel, float], evidence: Evidence
 ) -> tuple[Array, Array]:
     """Return the parameters' covariance, the larger of what noise and what the blocks' disagreement says; and the ratio."""
     if not fit.values.size:
@@ -243,13 +264,12 @@ def _covariance(
     inverse = np.linalg.pinv(normal)
     lengths = [len(evidence.block[c]) for c in fit.channels]
     scale = np.repeat([inflation[c] for c in fit.channels], lengths)
-    j = fit.jacobian
     w = weights(fit.errors.together(fit.channels))
-    noise = inverse @ ((j * (w * w * scale)[:, None]).T @ j) @ inverse
+    noise = inverse @ products(j, w * w * scale, scale)[0] @ inverse
     blocks = max(evidence.blocks - len(fit.values), 1)
     between = inverse @ (gradients.T @ gradients) @ inverse * evidence.blocks / blocks
     larger = np.maximum(1.0, np.sqrt(np.maximum(np.diag(between), 0.0) / np.maximum(np.diag(noise), 1e-300)))
-    return noise * np.outer(larger, larger), larger**2
+    return noise * np.outer(larger, larger) / np.outer(unit, unit), larger**2
 
 
 def lines_of(e: Array, times: Array, count: int) -> Sequence[float]:

@@ -108,6 +108,7 @@ class ChannelTrace(NamedTuple):
         before: residual of the model as it was given.
         after: residual of the extended model.
         floor: standard deviation that noise makes.
+        noise: a residual of noise alone, for spectra.
         against: window means of the signals it may depend on, by the names of the data contract.
     """
 
@@ -117,6 +118,7 @@ class ChannelTrace(NamedTuple):
     before: Array
     after: Array
     floor: Array
+    noise: Array
     against: Mapping[str, Array]
 
 

@@ -25,6 +25,12 @@ SURE = 4.5
 MENDED = 0.3
 """Part of what is left unexplained that another cause has to gain."""
 
+MATTERS = 1e-3
+"""The same where another cause acts in the balance already, whose form need not be quite that of the effect's file."""
+
+SIMPLER = 5e-3
+"""Part of a cause's gain that it may lose for a form of fewer parameters."""
+
 PENALTY = 3.0
 """What every parameter of a cause costs [nats]."""
 
@@ -37,8 +43,14 @@ BEAM = 4
 REFINED = 6
 """Extensions of each that are fitted."""
 
-REFINED_SINGLES = 24
-"""Single causes that are fitted."""
+FITTED = 6
+"""Hypotheses that are fitted to the end, of those tried together."""
+
+MOST_POLISHED, POLISHED = 3, 25
+"""Hypotheses of them that are fitted on if their fit has not settled, and the steps they get."""
+
+REFINED_SINGLES, FITTED_SINGLES = 24, 10
+"""Single causes that are tried, and fitted to the end."""
 
 SCREENED_BLOCKS = 8
 """Blocks of the recording from which it is told where fits start."""
@@ -151,7 +163,7 @@ def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress
     nothing = Judged(fit, held_out(evidence, fit))
     gains = np.array([_base_loss(evidence, f) - predicted_loss(f) for f in screened])
     order = [int(i) for i in np.argsort(-gains) if gains[i] > PROMISING][:REFINED_SINGLES]
-    singles = _fitted(evidence, pool, [screened[i] for i in order])
+    singles = _fitted(evidence, pool, [screened[i] for i in order], FITTED_SINGLES)
     progress("causes together", 0.55)
 
     best, beam = nothing, [nothing]
@@ -232,21 +244,35 @@ def _screen(worker: Worker, candidate: object) -> Fit | None:
         steps = fit.steps
         if not fit.channels or not np.any(fit.jacobian):
             continue
-        gain = _base_loss(worker.evidence, fit) - predicted_loss(fit)
+        reached = worker.step(fit).loss if len(candidate.starts) > 1 else predicted_loss(fit)
+        gain = _base_loss(worker.evidence, fit) - reached
         if gain > promise:
             best, promise = fit, gain
     return best
 
 
-def _fitted(evidence: Evidence, pool: Pool, begins: Sequence[Fit]) -> list[Judged]:
-    def work(worker: Worker, begin: object) -> object:
+def _fitted(evidence: Evidence, pool: Pool, begins: Sequence[Fit], keep: int = FITTED) -> list[Judged]:
+    """Fit hypotheses: one step each, and to the end those that are best after it."""
+
+    def step(worker: Worker, begin: object) -> object:
         assert isinstance(begin, Fit)  # noqa: S101
-        if not begin.jacobian.size or len(begin.hypothesis) > 1:
-            begin = worker.start(begin.hypothesis, begin.values, begin.steps)
-        fit = worker.fit(begin)
+        return worker.step(begin)
+
+    def go(worker: Worker, begin: object) -> object:
+        assert isinstance(begin, Fit)  # noqa: S101
+        return worker.fit(worker.start(begin.hypothesis, begin.values, begin.steps))
+
+    def finish(worker: Worker, begin: object) -> object:
+        assert isinstance(begin, Fit)  # noqa: S101
+        fit = begin if begin.settled else worker.fit(begin, POLISHED)
         return Judged(fit, held_out(evidence, fit, worker))
 
-    return [j for j in pool.map(work, list(begins)) if isinstance(j, Judged)]
+    stepped = [f for f in pool.map(step, list(begins)) if isinstance(f, Fit)] if len(begins) > keep else list(begins)
+    stepped.sort(key=lambda f: f.loss - _base_loss(evidence, f))
+    gone = [f for f in pool.map(go, stepped[:keep]) if isinstance(f, Fit)]
+    gone.sort(key=lambda f: f.loss - _base_loss(evidence, f))
+    gone = [f if i < MOST_POLISHED else f._replace(settled=True) for i, f in enumerate(gone)]
+    return [j for j in pool.map(finish, gone) if isinstance(j, Judged)]
 
 
 def _inflation(evidence: Evidence, judged: Sequence[Judged]) -> dict[Channel, float]:
@@ -282,11 +308,12 @@ def _distinct(ranked: Sequence[Judged]) -> list[Judged]:
 def _extensions(evidence: Evidence, member: Judged, screened: Sequence[Fit]) -> list[Fit]:
     """Return the starts of a hypothesis with one more cause that promise most beyond it."""
     promises = []
+    least = max(PROMISING, 0.5 * MENDED * sum(_excess(evidence, member, c) for c in member.held.gain))
     for other in screened:
         if other.hypothesis[0].name in member.names:
             continue
         gain, begin = _promise(evidence, member.fit, other)
-        if gain > PROMISING:
+        if gain > least:
             promises.append((gain, begin))
     promises.sort(key=lambda item: -item[0])
     return [begin for _, begin in promises[:REFINED]]
@@ -335,11 +362,15 @@ def _settled(
     """Try another cause in the place of each, and do without each, until nothing better is found."""
     rests: list[Judged] = []
     rivals: tuple[tuple[Judged, ...], ...] = ()
-    for _ in range(3):
+    for _ in range(4):
         rests = [_without(evidence, pool, best, index, nothing) for index in range(len(best.hypothesis))]
         found = [_fitted(evidence, pool, _extensions(evidence, rest, screened)) for rest in rests]
         rivals = tuple(tuple(sorted(js, key=lambda j: -j.score(inflation))) for js in found)
         inflation = _inflation(evidence, [best, *[j for js in rivals for j in js]])
+        simple = _simpler(best, rests, rivals, inflation)
+        if simple is not None:
+            best = simple
+            continue
         better = [rest for rest in rests if not _needed(evidence, best, rest, inflation)]
         better += [js[0] for js in rivals if js and js[0].score(inflation) > best.score(inflation) + 1.0]
         if not better:
@@ -348,10 +379,26 @@ def _settled(
     return best, tuple(rests), rivals
 
 
+def _simpler(
+    best: Judged, rests: Sequence[Judged], rivals: Sequence[Sequence[Judged]], inflation: dict[Channel, float]
+) -> Judged | None:
+    """Return the hypothesis with a cause in a form of fewer parameters that is all but as good, if there is one."""
+    for index, candidate in enumerate(best.hypothesis):
+        whole = best.score(inflation) - rests[index].score(inflation)
+        for judged in rivals[index]:
+            other = judged.hypothesis[-1]
+            behind = best.score(inflation) - judged.score(inflation)
+            fewer = len(other.free) < len(candidate.free)
+            if other.name == candidate.name and fewer and behind < max(NEEDED, SIMPLER * whole):
+                return judged
+    return None
+
+
 def _needed(evidence: Evidence, more: Judged, less: Judged, inflation: dict[Channel, float]) -> bool:
     """Tell whether a hypothesis with a cause more is surer than chance allows, and different enough to matter."""
     gain = more.score(inflation) - less.score(inflation)
-    if gain < NEEDED or relevance(evidence, more, less) < RELEVANT:
+    further = any(c in less.fit.channels for c in more.fit.channels if _differ(evidence, more, less, c))
+    if gain < NEEDED or relevance(evidence, more, less) < (MATTERS if further else RELEVANT):
         return False
     # A cause that mends little of what is left beside it mends the form of another, not the model.
     left = sum(_excess(evidence, more, c) / inflation[c] for c in more.held.gain)
@@ -376,6 +423,10 @@ def _surest(more: Judged, less: Judged) -> float:
             surest = max(surest, float(np.max(away)))
         offset += len(cause.free)
     return surest
+
+
+def _differ(evidence: Evidence, more: Judged, less: Judged, channel: Channel) -> bool:
+    return bool(np.any(more.fit.errors.values[channel] != less.fit.errors.values[channel]))
 
 
 def relevance(evidence: Evidence, more: Judged, less: Judged) -> float:

@@ -11,7 +11,7 @@ from ehls_ros.diagnosis.evidence import HUBER, Errors, Evidence
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.hypotheses import Candidate
 from ehls_ros.diagnosis.result import Cause, Gain, Rival, Sensitivity
-from ehls_ros.diagnosis.search import NEEDED, RELEVANT, SURE, Judged, Searched
+from ehls_ros.diagnosis.search import MATTERS, NEEDED, RELEVANT, SURE, Judged, Searched
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
@@ -25,9 +25,6 @@ CLOSED = 0.9
 
 SCATTER = 1.5
 """Power of a residual, in that of noise, from which on something else than noise may be left."""
-
-MATTERS = 1e-3
-"""Part of a balance's largest term from which on something left matters."""
 
 RESAMPLED = 1000
 """How often the blocks are resampled for probabilities and intervals."""

@@ -39,9 +39,9 @@ def forms(rig: Rig) -> tuple[Form, ...]:
     """The upper stop, the lower, both: seldom, at times and often reached."""
     upper = tuple(Quantile("position_m", part) for part in (0.995, 0.95, 0.85))
     lower = tuple(Quantile("position_m", part) for part in (0.005, 0.05, 0.15))
-    stiffness = (1e6, 1e6, 1e6)
+    contact = {"stiffness": (1e6, 1e6, 1e6), "damping": (1e3, 1e3, 1e3)}
     return (
-        Form({"upper": upper, "stiffness": stiffness}),
-        Form({"lower": lower, "stiffness": stiffness}),
-        Form({"upper": upper, "lower": lower, "stiffness": stiffness}),
+        Form({"upper": upper, **contact}),
+        Form({"lower": lower, **contact}),
+        Form({"upper": upper, "lower": lower, **contact}),
     )

@@ -2,23 +2,30 @@
 
 States: how far the mass is ahead of the piston (from where its weight leaves it), and its velocity. Part of the mass may
 be counted already in the rig file's moving mass; that part is taken off there, and its weight, which the spring still
-carries, put back.
+carries, put back. What loads the piston, spring and disturbance, may act on that mass instead, as where a beam gives way
+between cylinder and load.
 """
 
 import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Peak, Stage
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.plant import V
+from ehls_ros.physics.plant import V, X, disturbance_force
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "mechanics"
-EQUATION = "r' = v2 - v,  v2' = -(ω² r + 2 ζ ω r'),  F = mass (ω² r + 2 ζ ω r'),  ω = 2π frequency;  m0 -> m0 - taken mass"
+EQUATION = (
+    "r' = v2 - v,  v2' = -(ω² r + 2 ζ ω r') - loaded (ks (x + r) + fd)/mass,  ω = 2π frequency;  m0 -> m0 - taken mass;  "
+    "F = mass (ω² r + 2 ζ ω r') + loaded (ks x + fd)"
+)
 SOURCE = "Den Hartog, Mechanical Vibrations, 1956, ch. 3: two-mass systems"
 STATES = 2
+
+LEAST_MASS = 0.1
+"""Mass below which a load on it is not told from one on the piston [kg]."""
 
 SMALLEST = 0.01
 """Part of the moving mass that always stays with the piston."""
@@ -30,6 +37,7 @@ class Parameters(NamedTuple):
     mass: Annotated[float, quantity("kg", "mass that is not rigidly with the piston", minimum=0.0, maximum=1e4)] = 0.0
     frequency: Annotated[float, quantity("Hz", "natural frequency on a piston held", minimum=0.1, maximum=400.0)] = 10.0
     damping: Annotated[float, quantity("1", "damping ratio on a piston held", minimum=0.0, maximum=1.0)] = 0.02
+    loaded: Annotated[float, quantity("1", "part of spring and disturbance that act on it", minimum=0.0, maximum=1.0)] = 0.0
     taken: Annotated[float, quantity("1", "part of it that the moving mass counts already", minimum=0.0, maximum=1.0)] = 0.0
 
 
@@ -48,18 +56,22 @@ def pull(velocity: float, z: Array, p: Array) -> float:
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    """Pull the piston, and carry the weight taken off the moving mass."""
-    return value + p[0] * (pull(y[V], z, p) - p[3] * plant.gravity)
+    """Pull the piston, carry the weight taken off the moving mass, and take off it what loads the far mass."""
+    far = p[3] * (plant.spring_stiffness * y[X] + disturbance_force(t, w))
+    return value + p[0] * (pull(y[V], z, p) - p[4] * plant.gravity) + far
 
 
 @kernel
 def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
     """Move the mass."""
     dz[0] = z[1] - y[V]
-    dz[1] = -pull(y[V], z, p)
+    load = p[3] * (plant.spring_stiffness * (y[X] + z[0]) + disturbance_force(t, w))
+    dz[1] = -pull(y[V], z, p) - load / max(p[0], LEAST_MASS)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A mass that the rig file does not know, or one that it has with the piston; slow, middling, fast."""
-    free = {"mass": (), "frequency": (5.0, 15.0, 40.0), "damping": (0.05, 0.05, 0.05)}
-    return Form(free), Form(free, {"taken": 1.0})
+    """A mass that the rig file does not know, one that it has with the piston, or the load behind an elastic beam."""
+    free = {"mass": (), "frequency": (5.0, 10.0, 20.0, 40.0, Peak(1), Peak(2)), "damping": (0.05,) * 6}
+    half = 0.5 * rig.plant.moving_mass
+    behind = {"mass": (half, half, half), "frequency": (10.0, 20.0, 40.0), "damping": (0.05, 0.05, 0.05)}
+    return Form(free), Form(free, {"taken": 1.0}), Form(behind, {"taken": 1.0, "loaded": 1.0})

@@ -1,5 +1,6 @@
 """Friction that changes with the oil's temperature: warmer oil is thinner, and carries the seals less."""
 
+import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
@@ -11,7 +12,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "friction"
-EQUATION = "s(v) -> s(v) + a (T - T0), at least 1 N;  Ff -> Ff + b (T - T0) v"
+EQUATION = "s(v) -> s(v) + a (T - T0), at least 1 N;  Ff -> Ff + (b (T - T0) + σ (exp(-c (T - T0)) - 1)) v"
 SOURCE = "Simoni, Beschi, Legnani, Visioli, Modelling the temperature in joint friction of industrial manipulators, 2019"
 NEEDS = ("oil_temperature_k",)
 
@@ -25,6 +26,10 @@ class Parameters(NamedTuple):
     viscous_slope: Annotated[
         float, quantity("N s/(m K)", "change of viscous friction per kelvin", minimum=-1e4, maximum=1e4)
     ] = 0.0
+    thinning_part: Annotated[
+        float, quantity("N s/m", "viscous friction that follows the oil's viscosity", minimum=0.0, maximum=1e6)
+    ] = 0.0
+    thinning_rate: Annotated[float, quantity("1/K", "fall of the viscosity per kelvin", minimum=-0.2, maximum=0.2)] = 0.0
     reference_temperature: Annotated[
         float, quantity("K", "temperature at which the rig file's friction holds", minimum=200.0, maximum=450.0)
     ] = 313.15
@@ -33,19 +38,21 @@ class Parameters(NamedTuple):
 @kernel
 def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
     """Move the Stribeck curve."""
-    return raised(value, p[0] * (w[TEMPERATURE] - p[2]))
+    return raised(value, p[0] * (w[TEMPERATURE] - p[4]))
 
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
     """Add the change of the viscous part; friction acts against +x."""
-    return value - p[1] * (w[TEMPERATURE] - p[2]) * y[V]
+    warmer = w[TEMPERATURE] - p[4]
+    return value - (p[1] * warmer + p[2] * (math.exp(-p[3] * warmer) - 1.0)) * y[V]
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Either slope, or both."""
+    """Either slope, both, or oil that thins."""
     return (
         Form({"coulomb_slope": ()}),
         Form({"viscous_slope": ()}),
         Form({"coulomb_slope": (), "viscous_slope": ()}),
+        Form({"thinning_rate": ()}, {"thinning_part": rig.friction.viscous_coefficient}),
     )
