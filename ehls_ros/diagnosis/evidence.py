@@ -27,6 +27,9 @@ TOLERANCE = 1e-4
 HUBER = 3.0
 """Whitened residual from which on the loss grows linearly, so that a few windows do not decide."""
 
+FARTHEST = 1e6
+"""Whitened residual that stands for any larger one, and for none where a hypothesis diverges."""
+
 BLOCK = 2.5
 """Length of a block [s]."""
 
@@ -145,7 +148,7 @@ class Evidence:
         out = {}
         for channel, values in raw.items():
             e = values[self.masks[channel]] / self.floor[channel]
-            out[channel] = np.nan_to_num(e, nan=1e6, posinf=1e6, neginf=-1e6)
+            out[channel] = np.clip(np.nan_to_num(e, nan=FARTHEST, posinf=FARTHEST, neginf=-FARTHEST), -FARTHEST, FARTHEST)
         return Errors(out)
 
     def _block_of(self, channel: Channel) -> NDArray[np.intp]:

@@ -11,8 +11,10 @@ from ehls_ros.diagnosis.hypotheses import Hypothesis, bounds, extended
 from ehls_ros.diagnosis.stages import Channel, Comparison
 from ehls_ros.physics.rig import Rig
 
-LEAST_CHANGE, MOST_CHANGE = 0.5, 20.0
-"""Change of the whitened residuals that a difference quotient's step makes, as a norm."""
+CHANGE, CHANGE_PART = 5.0, 0.03
+"""Change of the whitened residuals that a difference quotient's step makes, as a norm, and as a part of the residuals'.
+
+Large residuals want large steps: where elements break away early or late, the residual is rough on a small scale."""
 
 STEP_TRIES = 5
 """How often a step of a difference quotient is made larger or smaller."""
@@ -71,6 +73,7 @@ class Worker:
         lower, upper = bounds(hypothesis)
         known_rig = extended(rig, hypothesis, values)
         steps = _first_steps(values, lower, upper) if steps is None else steps.copy()
+        wanted = max(CHANGE, CHANGE_PART * float(np.sqrt(sum(np.sum(np.minimum(v * v, 1e6)) for v in errors.values.values()))))
         columns, touched = [], dict.fromkeys((), True)
         for i in range(len(values)):
             step = steps[i]
@@ -83,10 +86,10 @@ class Worker:
                 other = evidence.errors(self.comparison, extended(rig, hypothesis, moved), errors, known_rig)
                 column = Errors({c: (other.values[c] - errors.values[c]) / signed for c in evidence.channels})
                 change = abs(signed) * float(np.sqrt(sum(np.sum(v * v) for v in column.values.values())))
-                if change < LEAST_CHANGE and step < 0.2 * (upper[i] - lower[i]):
-                    step = min(step * (1e3 if change == 0.0 else min(1e3, 3.0 / change)), 0.25 * (upper[i] - lower[i]))
-                elif change > MOST_CHANGE:
-                    step *= max(0.01, 5.0 / change)
+                if change < 0.1 * wanted and step < 0.2 * (upper[i] - lower[i]):
+                    step = min(step * (1e3 if change == 0.0 else min(1e3, wanted / change)), 0.25 * (upper[i] - lower[i]))
+                elif change > 5.0 * wanted:
+                    step *= max(0.01, wanted / change)
                 else:
                     break
             steps[i] = step
@@ -121,7 +124,7 @@ class Worker:
         for _ in range(iterations):
             e = now.errors.together(now.channels)
             gained = False
-            for _ in range(4):
+            for _ in range(6):
                 step = gauss_newton(now.jacobian, e, damping, now.values, lower, upper)
                 values = np.clip(now.values + step, lower, upper)
                 errors = self.errors(extended(evidence.rig, now.hypothesis, values))

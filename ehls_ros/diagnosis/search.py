@@ -37,13 +37,13 @@ PENALTY = 3.0
 PROMISING = 5.0
 """Predicted gain from which on a hypothesis is fitted [nats]."""
 
-BEAM = 4
+BEAM = 3
 """Hypotheses that are carried on to the next number of causes."""
 
-REFINED = 6
+REFINED = 5
 """Extensions of each that are fitted."""
 
-FITTED = 6
+FITTED = 5
 """Hypotheses that are fitted to the end, of those tried together."""
 
 MOST_POLISHED, POLISHED = 3, 25
@@ -55,7 +55,7 @@ REFINED_SINGLES, FITTED_SINGLES = 24, 10
 SCREENED_BLOCKS = 8
 """Blocks of the recording from which it is told where fits start."""
 
-MOST_CAUSES = 4
+MOST_CAUSES = 3
 """Most causes that are looked for together."""
 
 Progress = Callable[[str, float], None]

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ehls_ros.cli.main import main
-from ehls_ros.cli.verbs.reproduce import valid_json
+from ehls_ros.cli.valid_json import valid_json
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,6 @@
 """`ehls reproduce`: the paper's simulation study run again, number beside number."""
 
 import json
-import math
 import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ from rich.table import Table
 
 from ehls_ros.cli.folder import writable
 from ehls_ros.cli.progress import progress_bar
+from ehls_ros.cli.valid_json import valid_json
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.reproduction import paper
 from ehls_ros.experiments.reproduction.study import compile_everything, reproduce
@@ -50,17 +50,6 @@ def run(options: Namespace) -> int:
     if options.json:
         print(json.dumps(valid_json(table)))
     return 0
-
-
-def valid_json(value: Any) -> Any:
-    """Return a value with null in place of what JSON has no number for, such as the error of a run that diverged."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: valid_json(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [valid_json(entry) for entry in value]
-    return value
 
 
 def _print(results: dict[str, Any], folder: Path) -> None:
