@@ -15,6 +15,7 @@ from scipy.ndimage import uniform_filter1d
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.record import COMMAND, LOAD, SERVO_POSITION, SERVO_VELOCITY, Record
 from ehls_ros.diagnosis.stages import Channel, Comparison, Setup, usable
+from ehls_ros.diagnosis.windows import Window
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
 
@@ -120,7 +121,7 @@ class Evidence:
         middle = np.minimum(starts + window.weights.size // 2, len(self.record.time) - 1)
         return self.record.time[middle][self.masks[channel]]
 
-    def window(self, channel: Channel):  # noqa: ANN201
+    def window(self, channel: Channel) -> Window:
         """Return the windows of a channel."""
         return self.setup.average if channel in ("spool", "supply", "cell") else self.setup.window
 

@@ -74,7 +74,7 @@ class Worker:
         known_rig = extended(rig, hypothesis, values)
         steps = _first_steps(values, lower, upper) if steps is None else steps.copy()
         wanted = max(CHANGE, CHANGE_PART * float(np.sqrt(sum(np.sum(np.minimum(v * v, 1e6)) for v in errors.values.values()))))
-        columns, touched = [], dict.fromkeys((), True)
+        columns, touched = list[Errors](), set[Channel]()
         for i in range(len(values)):
             step = steps[i]
             column: Errors | None = None
@@ -96,7 +96,7 @@ class Worker:
             if column is None:
                 raise AssertionError
             columns.append(column)
-            touched.update({c: True for c in evidence.channels if np.any(column.values[c])})
+            touched.update(c for c in evidence.channels if np.any(column.values[c]))
         channels = tuple(c for c in evidence.channels if c in touched or np.any(errors.values[c] != evidence.base.values[c]))
         jacobian = np.column_stack([column.together(channels) for column in columns]) if columns else np.empty((0, 0))
         total = float(np.sum(loss(errors.together(channels))))
@@ -243,7 +243,8 @@ def held_out(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Held
     for c in fit.channels:
         end = begin + len(evidence.block[c])
         quieter = max(quieted[c], 0.0) / evidence.blocks
-        gain[c] = -quieter + np.bincount(evidence.block[c], weights=difference[begin:end], minlength=evidence.blocks)
+        per_block: Array = np.bincount(evidence.block[c], weights=difference[begin:end], minlength=evidence.blocks)
+        gain[c] = per_block - quieter
         errors[c] = without[begin:end]
         begin = end
     return Held(gain, Errors(errors), inflation, *_covariance(normal, gradients, fit, j, scale, inflation, evidence))

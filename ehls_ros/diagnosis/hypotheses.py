@@ -14,6 +14,9 @@ from ehls_ros.physics.effects.base import Form, Peak, Quantile, Share
 from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.schema import Declaration, declarations
 
+OUTER = 0.7
+"""Part of a signal's samples that lie below what counts as the upper end of its range."""
+
 
 class Candidate(NamedTuple):
     """One effect in one of its forms.
@@ -116,6 +119,15 @@ def _candidate(name: str, number: int, form: Form, record: Record, lines: Sequen
         rows[:, column] = [_start(start, record, lines) for start in starts]
     lower = np.array([_finite(declared[p].minimum, -np.inf) for p in free])
     upper = np.array([_finite(declared[p].maximum, np.inf) for p in free])
+    for column, parameter in enumerate(free):
+        quantiles = [start for start in form.free[parameter] if isinstance(start, Quantile)]
+        if quantiles:
+            # What is looked for at an end of a signal's range is not to be found in the middle of it.
+            values = record.values(quantiles[0].signal)
+            if min(q.part for q in quantiles) > 0.5:
+                lower[column] = max(lower[column], float(np.quantile(values, OUTER)))
+            elif max(q.part for q in quantiles) < 0.5:
+                upper[column] = min(upper[column], float(np.quantile(values, 1.0 - OUTER)))
     if all(form.free.values()):
         # What is small is found from the neutral values, wherever they tell a direction.
         rows = np.vstack([neutral, rows])

@@ -202,7 +202,7 @@ def nothing(t, y, mode, c):
 _REMEMBERED = """
 @plain
 def remember(k, m, period, steps, w, slope, p, plant, on, y, rates, stage):
-    \"\"\"Move the effects' own states from sample k to the next by Runge-Kutta steps; the measured state follows its slopes.\"\"\"
+    \"\"\"Move the effects' own states from sample k to the next by Runge-Kutta steps.\"\"\"
     step = period / steps
     for part in range(steps):
         t = m.time[k] + part * step
@@ -391,7 +391,8 @@ def run(m, fresh, period, steps, weights, start, plant, friction, p, on, extra, 
                         taken = min(max(high - (high - low) * share + 1e-4 * left, low), high)
                         value = level + (full - level) * taken / left
                         ahead(y, forces, slope, value, level, taken, mode, friction, rate, middle, end)
-                        found = law.event(end[V], others(t + taken, end, w, extra[k], plant), value, end[FRICTION:], mode, friction)
+                        applied = others(t + taken, end, w, extra[k], plant)
+                        found = law.event(end[V], applied, value, end[FRICTION:], mode, friction)
                         if found > 0.0:
                             high, after = taken, found
                         else:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from ehls_ros.arrays import Array
@@ -149,7 +150,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     return Record(name, period, grid, signals, good, level, fresh, float(time[-1] - time[0]), tuple(remarks))
 
 
-def _stretches(time: Array, remarks: list[str]) -> Array:
+def _stretches(time: Array, remarks: list[str]) -> NDArray[np.intp]:
     duration = float(time[-1] - time[0])
     if duration <= LONGEST_WHOLE:
         return np.arange(len(time))

@@ -234,7 +234,7 @@ class Comparison:
 
     def friction(self, rig: Rig) -> Array:
         """Return the friction force along the recorded motion, shape (n, 1) [N]."""
-        key = (self.relevant_parts(rig, "friction"), rig.friction, rig.friction_model)
+        key: tuple[Any, ...] = (self.relevant_parts(rig, "friction"), rig.friction, rig.friction_model)
         static = rig.friction_model == "stribeck"
         if static:
             # A static model's sticking force is whatever the others add up to.

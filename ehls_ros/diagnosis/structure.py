@@ -10,6 +10,7 @@ from ehls_ros.diagnosis.evidence import HUBER, Evidence
 from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Channel, Comparison
 from ehls_ros.physics.rig import Rig
+from ehls_ros.samples import Mask
 
 KNOTS = 12
 """Knots of the piecewise linear curve over a signal."""
@@ -61,6 +62,7 @@ def structure(evidence: Evidence, comparison: Comparison, rig: Rig, channel: Cha
 
 
 def signals_of(evidence: Evidence, comparison: Comparison, rig: Rig) -> dict[str, Array]:
+    """Return the signals a residual may depend on, by the names of the data contract and with their rates, shape (n,)."""
     record = evidence.record
     signals = {
         name: record.signals[name] for name in (COMMAND, SPOOL, PRESSURE, SUPPLY, POSITION, LOAD, TEMPERATURE) if name in record
@@ -83,7 +85,7 @@ def _basis(values: Array) -> Array:
     return np.column_stack([np.interp(values, knots, row) for row in np.eye(len(knots))])
 
 
-def _held_out_r2(basis: Array, e: Array, even: Array) -> float:
+def _held_out_r2(basis: Array, e: Array, even: Mask) -> float:
     rest, total = 0.0, 0.0
     for train in (even, ~even):
         if not np.any(train) or np.all(train):

@@ -1,0 +1,192 @@
+"""The model let go: from the recording's start, with nothing but its command and disturbance.
+
+What the stages of :mod:`ehls_ros.diagnosis.stages` compare moment by moment adds up here. Valve and cylinder integrate, so
+that the position of even a good model drifts off, by what it does not know of the valve's null; that is no verdict on the
+model, and none is made of it.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.record import (
+    COMMAND,
+    FORCE,
+    LOAD,
+    POSITION,
+    PRESSURE,
+    SERVO_POSITION,
+    SERVO_VELOCITY,
+    SPOOL,
+    TEMPERATURE,
+    VELOCITY,
+    Record,
+    prepare,
+)
+from ehls_ros.diagnosis.stages import SENSED as RECORDED_AS
+from ehls_ros.errors import BadInput
+from ehls_ros.physics.parameters import Sensor
+from ehls_ros.physics.plant import FRICTION, PL, XV, V, X
+from ehls_ros.physics.plant import TEMPERATURE as OIL
+from ehls_ros.physics.rig import SENSED, Rig
+from ehls_ros.physics.simulator import OIL_TEMPERATURE, Simulator
+from ehls_ros.trajectory import Trajectory
+
+LONGEST = 20.0
+"""Time that is simulated at most [s]."""
+
+START = 0.01
+"""Time at the start over which the initial state is averaged [s]."""
+
+MOVED = 10.0
+"""Size of a signal, in that of its noise, from which on it is compared."""
+
+BEYOND = 1.0
+"""How far beyond the stroke, in strokes, a run is given up."""
+
+
+class Followed(NamedTuple):
+    """One signal as it was measured and as the models have it.
+
+    Attributes:
+        name: by the data contract.
+        measured: shape (n,).
+        before: of the model as it was given, NaN from where it was given up, shape (n,).
+        after: of the extended model; None where there is none.
+        nrmse_before, nrmse_after: rms difference as a part of the measured signal's standard deviation; None where there is
+            no model, or it was given up.
+    """
+
+    name: str
+    measured: Array
+    before: Array
+    after: Array | None
+    nrmse_before: float | None
+    nrmse_after: float | None
+
+
+class FreeRun(NamedTuple):
+    """Both models let go along a recording.
+
+    Attributes:
+        time: since the recording's start, shape (n,) [s].
+        signals: those that were measured and move.
+        remarks: what has to be known to read it.
+    """
+
+    time: Array
+    signals: tuple[Followed, ...]
+    remarks: tuple[str, ...]
+
+
+def free_run(trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recording", seconds: float = LONGEST) -> FreeRun:
+    """Simulate a recording's beginning with the model as it was given and with the extended one.
+
+    Args:
+        trajectory: the recording; needs command, position or velocity, and load pressure or force.
+        rig: the model as it was given.
+        extended: the extended one; the same where there is none.
+        name: what the recording is called in errors.
+        seconds: most that is simulated [s].
+
+    Returns:
+        The run.
+
+    Raises:
+        BadInput: a signal that is needed is missing.
+    """
+    time = trajectory.time_s
+    part = time <= time[0] + seconds
+    head = Trajectory(time[part], {name: values[part] for name, values in trajectory.signals.items()})
+    record = prepare(head, rig, name)
+    for needed in ((COMMAND,), (POSITION,), (PRESSURE, FORCE)):
+        if not any(signal in record for signal in needed):
+            raise BadInput(f"there is no {' or '.join(needed)}", name, "the command, the position and the load pressure")
+    before = _run(record, rig)
+    after = None if extended == rig else _run(record, extended)
+    signals = tuple(
+        _followed(record, signal, before[:, column], None if after is None else after[:, column])
+        for column, sensor in enumerate(SENSED)
+        if (signal := RECORDED_AS[sensor]) in record and _moves(record, signal)
+    )
+    remarks = ["the position integrates whatever is not known of the valve's null, so it drifts even where the model is good"]
+    for which, run in (("the model as it was given", before), ("the extended model", after)):
+        if run is not None and not np.all(np.isfinite(run)):
+            until = float(record.time[np.argmin(np.all(np.isfinite(run), axis=1))] - record.time[0])
+            remarks.append(f"{which} leaves the stroke, and was given up after {until:.2g} s")
+    return FreeRun(record.time - record.time[0], signals, tuple(remarks))
+
+
+def _moves(record: Record, signal: str) -> bool:
+    return signal != TEMPERATURE and float(np.std(record.signals[signal])) > MOVED * record.noise[signal]
+
+
+def _followed(record: Record, signal: str, before: Array, after: Array | None) -> Followed:
+    measured = record.signals[signal]
+    good, size = record.good[signal], float(np.std(measured))
+
+    def nrmse(values: Array | None) -> float | None:
+        if values is None or not np.all(np.isfinite(values)):
+            return None
+        return float(np.sqrt(np.mean((values - measured)[good] ** 2))) / size
+
+    return Followed(signal, measured, before, after, nrmse(before), nrmse(after))
+
+
+def _run(record: Record, rig: Rig) -> Array:
+    """Return what the model's sensors read, NaN from where it leaves the stroke by far, shape (n, signals)."""
+    quiet = {sensor: description._replace(noise_std=0.0, resolution=0.0) for sensor, description in rig.sensors.items()}
+    simulator = Simulator(rig._replace(sensors=quiet), record.period)
+    _start(simulator, record)
+    command, load = record.values(COMMAND), record.values(LOAD)
+    rates = np.append(np.diff(load) / record.period, 0.0)
+    servo, servo_speed = record.values(SERVO_POSITION), record.values(SERVO_VELOCITY)
+    oil = record.signals.get(TEMPERATURE, np.full(len(record.time), OIL_TEMPERATURE))
+    low, high = rig.limits.position
+    room = BEYOND * (high - low)
+    out = np.full((len(record.time), len(SENSED)), np.nan)
+    none = np.zeros(len(SENSED))
+    for k in range(len(record.time)):
+        simulator.inputs[OIL] = oil[k]
+        out[k] = simulator.measure(none)
+        if not (low - room <= simulator.y[X] <= high + room and math.isfinite(float(np.sum(simulator.y)))):
+            out[k:] = np.nan
+            break
+        simulator.advance(command[k], load[k], rates[k], servo[k], servo_speed[k])
+    return out
+
+
+def _first(record: Record, sensor: str, sensors: Mapping[str, Sensor]) -> float:
+    """Return what a sensor saw at the start, its gain and bias taken out; 0 where there is none."""
+    signal = RECORDED_AS[sensor]
+    if signal not in record:
+        return 0.0
+    samples = max(1, round(START / record.period))
+    known = record.signals[signal][:samples][record.good[signal][:samples]]
+    description = sensors.get(sensor, Sensor())
+    return (float(np.mean(known)) - description.bias) / description.gain if known.size else 0.0
+
+
+def _start(simulator: Simulator, record: Record) -> None:
+    """Set the state to what was measured at the start, and friction to what holds the balance there."""
+    plant, friction, sensors, y = simulator.rig.plant, simulator.rig.friction, simulator.rig.sensors, simulator.y
+    y[X] = _first(record, "position", sensors)
+    pressure = _first(record, "load_pressure", sensors)
+    if PRESSURE not in record:
+        pressure = _first(record, "force", sensors) / plant.piston_area
+    y[PL] = pressure
+    y[XV] = _first(record, "spool_position", sensors) if SPOOL in record else plant.valve_gain * record.values(COMMAND)[0]
+    if VELOCITY in record:
+        y[V] = _first(record, "velocity", sensors)
+    else:
+        samples = max(3, round(START / record.period))
+        y[V] = float(np.polyfit(record.time[:samples] - record.time[0], record.signals[POSITION][:samples], 1)[0])
+    driving = plant.piston_area * pressure - plant.spring_stiffness * y[X] - plant.moving_mass * plant.gravity
+    held = driving - record.values(LOAD)[0] - (plant.viscous_damping + friction.viscous_coefficient) * y[V]
+    elements = y[FRICTION : FRICTION + len(simulator.mode) - 1]
+    if elements.size:
+        share = np.array(friction.element_weight[: elements.size])
+        elements[:] = share / share.sum() * np.clip(held, -friction.coulomb_force, friction.coulomb_force)
