@@ -166,7 +166,7 @@ def _stage(
         nrmse_after=lefts[worst].after * scale,
         noise_floor=lefts[worst].noise * scale,
         exceeds=any(item.exceeded for item in lefts.values()),
-        unexplained=remains and any(item.remains and item.closed < CLOSED for item in lefts.values()),
+        unexplained=any(not item.mended or (item.remains and item.closed < CLOSED) for item in lefts.values()),
         depends_on=depends,
     )
 
@@ -176,7 +176,7 @@ def _unknown_stage(lefts: Mapping[Stage, Mapping[Channel, Left]]) -> Stage | Non
     worst, stage = 0.0, None
     for name, channels in lefts.items():
         for item in channels.values():
-            if not item.remains or item.closed >= CLOSED:
+            if item.mended and (not item.remains or item.closed >= CLOSED):
                 continue
             # Two sensors that disagree need no model to be wrong.
             excess = item.after / max(item.noise, 1e-12) * (1e6 if name == "sensors" else 1.0)

@@ -195,6 +195,7 @@ class Held(NamedTuple):
         errors: whitened residuals of the channels it changes, each block's with the parameters fitted to the others.
         inflation: by channel, how much more the remaining residuals scatter than noise would.
         covariance: of the parameters, shape (p, p).
+        quieted: of the channels together, the loss that was taken off the gain because it comes of averaging noise [nats].
         disagreement: of each parameter, how much more its variance is by what the blocks say than by noise: at least 1.
     """
 
@@ -202,6 +203,7 @@ class Held(NamedTuple):
     errors: Errors
     inflation: dict[Channel, float]
     covariance: Array
+    quieted: float
     disagreement: Array
 
 
@@ -243,11 +245,13 @@ def held_out(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Held
     for c in fit.channels:
         end = begin + len(evidence.block[c])
         quieter = max(quieted[c], 0.0) / evidence.blocks
-        per_block: Array = np.bincount(evidence.block[c], weights=difference[begin:end], minlength=evidence.blocks)
-        gain[c] = per_block - quieter
+        per_block = np.bincount(evidence.block[c], weights=difference[begin:end], minlength=evidence.blocks)
+        gain[c] = np.asarray(per_block - quieter, dtype=np.float64)
         errors[c] = without[begin:end]
         begin = end
-    return Held(gain, Errors(errors), inflation, *_covariance(normal, gradients, fit, j, scale, inflation, evidence))
+    covariance, disagreement = _covariance(normal, gradients, fit, j, scale, inflation, evidence)
+    saved = sum(max(value, 0.0) for value in quieted.values())
+    return Held(gain, Errors(errors), inflation, covariance, saved, disagreement)
 
 
 def inflation_of(e: Array) -> float:

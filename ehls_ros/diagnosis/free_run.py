@@ -112,7 +112,9 @@ def free_run(trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recor
         for column, sensor in enumerate(SENSED)
         if (signal := RECORDED_AS[sensor]) in record and _moves(record, signal)
     )
-    remarks = ["the position integrates whatever is not known of the valve's null, so it drifts even where the model is good"]
+    remarks = [
+        "the position integrates whatever is not known of the valve's null, so it may drift even where the model is good"
+    ]
     for which, run in (("the model as it was given", before), ("the extended model", after)):
         if run is not None and not np.all(np.isfinite(run)):
             until = float(record.time[np.argmin(np.all(np.isfinite(run), axis=1))] - record.time[0])

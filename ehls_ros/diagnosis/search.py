@@ -13,10 +13,10 @@ from ehls_ros.diagnosis.fit import Fit, Held, Worker, gauss_newton, held_out, in
 from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, bounds
 from ehls_ros.diagnosis.stages import Channel
 
-NEEDED = 12.0
-"""Gain on held-out data that another cause has to bring, beyond the penalty [nats]; noise reaches it once in 10^5 searches."""
+NEEDED = 20.0
+"""Gain on held-out data that another cause has to bring, beyond the penalty [nats]; noise alone does not reach it."""
 
-RELEVANT = 3e-4
+RELEVANT = 5e-4
 """Part of a balance's largest term below which a difference matters to nobody, however sure it is."""
 
 SURE = 4.5
@@ -402,7 +402,9 @@ def _needed(evidence: Evidence, more: Judged, less: Judged, inflation: dict[Chan
         return False
     # A cause that mends little of what is left beside it mends the form of another, not the model.
     left = sum(_excess(evidence, more, c) / inflation[c] for c in more.held.gain)
-    return gain >= MENDED * left and _surest(more, less) >= SURE
+    # What averages the noise away more than it explains is an average, and no cause.
+    quieted = more.held.quieted - less.held.quieted
+    return gain >= MENDED * left and gain >= quieted and _surest(more, less) >= SURE
 
 
 def _excess(evidence: Evidence, judged: Judged, channel: Channel) -> float:

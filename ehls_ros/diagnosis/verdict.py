@@ -11,20 +11,26 @@ from ehls_ros.diagnosis.evidence import HUBER, Errors, Evidence
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.hypotheses import Candidate
 from ehls_ros.diagnosis.result import Cause, Gain, Rival, Sensitivity
-from ehls_ros.diagnosis.search import MATTERS, NEEDED, RELEVANT, SURE, Judged, Searched
+from ehls_ros.diagnosis.search import MATTERS, NEEDED, PENALTY, RELEVANT, SURE, Judged, Searched
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig
 
-EQUAL, EQUAL_PART = 4.0, 5e-3
+EQUAL, EQUAL_PART = 4.0, 2e-2
 """How much less than the best another cause may gain and still be as good: [nats], and as a part of the best's gain."""
 
 CLOSED = 0.9
 """Part of the removable error that a named cause has to close; what closes less is named by nobody."""
 
-SCATTER = 1.5
+LITTLE = 1.5
+"""Power of a residual, in that of noise, up to which a cause that acts in the channel has left nothing."""
+
+SCATTER = 2.5
 """Power of a residual, in that of noise, from which on something else than noise may be left."""
+
+FORM = 5e-3
+"""Part of a parameter's distance from neutral that is as uncertain as the form of the effect."""
 
 RESAMPLED = 1000
 """How often the blocks are resampled for probabilities and intervals."""
@@ -59,6 +65,7 @@ class Left(NamedTuple):
         closed: part of the removable power that is gone; 1 where there was none.
         exceeded: whether there was more than noise, by enough to matter.
         remains: whether there still is.
+        mended: whether a cause acts in the channel and leaves it no more than noise, or closes most of it.
     """
 
     before: float
@@ -67,6 +74,7 @@ class Left(NamedTuple):
     closed: float
     exceeded: bool
     remains: bool
+    mended: bool
 
 
 def left(evidence: Evidence, best: Judged, channel: Channel) -> Left:
@@ -82,6 +90,7 @@ def left(evidence: Evidence, best: Judged, channel: Channel) -> Left:
         closed,
         _more_than_noise(evidence, channel, evidence.base.values[channel], own),
         _more_than_noise(evidence, channel, best.held.errors.values[channel], own),
+        channel not in best.held.gain or before < LITTLE * own or closed >= CLOSED or after < LITTLE * own,
     )
 
 
@@ -165,10 +174,12 @@ def _estimates(judged: Judged, index: int) -> dict[str, Estimate]:
     candidate = judged.hypothesis[index]
     deviation = np.sqrt(np.maximum(np.diag(judged.held.covariance), 0.0))
     used = candidate.use(judged.fit.values[offset : offset + len(candidate.free)]).parameters._asdict()
-    return {
-        name: Estimate(float(used[name]), float(deviation[offset + i]), candidate.units[i])
-        for i, name in enumerate(candidate.free)
-    }
+    out = {}
+    for i, name in enumerate(candidate.free):
+        # The noise says how well the effect's form is fitted; no effect has quite the form its file gives it.
+        form = FORM * min(abs(float(used[name]) - float(candidate.neutral[i])), abs(float(used[name])))
+        out[name] = Estimate(float(used[name]), math.hypot(float(deviation[offset + i]), form), candidate.units[i])
+    return out
 
 
 def _sigmas(judged: Judged, index: int) -> float:
@@ -200,7 +211,7 @@ def _probability(found: Searched, judged: Sequence[Judged], rest: Judged, seed: 
     rows = [_per_block(j, found.inflation) for j in [*judged, rest]]
     blocks = max((len(r) for r in rows), default=1)
     table = np.array([np.resize(r, blocks) if len(r) else np.zeros(blocks) for r in rows])
-    penalty = (NEEDED / 4.0) * np.array([len(j.fit.values) for j in [*judged, rest]])
+    penalty = PENALTY * np.array([len(j.fit.values) for j in [*judged, rest]])
     weights = rng.dirichlet(np.ones(blocks), RESAMPLED) * blocks
     scores = weights @ table.T - penalty
     scores -= scores.max(axis=1, keepdims=True)

@@ -1,5 +1,6 @@
 """Seals that the oil presses against their faces: friction grows with the load pressure."""
 
+import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
@@ -11,7 +12,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "friction"
-EQUATION = "s(v) -> s(v) + slope |pL|, at least 1 N"
+EQUATION = "s(v) -> s(v) + slope (√(pL² + onset²) - onset), slope |pL| far beyond the onset; at least 1 N"
 SOURCE = (
     "Bonchis, Corke, Rye, A pressure-based, velocity independent, friction model for asymmetric hydraulic cylinders, ICRA 1999"
 )
@@ -21,14 +22,15 @@ class Parameters(NamedTuple):
     """Friction per pressure; the rig file's holds without load."""
 
     slope: Annotated[float, quantity("N/Pa", "Stribeck level per load pressure", minimum=-0.05, maximum=0.05)] = 0.0
+    onset: Annotated[float, quantity("Pa", "load pressure from which the seals are pressed on", minimum=0.0, maximum=1e7)] = 0.0
 
 
 @kernel
 def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
     """Move the curve with the pressure."""
-    return raised(value, p[0] * abs(y[PL]))
+    return raised(value, p[0] * (math.hypot(y[PL], p[1]) - p[1]))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The slope."""
-    return (Form({"slope": ()}),)
+    """From the first pressure on, or from an onset."""
+    return Form({"slope": ()}), Form({"slope": (), "onset": (5e4, 2e5, 5e5)})

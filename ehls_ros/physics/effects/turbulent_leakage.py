@@ -11,7 +11,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "flow"
-EQUATION = "leakage -> leakage + coefficient sgn(pL) √|pL|"
+EQUATION = "leakage -> leakage + coefficient pL / (pL² + transition²)^(1/4), which is coefficient sgn(pL) √|pL| from there on"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 3: turbulent flow through an orifice"
 
 
@@ -21,14 +21,18 @@ class Parameters(NamedTuple):
     coefficient: Annotated[
         float, quantity("m^3/(s Pa^0.5)", "leakage per square root of the load pressure", minimum=0.0, maximum=1e-6)
     ] = 0.0
+    transition: Annotated[float, quantity("Pa", "load pressure below which the flow is laminar", minimum=0.0, maximum=1e7)] = (
+        0.0
+    )
 
 
 @kernel
 def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
     """Add what passes."""
-    return value + p[0] * math.copysign(math.sqrt(abs(y[PL])), y[PL])
+    scale = math.sqrt(math.hypot(y[PL], p[1]))
+    return value + (p[0] * y[PL] / scale if scale > 0.0 else 0.0)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The coefficient."""
-    return (Form({"coefficient": ()}),)
+    """Turbulent throughout, or laminar at small pressures."""
+    return Form({"coefficient": ()}), Form({"coefficient": (), "transition": (5e4, 2e5, 5e5)})

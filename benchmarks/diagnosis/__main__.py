@@ -1,0 +1,148 @@
+"""Hidden cases against the diagnosis: how often it is right, how exact, how fast, and how simpler ways do on the same cases.
+
+    python benchmarks/diagnosis --cases 400 --jobs 2          # a fresh seed, which is printed
+    python benchmarks/diagnosis --seed 7                      # the same cases again, or the rest of them
+    python benchmarks/diagnosis --seed 7 --case 12 31         # two of them, with everything said of them
+    python benchmarks/diagnosis --summary runs/diagnosis-7.jsonl
+    python benchmarks/diagnosis --tune                        # the peers' thresholds, on seeds of their own
+
+The cases come from test/diagnosis/truth, which shares no code with ehls_ros. Every case is written as a line of JSON when it
+is done; a run that was broken off goes on where it was. `pip install 'ehls_ros[peers]'` gets pysindy, the peer that is not
+installed with ehls_ros.
+"""
+
+import os
+
+# One thread a process: the times are of one, and jobs do not disturb each other.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[variable] = "1"
+
+import argparse  # noqa: E402
+import json  # noqa: E402
+import secrets  # noqa: E402
+import sys  # noqa: E402
+from collections.abc import Iterator  # noqa: E402
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed  # noqa: E402
+from multiprocessing import get_context  # noqa: E402
+from pathlib import Path  # noqa: E402
+from typing import Any  # noqa: E402
+
+import cases  # noqa: E402
+import tables  # noqa: E402
+from judge import judge  # noqa: E402
+from rich.console import Console  # noqa: E402
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn  # noqa: E402
+
+WIDTH = 220
+"""Of the tables where the output is no terminal."""
+
+QUICK_CASES, QUICK_DURATION = 40, 20.0
+
+
+def arguments() -> argparse.Namespace:
+    """Return the command line."""
+    layout = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(prog="benchmarks/diagnosis", description=__doc__, formatter_class=layout)
+    parser.add_argument("--cases", type=int, default=None, help="how many (400)")
+    parser.add_argument("--seed", type=int, default=None, help="of the cases; a fresh one where none is given")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (%(default)s)")
+    parser.add_argument("--only", choices=cases.KINDS, help="cases of this kind only")
+    parser.add_argument("--case", type=int, nargs="+", help="these numbers only, with all that is said; nothing is written")
+    parser.add_argument("--duration", type=float, default=None, help="of the recordings, s (60)")
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK_CASES} cases of {QUICK_DURATION:g} s")
+    parser.add_argument("--no-peers", action="store_true", help="leave the peers out")
+    parser.add_argument("--out", type=Path, help="file of results, one line a case (runs/diagnosis-SEED.jsonl)")
+    parser.add_argument("--summary", type=Path, nargs="+", help="print the tables of such files, run nothing")
+    parser.add_argument("--tune", action="store_true", help="choose the peers' thresholds on seeds of their own")
+    return parser.parse_args()
+
+
+def read(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a file of results; a line that was not written to its end is left out."""
+    rows = []
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        try:
+            rows.append(json.loads(line))
+        except json.JSONDecodeError:
+            print(f"{path}: a line is broken off and left out", file=sys.stderr)
+    return rows
+
+
+def run_all(seed: int, numbers: list[int], duration: float, jobs: int, with_peers: bool) -> Iterator[dict[str, Any]]:
+    """Yield the cases as they are done."""
+    if jobs == 1:
+        yield from (cases.run(seed, number, duration, with_peers) for number in numbers)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        waiting: list[Future[dict[str, Any]]] = [pool.submit(cases.run, seed, n, duration, with_peers) for n in numbers]
+        try:
+            for done in as_completed(waiting):
+                yield done.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def plain(value: Any) -> Any:
+    """Return a numpy value as one that JSON has."""
+    return value.item() if hasattr(value, "item") else str(value)
+
+
+def bar(console: Console) -> Progress:
+    """Return the progress bar."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console, disable=not console.is_terminal)
+
+
+def line_of(row: dict[str, Any]) -> str:
+    """Return a case in a line, for output that is no terminal."""
+    j = judge(row)
+    took = f"{row['ours']['wall_s']:5.1f} s" if "ours" in row else "      –"
+    hidden = " + ".join(row.get("hidden", {})) or "nothing"
+    return f"{'ok   ' if j.right else 'WRONG'} {row['number']:4d} {took}  {hidden} -> {j.what}"
+
+
+def main() -> None:
+    """Run the cases and print the tables."""
+    options = arguments()
+    console = Console() if sys.stdout.isatty() else Console(width=WIDTH)
+    errors = Console(stderr=True)
+    if options.summary:
+        tables.show([row for path in options.summary for row in read(path)], console)
+        return
+    if options.tune:
+        from tune import tune  # noqa: PLC0415
+
+        tune(console)
+        return
+    seed = secrets.randbelow(2**31) if options.seed is None else options.seed
+    duration = options.duration or (QUICK_DURATION if options.quick else 60.0)
+    if options.case:
+        for row in run_all(seed, options.case, duration, 1, not options.no_peers):
+            console.print_json(json.dumps(row, default=plain))
+            console.print(tables.failures([(row, judge(row))]))
+        return
+    wanted = cases.numbers(options.cases or (QUICK_CASES if options.quick else 400), options.only)
+    out = options.out or cases.ROOT / "runs" / f"diagnosis-{seed}.jsonl"
+    out.parent.mkdir(parents=True, exist_ok=True)
+    rows = read(out)
+    if other := {(r["seed"], r.get("duration", duration)) for r in rows} - {(seed, duration)}:
+        sys.exit(f"{out} holds other cases (seed, duration: {sorted(other)}); name another file with --out")
+    done = {r["number"] for r in rows}
+    left = [number for number in wanted if number not in done]
+    print(f"seed {seed}, {len(wanted)} cases of {duration:g} s, {len(left)} to do, into {out}", flush=True)
+    with out.open("a", encoding="utf-8") as file, bar(errors) as progress:
+        task = progress.add_task("cases", total=len(wanted), completed=len(wanted) - len(left))
+        for row in run_all(seed, left, duration, options.jobs, not options.no_peers):
+            rows.append(row)
+            file.write(json.dumps(row, default=plain) + "\n")
+            file.flush()
+            if errors.is_terminal:
+                right = sum(judge(r).right for r in rows)
+                progress.update(task, advance=1, description=f"{right} of {len(rows)} right")
+            else:
+                print(line_of(row), flush=True)
+    tables.show([r for r in rows if r["number"] in set(wanted)], console)
+
+
+if __name__ == "__main__":
+    main()
