@@ -1,0 +1,507 @@
+"""The figures of the diagnosis report: each function takes what was found and gives a panel."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import welch
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.free_run import FreeRun
+from ehls_ros.diagnosis.result import Cause, ChannelTrace, Diagnosis
+from ehls_ros.diagnosis.stages import CHANNELS, Channel
+from ehls_ros.report.diagnosis_findings import CHANNEL_NAMES, CHANNEL_SHORT, STAGE_NAMES, compares
+from ehls_ros.report.diagnosis_units import Shown, shown_signal, unit_for
+from ehls_ros.report.page import LeftOut, Panel, number
+from ehls_ros.report.plot import (
+    BLACK,
+    BLUE,
+    GREEN,
+    PURE_NUMBER,
+    SKY,
+    VERMILION,
+    Axis,
+    Layout,
+    Trace,
+    Unit,
+    packed,
+    plane_layout,
+    time_layout,
+    time_line,
+)
+
+POINTS = 2000
+"""Most dots of one residual in the main picture."""
+
+BINS, LEAST_IN_BIN = 40, 12
+"""Classes of a signal over which means are drawn, and the windows each has at least."""
+
+TIMES = 8
+"""Classes of the time by which it is told whether a residual drifts."""
+
+NEAR = 0.05
+"""Part of a residual's power by which a signal may explain less than another and be shown for it."""
+
+SMALL_BINS = 24
+"""Classes in the small pictures."""
+
+ROW_HEIGHT, MOST_COLUMNS = 190, 4
+"""Size of the small pictures."""
+
+LINES = 600
+"""Parts a line of a free run is cut into."""
+
+BEFORE, AFTER, FLOOR = "as the model was given", "extended model, held-out data", "noise, ± 2 standard deviations"
+_SPREAD = 2.0
+
+NATURAL: Mapping[str, tuple[str, ...]] = {
+    "valve": ("spool_m", "valve_command_m"),
+    "flow": ("load_pressure_pa", "load_pressure_rate_pa_s", "spool_m"),
+    "friction": ("velocity_m_s",),
+    "mechanics": ("position_m", "acceleration_m_s2"),
+    "sensors": ("load_pressure_pa", "position_m", "velocity_m_s"),
+    "environment": ("time_s",),
+}
+"""Signals that effects of a group act by; the first ones are shown where others explain no more."""
+
+SHOWN_IN: Mapping[str, tuple[Channel, ...]] = {
+    "valve": ("spool", "volume"),
+    "flow": ("volume", "supply"),
+    "friction": ("force",),
+    "mechanics": ("force",),
+    "sensors": ("cell", "velocity", "force", "volume"),
+    "environment": ("force",),
+}
+"""Residuals that effects of a group can show in."""
+
+MENDED = 0.9
+"""Part of a residual's power left, below which the extension has changed it enough to be shown."""
+
+SMALL: tuple[tuple[str, ...], ...] = (
+    ("time_s",),
+    ("velocity_m_s",),
+    ("position_m",),
+    ("load_pressure_pa", "force_n"),
+    ("spool_m", "valve_command_m"),
+    ("oil_temperature_k",),
+)
+"""Signals of the small pictures; of each group the first that was recorded."""
+
+
+LAST: Mapping[str, str] = {"volume": "load_pressure_rate_pa_s", "supply": "load_pressure_rate_pa_s"}
+"""A further signal of a channel's small pictures, where it is not the acceleration."""
+
+
+class View(NamedTuple):
+    """A channel's residual against the signal that explains it.
+
+    Attributes:
+        channel: of the residual.
+        signal: on the horizontal axis.
+        along: the residual is counted along the motion: times the sign of the velocity.
+        explained: part of the residual's power that its means over the signal make.
+    """
+
+    channel: Channel
+    signal: str
+    along: bool
+    explained: float
+
+
+# --- which picture -----------------------------------------------------------------------------
+
+
+def view_of_cause(found: Diagnosis, cause: Cause) -> View | None:
+    """Return the picture that shows a cause best; None without traces."""
+    own = [c for c in SHOWN_IN.get(cause.group, ()) if c in found.traces and _mended(found.traces[c])]
+    channels = own or list(found.traces)
+    if not channels:
+        return None
+    return _best_view(found, max(channels, key=lambda c: _gained(found.traces[c])), cause.group, after=False)
+
+
+def view_of_rest(found: Diagnosis) -> View | None:
+    """Return the picture of what no effect explains; None without one."""
+    channels = [c for c in found.traces if CHANNELS[c] == found.unknown_stage]
+    if not channels:
+        return None
+    channel = max(channels, key=lambda c: _power(found.traces[c].after / _safe(found.traces[c].floor)))
+    return _best_view(found, channel, "", after=True, first=found.depends_on[:1])
+
+
+def _gained(trace: ChannelTrace) -> float:
+    floor = _safe(trace.floor)
+    return _power(trace.before / floor) - _power(trace.after / floor)
+
+
+def _mended(trace: ChannelTrace) -> bool:
+    return _power(trace.after) < MENDED * _power(trace.before)
+
+
+def _power(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.mean(known**2)) if known.size else 0.0
+
+
+def _safe(floor: Array) -> Array:
+    return np.maximum(floor, 1e-300)
+
+
+def _best_view(found: Diagnosis, channel: Channel, group: str, *, after: bool, first: Sequence[str] = ()) -> View:
+    trace = found.traces[channel]
+    residual = trace.after if after else trace.before
+    views = [
+        # Whatever changes slowly seems to follow the time, if that is cut finely enough.
+        View(channel, signal, False, explained(values, residual, TIMES if signal == "time_s" else BINS))
+        for signal, values in _signals(trace).items()
+    ]
+    velocity = trace.against.get("velocity_m_s")
+    if channel == "force" and velocity is not None:
+        # What brakes has the sign of the motion; against anything else it would cancel.
+        turned = residual * np.sign(velocity)
+        views += [
+            View(channel, signal, True, explained(values, turned))
+            for signal, values in _signals(trace).items()
+            if signal not in ("velocity_m_s", "acceleration_m_s2", "time_s")
+        ]
+    pointed = [view for view in views if view.signal in first]
+    if pointed:
+        return max(pointed, key=lambda view: view.explained)
+    most = max(view.explained for view in views)
+    order = {signal: place for place, signal in enumerate(NATURAL.get(group, ()))}
+    good = [view for view in views if view.explained >= most - NEAR]
+    return min(good, key=lambda view: (order.get(view.signal, len(order)), view.along, -view.explained))
+
+
+def _signals(trace: ChannelTrace) -> dict[str, Array]:
+    found = {"time_s": trace.time, **trace.against}
+    return {name: values for name, values in found.items() if float(np.ptp(values)) > 0.0} or {"time_s": trace.time}
+
+
+def explained(values: Array, residual: Array, bins: int = BINS) -> float:
+    """Return the part of a residual's power that its means over classes of a signal make."""
+    means, _, counts = _classes(values, residual, bins)
+    total = float(np.sum(residual**2))
+    return float(np.sum(counts * means**2)) / total if total > 0.0 else 0.0
+
+
+def _edges(values: Array, bins: int) -> Array:
+    number_of = int(np.clip(len(values) // LEAST_IN_BIN, 1, bins))
+    return np.unique(np.quantile(values, np.linspace(0.0, 1.0, number_of + 1)))
+
+
+def _which(values: Array, edges: Array) -> Array:
+    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(len(edges) - 2, 0))
+
+
+def _classes(values: Array, residual: Array, bins: int) -> tuple[Array, Array, Array]:
+    """Return mean of a residual, mean of the signal and windows of each class of the signal."""
+    edges = _edges(values, bins)
+    index = _which(values, edges)
+    counts = np.bincount(index, minlength=max(len(edges) - 1, 1)).astype(np.float64)
+    kept = counts > 0
+    means = np.bincount(index, residual, len(counts))[kept] / counts[kept]
+    middles = np.bincount(index, values, len(counts))[kept] / counts[kept]
+    return means, middles, counts[kept]
+
+
+# --- the main picture --------------------------------------------------------------------------
+
+
+def residual_against(found: Diagnosis, view: View, title: str) -> Panel:
+    """Draw a residual before and after against a signal, with class means and the band of noise."""
+    trace = found.traces[view.channel]
+    x = shown_signal(view.signal, _signals(trace)[view.signal])
+    sign = np.sign(trace.against["velocity_m_s"]) if view.along else np.ones(len(trace.time))
+    unit = unit_for(trace.unit, float(np.quantile(np.abs(trace.before), 0.98)))
+    same = np.array_equal(trace.before, trace.after)
+    traces = _band(x, trace.floor, unit)
+    residuals = [(trace.before, BEFORE, VERMILION)] + ([] if same else [(trace.after, AFTER, BLUE)])
+    kept = _thinned(len(trace.time))
+    for residual, name, color in residuals:
+        traces.append(_cloud(x.values[kept], (residual * sign)[kept] * unit.factor, name, unit, color))
+    for residual, name, color in residuals:
+        means, middles, _ = _classes(x.values, residual * sign * unit.factor, BINS)
+        traces.append(_curve(middles, means, f"mean, {name}", unit, color) | {"showlegend": False})
+    quantity = f"{CHANNEL_SHORT[view.channel]}: left over{' along the motion' if view.along else ''}"
+    layout = plane_layout(
+        Axis(x.quantity, x.unit, _whole(x.values)), Axis(quantity, unit, _span([r * sign * unit.factor for r, *_ in residuals]))
+    )
+    note = f"The {x.quantity} explains {number(100.0 * view.explained, 2)} % of what the model as given leaves over."
+    if found.verdict == "unknown":
+        note = f"The {x.quantity} alone explains {number(100.0 * view.explained, 2)} % of what is left."
+    note += " Lines: means over classes."
+    if len(trace.time) > POINTS:
+        note += f" Dots: one window in {-(-len(trace.time) // POINTS)}."
+    layout["legend"] |= {"itemsizing": "constant"}
+    return Panel(title, traces, layout, note, height=460, over_time=False)
+
+
+def _thinned(count: int) -> slice:
+    return slice(None, None, max(1, -(-count // POINTS)))
+
+
+def _whole(values: Array) -> tuple[float, float]:
+    low, high = float(np.min(values)), float(np.max(values))
+    air = 0.02 * (high - low) or 1.0
+    return low - air, high + air
+
+
+def _span(residuals: Sequence[Array], part: float = 0.002) -> tuple[float, float]:
+    low = min(float(np.quantile(r, part)) for r in residuals)
+    high = max(float(np.quantile(r, 1.0 - part)) for r in residuals)
+    air = 0.12 * (high - low) or 1.0
+    return low - air, high + air
+
+
+def _band(x: Shown, floor: Array, unit: Unit) -> list[Trace]:
+    squares, middles, _ = _classes(x.values, floor**2, SMALL_BINS)
+    half = _SPREAD * np.sqrt(squares) * unit.factor
+    at = np.concatenate([middles, middles[::-1]])
+    return [
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "x": packed(at),
+            "y": packed(np.concatenate([half, -half[::-1]])),
+            "fill": "toself",
+            "fillcolor": "rgba(0, 158, 115, 0.22)",
+            "line": {"color": GREEN, "width": 0.8},
+            "name": FLOOR,
+            "hoverinfo": "skip",
+        }
+    ]
+
+
+def _cloud(x: Array, y: Array, name: str, unit: Unit, color: str) -> Trace:
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "x": packed(x),
+        "y": packed(y),
+        "name": name,
+        "marker": {"color": color, "size": 3.5, "opacity": 0.35},
+        "hovertemplate": f"%{{y:,.4~g}} {unit.symbol}<extra></extra>",
+    }
+
+
+def _curve(x: Array, y: Array, name: str, unit: Unit, color: str) -> Trace:
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": packed(x),
+        "y": packed(y),
+        "name": name,
+        "line": {"color": "white" if color == "" else _dark(color), "width": 2.4},
+        "hovertemplate": f"%{{y:,.4~g}} {unit.symbol}<extra></extra>",
+    }
+
+
+def _dark(color: str) -> str:
+    return {VERMILION: "#8a3c00", BLUE: "#003e63"}.get(color, color)
+
+
+# --- the gain ----------------------------------------------------------------------------------
+
+
+def stage_bars(found: Diagnosis) -> Panel | LeftOut:
+    """Draw what each stage leaves over before and after beside what noise makes."""
+    title = "What each part of the model leaves over"
+    judged = [(stage, result) for stage, result in found.stages.items() if result.judged]
+    if not judged:
+        return LeftOut(title, "no part of the model could be judged")
+    names = [STAGE_NAMES[stage].replace("agreement of the ", "") for stage, _ in judged]
+    columns: list[tuple[str, str, list[float | None]]] = [
+        (BEFORE, VERMILION, [result.nrmse_before for _, result in judged]),
+        *([(AFTER, BLUE, [r.nrmse_after for _, r in judged])] if compares(found) else []),
+        ("noise alone", GREEN, [result.noise_floor for _, result in judged]),
+    ]
+    largest = max((value for *_, values in columns for value in values if value is not None), default=0.0)
+    traces: list[Trace] = [
+        {
+            "type": "bar",
+            "x": list(range(1, len(names) + 1)),
+            "y": [None if value is None else 100.0 * value for value in values],
+            "name": name,
+            "marker": {"color": color},
+            "text": ["" if value is None else f"{number(100.0 * value, 2)} %" for value in values],
+            "textposition": "outside",
+            "cliponaxis": False,
+            "hovertemplate": "%{y:,.3~g} %<extra></extra>",
+        }
+        for name, color, values in columns
+    ]
+    layout = plane_layout(
+        Axis("part of the model", PURE_NUMBER, (0.4, len(names) + 0.6), names=tuple(names)),
+        Axis("left over, rms", Unit("% of the largest term"), (0.0, 115.0 * largest or 1.0)),
+    )
+    layout |= {"barmode": "group", "bargap": 0.3, "uniformtext": {"minsize": 10, "mode": "show"}}
+    return Panel(title, traces, layout, height=340, over_time=False)
+
+
+# --- small multiples ---------------------------------------------------------------------------
+
+
+def residuals_of(found: Diagnosis, channel: Channel) -> Panel | LeftOut:
+    """Draw a channel's residual against everything, and its spectrum."""
+    trace = found.traces[channel]
+    title = CHANNEL_NAMES[channel][0].upper() + CHANNEL_NAMES[channel][1:]
+    if len(trace.time) < LEAST_IN_BIN:
+        return LeftOut(title, f"only {len(trace.time)} windows could be used")
+    if not (np.any(trace.before) or np.any(trace.after)):
+        return LeftOut(title, "it closes exactly, without any noise")
+    unit = unit_for(trace.unit, float(np.quantile(np.abs(trace.before), 0.98)))
+    same = np.array_equal(trace.before, trace.after)
+    residuals = [(trace.before, BEFORE, VERMILION)] + ([] if same else [(trace.after, AFTER, BLUE)])
+    signals = _signals(trace)
+    shown = [next((name for name in group if name in signals), None) for group in SMALL]
+    last = LAST.get(channel, "acceleration_m_s2")
+    against = [name for name in (*shown, last) if name is not None and name in signals]
+    rows = -(-(len(against) + 1) // MOST_COLUMNS)
+    columns = -(-(len(against) + 1) // rows)
+    y = Axis("left over", unit, _small_span(trace, [r for r, *_ in residuals], unit))
+    traces: list[Trace] = []
+    layout: Layout = {}
+    for place, signal in enumerate(against):
+        x = shown_signal(signal, signals[signal])
+        traces += _small(x, trace, residuals, unit, place + 1)
+        _place(layout, place, (rows, columns), Axis(x.quantity, x.unit, _whole(x.values)), y)
+    lines, axes = _spectra(trace, residuals, unit, len(against) + 1)
+    traces += lines
+    _place(layout, len(against), (rows, columns), *axes)
+    layout["legend"] |= {"y": 1.0 + 0.03 * 3 / rows}
+    note = "The extension changes nothing here." if same and found.verdict == "effect" else ""
+    return Panel(title, traces, layout, note, height=ROW_HEIGHT * rows + 60, over_time=False)
+
+
+def _small_span(trace: ChannelTrace, residuals: Sequence[Array], unit: Unit) -> tuple[float, float]:
+    low, high = _span([r * unit.factor for r in residuals], 0.02)
+    noise = 1.3 * _SPREAD * float(np.sqrt(np.mean(trace.floor**2))) * unit.factor
+    return min(low, -noise), max(high, noise)
+
+
+def _small(
+    x: Shown, trace: ChannelTrace, residuals: Sequence[tuple[Array, str, str]], unit: Unit, number_of: int
+) -> list[Trace]:
+    axes = {"xaxis": f"x{number_of}" if number_of > 1 else "x", "yaxis": f"y{number_of}" if number_of > 1 else "y"}
+    out: list[Trace] = []
+    edges = _edges(x.values, SMALL_BINS)
+    index = _which(x.values, edges)
+    groups = [np.flatnonzero(index == i) for i in range(max(len(edges) - 1, 1))]
+    groups = [group for group in groups if group.size]
+    middles = np.array([float(np.mean(x.values[group])) for group in groups])
+    noise = np.array([_SPREAD * float(np.sqrt(np.mean(trace.floor[group] ** 2))) for group in groups]) * unit.factor
+    for residual, name, color in residuals:
+        low, mean, high = (
+            np.array([float(f(residual[group])) for group in groups]) * unit.factor
+            for f in (lambda v: np.quantile(v, 0.1), np.mean, lambda v: np.quantile(v, 0.9))
+        )
+        band = {
+            "type": "scatter",
+            "mode": "lines",
+            "x": packed(np.concatenate([middles, middles[::-1]])),
+            "y": packed(np.concatenate([low, high[::-1]])),
+            "fill": "toself",
+            "fillcolor": "rgba(213, 94, 0, 0.20)" if color == VERMILION else "rgba(0, 114, 178, 0.25)",
+            "line": {"width": 0},
+            "showlegend": False,
+            "hoverinfo": "skip",
+            **axes,
+        }
+        out += [band, _curve(middles, mean, name, unit, color) | axes | {"showlegend": number_of == 1, "legendgroup": name}]
+        out[-1]["line"] = {"color": color, "width": 1.8}
+    for sign in (1.0, -1.0):
+        out.append(
+            _curve(middles, sign * noise, FLOOR, unit, GREEN)
+            | axes
+            | {"line": {"color": GREEN, "width": 1.0, "dash": "dash"}, "showlegend": number_of == 1 and sign > 0.0}
+            | {"legendgroup": FLOOR, "hoverinfo": "skip"}
+        )
+    return out
+
+
+def _spectra(
+    trace: ChannelTrace, residuals: Sequence[tuple[Array, str, str]], unit: Unit, number_of: int
+) -> tuple[list[Trace], tuple[Axis, Axis]]:
+    out: list[Trace] = []
+    largest, smallest, frequency = 0.0, np.inf, np.ones(1)
+    for residual, name, color in (*residuals, (trace.noise, FLOOR, GREEN)):
+        frequency, density = spectrum(trace.time, residual * unit.factor)
+        largest, smallest = max(largest, float(density.max())), min(smallest, float(np.quantile(density, 0.02)))
+        line = _curve(frequency, density, name, unit, color)
+        width = {"color": color, "width": 1.4, "dash": "dash" if color == GREEN else "solid"}
+        out.append(line | {"line": width, "xaxis": f"x{number_of}", "yaxis": f"y{number_of}", "showlegend": False})
+    low = max(0.7 * smallest, 1e-6 * largest, 1e-12)
+    span = low, max(1.5 * largest, 10.0 * low)
+    return out, (
+        Axis("frequency", Unit("Hz"), (float(frequency[0]), float(frequency[-1])), logarithmic=True),
+        Axis("density", Unit(f"{unit.symbol}/√Hz"), span, logarithmic=True),
+    )
+
+
+def spectrum(time: Array, residual: Array) -> tuple[Array, Array]:
+    """Return frequencies [Hz] and amplitude density of a residual; windows that were left out count as zero."""
+    period = float(np.median(np.diff(time)))
+    index = np.round((time - time[0]) / period).astype(np.int64)
+    index = np.minimum(index, 4 * len(time))
+    even = np.zeros(int(index[-1]) + 1)
+    even[index] = residual
+    frequency, density = welch(even, 1.0 / period, nperseg=min(512, len(even)), detrend=False)
+    share = len(time) / len(even)
+    return frequency[1:], np.sqrt(density[1:] / share)
+
+
+def _place(layout: Layout, place: int, grid: tuple[int, int], x: Axis, y: Axis) -> None:
+    """Put a small picture into the layout of all; ``grid`` is rows and columns."""
+    rows, columns = grid
+    plane = plane_layout(x, y)
+    suffix = "" if place == 0 else str(place + 1)
+    if place == 0:
+        layout |= plane
+    row, column = divmod(place, columns)
+    gap, high = 0.06, 0.30 / rows
+    width = (1.0 - gap * (columns - 1)) / columns
+    left, top = column * (width + gap), 1.0 - row / rows
+    bottom = top - 1.0 / rows + (high if row < rows - 1 else 0.0)
+    own = {"tickfont": {"size": 10}, "nticks": 6}
+    layout[f"xaxis{suffix}"] = plane["xaxis"] | own | {"domain": [left, left + width], "anchor": f"y{suffix}"}
+    layout[f"yaxis{suffix}"] = plane["yaxis"] | own | {"domain": [bottom, top], "anchor": f"x{suffix}"}
+    for axis in ("xaxis", "yaxis"):
+        layout[f"{axis}{suffix}"]["title"] |= {"font": {"size": 11}, "standoff": 3}
+        layout[f"{axis}{suffix}"]["exponentformat"] = "power"
+
+
+# --- free run ----------------------------------------------------------------------------------
+
+_FREE = ("position_m", "load_pressure_pa", "force_n", "spool_m")
+
+
+def free_run_panel(run: FreeRun) -> Panel | LeftOut:
+    """Draw both models let go beside what was measured."""
+    title = "Free run"
+    chosen = [signal for name in _FREE for signal in run.signals if signal.name == name]
+    if any(signal.name == "load_pressure_pa" for signal in chosen):
+        chosen = [signal for signal in chosen if signal.name != "force_n"]
+    if not chosen:
+        return LeftOut(title, "no signal moves by more than its noise")
+    traces: list[Trace] = []
+    rows: list[Axis] = []
+    for signal in chosen:
+        x = shown_signal(signal.name, signal.measured)
+        rows.append(Axis(x.quantity, x.unit, _free_span(signal.measured, x.unit)))
+        drawn = [(signal.measured, "measured", SKY, 4.0, "solid"), (signal.before, BEFORE, VERMILION, 1.5, "solid")]
+        if signal.after is not None:
+            drawn.append((signal.after, "extended model", BLACK, 1.2, "dash"))
+        for values, name, color, width, dash in drawn:
+            style = {"legendgroup": name, "showlegend": len(rows) == 1}
+            traces.append(
+                time_line(run.time, values, name, x.unit, color, row=len(rows), width=width, dash=dash, buckets=LINES) | style
+            )
+    layout = time_layout(float(run.time[-1]), rows)
+    return Panel(title, traces, layout, height=120 + 150 * len(rows), over_time=False)
+
+
+def _free_span(measured: Array, unit: Unit) -> tuple[float, float]:
+    low, high = float(np.min(measured)) * unit.factor, float(np.max(measured)) * unit.factor
+    air = 0.3 * (high - low) or 1.0
+    return low - air, high + air

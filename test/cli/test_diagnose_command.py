@@ -1,0 +1,250 @@
+"""`ehls diagnose` from the command line: what it leaves, what it says, and what it does when something goes wrong."""
+
+import json
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from ehls_ros.cli.main import main
+from ehls_ros.cli.verbs import diagnose as verb
+from ehls_ros.diagnosis.result import Rival
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments import diagnosis as follows
+from ehls_ros.experiments.spec import load_rig, load_spec
+from ehls_ros.physics.rig import rig_to_mapping
+from ehls_ros.recording.load import load
+
+ROOT = Path(__file__).parents[2]
+RIG = ROOT / "config" / "rig_paper_measured.yaml"
+OFFSET = -234.6
+CONTRACT = {
+    "verdict", "stages", "causes", "depends_on", "gain", "next_experiment", "extended_rig", "seed", "version",
+}  # fmt: skip
+STAGES = {"force_balance", "flow", "valve", "sensors"}
+
+sys.path.append(str(ROOT / "test" / "diagnosis"))
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory) -> Path:
+    """Twelve seconds of a rig whose Coulomb friction is not what its file says."""
+    from truth import record
+
+    path = tmp_path_factory.mktemp("recording") / "axis.csv"
+    made = record(yaml.safe_load(RIG.read_text()), {"coulomb_shift": {"offset": OFFSET}}, "rich", seed=1, duration=12.0)
+    made.write_csv(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def diagnosed(recording, tmp_path_factory):
+    """The folder of a run, and the diagnosis it was made of."""
+    out, kept = tmp_path_factory.mktemp("diagnosed"), []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(verb, "diagnose", lambda *a, real=verb.diagnose, **k: kept.append(real(*a, **k)) or kept[-1])
+        assert main(["diagnose", str(recording), "--rig", str(RIG), "--out", str(out), "--threads", "1", "--seed", "3"]) == 0
+    return out, kept[0]
+
+
+@pytest.fixture
+def again(diagnosed, recording, tmp_path, monkeypatch):
+    """Run the command once more with a diagnosis that is changed instead of made."""
+
+    def run(*arguments, **changes):
+        found = replace(diagnosed[1], **changes)
+        monkeypatch.setattr(verb, "diagnose", lambda *a, **k: found)
+        code = main(["diagnose", str(recording), "--rig", str(RIG), "--out", str(tmp_path), *arguments])
+        return code, json.loads((tmp_path / "diagnosis.json").read_text()) if code == 0 else None
+
+    return run
+
+
+def test_diagnosis_json_keeps_the_contract(diagnosed):
+    result = json.loads((diagnosed[0] / "diagnosis.json").read_text())
+    assert set(result) >= CONTRACT
+    assert result["verdict"] == "effect"
+    assert set(result["stages"]) == STAGES
+    assert (result["seed"], result["extended_rig"]) == (3, "rig_extended.yaml")
+    cause = result["causes"][0]
+    assert set(cause) >= {"name", "probability", "equivalent_to", "stage", "parameters", "evidence"}
+    assert (cause["name"], cause["stage"]) == ("coulomb_shift", "force_balance")
+    assert cause["parameters"]["offset"]["value"] == pytest.approx(OFFSET, rel=0.02)
+    assert cause["parameters"]["offset"]["unit"] == "N"
+    assert 0.0 < cause["parameters"]["offset"]["std"] < 5.0
+    gain = result["gain"]
+    assert gain["heldout_nrmse_after"] < 0.1 * gain["heldout_nrmse_before"]
+    low, high = gain["ci95"]
+    assert 0.9 < low <= high <= 1.0
+    assert 0.9 < gain["closed_fraction"] <= 1.0
+    judged = result["stages"]["force_balance"]
+    assert judged["judged"]
+    assert judged["nrmse_before"] > 10.0 * judged["nrmse_after"]
+
+
+def test_it_says_more_than_the_contract_asks_for(diagnosed):
+    result = json.loads((diagnosed[0] / "diagnosis.json").read_text())
+    assert "Coulomb friction" in result["summary"]
+    assert result["sensitivities"]
+    assert {"coupling_stiffness"} <= set(result["not_judged"])
+    assert result["controller_gain"]["cases"]
+    run = result["free_run"]["nrmse"]["load_pressure_pa"]
+    assert run["after"] < run["before"]
+    assert result["wall_s"] > result["diagnosis_s"] > 0.0
+
+
+def test_the_extended_rig_loads_and_has_the_effect(diagnosed):
+    path = diagnosed[0] / "rig_extended.yaml"
+    heading = [line for line in path.read_text().splitlines() if line.startswith("#")]
+    assert "axis.csv" in heading[0]
+    assert any("coulomb_shift" in line and "N" in line for line in heading)
+    rig = load_rig(path)
+    assert [use.name for use in rig.effects] == ["coulomb_shift"]
+    assert rig.effects[0].parameters.offset == pytest.approx(OFFSET, rel=0.02)
+    assert rig_to_mapping(rig._replace(effects=())) == rig_to_mapping(load_rig(RIG))
+
+
+def test_nothing_but_the_results_is_left(diagnosed):
+    assert {path.name for path in diagnosed[0].iterdir()} == {"diagnosis.json", "report.html", "rig_extended.yaml"}
+    assert (diagnosed[0] / "report.html").stat().st_size > 1e5
+
+
+def test_json_is_the_last_line(again, capsys):
+    code, result = again("--json")
+    assert code == 0
+    out = capsys.readouterr().out.strip().splitlines()
+    assert json.loads(out[-1]) == result
+    assert re.match(r"The simulation has the Coulomb friction \(offset −23[345]\S* ± \S+ N\) wrong", out[0])
+    assert any("coulomb_shift" in line for line in out)
+    assert any("report.html" in line for line in out)
+
+
+def test_open_causes_get_an_experiment_that_can_be_run(again, diagnosed, tmp_path):
+    cause = diagnosed[1].causes[0]
+    rival = Rival("viscous_shift", 2.0, 0.95, {"added": Estimate(1800.0, 5.0, "N s/m")})
+    code, result = again(causes=(cause._replace(probability=0.5, equivalent_to=("viscous_shift",), rivals=(rival,)),))
+    assert code == 0
+    proposed = result["next_experiment"]
+    assert {proposed["separation"][0]["one"], proposed["separation"][0]["other"]} == {"coulomb_shift", "viscous_shift"}
+    spec = load_spec(tmp_path / "next_experiment.yaml")
+    assert [use.name for use in spec.rig.effects] == ["coulomb_shift"]
+    assert spec.controller_rig.effects == ()
+    assert main(["experiment", str(tmp_path / "next_experiment.yaml"), "--in-process", "--out", str(tmp_path / "run")]) == 0
+    code, result = again()
+    assert result["next_experiment"] is None
+    assert not (tmp_path / "next_experiment.yaml").exists()
+
+
+def test_an_unknown_cause_is_one_entry(again, tmp_path, diagnosed):
+    result = diagnosed[1].stages["force_balance"]._replace(unexplained=True, depends_on=("position_m",))
+    code, result = again(
+        verdict="unknown",
+        causes=(),
+        unknown_stage="force_balance",
+        depends_on=("position_m",),
+        partial=("coulomb_shift",),
+        gain=None,
+        extended=diagnosed[1].rig,
+        stages={**diagnosed[1].stages, "force_balance": result},
+    )
+    assert code == 0
+    [cause] = result["causes"]
+    assert (cause["name"], cause["stage"]) == ("unknown", "force_balance")
+    assert cause["evidence"]["depends_on"] == result["depends_on"] == ["position_m"]
+    assert result["gain"]["closed_fraction"] == 0.0
+    assert (result["unknown_stage"], result["partial"]) == ("force_balance", ["coulomb_shift"])
+    assert rig_to_mapping(load_rig(tmp_path / "rig_extended.yaml")) == rig_to_mapping(load_rig(RIG))
+    assert "Nothing was added" in (tmp_path / "rig_extended.yaml").read_text()
+
+
+def test_what_fails_beside_the_diagnosis_is_a_remark(again, monkeypatch):
+    def fail(*arguments, **options):
+        raise ZeroDivisionError("on purpose")
+
+    monkeypatch.setattr(follows, "free_run", fail)
+    monkeypatch.setattr(follows, "controller_gain", fail)
+    monkeypatch.setattr(follows, "open_candidates", fail)
+    code, result = again()
+    assert code == 0
+    assert sum("on purpose" in remark for remark in result["remarks"]) == 3
+    assert result["free_run"] is result["controller_gain"] is result["next_experiment"] is None
+
+
+@pytest.mark.parametrize("where", ["consequences", "write_diagnosis_report"])
+def test_an_interruption_leaves_no_halves(again, tmp_path, monkeypatch, where, capsys):
+    def interrupt(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(verb, where, interrupt)
+    assert again()[0] == 130
+    assert list(tmp_path.iterdir()) == []
+    assert "interrupted" in capsys.readouterr().err
+
+
+def test_too_little_to_judge_is_a_result(tmp_path, capsys):
+    time = np.arange(3000) * 1e-3
+    table = np.column_stack([time, 1e-5 * np.sin(time), 313.0 + 0.01 * np.random.default_rng(1).standard_normal(len(time))])
+    np.savetxt(tmp_path / "few.csv", table, delimiter=",", header="time_s,valve_command_m,oil_temperature_k", comments="")
+    out = tmp_path / "out"
+    assert main(["diagnose", str(tmp_path / "few.csv"), "--rig", str(RIG), "--out", str(out), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert result["verdict"] == "insufficient"
+    assert len(result["missing"]) == 4
+    assert result["causes"] == []
+    assert set(result["gain"]) >= {"heldout_nrmse_before", "heldout_nrmse_after", "noise_floor", "closed_fraction", "ci95"}
+    assert "position_m" in (out / "report.html").read_text()
+    assert load_rig(out / "rig_extended.yaml").effects == ()
+
+
+def complaint(capsys, *arguments):
+    assert main(["diagnose", *(str(argument) for argument in arguments)]) == 2
+    [line] = capsys.readouterr().err.strip().splitlines()
+    assert "expected" in line
+    return line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nowhere.csv"], "nowhere.csv"),
+        (["{data}", "{data}"], "2 recordings"),
+        (["{data}", "--threads", "0"], "--threads is 0"),
+        (["{data}", "--seed", "-1"], "--seed is -1"),
+        (["{data}", "--columns", "nowhere.yaml"], "nowhere.yaml"),
+        (["{data}", "--rig", "nowhere.yaml"], "nowhere.yaml"),
+        (["{data}", "--out", "{data}/results"], "writable folder"),
+    ],
+)
+def test_bad_input_ends_with_2_and_one_line(recording, tmp_path, capsys, arguments, said):
+    given = [argument.replace("{data}", str(recording)) for argument in arguments]
+    options = [] if "--rig" in given else ["--rig", RIG]
+    options += [] if "--out" in given else ["--out", tmp_path]
+    assert said in complaint(capsys, *given, *options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_wrong_unit_is_named(recording, tmp_path, capsys):
+    columns = tmp_path / "columns.yaml"
+    columns.write_text("position_m: {name: position_m, scale: 1000.0}\n")
+    line = complaint(capsys, recording, "--rig", RIG, "--columns", columns, "--out", tmp_path / "out")
+    assert "position_m" in line
+    assert "SI units" in line
+
+
+def test_times_that_do_not_grow_are_named(recording, tmp_path, capsys):
+    lines = recording.read_text().splitlines()
+    (tmp_path / "back.csv").write_text("\n".join([*lines[:500], *lines[100:500]]))
+    assert "back.csv" in complaint(capsys, tmp_path / "back.csv", "--rig", RIG, "--out", tmp_path / "out")
+
+
+def test_a_free_run_needs_a_command(diagnosed, recording):
+    run = load(recording)
+    signals = {name: values for name, values in run.signals.items() if name != "valve_command_m"}
+    done = follows.consequences(diagnosed[1], replace(run, signals=signals), "axis.csv")
+    assert done.free_run is None
+    assert any("valve_command_m" in remark for remark in done.remarks)
+    assert done.controller is not None

@@ -1,0 +1,45 @@
+"""What the tests of diagnosis share: the truth's rig, and a diagnosis of what was recorded with it."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from truth import Recording, record
+
+from ehls_ros.diagnosis.diagnose import diagnose
+from ehls_ros.diagnosis.result import Diagnosis
+from ehls_ros.physics.rig import Rig, rig_from_mapping
+from ehls_ros.trajectory import Trajectory
+
+RIG_FILE = Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml"
+
+
+@pytest.fixture(scope="session")
+def rig_file() -> dict[str, Any]:
+    """Content of the rig file, as the truth takes it."""
+    return yaml.safe_load(RIG_FILE.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="session")
+def rig(rig_file: dict[str, Any]) -> Rig:
+    """The same as the diagnosis takes it."""
+    return rig_from_mapping(rig_file, RIG_FILE.name)
+
+
+@pytest.fixture(scope="session")
+def recorded(rig_file: dict[str, Any]) -> Callable[..., Recording]:
+    """Record an experiment: hidden effects, its name, then `truth.record`'s keywords."""
+    return partial(record, rig_file)
+
+
+@pytest.fixture(scope="session")
+def diagnosed(rig: Rig) -> Callable[..., Diagnosis]:
+    """Diagnose a recording, with another model than the rig file's where one is given."""
+
+    def diagnosed(r: Recording, model: Rig = rig) -> Diagnosis:
+        return diagnose(Trajectory(r.time, r.columns), model, "case", threads=1)
+
+    return diagnosed

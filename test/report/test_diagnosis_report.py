@@ -1,0 +1,464 @@
+"""The report of a diagnosis, from diagnoses made by hand."""
+
+import html
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plotly.offline import get_plotlyjs
+from report_pages import check, numbers, panels, parts, row, rows
+
+from ehls_ros.diagnosis.free_run import Followed, FreeRun
+from ehls_ros.diagnosis.result import Cause, ChannelTrace, Diagnosis, Gain, Rival, Sensitivity, StageResult
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.spec import load_rig
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.rig import EffectUse
+from ehls_ros.report import diagnosis_figures as drawn
+from ehls_ros.report import diagnosis_units as units
+from ehls_ros.report.diagnosis import Beside, write_diagnosis_report
+from ehls_ros.report.diagnosis_findings import verdict_sentence, where_to_look, words
+
+RIG = load_rig(Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml")
+DEAD_ZONE = {"positive": Estimate(91.2e-6, 0.4e-6, "m"), "negative": Estimate(80.1e-6, 0.5e-6, "m")}
+WINDOWS = 3000
+RIVAL = Rival("valve_gain_shift", 180.0, 0.52, {"flow_gain": Estimate(0.947, 0.002, "1")})
+TWIN = Rival("valve_hysteresis", 1.0, 0.97, {"width": Estimate(150e-6, 2e-6, "m")})
+CAUSE = Cause("valve_dead_zone", 0.999, (), "valve", "valve", DEAD_ZONE, {}, 5000.0, 230.0, (RIVAL,))
+QUIET = StageResult(judged=True, why_not="", nrmse_before=0.003, nrmse_after=0.003, noise_floor=0.003)
+GAIN = Gain("volume", 0.077, 0.003, 0.0029, 0.998, (0.996, 0.9991))
+
+
+def make_traces():
+    rng = np.random.default_rng(1)
+    time = 0.02 * np.arange(WINDOWS)
+    spool = 300e-6 * np.sin(0.7 * time) * np.sin(3.1 * time)
+    against = {
+        "spool_m": spool,
+        "velocity_m_s": 0.1 * np.cos(0.7 * time + 0.3),
+        "position_m": 0.03 * np.sin(0.7 * time + 0.3),
+        "load_pressure_pa": 1e6 * np.sin(0.31 * time),
+        "oil_temperature_k": 313.15 + 0.1 * time,
+        "acceleration_m_s2": np.sin(2.0 * time),
+    }
+    traces = {}
+    for channel, unit, level, size in (("volume", "m³/s", 2e-7, 9e-6), ("force", "N", 2.0, 0.0)):
+        noise = level * rng.standard_normal((3, WINDOWS))
+        missing = -size * np.clip(spool / 85e-6, -1.0, 1.0)
+        after = noise[0] if size else missing + noise[0]
+        traces[channel] = ChannelTrace(
+            channel, unit, time, missing + noise[0], after, np.full(WINDOWS, level), noise[1], against
+        )
+    return traces
+
+
+def make_found(**changes):
+    found = Diagnosis(
+        verdict="effect",
+        missing=(),
+        stages={
+            "force_balance": QUIET,
+            "flow": QUIET._replace(nrmse_before=0.077, exceeds=True),
+            "valve": QUIET,
+            "sensors": StageResult(judged=False, why_not="needs two sensors of one quantity"),
+        },
+        causes=(CAUSE,),
+        unknown_stage=None,
+        depends_on=(),
+        partial=(),
+        gain=GAIN,
+        rig=RIG,
+        extended=RIG.with_effects(
+            (EffectUse("valve_dead_zone", EFFECTS.load("valve_dead_zone").Parameters(91.2e-6, 80.1e-6)),)
+        ),
+        traces=make_traces(),
+        sensitivities=(
+            Sensitivity("coulomb_shift", "offset", 0.62, "N"),
+            Sensitivity("valve_null_bias", "opening", 2.5e-7, "m"),
+            Sensitivity("mass_shift", "factor", 0.0123, "1"),
+        ),
+        not_judged={"coupling_stiffness": "needs disturbance_displacement_m"},
+        remarks=("0.7 % of load_pressure_pa are missing or outliers and were left out",),
+        seed=0,
+        wall_s=12.3,
+    )
+    return replace(found, **changes)
+
+
+def consistent():
+    traces = {name: trace._replace(before=trace.noise, after=trace.noise) for name, trace in make_traces().items()}
+    stages = {**make_found().stages, "flow": QUIET}
+    return make_found(verdict="consistent", causes=(), gain=None, extended=RIG, stages=stages, traces=traces)
+
+
+def unknown(**changes):
+    trace = make_traces()["volume"]
+    wrong = QUIET._replace(nrmse_before=0.077, nrmse_after=0.06, exceeds=True, unexplained=True, depends_on=("spool_m",))
+    given = {
+        "verdict": "unknown",
+        "causes": (),
+        "gain": None,
+        "extended": RIG,
+        "unknown_stage": "flow",
+        "depends_on": ("spool_m", "load_pressure_pa"),
+        "partial": ("turbulent_leakage",),
+        "stages": {**make_found().stages, "flow": wrong},
+        "traces": {**make_traces(), "volume": trace._replace(after=0.8 * trace.before)},
+    }
+    return make_found(**given | changes)
+
+
+def insufficient():
+    nothing = StageResult(judged=False, why_not="needs position_m")
+    return make_found(
+        verdict="insufficient",
+        missing=("flow: needs position_m",),
+        stages=dict.fromkeys(("force_balance", "flow", "valve", "sensors"), nothing),
+        causes=(),
+        gain=None,
+        extended=RIG,
+        traces={},
+        sensitivities=(),
+        not_judged={},
+    )
+
+
+TIME = np.linspace(0.0, 20.0, 2001)
+FREE_RUN = FreeRun(
+    TIME,
+    (
+        Followed("position_m", 0.03 * np.sin(TIME), 0.03 * np.sin(TIME) + 0.001 * TIME, 0.03 * np.sin(TIME), 0.4, 0.001),
+        Followed("load_pressure_pa", 1e6 * np.cos(TIME), 9e5 * np.cos(TIME), 1e6 * np.cos(TIME), 0.1, 0.002),
+    ),
+    ("the position integrates what is not known",),
+)
+CONTROLLER = {
+    "same_controller": False,
+    "reason": "",
+    "cases": [
+        {
+            "case": "10 kN held",
+            "force_n": 1e4,
+            "before": {"max_error_n": 120.0, "rms_error_n": 30.0, "trouble": ""},
+            "after": {"max_error_n": 60.0, "rms_error_n": 15.0, "trouble": ""},
+        },
+        {
+            "case": "10 kN sine",
+            "force_n": 1e4,
+            "before": {"max_error_n": None, "rms_error_n": None, "trouble": "diverged: leaves the stroke"},
+            "after": {"max_error_n": 70.0, "rms_error_n": 15.0, "trouble": ""},
+        },
+    ],
+}
+NEXT = {
+    "name": "break_away",
+    "purpose": "slow moves with rests between them",
+    "why": "valve_hysteresis is wrong most in the load pressure",
+    "separation": [{"one": "valve_dead_zone", "other": "valve_hysteresis", "sigma": 42.0}],
+    "spec": {"duration": 8.0},
+}
+WHOLE = Beside("axis.csv, 60 s", FREE_RUN, CONTROLLER, NEXT, "", ("something went wrong",))
+
+
+@pytest.fixture
+def report(tmp_path, monkeypatch):
+    """Write a report without the five megabytes of plotly.js."""
+    monkeypatch.setattr("ehls_ros.report.page.get_plotlyjs", lambda: "")
+
+    def write(found, beside=WHOLE):
+        path = tmp_path / "report.html"
+        write_diagnosis_report(found, path, beside)
+        return path.read_text(encoding="utf-8")
+
+    return write
+
+
+def shown(text):
+    return html.unescape(re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL))
+
+
+# --- the sentence ------------------------------------------------------------------------------
+
+
+def test_the_verdict_names_the_cause_in_units_people_read():
+    sentence, good = verdict_sentence(make_found())
+    assert sentence == (
+        "The simulation lacks a dead zone of the valve (positive 91.2 ± 0.4 µm, negative 80.1 ± 0.5 µm);"
+        " with it the flow balance closes to the noise."
+    )
+    assert good is False
+
+
+def test_the_verdict_of_two_causes_says_what_is_lacking_and_what_is_wrong():
+    coulomb = Cause(
+        "coulomb_shift", 1.0, (), "force_balance", "friction", {"offset": Estimate(-47.6, 0.3, "N")}, {}, 9.0, 9.0, ()
+    )
+    stages = {**make_found().stages, "force_balance": QUIET._replace(nrmse_before=0.1, exceeds=True)}
+    sentence, _ = verdict_sentence(make_found(causes=(coulomb, CAUSE), stages=stages))
+    assert "lacks a dead zone of the valve" in sentence
+    assert "has the Coulomb friction (offset −47.6 ± 0.3 N) wrong" in sentence
+    assert "with them the force balance and the flow balance close to the noise" in sentence
+
+
+def test_the_verdict_says_what_stays_open():
+    open_cause = CAUSE._replace(probability=0.6, equivalent_to=("valve_hysteresis",), rivals=(TWIN, RIVAL))
+    sentence, _ = verdict_sentence(make_found(causes=(open_cause,)))
+    assert "probably lacks" in sentence
+    assert "explain it as well by a hysteresis of the valve" in sentence
+
+
+def test_the_verdict_does_not_claim_more_than_is_closed():
+    stages = {**make_found().stages, "flow": QUIET._replace(nrmse_before=0.077, nrmse_after=0.006, exceeds=True)}
+    sentence, _ = verdict_sentence(make_found(stages=stages))
+    assert "99.8 % of the error that noise does not explain is gone from the flow balance" in sentence
+
+
+def test_the_verdicts_without_a_cause():
+    sentence, good = verdict_sentence(consistent())
+    assert sentence.startswith("The simulation agrees with this recording: in force balance, flow balance and valve")
+    assert "of agreement of the sensors the data tell nothing" in sentence
+    assert good is True
+    sentence, good = verdict_sentence(unknown())
+    assert "In the flow balance" in sentence
+    assert "6.0 % is left, where noise makes 0.30 %" in sentence
+    assert "It depends on spool and load pressure; part of it looks like a leakage through an orifice." in sentence
+    assert good is False
+    assert "none of the recorded signals alone" in verdict_sentence(unknown(depends_on=()))[0]
+    sentence, good = verdict_sentence(insufficient())
+    assert "do not tell" in sentence
+    assert good is None
+
+
+def test_every_effect_has_words_and_a_new_one_its_name():
+    assert words("gremlins_in_the_oil").noun == "the effect 'gremlins in the oil'"
+    assert all(words(name).noun for name in EFFECTS.names())
+
+
+# --- the page ----------------------------------------------------------------------------------
+
+MADE = {
+    "effect": (
+        make_found,
+        [
+            "The cause",
+            "Part by part",
+            "What else it could be",
+            "What it gains",
+            "The next experiment",
+            "Left over against everything",
+            "Free run",
+            "What would have been noticed",
+            "What to keep in mind",
+            "How it works",
+        ],
+    ),
+    "consistent": (
+        consistent,
+        [
+            "Part by part",
+            "Left over against everything",
+            "Free run",
+            "What would have been noticed",
+            "What to keep in mind",
+            "How it works",
+        ],
+    ),
+    "unknown": (
+        unknown,
+        [
+            "What is left",
+            "Part by part",
+            "Left over against everything",
+            "Free run",
+            "What would have been noticed",
+            "What to keep in mind",
+            "How it works",
+        ],
+    ),
+    "insufficient": (insufficient, ["What is missing", "What to keep in mind", "How it works"]),
+}
+
+
+@pytest.mark.parametrize("kind", MADE)
+def test_each_verdict_has_its_parts_and_sound_figures(report, kind):
+    make, expected = MADE[kind]
+    beside = WHOLE if kind == "effect" else WHOLE._replace(next_experiment=None, controller=None)
+    if kind == "insufficient":
+        beside = Beside("axis.csv")
+    text = report(make(), beside)
+    assert parts(text) == expected
+    check(text)
+    assert f"<dd>{kind}</dd>" in text
+
+
+def test_the_whole_page_needs_nothing_else(tmp_path):
+    write_diagnosis_report(make_found(), tmp_path / "report.html", WHOLE)
+    text = (tmp_path / "report.html").read_text()
+    assert get_plotlyjs()[:200] in text
+    assert not re.search(r'(src|href)="(?!#)', shown(text))
+
+
+def test_the_main_picture_shows_the_residual_against_what_explains_it(report):
+    traces, layout = panels(report(make_found()))["A dead zone of the valve"]
+    assert layout["xaxis"]["title"]["text"] == "spool [µm]"
+    assert layout["yaxis"]["title"]["text"] == "flow balance: left over [cm³/s]"
+    dots = [trace for trace in traces if trace.get("mode") == "markers"]
+    before, after = (numbers(trace["y"]) for trace in dots)
+    assert sum(numbers(trace["x"]).size for trace in dots) <= 4000
+    assert np.max(np.abs(before)) == pytest.approx(9.0, rel=0.15)
+    assert np.std(after) == pytest.approx(0.2, rel=0.1)
+
+
+def test_friction_is_drawn_along_the_motion_where_that_tells_more():
+    trace = make_traces()["force"]
+    residual = np.sign(trace.against["velocity_m_s"]) * 1e-4 * trace.against["load_pressure_pa"]
+    found = make_found(traces={"force": trace._replace(before=residual, after=trace.noise)})
+    cause = Cause("pressure_dependent_friction", 1.0, (), "force_balance", "friction", {}, {}, 9.0, 9.0, ())
+    view = drawn.view_of_cause(found, cause)
+    assert (view.channel, view.signal, view.along) == ("force", "load_pressure_pa", True)
+    assert view.explained > 0.95
+
+
+def test_a_signal_an_effect_acts_by_is_shown_where_another_explains_no_more():
+    trace = make_traces()["volume"]
+    found = make_found(traces={"volume": trace._replace(before=np.full(WINDOWS, 1e-5), after=trace.noise)})
+    assert drawn.view_of_cause(found, CAUSE).signal == "spool_m"
+    assert drawn.view_of_cause(make_found(traces={}), CAUSE) is None
+
+
+def test_the_spectrum_keeps_the_power_of_a_residual_with_holes():
+    rng = np.random.default_rng(0)
+    time = 0.02 * np.arange(6000)
+    kept = rng.random(6000) > 0.1
+    frequency, density = drawn.spectrum(time[kept], rng.standard_normal(6000)[kept])
+    assert np.trapezoid(density**2, frequency) == pytest.approx(1.0, rel=0.05)
+
+
+def test_small_pictures_of_every_channel(report):
+    text = report(make_found())
+    found = panels(text)
+    _, layout = found["Flow balance"]
+    titles = [axis["title"]["text"] for name, axis in layout.items() if name.startswith("xaxis")]
+    for title in ("time [s]", "velocity [mm/s]", "position [mm]", "load pressure [bar]", "spool [µm]", "oil temperature [°C]"):
+        assert title in titles
+    assert "frequency [Hz]" in titles
+    assert "Force balance" in found
+    assert "The extension changes nothing here" in text
+
+
+def test_causes_rivals_and_gain_are_in_the_tables(report):
+    text = report(make_found(causes=(CAUSE._replace(equivalent_to=("valve_hysteresis",), rivals=(TWIN, RIVAL)),)))
+    assert row(text, "The cause", "valve_dead_zone")[4] == "91.20 ± 0.40 µm"
+    twin = row(text, "What else it could be", "valve_hysteresis")
+    assert twin[1] == "as good"
+    assert "cannot be told" in twin[4]
+    rival = row(text, "What else it could be", "valve_gain_shift")
+    assert (rival[1], rival[2]) == ("180 behind", "52 %")
+    assert "The runner-up is the gain of the valve: 180 nats behind" in shown(text)
+    assert "99.8 % is gone (95 % interval 99.6 % to 99.9 %" in shown(text)
+    held, sine = row(text, "What it gains", "10 kN held"), row(text, "What it gains", "10 kN sine")
+    assert (held[1], held[3]) == ("120 N | rms 30.0 N", "−50 %")
+    assert sine[1] == "diverged: leaves the stroke"
+    assert rows(text, "The next experiment")[1][1] == "42 σ"
+
+
+def test_a_controller_that_knows_nothing_new_is_said_to(report):
+    same = {**CONTROLLER, "same_controller": True}
+    assert "the same controller" in shown(report(make_found(), WHOLE._replace(controller=same)))
+    none = {"cases": [], "same_controller": False, "reason": "no force to be controlled"}
+    assert "no force to be controlled" in shown(report(make_found(), WHOLE._replace(controller=none)))
+
+
+def test_what_would_have_been_noticed_is_in_units_people_read(report):
+    text = report(make_found())
+    part = "What would have been noticed"
+    assert row(text, part, "valve_null_bias")[2] == "0.25 µm"
+    assert row(text, part, "mass_shift")[2] == "1.2 %"
+    assert row(text, part, "coulomb_shift")[2] == "0.62 N"
+    assert "needs disturbance_displacement_m" in row(text, part, "coupling_stiffness")[1]
+
+
+def test_what_to_keep_in_mind(report):
+    leaky = {**make_found().stages, "flow": QUIET._replace(nrmse_before=0.077, nrmse_after=0.009, exceeds=True)}
+    text = shown(report(make_found(stages=leaky)))
+    assert "In the flow balance 3.0 times the noise is left" in text
+    assert "rests on one recording" in text
+    assert "0.7 % of load_pressure_pa are missing" in text
+    assert "Something went wrong." in text
+
+
+def test_an_unknown_cause_says_where_to_look(report):
+    assert where_to_look(unknown())[0] == ("spool", "the valve's flow curve: lands, notches, flow forces")
+    text = report(unknown())
+    assert row(text, "What is left", "turbulent_leakage")
+    traces, layout = panels(text)["What is left of the flow balance"]
+    assert layout["xaxis"]["title"]["text"] == "spool [µm]"
+    assert len([trace for trace in traces if trace.get("mode") == "markers"]) == 2
+    check(report(unknown(depends_on=(), partial=())))
+
+
+def test_too_little_says_what_to_record(report):
+    text = report(insufficient(), Beside("axis.csv"))
+    needed = row(text, "What is missing", "flow balance")
+    assert "spool_m" in needed[1]
+    assert "oil has to flow" in needed[2]
+
+
+def test_a_free_run_that_was_given_up(report):
+    lost = FREE_RUN.signals[0]._replace(before=np.full(TIME.size, np.nan), nrmse_before=None)
+    text = report(make_found(), WHOLE._replace(free_run=FREE_RUN._replace(signals=(lost, FREE_RUN.signals[1]))))
+    assert row(text, "Free run", "position")[1:] == ["–", "0.10 %"]
+    check(text)
+    assert "is left out" in report(make_found(), WHOLE._replace(free_run=FREE_RUN._replace(signals=())))
+
+
+def test_text_of_others_is_escaped(report):
+    text = report(make_found(remarks=("<script>alert(1)</script>",)), WHOLE._replace(source="<b>axis</b>"))
+    assert "<script>alert" not in text
+    assert "<b>axis" not in text
+
+
+# --- units -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "unit", "text"),
+    [
+        (91.2e-6, 0.4e-6, "m", "91.20 ± 0.40 µm"),
+        (2.36e-3, 1e-5, "m", "2.360 ± 0.010 mm"),
+        (258536.0, 120.0, "Pa", "2.5854 ± 0.0012 bar"),
+        (0.004, 1e-5, "s", "4.000 ± 0.010 ms"),
+        (0.95, 0.001, "1", "0.9500 ± 0.0010"),
+        (4.7e-12, 1e-13, "m^5/(N s)", "0.470 ± 0.010 cm³/(s bar)"),
+        (-5.6e-5, 2e-6, "N/Pa", "−5.60 ± 0.20 N/bar"),
+        (105.0, 1.5, "rad/s", "105.0 ± 1.5 rad/s"),
+    ],
+)
+def test_estimates_in_units_people_read(value, std, unit, text):
+    assert units.estimate(Estimate(value, std, unit)) == text
+
+
+def test_every_unit_of_an_effect_can_be_written():
+    from ehls_ros.schema import declarations
+
+    for name in EFFECTS.names():
+        for declared in declarations(EFFECTS.load(name).Parameters):
+            assert "^" not in units.estimate(Estimate(1.0, 0.1, declared.unit)), (name, declared.unit)
+
+
+def test_parts_are_written_in_per_cent():
+    texts = [units.part(share) for share in (None, 1e-9, 0.0, 0.00234, 0.52, 0.9991, -0.3)]
+    assert texts == ["–", "< 0.001 %", "0 %", "0.23 %", "52 %", "99.9 %", "−30 %"]
+
+
+def test_probabilities_are_never_certain():
+    assert units.likely(1.0) == "> 99.9 %"
+    assert units.likely(0.65) == "65 %"
+
+
+def test_a_page_holds_valid_json_only(report):
+    for described in re.findall(r'<script type="application/json">(.*?)</script>', report(make_found()), re.DOTALL):
+        json.loads(described)
