@@ -8,11 +8,11 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
+from ehls_ros.estimate import Estimate
 from ehls_ros.identification import joint, presliding, static
 from ehls_ros.identification.gms_force import elements_force, linear_columns
 from ehls_ros.identification.motion import SMALL_TRAVEL, Motion, prepare, slope_noise
 from ehls_ros.identification.optimisers import OPTIMISERS
-from ehls_ros.estimate import Estimate
 from ehls_ros.identification.uncertainty import estimates
 from ehls_ros.physics.parameters import Friction
 from ehls_ros.physics.rig import Rig

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ehls_ros.estimate import Estimate
 from ehls_ros.identification.identify import Identification
 from ehls_ros.identification.joint import JointFit, Layout
 from ehls_ros.identification.motion import Motion
@@ -9,7 +10,6 @@ from ehls_ros.identification.optimisers.base import Result
 from ehls_ros.identification.presliding import Branch, nodes
 from ehls_ros.identification.static import StaticFit
 from ehls_ros.identification.stribeck import StaticFriction
-from ehls_ros.estimate import Estimate
 from ehls_ros.physics.parameters import Friction, Limits, Plant
 from ehls_ros.physics.rig import Rig
 

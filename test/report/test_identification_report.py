@@ -27,8 +27,8 @@ from found_friction import (
 from plotly.offline import get_plotlyjs
 from report_pages import check, numbers, panels, parts, row, rows
 
-from ehls_ros.identification.presliding import nodes
 from ehls_ros.estimate import Estimate
+from ehls_ros.identification.presliding import nodes
 from ehls_ros.report.identification import write_identification_report
 from ehls_ros.report.identification_findings import (
     as_given,
