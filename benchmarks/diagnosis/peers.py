@@ -96,7 +96,7 @@ def problem_of(trajectory: Trajectory, rig: Rig) -> Problem:
     """Return residuals and library of a recording with all signals of the data contract."""
     began = time.perf_counter()
     record = prepare(trajectory, rig, "case")
-    evidence = Evidence(record, rig, setup(record), 0)
+    evidence = Evidence(record, rig, setup(record, rig), 0)
     terms = library(evidence, rig)
     return Problem(
         {c: evidence.base.values[c] for c in evidence.channels},

@@ -14,14 +14,14 @@ from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis, StageResult, Verd
 from ehls_ros.diagnosis.search import Judged, Progress, search
 from ehls_ros.diagnosis.stages import STAGES, UNITS, Channel, Comparison, Stage, setup
 from ehls_ros.diagnosis.structure import signals_of, structure
-from ehls_ros.diagnosis.verdict import CLOSED, Left, causes, excited, gain, sensitivities, stage_left
+from ehls_ros.diagnosis.verdict import CLOSED, KEY, Left, causes, excited, gain, sensitivities, stage_left
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
 MISSING: Mapping[Stage, str] = {
-    "valve": "valve_command_m and spool_m",
+    "valve": "valve_command_m and spool_m, several samples within the valve's lag",
     "flow": "position_m (or velocity_m_s), load_pressure_pa (or force_n), and spool_m (or valve_command_m)",
-    "force_balance": "position_m (or velocity_m_s) and load_pressure_pa (or force_n)",
+    "force_balance": "position_m (velocity_m_s for a rig without spring) and load_pressure_pa (or force_n), at 400 Hz or more",
     "sensors": "two sensors of one quantity: load_pressure_pa and force_n, or position_m and velocity_m_s",
 }
 """The signals that each stage needs."""
@@ -66,7 +66,7 @@ def diagnose(
     began = time.perf_counter()
     progress("reading the recording", 0.0)
     record = prepare(trajectory, rig, name)
-    used = setup(record)
+    used = setup(record, rig)
     if not used.channels:
         return _nothing(record, rig, seed, began)
     evidence = Evidence(record, rig, used, seed)
@@ -82,12 +82,16 @@ def diagnose(
     model = extended(rig, best.hypothesis, best.fit.values)
     lefts = {stage: stage_left(evidence, best, stage) for stage in STAGES}
     stages = {
-        stage: _stage(evidence, comparison, model, best, stage, lefts[stage], excited(sizes, rig, stage)) for stage in STAGES
+        stage: _stage(evidence, comparison, model, best, stage, lefts[stage], excited(evidence, sizes, stage))
+        for stage in STAGES
     }
     named = causes(evidence, found, seed)
+    quiet = any(c.stage in KEY and not excited(evidence, sizes, c.stage) for c in named)
     unknown = _unknown_stage(lefts)
     verdict: Verdict
-    if unknown is not None:
+    if quiet:
+        verdict = "insufficient"
+    elif unknown is not None:
         verdict = "unknown"
     elif named:
         verdict = "effect"
@@ -150,7 +154,7 @@ def _stage(
 ) -> StageResult:
     if not lefts:
         return StageResult(judged=False, why_not=f"needs {MISSING[stage]}")
-    if not moved and not any(item.exceeded for item in lefts.values()):
+    if not moved:
         return StageResult(judged=False, why_not=WANTED[stage])
     worst = max(lefts, key=lambda c: lefts[c].before / max(lefts[c].noise, 1e-12))
     unexplained = max(lefts, key=lambda c: lefts[c].after / max(lefts[c].noise, 1e-12))

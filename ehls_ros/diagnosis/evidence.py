@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.record import COMMAND, LOAD, SERVO_POSITION, SERVO_VELOCITY, Record
+from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, SERVO_POSITION, SERVO_VELOCITY, VELOCITY, Record
 from ehls_ros.diagnosis.stages import Channel, Comparison, Setup, usable
 from ehls_ros.diagnosis.windows import Window
 from ehls_ros.physics.rig import Rig
@@ -24,6 +24,12 @@ REALISATIONS = 8
 
 TOLERANCE = 1e-4
 """What no model reaches, as a part of the largest term in a channel's balance."""
+
+RESOLVED = 1e-3
+"""Sampling period from which on the motion between two samples counts [s]."""
+
+WIDER = 0.2
+"""Part of its length by which the local fit of the motion is made wider at either end, to see what it leaves out."""
 
 HUBER = 3.0
 """Whitened residual from which on the loss grows linearly, so that a few windows do not decide."""
@@ -65,6 +71,7 @@ class Evidence:
         block: number of the block each usable window lies in, by channel.
         blocks: how many blocks there are.
         base: whitened residuals of the model as it was given.
+        travel: how far the piston goes [m].
     """
 
     def __init__(self, record: Record, rig: Rig, setup: Setup, seed: int) -> None:
@@ -81,8 +88,10 @@ class Evidence:
         sizes = sizes_of(comparison, rig)
         self.noise = {c: float(np.sqrt(np.mean(scatter[c][masks[c]] ** 2))) for c in self.channels}
         self.sizes = {c: sizes[c] for c in self.channels}
+        # What lies between two samples is taken as straight, which is wrong by the square of their distance.
+        tolerance = TOLERANCE * max(1.0, (record.period / RESOLVED) ** 2)
         self.floor: dict[Channel, Array] = {
-            c: np.sqrt(scatter[c][masks[c]] ** 2 + (TOLERANCE * sizes[c]) ** 2) for c in self.channels
+            c: np.sqrt(scatter[c][masks[c]] ** 2 + (tolerance * sizes[c]) ** 2) for c in self.channels
         }
         self.blocks = int(np.clip(round(len(record.time) * record.period / BLOCK), FEWEST_BLOCKS, MOST_BLOCKS))
         self.block = {c: self._block_of(c) for c in self.channels}
@@ -90,6 +99,8 @@ class Evidence:
         self.noisy_record = _noisy(record, np.random.default_rng(seed + 1))
         self.noisy_base = self._whitened(Comparison(self.noisy_record, setup).residuals(rig, self.channels))
         self.relevant = comparison.relevant(rig)
+        moving = POSITION in record or VELOCITY in record
+        self.travel = float(np.ptp(comparison.motion(rig.effective()).position)) if moving else 0.0
 
     def comparison(self) -> Comparison:
         """Return a fresh comparison, for another thread to use."""
@@ -212,10 +223,15 @@ def _scatter(
         again = Comparison(_noisy(record, rng), comparison.setup).residuals(rig, tuple(channels))
         for c in channels:
             squares[c] += (again[c] - raw[c]) ** 2
+    fit = comparison.setup.fit
+    wider = comparison.setup._replace(fit=fit + 2 * max(1, round(WIDER * fit)))
+    smeared = Comparison(record, wider).residuals(rig, tuple(channels))
     out = {}
     for c in channels:
         variance = squares[c] / REALISATIONS
         typical = float(np.median(variance))
         local = uniform_filter1d(variance, 9, mode="nearest")
-        out[c] = np.sqrt(np.maximum(local, 0.5 * typical))
+        # Where a wider fit of the motion says something else, the fit is as uncertain as that.
+        unresolved = uniform_filter1d((smeared[c] - raw[c]) ** 2, 3, mode="nearest")
+        out[c] = np.sqrt(np.maximum(local, 0.5 * typical) + unresolved)
     return out

@@ -23,6 +23,9 @@ USED = (
 )  # fmt: skip
 """Signals diagnosis looks at."""
 
+HELD_SLACK = 0.3
+"""Part of a period by which the stamp of a held value may be late."""
+
 HELD = (COMMAND,)
 """Signals that hold their value until the next sample."""
 
@@ -166,7 +169,7 @@ def _on_grid(time: Array, values: Array, right: Mask, grid: Array, period: float
     """Return a signal's values on the grid, and where they rest on measured ones."""
     known, at = values[right], time[right]
     if held:
-        index = np.clip(np.searchsorted(at, grid + 0.01 * period, side="right") - 1, 0, len(at) - 1)
+        index = np.clip(np.searchsorted(at, grid + HELD_SLACK * period, side="right") - 1, 0, len(at) - 1)
         out = known[index]
     else:
         out = np.interp(grid, at, known)

@@ -22,14 +22,14 @@ RELEVANT = 5e-4
 SURE = 4.5
 """Standard errors that a cause's surest parameter has to be from its neutral value."""
 
-MENDED = 0.3
+MENDED = 0.1
 """Part of what is left unexplained that another cause has to gain."""
 
 MATTERS = 1e-3
 """The same where another cause acts in the balance already, whose form need not be quite that of the effect's file."""
 
 SIMPLER = 5e-3
-"""Part of a cause's gain that it may lose for a form of fewer parameters."""
+"""Part of a cause's gain that it may lose for another, or another form of it, with fewer parameters."""
 
 PENALTY = 3.0
 """What every parameter of a cause costs [nats]."""
@@ -382,14 +382,14 @@ def _settled(
 def _simpler(
     best: Judged, rests: Sequence[Judged], rivals: Sequence[Sequence[Judged]], inflation: dict[Channel, float]
 ) -> Judged | None:
-    """Return the hypothesis with a cause in a form of fewer parameters that is all but as good, if there is one."""
+    """Return the hypothesis with a cause or a form of fewer parameters in a place that is all but as good, if there is one."""
     for index, candidate in enumerate(best.hypothesis):
         whole = best.score(inflation) - rests[index].score(inflation)
         for judged in rivals[index]:
             other = judged.hypothesis[-1]
             behind = best.score(inflation) - judged.score(inflation)
             fewer = len(other.free) < len(candidate.free)
-            if other.name == candidate.name and fewer and behind < max(NEEDED, SIMPLER * whole):
+            if fewer and behind < max(NEEDED if other.name == candidate.name else 0.0, SIMPLER * whole):
                 return judged
     return None
 

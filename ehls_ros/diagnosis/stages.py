@@ -73,6 +73,15 @@ SPOOL_WINDOW = 0.008
 FIT = 0.011
 """Length of the local fit that velocities are taken from [s]."""
 
+SPOOL_SETTLING = 0.08
+"""What is left out of the spool's residual after a gap in the command [s]."""
+
+SLOWEST = 0.25
+"""Sampling period, in the valve's lag, from which on commands between two samples would be missed."""
+
+SLOWEST_TURN = 2.6e-3
+"""Sampling period from which on the piston turns, and its friction with it, between two samples [s]."""
+
 SETTLING = 0.3
 """What is left out at the beginning of a stretch, where the model's memory is not known [s]."""
 
@@ -102,12 +111,14 @@ class Setup(NamedTuple):
         average: of spool and sensors.
         channels: the residuals that can be formed.
         velocity_measured: whether velocities come from their own sensor, the quieter one.
+        fit: samples of the local fit.
     """
 
     window: Window
     average: Window
     channels: tuple[Channel, ...]
     velocity_measured: bool
+    fit: int
 
 
 class Comparison:
@@ -196,7 +207,11 @@ class Comparison:
             x = self.corrected(rig, "position")
             inertia = plant.moving_mass * window.acceleration(x)
             return inertia + plant.viscous_damping * window.rate(x) - window.mean(given)  # (3)
-        return plant.moving_mass * window.rate(motion.velocity) - window.mean(given - plant.viscous_damping * motion.velocity)
+        balance = plant.moving_mass * window.rate(motion.velocity) - window.mean(
+            given - plant.viscous_damping * motion.velocity
+        )
+        # Where the motion began is not known, nor what the spring pulls there.
+        return balance - float(np.mean(balance))
 
     def _driving(self, rig: Rig, motion: kernels.Motion) -> Array:
         """Return the force on the mass but for friction, damping and inertia [N]."""
@@ -321,7 +336,7 @@ class Comparison:
 
     def local_fit(self, values: Array, derivative: int) -> Array:
         """Return a signal or its derivative from a local cubic fit, shape (n,)."""
-        samples = max(5, 2 * round(FIT / self.record.period / 2) + 1)
+        samples = self.setup.fit
         row = savgol_coeffs(samples, 3 if derivative else 2, deriv=derivative, delta=self.record.period, use="dot")
         return np.convolve(np.pad(values, samples // 2, mode="edge"), row[::-1], mode="valid")
 
@@ -376,7 +391,7 @@ class Comparison:
         return kept[key]
 
 
-def setup(record: Record) -> Setup:
+def setup(record: Record, rig: Rig) -> Setup:
     """Tell what of the model can be laid beside a recording."""
     period = record.period
     samples = max(LEAST_WINDOW, round(WINDOW / period))
@@ -385,13 +400,15 @@ def setup(record: Record) -> Setup:
     pressure = PRESSURE in record or FORCE in record
     spool = SPOOL in record or COMMAND in record
     channels: list[Channel] = []
-    if SPOOL in record and COMMAND in record:
+    if SPOOL in record and COMMAND in record and period * rig.plant.valve_bandwidth <= SLOWEST:
         channels.append("spool")
     if moving and pressure and spool:
         channels.append("volume")
         if SUPPLY in record:
             channels.append("supply")
-    if moving and pressure:
+    # Without a position, what the spring pulls is not known.
+    known = POSITION in record or (moving and rig.plant.spring_stiffness == 0.0)
+    if pressure and known and period <= SLOWEST_TURN:
         channels.append("force")
     if PRESSURE in record and FORCE in record:
         channels.append("cell")
@@ -404,11 +421,11 @@ def setup(record: Record) -> Setup:
         measured = record.noise[VELOCITY] * float(np.linalg.norm(savgol_coeffs(fit, 2))) < record.noise[POSITION] * float(
             np.linalg.norm(slope)
         )
-    return Setup(smooth_window(samples, period), average, tuple(channels), measured)
+    return Setup(smooth_window(samples, period), average, tuple(channels), measured, fit)
 
 
 NEEDED: Mapping[Channel, tuple[str, ...]] = {
-    "spool": (SPOOL,),
+    "spool": (SPOOL, COMMAND),
     "volume": (SPOOL, PRESSURE, FORCE, POSITION, VELOCITY),
     "supply": (SUPPLY,),
     "force": (PRESSURE, FORCE, POSITION, VELOCITY, LOAD),
@@ -425,6 +442,10 @@ def usable(comparison: Comparison, channel: Channel) -> Mask:
     for signal in NEEDED[channel]:
         if signal in record:
             good &= record.good[signal]
+    if channel == "spool" and COMMAND in record:
+        # After a gap in the command, the simulated spool finds back with the valve's own lag.
+        wrong = (~record.good[COMMAND]).astype(np.float64)
+        good &= np.convolve(wrong, np.ones(1 + round(SPOOL_SETTLING / record.period)))[: len(wrong)] < 0.5
     window = used.average if channel in ("spool", "supply", "cell") else used.window
     settling = round(SETTLING / record.period)
     late = np.ones(len(good), dtype=np.bool_)
@@ -432,5 +453,4 @@ def usable(comparison: Comparison, channel: Channel) -> Mask:
         late[begin : begin + settling] = False
         late[max(begin - window.weights.size, 0) : begin] = False
     late[-max(1, round(0.06 / record.period)) :] = False
-    # A spool simulated over a gap goes on from the recorded command; a window with a gap in it counts for nothing.
     return window.mean((good & late).astype(np.float64)) > 1.0 - 1e-9

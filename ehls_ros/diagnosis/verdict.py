@@ -26,6 +26,9 @@ CLOSED = 0.9
 LITTLE = 1.5
 """Power of a residual, in that of noise, up to which a cause that acts in the channel has left nothing."""
 
+FLOOR = 0.8
+"""Power of a whitened residual that the floor, noise and tolerance together, makes at least."""
+
 SCATTER = 2.5
 """Power of a residual, in that of noise, from which on something else than noise may be left."""
 
@@ -51,6 +54,9 @@ KEY: Mapping[Stage, tuple[str, str]] = {
     "force_balance": ("coulomb_shift", "offset"),
 }
 """The parameter by which it is told whether the data excite a stage."""
+
+SLIDING = 6.0
+"""Travel, in that over which static friction builds up, from which on a piston slides to and fro."""
 
 TELLING = 0.3
 """Size of a key parameter, as a part of its nominal value, that the data have to be able to show."""
@@ -80,7 +86,11 @@ class Left(NamedTuple):
 def left(evidence: Evidence, best: Judged, channel: Channel) -> Left:
     """Tell what is left of a channel's residual."""
     noise = evidence.noisy_base.values[channel] - evidence.base.values[channel]
-    own, before, after = _power(noise), _power(evidence.base.values[channel]), _power(best.held.errors.values[channel])
+    own, before, after = (
+        max(_power(noise), FLOOR),
+        _power(evidence.base.values[channel]),
+        _power(best.held.errors.values[channel]),
+    )
     removable = before - own
     closed = (before - after) / removable if removable > 0.0 else 1.0
     return Left(
@@ -249,7 +259,7 @@ def gain(evidence: Evidence, best: Judged, seed: int) -> Gain | None:
     fractions = fractions[np.isfinite(fractions)]
     low, high = np.quantile(fractions, [0.025, 0.975]) if fractions.size else (0.0, 0.0)
     removable = float(before.sum() - floor.sum())
-    closed = float(before.sum() - after.sum()) / removable if removable > 0.0 else 0.0
+    closed = float(before.sum() - after.sum()) / removable if removable > 0.01 * float(floor.sum()) else 0.0
     size = max(evidence.sizes[main], 1e-300)
 
     def nrmse(e: Array) -> float:
@@ -288,10 +298,13 @@ def sensitivities(evidence: Evidence, screened: Sequence[Fit], rig: Rig) -> tupl
     return tuple(out)
 
 
-def excited(found: Sequence[Sensitivity], rig: Rig, stage: Stage) -> bool:
-    """Tell whether the data could show an error of a stage's key parameter."""
+def excited(evidence: Evidence, found: Sequence[Sensitivity], stage: Stage) -> bool:
+    """Tell whether the data could show an error of a stage's key parameter; for friction, whether the piston slides."""
     if stage not in KEY:
         return True
+    rig = evidence.rig.effective()
+    if stage == "force_balance" and evidence.travel < SLIDING * rig.friction.static_force / sum(rig.friction.element_stiffness):
+        return False
     name, parameter = KEY[stage]
     nominal = rig.friction.coulomb_force if stage == "force_balance" else 1.0
     return any(s.smallest < TELLING * nominal for s in found if (s.name, s.parameter) == (name, parameter))

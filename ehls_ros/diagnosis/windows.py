@@ -60,4 +60,9 @@ def smooth_window(samples: int, period: float, hop: int = 3) -> Window:
     total = float(np.sum(weights))
     slopes = 4.0 * sine**3 * cosine * scale
     curvatures = (12.0 * sine**2 * cosine**2 - 4.0 * sine**4) * scale**2
-    return Window(weights / total, slopes / total, curvatures / total, max(1, samples // hop))
+    # Sums are not integrals: scaled so that a line has its slope and a parabola its curvature, however few the samples.
+    time = period * (np.arange(samples + 1) - 0.5 * samples)
+    slopes *= -1.0 / float(np.sum(slopes * time))
+    curvatures -= weights / total * float(np.sum(curvatures))
+    curvatures *= 2.0 / float(np.sum(curvatures * time**2))
+    return Window(weights / total, slopes, curvatures, max(1, samples // hop))
