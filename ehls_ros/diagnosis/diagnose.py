@@ -4,8 +4,6 @@ import os
 import time
 from collections.abc import Mapping
 
-import numpy as np
-
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import lines_of
 from ehls_ros.diagnosis.hypotheses import candidates, extended
@@ -162,13 +160,13 @@ def _stage(
     depends: tuple[str, ...] = ()
     if remains:
         depends = structure(evidence, comparison, model, unexplained, best.held.errors.values[unexplained]).depends_on
-    scale = float(np.sqrt(np.mean(evidence.floor[worst] ** 2))) / max(evidence.sizes[worst], 1e-300)
+    noise = evidence.noisy_base.values[worst] - evidence.base.values[worst]
     return StageResult(
         judged=True,
         why_not="",
-        nrmse_before=lefts[worst].before * scale,
-        nrmse_after=lefts[worst].after * scale,
-        noise_floor=lefts[worst].noise * scale,
+        nrmse_before=evidence.nrmse(worst, evidence.base.values[worst]),
+        nrmse_after=evidence.nrmse(worst, best.held.errors.values[worst]),
+        noise_floor=evidence.nrmse(worst, noise),
         exceeds=any(item.exceeded for item in lefts.values()),
         unexplained=any(not item.mended or (item.remains and item.closed < CLOSED) for item in lefts.values()),
         depends_on=depends,

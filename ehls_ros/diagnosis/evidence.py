@@ -136,6 +136,10 @@ class Evidence:
         """Return the windows of a channel."""
         return self.setup.average if channel in ("spool", "supply", "cell") else self.setup.window
 
+    def nrmse(self, channel: Channel, e: Array) -> float:
+        """Return the rms of whitened residuals in the channel's unit, as a part of the largest term of its balance."""
+        return float(np.sqrt(np.mean((e * self.floor[channel]) ** 2))) / max(self.sizes[channel], 1e-300)
+
     def means(self, channel: Channel, values: Array) -> Array:
         """Return the mean of a signal over each usable window."""
         return self.window(channel).mean(values)[self.masks[channel]]

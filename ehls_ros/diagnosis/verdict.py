@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.evidence import HUBER, Errors, Evidence
+from ehls_ros.diagnosis.evidence import Errors, Evidence
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.hypotheses import Candidate
 from ehls_ros.diagnosis.result import Cause, Gain, Rival, Sensitivity
@@ -116,24 +116,6 @@ def _more_than_noise(evidence: Evidence, channel: Channel, e: Array, noise: floa
         if excess * typical / part > MATTERS * max(evidence.sizes[channel], 1e-300):
             return True
     return False
-
-
-def affected(evidence: Evidence, judged: Judged, cause: Candidate) -> tuple[Channel, ...]:
-    """Return the channels that a cause of a hypothesis changes."""
-    offset = 0
-    for candidate in judged.hypothesis:
-        part = slice(offset, offset + len(candidate.free))
-        offset += len(candidate.free)
-        if candidate is not cause:
-            continue
-        channels, begin = [], 0
-        for c in judged.fit.channels:
-            end = begin + len(evidence.block[c])
-            if np.any(judged.fit.jacobian[begin:end, part]):
-                channels.append(c)
-            begin = end
-        return tuple(channels)
-    return ()
 
 
 def causes(evidence: Evidence, found: Searched, seed: int) -> tuple[Cause, ...]:
@@ -260,16 +242,11 @@ def gain(evidence: Evidence, best: Judged, seed: int) -> Gain | None:
     low, high = np.quantile(fractions, [0.025, 0.975]) if fractions.size else (0.0, 0.0)
     removable = float(before.sum() - floor.sum())
     closed = float(before.sum() - after.sum()) / removable if removable > 0.01 * float(floor.sum()) else 0.0
-    size = max(evidence.sizes[main], 1e-300)
-
-    def nrmse(e: Array) -> float:
-        return float(np.sqrt(np.mean((e * evidence.floor[main]) ** 2))) / size
-
     return Gain(
         main,
-        nrmse(evidence.base.values[main]),
-        nrmse(best.held.errors.values[main]),
-        nrmse(noise[main]),
+        evidence.nrmse(main, evidence.base.values[main]),
+        evidence.nrmse(main, best.held.errors.values[main]),
+        evidence.nrmse(main, noise[main]),
         min(closed, 1.0),
         (float(min(low, 1.0)), float(min(high, 1.0))),
     )
@@ -313,8 +290,3 @@ def excited(evidence: Evidence, found: Sequence[Sensitivity], stage: Stage) -> b
 def stage_left(evidence: Evidence, best: Judged, stage: Stage) -> dict[Channel, Left]:
     """Return what is left in each channel of a stage."""
     return {c: left(evidence, best, c) for c in evidence.channels if CHANNELS[c] == stage}
-
-
-def clipped(e: Array) -> Array:
-    """Return whitened residuals without what lies far outside."""
-    return np.clip(e, -5.0 * HUBER, 5.0 * HUBER)
