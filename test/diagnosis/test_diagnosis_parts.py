@@ -533,6 +533,7 @@ def verdict_case(noisy, rig, spoil):
         channels=("force",),
         floor={"force": np.ones(n)},
         sizes={"force": 100.0},
+        nrmse=lambda channel, e: float(np.sqrt(np.mean(e**2))) / 100.0,
     )
 
     def fitted(name, column):
