@@ -4,7 +4,7 @@ import os
 import time
 from collections.abc import Mapping
 
-from ehls_ros.diagnosis.evidence import Evidence
+from ehls_ros.diagnosis.evidence import Evidence, noise_of
 from ehls_ros.diagnosis.fit import lines_of
 from ehls_ros.diagnosis.hypotheses import candidates, extended
 from ehls_ros.diagnosis.record import Record, prepare
@@ -75,7 +75,7 @@ def diagnose(
     tried, not_judged = candidates(record, rig, lines)
     found = search(evidence, tried, threads or os.cpu_count() or 1, progress)
     best = found.best
-    sizes = sensitivities(evidence, found.screened, rig)
+    sizes = sensitivities(evidence, found.screened)
     comparison = evidence.comparison()
     model = extended(rig, best.hypothesis, best.fit.values)
     lefts = {stage: stage_left(evidence, best, stage) for stage in STAGES}
@@ -160,13 +160,12 @@ def _stage(
     depends: tuple[str, ...] = ()
     if remains:
         depends = structure(evidence, comparison, model, unexplained, best.held.errors.values[unexplained]).depends_on
-    noise = evidence.noisy_base.values[worst] - evidence.base.values[worst]
     return StageResult(
         judged=True,
         why_not="",
         nrmse_before=evidence.nrmse(worst, evidence.base.values[worst]),
         nrmse_after=evidence.nrmse(worst, best.held.errors.values[worst]),
-        noise_floor=evidence.nrmse(worst, noise),
+        noise_floor=evidence.nrmse(worst, noise_of(evidence, worst)),
         exceeds=any(item.exceeded for item in lefts.values()),
         unexplained=any(not item.mended or (item.remains and item.closed < CLOSED) for item in lefts.values()),
         depends_on=depends,
@@ -197,6 +196,6 @@ def _trace(evidence: Evidence, comparison: Comparison, model: Rig, best: Judged,
         before=evidence.base.values[channel] * floor,
         after=best.held.errors.values[channel] * floor,
         floor=floor,
-        noise=(evidence.noisy_base.values[channel] - evidence.base.values[channel]) * floor,
+        noise=noise_of(evidence, channel) * floor,
         against=against,
     )

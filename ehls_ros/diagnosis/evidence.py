@@ -6,7 +6,7 @@ seconds; a model is judged on each block with the coefficients fitted to the oth
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from scipy.ndimage import uniform_filter1d
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, SERVO_POSITION, SERVO_VELOCITY, VELOCITY, Record
 from ehls_ros.diagnosis.stages import Channel, Comparison, Setup, usable
-from ehls_ros.diagnosis.windows import Window
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
 
@@ -51,9 +50,15 @@ EXACT = (COMMAND, LOAD, SERVO_POSITION, SERVO_VELOCITY)
 
 
 class Errors(NamedTuple):
-    """Whitened residuals of the usable windows, by channel."""
+    """Whitened residuals of the usable windows, by channel.
+
+    Attributes:
+        values: the residuals.
+        depends: what each depends on, as :meth:`Comparison.relevant` has it; nothing for what no model has.
+    """
 
     values: Mapping[Channel, Array]
+    depends: Mapping[Channel, Any] = {}
 
     def together(self, channels: Sequence[Channel]) -> Array:
         """Return those of some channels one after another."""
@@ -95,10 +100,9 @@ class Evidence:
         }
         self.blocks = int(np.clip(round(len(record.time) * record.period / BLOCK), FEWEST_BLOCKS, MOST_BLOCKS))
         self.block = {c: self._block_of(c) for c in self.channels}
-        self.base = self._whitened(raw)
+        self.base = self._whitened(raw)._replace(depends=comparison.relevant(rig))
         self.noisy_record = _noisy(record, np.random.default_rng(seed + 1))
         self.noisy_base = self._whitened(Comparison(self.noisy_record, setup).residuals(rig, self.channels))
-        self.relevant = comparison.relevant(rig)
         moving = POSITION in record or VELOCITY in record
         self.travel = float(np.ptp(comparison.motion(rig.effective()).position)) if moving else 0.0
 
@@ -118,7 +122,7 @@ class Evidence:
         noisy = self._whitened(comparison.residuals(rig, tuple(channels)))
         saved = {}
         for c in channels:
-            before = float(np.sum(loss(self.noisy_base.values[c] - self.base.values[c])))
+            before = float(np.sum(loss(noise_of(self, c))))
             after = float(np.sum(loss(noisy.values[c] - errors.values[c])))
             # Where more than the noise added is left, the noise is that much larger than thought.
             left = float(np.sum(loss(errors.values[c]))) / max(after, 1e-300)
@@ -127,14 +131,10 @@ class Evidence:
 
     def times(self, channel: Channel) -> Array:
         """Return the middle of each usable window [s]."""
-        window = self.window(channel)
+        window = self.setup.window_of(channel)
         starts = window.starts(len(self.record.time))
         middle = np.minimum(starts + window.weights.size // 2, len(self.record.time) - 1)
         return self.record.time[middle][self.masks[channel]]
-
-    def window(self, channel: Channel) -> Window:
-        """Return the windows of a channel."""
-        return self.setup.average if channel in ("spool", "supply", "cell") else self.setup.window
 
     def nrmse(self, channel: Channel, e: Array) -> float:
         """Return the rms of whitened residuals in the channel's unit, as a part of the largest term of its balance."""
@@ -142,23 +142,22 @@ class Evidence:
 
     def means(self, channel: Channel, values: Array) -> Array:
         """Return the mean of a signal over each usable window."""
-        return self.window(channel).mean(values)[self.masks[channel]]
+        return self.setup.window_of(channel).mean(values)[self.masks[channel]]
 
-    def errors(self, comparison: Comparison, rig: Rig, known: Errors | None = None, known_rig: Rig | None = None) -> Errors:
+    def errors(self, comparison: Comparison, rig: Rig, known: Errors | None = None) -> Errors:
         """Return the whitened residuals of a model.
 
         Args:
             comparison: the thread's own.
             rig: the model.
-            known: residuals of another model, of which those that must be equal are taken over.
-            known_rig: that model.
+            known: residuals of another model, of which those that must be equal are taken over; the given model's where
+                nothing is said.
         """
         taken = self.base if known is None else known
-        before = self.relevant if known_rig is None else comparison.relevant(known_rig)
         now = comparison.relevant(rig)
-        changed = tuple(c for c in self.channels if now[c] != before[c])
-        fresh = self._whitened(comparison.residuals(rig, changed)) if changed else None
-        return Errors({c: fresh.values[c] if fresh is not None and c in changed else taken.values[c] for c in self.channels})
+        changed = tuple(c for c in self.channels if now[c] != taken.depends[c])
+        fresh = self._whitened(comparison.residuals(rig, changed)).values if changed else {}
+        return Errors({c: fresh[c] if c in changed else taken.values[c] for c in self.channels}, now)
 
     def _whitened(self, raw: Mapping[Channel, Array]) -> Errors:
         out = {}
@@ -169,9 +168,25 @@ class Evidence:
 
     def _block_of(self, channel: Channel) -> NDArray[np.intp]:
         # By sample, not by time: the stretches of a long recording follow each other.
-        window = self.window(channel)
+        window = self.setup.window_of(channel)
         starts = window.starts(len(self.record.time))[self.masks[channel]]
         return np.minimum(starts * self.blocks // len(self.record.time), self.blocks - 1)
+
+
+def sections(block: Mapping[Channel, NDArray[np.intp]], channels: Sequence[Channel]) -> dict[Channel, slice]:
+    """Return where each channel's windows stand when those of some channels follow one another.
+
+    Args:
+        block: of :class:`Evidence`.
+        channels: the channels, in their order.
+    """
+    ends = np.cumsum([0, *[len(block[c]) for c in channels]])
+    return {c: slice(int(begin), int(end)) for c, begin, end in zip(channels, ends[:-1], ends[1:], strict=True)}
+
+
+def noise_of(evidence: Evidence, channel: Channel) -> Array:
+    """Return what noise like the sensors' adds to a channel's whitened residuals of the given model."""
+    return evidence.noisy_base.values[channel] - evidence.base.values[channel]
 
 
 def loss(e: Array) -> Array:

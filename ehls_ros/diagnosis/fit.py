@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.evidence import Errors, Evidence, loss, weights
+from ehls_ros.diagnosis.evidence import Errors, Evidence, loss, sections, weights
 from ehls_ros.diagnosis.hypotheses import Hypothesis, bounds, extended
 from ehls_ros.diagnosis.stages import Channel, Comparison
 from ehls_ros.physics.rig import Rig
@@ -71,7 +71,6 @@ class Worker:
     def _linearised(self, hypothesis: Hypothesis, values: Array, errors: Errors, steps: Array | None) -> Fit:
         evidence, rig = self.evidence, self.evidence.rig
         lower, upper = bounds(hypothesis)
-        known_rig = extended(rig, hypothesis, values)
         steps = _first_steps(values, lower, upper) if steps is None else steps.copy()
         wanted = max(CHANGE, CHANGE_PART * float(np.sqrt(sum(np.sum(np.minimum(v * v, 1e6)) for v in errors.values.values()))))
         columns, touched = list[Errors](), set[Channel]()
@@ -83,7 +82,7 @@ class Worker:
                 signed = step if values[i] + step <= upper[i] else -step
                 moved = values.copy()
                 moved[i] += signed
-                other = evidence.errors(self.comparison, extended(rig, hypothesis, moved), errors, known_rig)
+                other = evidence.errors(self.comparison, extended(rig, hypothesis, moved), errors)
                 column = Errors({c: (other.values[c] - errors.values[c]) / signed for c in evidence.channels})
                 change = abs(signed) * float(np.sqrt(sum(np.sum(v * v) for v in column.values.values())))
                 if change < 0.1 * wanted and step < 0.2 * (upper[i] - lower[i]):
@@ -241,14 +240,12 @@ def held_out(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Held
     if worker is not None and fit.channels:
         model = extended(evidence.rig, fit.hypothesis, fit.values)
         quieted = evidence.quieted(worker.noisy, model, fit.errors, fit.channels)
-    gain, errors, begin = dict[Channel, Array](), dict(evidence.base.values), 0
-    for c in fit.channels:
-        end = begin + len(evidence.block[c])
+    gain, errors = dict[Channel, Array](), dict(evidence.base.values)
+    for c, section in sections(evidence.block, fit.channels).items():
         quieter = max(quieted[c], 0.0) / evidence.blocks
-        per_block = np.bincount(evidence.block[c], weights=difference[begin:end], minlength=evidence.blocks)
+        per_block = np.bincount(evidence.block[c], weights=difference[section], minlength=evidence.blocks)
         gain[c] = np.asarray(per_block - quieter, dtype=np.float64)
-        errors[c] = without[begin:end]
-        begin = end
+        errors[c] = without[section]
     covariance, disagreement = _covariance(normal, gradients, fit, j, scale, inflation, evidence)
     saved = sum(max(value, 0.0) for value in quieted.values())
     return Held(gain, Errors(errors), inflation, covariance, saved, disagreement)

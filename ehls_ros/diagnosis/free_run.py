@@ -140,8 +140,7 @@ def _followed(record: Record, signal: str, before: Array, after: Array | None) -
 
 def _run(record: Record, rig: Rig) -> Array:
     """Return what the model's sensors read, NaN from where it leaves the stroke by far, shape (n, signals)."""
-    quiet = {sensor: description._replace(noise_std=0.0, resolution=0.0) for sensor, description in rig.sensors.items()}
-    simulator = Simulator(rig._replace(sensors=quiet), record.period)
+    simulator = Simulator(rig.quiet(), record.period)
     _start(simulator, record)
     command, load = record.values(COMMAND), record.values(LOAD)
     rates = np.append(np.diff(load) / record.period, 0.0)

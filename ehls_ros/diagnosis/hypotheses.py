@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +54,12 @@ Hypothesis = tuple[Candidate, ...]
 """Candidates that act together."""
 
 
+def parts(hypothesis: Hypothesis) -> list[slice]:
+    """Return where each candidate's parameters stand among those of all of them one after another."""
+    ends = np.cumsum([0, *[len(c.free) for c in hypothesis]])
+    return [slice(int(begin), int(end)) for begin, end in pairwise(ends)]
+
+
 def extended(rig: Rig, hypothesis: Hypothesis, values: Array) -> Rig:
     """Return a rig with a hypothesis' effects switched on.
 
@@ -61,11 +68,7 @@ def extended(rig: Rig, hypothesis: Hypothesis, values: Array) -> Rig:
         hypothesis: what is switched on.
         values: the free parameters of all of them one after another.
     """
-    uses, offset = [], 0
-    for candidate in hypothesis:
-        uses.append(candidate.use(values[offset : offset + len(candidate.free)]))
-        offset += len(candidate.free)
-    return rig.with_effects(tuple(uses))
+    return rig.with_effects(tuple(c.use(values[part]) for c, part in zip(hypothesis, parts(hypothesis), strict=True)))
 
 
 def bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:

@@ -3,14 +3,13 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from queue import SimpleQueue
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.evidence import Evidence, loss
+from ehls_ros.diagnosis.evidence import Evidence, loss, noise_of, sections
 from ehls_ros.diagnosis.fit import Fit, Held, Worker, gauss_newton, held_out, inflation_of, predicted_loss
-from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, bounds
+from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, bounds, parts
 from ehls_ros.diagnosis.stages import Channel
 
 NEEDED = 20.0
@@ -58,6 +57,9 @@ SCREENED_BLOCKS = 8
 MOST_CAUSES = 3
 """Most causes that are looked for together."""
 
+Item = TypeVar("Item")
+Done = TypeVar("Done")
+
 Progress = Callable[[str, float], None]
 """Called with what is being done and how much of it all is done."""
 
@@ -77,6 +79,12 @@ class Judged(NamedTuple):
     def names(self) -> tuple[str, ...]:
         """Names of its causes."""
         return tuple(c.name for c in self.fit.hypothesis)
+
+    def sigmas(self, index: int) -> float:
+        """Return how many standard errors a cause's surest parameter is from its neutral value."""
+        part = parts(self.hypothesis)[index]
+        deviation = np.sqrt(np.maximum(np.diag(self.held.covariance)[part], 1e-300))
+        return float(np.max(np.abs(self.fit.values[part] - self.hypothesis[index].neutral) / deviation))
 
     def score(self, inflation: dict[Channel, float]) -> float:
         """Return the held-out gain less the penalty for parameters [nats].
@@ -120,10 +128,10 @@ class Pool:
             self._free.put(Worker(evidence))
         self._executor = ThreadPoolExecutor(threads)
 
-    def map(self, work: Callable[[Worker, object], object], items: Sequence[object]) -> list[object]:
+    def map(self, work: Callable[[Worker, Item], Done], items: Sequence[Item]) -> list[Done]:
         """Do the work on every item, in their order."""
 
-        def one(item: object) -> object:
+        def one(item: Item) -> Done:
             worker = self._free.get()
             try:
                 return work(worker, item)
@@ -157,7 +165,7 @@ def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress
     progress("every cause by itself", 0.0)
     begins = _begins(evidence, found, pool)
     progress("every cause by itself", 0.2)
-    screened: list[Fit] = [f for f in pool.map(_start, begins) if isinstance(f, Fit)]
+    screened: list[Fit] = [f for f in pool.map(_start, begins) if f is not None]
     progress("every cause by itself", 0.35)
     fit = _nothing(evidence)
     nothing = Judged(fit, held_out(evidence, fit))
@@ -166,7 +174,7 @@ def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress
     singles = _fitted(evidence, pool, [screened[i] for i in order], FITTED_SINGLES)
     progress("causes together", 0.55)
 
-    best, beam = nothing, [nothing]
+    best = nothing
     inflation = _inflation(evidence, [nothing, *singles])
     level = singles
     for count in range(1, MOST_CAUSES + 1):
@@ -198,13 +206,13 @@ def _base_loss(evidence: Evidence, fit: Fit) -> float:
 
 def _begins(evidence: Evidence, found: Sequence[Candidate], pool: Pool) -> list[Fit]:
     """Return where the fit of each candidate starts best, from parts of the recording; none for one that changes nothing."""
-    parts = _telling_parts(evidence)
-    if parts is None:
-        return [f for f in pool.map(_screen, list(found)) if isinstance(f, Fit)]
-    few = Evidence(evidence.record.parts(parts), evidence.rig, evidence.setup, seed=0)
+    ranges = _telling_parts(evidence)
+    if ranges is None:
+        return [f for f in pool.map(_screen, found) if f is not None]
+    few = Evidence(evidence.record.parts(ranges), evidence.rig, evidence.setup, seed=0)
     thin = Pool(few, pool.threads)
     try:
-        return [f for f in thin.map(_screen, list(found)) if isinstance(f, Fit)]
+        return [f for f in thin.map(_screen, found) if f is not None]
     finally:
         thin.close()
 
@@ -226,16 +234,14 @@ def _telling_parts(evidence: Evidence) -> list[tuple[int, int]] | None:
     return [(-(-b * samples // blocks), -(-(b + 1) * samples // blocks)) for b in sorted(chosen)]
 
 
-def _start(worker: Worker, begin: object) -> Fit | None:
+def _start(worker: Worker, begin: Fit) -> Fit | None:
     """Evaluate a candidate and its derivatives where its fit starts."""
-    assert isinstance(begin, Fit)  # noqa: S101
     fit = worker.start(begin.hypothesis, begin.values, begin.steps)
     return fit if fit.channels and np.any(fit.jacobian) else None
 
 
-def _screen(worker: Worker, candidate: object) -> Fit | None:
+def _screen(worker: Worker, candidate: Candidate) -> Fit | None:
     """Return the start of a candidate from which one step promises most, or none where none changes anything."""
-    assert isinstance(candidate, Candidate)  # noqa: S101
     best: Fit | None = None
     promise = -np.inf
     steps = None
@@ -254,44 +260,25 @@ def _screen(worker: Worker, candidate: object) -> Fit | None:
 def _fitted(evidence: Evidence, pool: Pool, begins: Sequence[Fit], keep: int = FITTED) -> list[Judged]:
     """Fit hypotheses: one step each, and to the end those that are best after it."""
 
-    def step(worker: Worker, begin: object) -> object:
-        assert isinstance(begin, Fit)  # noqa: S101
-        return worker.step(begin)
-
-    def go(worker: Worker, begin: object) -> object:
-        assert isinstance(begin, Fit)  # noqa: S101
+    def go(worker: Worker, begin: Fit) -> Fit:
         return worker.fit(worker.start(begin.hypothesis, begin.values, begin.steps))
 
-    def finish(worker: Worker, begin: object) -> object:
-        assert isinstance(begin, Fit)  # noqa: S101
+    def finish(worker: Worker, begin: Fit) -> Judged:
         fit = begin if begin.settled else worker.fit(begin, POLISHED)
         return Judged(fit, held_out(evidence, fit, worker))
 
-    stepped = [f for f in pool.map(step, list(begins)) if isinstance(f, Fit)] if len(begins) > keep else list(begins)
+    stepped = pool.map(Worker.step, begins) if len(begins) > keep else list(begins)
     stepped.sort(key=lambda f: f.loss - _base_loss(evidence, f))
-    gone = [f for f in pool.map(go, stepped[:keep]) if isinstance(f, Fit)]
+    gone = pool.map(go, stepped[:keep])
     gone.sort(key=lambda f: f.loss - _base_loss(evidence, f))
     gone = [f if i < MOST_POLISHED else f._replace(settled=True) for i, f in enumerate(gone)]
-    return [j for j in pool.map(finish, gone) if isinstance(j, Judged)]
+    return pool.map(finish, gone)
 
 
 def _inflation(evidence: Evidence, judged: Sequence[Judged]) -> dict[Channel, float]:
     """Return each channel's inflation under the hypothesis that explains the channel best."""
-    out: dict[Channel, float] = {}
-    for c in evidence.channels:
-        least, best = np.inf, None
-        for j in judged:
-            total = float(np.sum(loss(j.fit.errors.values[c])))
-            if total < least:
-                least, best = total, j
-        if best is None:
-            continue
-        out[c] = best.held.inflation.get(c) or _of(evidence, best, c)
-    return out
-
-
-def _of(evidence: Evidence, judged: Judged, channel: Channel) -> float:
-    return inflation_of(judged.fit.errors.values[channel])
+    best = {c: min((j.fit.errors.values[c] for j in judged), key=lambda e: float(np.sum(loss(e)))) for c in evidence.channels}
+    return {c: inflation_of(e) for c, e in best.items()}
 
 
 def _distinct(ranked: Sequence[Judged]) -> list[Judged]:
@@ -322,18 +309,17 @@ def _extensions(evidence: Evidence, member: Judged, screened: Sequence[Fit]) -> 
 def _promise(evidence: Evidence, fit: Fit, other: Fit) -> tuple[float, Fit]:
     """Predict what one more cause gains, both taken as linear, and where their fit together starts."""
     channels = tuple(c for c in evidence.channels if c in fit.channels or c in other.channels)
-    rows = [len(evidence.block[c]) for c in channels]
+    together = sections(evidence.block, channels)
+    own, its = sections(evidence.block, fit.channels), sections(evidence.block, other.channels)
     p, q = len(fit.values), len(other.values)
-    e, j, begin = np.empty(sum(rows)), np.zeros((sum(rows), p + q)), 0
-    own, its = _sections(evidence, fit), _sections(evidence, other)
-    for c, count in zip(channels, rows, strict=True):
-        here = slice(begin, begin + count)
+    rows = sum(len(evidence.block[c]) for c in channels)
+    e, j = np.empty(rows), np.zeros((rows, p + q))
+    for c, here in together.items():
         e[here] = fit.errors.values[c] + other.errors.values[c] - evidence.base.values[c]
         if c in own:
             j[here, :p] = fit.jacobian[own[c]]
         if c in its:
             j[here, p:] = other.jacobian[its[c]]
-        begin += count
     hypothesis = (*fit.hypothesis, *other.hypothesis)
     lower, upper = bounds(hypothesis)
     values = np.concatenate([fit.values, other.values])
@@ -341,19 +327,9 @@ def _promise(evidence: Evidence, fit: Fit, other: Fit) -> tuple[float, Fit]:
     after = float(np.sum(loss(e + j @ (moved - values))))
     before = float(np.sum(loss(fit.errors.together(channels))))
     # The added cause at its start, the others as they were: what is linear starts where the step would take it.
-    start = np.concatenate([fit.values, other.values])
-    start[p:] = moved[p:]
+    start = np.concatenate([fit.values, moved[p:]])
     steps = np.concatenate([fit.steps, other.steps])
     return before - after, Fit(hypothesis, start, channels, fit.errors, j, before, steps)
-
-
-def _sections(evidence: Evidence, fit: Fit) -> dict[Channel, slice]:
-    out, begin = {}, 0
-    for c in fit.channels:
-        end = begin + len(evidence.block[c])
-        out[c] = slice(begin, end)
-        begin = end
-    return out
 
 
 def _settled(
@@ -410,21 +386,13 @@ def _needed(evidence: Evidence, more: Judged, less: Judged, inflation: dict[Chan
 def _excess(evidence: Evidence, judged: Judged, channel: Channel) -> float:
     """Return the loss of a channel beyond what noise makes [nats]."""
     e = judged.fit.errors.values[channel]
-    noise = loss(evidence.noisy_base.values[channel] - evidence.base.values[channel])
+    noise = loss(noise_of(evidence, channel))
     return max(0.0, float(np.sum(loss(e)) - 1.5 * np.sum(noise)))
 
 
 def _surest(more: Judged, less: Judged) -> float:
     """Return how many standard errors a cause's surest parameter is from its neutral value, by the blocks' disagreement."""
-    offset, surest = 0, 0.0
-    deviation = np.sqrt(np.maximum(np.diag(more.held.covariance), 0.0))
-    for cause in more.hypothesis:
-        part = slice(offset, offset + len(cause.free))
-        if cause.name not in less.names:
-            away = np.abs(more.fit.values[part] - cause.neutral) / np.maximum(deviation[part], 1e-300)
-            surest = max(surest, float(np.max(away)))
-        offset += len(cause.free)
-    return surest
+    return max((more.sigmas(i) for i, name in enumerate(more.names) if name not in less.names), default=0.0)
 
 
 def _differ(evidence: Evidence, more: Judged, less: Judged, channel: Channel) -> bool:
@@ -446,14 +414,7 @@ def _without(evidence: Evidence, pool: Pool, best: Judged, index: int, nothing: 
     hypothesis = tuple(c for i, c in enumerate(best.hypothesis) if i != index)
     if not hypothesis:
         return nothing
-    keep, offset = np.ones(len(best.fit.values), dtype=np.bool_), 0
-    for i, c in enumerate(best.hypothesis):
-        keep[offset : offset + len(c.free)] = i != index
-        offset += len(c.free)
+    keep = np.ones(len(best.fit.values), dtype=np.bool_)
+    keep[parts(best.hypothesis)[index]] = False
     begin = Fit(hypothesis, best.fit.values[keep], (), best.fit.errors, np.empty((0, 0)), 0.0, best.fit.steps[keep])
     return _fitted(evidence, pool, [begin])[0]
-
-
-def explained(evidence: Evidence, judged: Judged, channel: Channel) -> Array:
-    """Return what a hypothesis changes in a channel's whitened residuals."""
-    return evidence.base.values[channel] - judged.fit.errors.values[channel]

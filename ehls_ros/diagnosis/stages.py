@@ -120,6 +120,10 @@ class Setup(NamedTuple):
     velocity_measured: bool
     fit: int
 
+    def window_of(self, channel: Channel) -> Window:
+        """Return the windows of a channel."""
+        return self.average if channel in ("spool", "supply", "cell") else self.window
+
 
 class Comparison:
     """One recording and the parts of the model that were run along it last."""
@@ -446,7 +450,7 @@ def usable(comparison: Comparison, channel: Channel) -> Mask:
         # After a gap in the command, the simulated spool finds back with the valve's own lag.
         wrong = (~record.good[COMMAND]).astype(np.float64)
         good &= np.convolve(wrong, np.ones(1 + round(SPOOL_SETTLING / record.period)))[: len(wrong)] < 0.5
-    window = used.average if channel in ("spool", "supply", "cell") else used.window
+    window = used.window_of(channel)
     settling = round(SETTLING / record.period)
     late = np.ones(len(good), dtype=np.bool_)
     for begin in np.flatnonzero(record.fresh):

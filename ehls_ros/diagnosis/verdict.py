@@ -7,15 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.evidence import Errors, Evidence
+from ehls_ros.diagnosis.evidence import Errors, Evidence, noise_of, sections
 from ehls_ros.diagnosis.fit import Fit
-from ehls_ros.diagnosis.hypotheses import Candidate
+from ehls_ros.diagnosis.hypotheses import Candidate, parts
 from ehls_ros.diagnosis.result import Cause, Gain, Rival, Sensitivity
 from ehls_ros.diagnosis.search import MATTERS, NEEDED, PENALTY, RELEVANT, SURE, Judged, Searched
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.rig import Rig
 
 EQUAL, EQUAL_PART = 4.0, 2e-2
 """How much less than the best another cause may gain and still be as good: [nats], and as a part of the best's gain."""
@@ -143,7 +142,7 @@ def causes(evidence: Evidence, found: Searched, seed: int) -> tuple[Cause, ...]:
                 parameters=_estimates(found.best, index),
                 fixed=dict(candidate.fixed),
                 gain=whole,
-                sigmas=_sigmas(found.best, index),
+                sigmas=found.best.sigmas(index),
                 rivals=tuple(_rival(evidence, found, rest, j) for j in others[:5]),
             )
         )
@@ -162,30 +161,21 @@ def _others(found: Searched, index: int, candidate: Candidate) -> list[Judged]:
 
 
 def _estimates(judged: Judged, index: int) -> dict[str, Estimate]:
-    offset = sum(len(c.free) for c in judged.hypothesis[:index])
-    candidate = judged.hypothesis[index]
-    deviation = np.sqrt(np.maximum(np.diag(judged.held.covariance), 0.0))
-    used = candidate.use(judged.fit.values[offset : offset + len(candidate.free)]).parameters._asdict()
+    part, candidate = parts(judged.hypothesis)[index], judged.hypothesis[index]
+    deviation = np.sqrt(np.maximum(np.diag(judged.held.covariance)[part], 0.0))
+    used = candidate.use(judged.fit.values[part]).parameters._asdict()
     out = {}
     for i, name in enumerate(candidate.free):
         # The noise says how well the effect's form is fitted; no effect has quite the form its file gives it.
         form = FORM * min(abs(float(used[name]) - float(candidate.neutral[i])), abs(float(used[name])))
-        out[name] = Estimate(float(used[name]), math.hypot(float(deviation[offset + i]), form), candidate.units[i])
+        out[name] = Estimate(float(used[name]), math.hypot(float(deviation[i]), form), candidate.units[i])
     return out
-
-
-def _sigmas(judged: Judged, index: int) -> float:
-    offset = sum(len(c.free) for c in judged.hypothesis[:index])
-    candidate = judged.hypothesis[index]
-    part = slice(offset, offset + len(candidate.free))
-    deviation = np.sqrt(np.maximum(np.diag(judged.held.covariance)[part], 1e-300))
-    return float(np.max(np.abs(judged.fit.values[part] - candidate.neutral) / deviation))
 
 
 def _rival(evidence: Evidence, found: Searched, rest: Judged, judged: Judged) -> Rival:
     before = after = noise = 0.0
     for c in found.best.held.gain:
-        own = evidence.noisy_base.values[c] - evidence.base.values[c]
+        own = noise_of(evidence, c)
         before += float(np.sum(rest.held.errors.values[c] ** 2))
         after += float(np.sum(judged.held.errors.values[c] ** 2))
         noise += float(np.sum(own**2))
@@ -226,7 +216,7 @@ def gain(evidence: Evidence, best: Judged, seed: int) -> Gain | None:
         return float(np.sum(evidence.base.values[c] ** 2 - errors.values[c] ** 2))
 
     main = max(channels, key=lambda c: removed(best.held.errors, c))
-    noise = {c: evidence.noisy_base.values[c] - evidence.base.values[c] for c in channels}
+    noise = {c: noise_of(evidence, c) for c in channels}
     # Only channels in which there was something to remove say what part of it is gone.
     telling = tuple(c for c in channels if _power(evidence.base.values[c]) > 1.1 * _power(noise[c])) or (main,)
     before, after, floor = (np.zeros(evidence.blocks) for _ in range(3))
@@ -252,7 +242,7 @@ def gain(evidence: Evidence, best: Judged, seed: int) -> Gain | None:
     )
 
 
-def sensitivities(evidence: Evidence, screened: Sequence[Fit], rig: Rig) -> tuple[Sensitivity, ...]:
+def sensitivities(evidence: Evidence, screened: Sequence[Fit]) -> tuple[Sensitivity, ...]:
     """Return the smallest sizes that would have been named, of effects whose parameter enters smoothly at its neutral value."""
     out = []
     for fit in screened:
@@ -264,13 +254,11 @@ def sensitivities(evidence: Evidence, screened: Sequence[Fit], rig: Rig) -> tupl
         if information <= 0.0:
             continue
         noticed = max(SURE, math.sqrt(2.0 * NEEDED)) / math.sqrt(information)
-        begin = 0
-        for c in fit.channels:
-            end = begin + len(evidence.block[c])
-            effect = float(np.sqrt(np.mean((column[begin:end] * evidence.floor[c]) ** 2))) / max(evidence.sizes[c], 1e-300)
-            if effect > 0.0 and c == max(fit.channels, key=lambda k: len(evidence.block[k])):
-                noticed = max(noticed, RELEVANT / effect)
-            begin = end
+        # By the channel that has most windows.
+        main = max(fit.channels, key=lambda c: len(evidence.block[c]))
+        effect = evidence.nrmse(main, column[sections(evidence.block, fit.channels)[main]])
+        if effect > 0.0:
+            noticed = max(noticed, RELEVANT / effect)
         out.append(Sensitivity(candidate.name, candidate.free[0], noticed, candidate.units[0]))
     return tuple(out)
 

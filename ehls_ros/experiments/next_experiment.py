@@ -162,9 +162,7 @@ class _Experiment:
         return self._run(rig, _ALONG, given).record
 
     def _run(self, rig: Rig, source: int, given: Array) -> _Run:
-        # What a sensor scatters is no part of what is expected of it.
-        quiet = {signal: sensor._replace(noise_std=0.0, resolution=0.0) for signal, sensor in rig.sensors.items()}
-        simulator = simulator_of(self.spec._replace(rig=rig._replace(sensors=quiet)))
+        simulator = simulator_of(self.spec._replace(rig=rig.quiet()))
         design, chosen = self.spec.controller_rig, self.spec.controller
         force_tuning = chosen.parameters if chosen.name == "fasmc" else fasmc.Parameters()
         position_tuning = chosen.parameters if chosen.name == "pid" else pid.Parameters()

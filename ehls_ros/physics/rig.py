@@ -41,6 +41,11 @@ class Rig(NamedTuple):
                 rig = shift(rig, use.parameters)
         return rig
 
+    def quiet(self) -> "Rig":
+        """Return the rig with sensors that neither scatter nor round, for what is expected of it."""
+        quiet = {signal: sensor._replace(noise_std=0.0, resolution=0.0) for signal, sensor in self.sensors.items()}
+        return self._replace(sensors=quiet)
+
     def with_effects(self, more: tuple[EffectUse, ...]) -> "Rig":
         """Return the rig with further effects switched on after its own."""
         return self._replace(effects=self.effects + more)

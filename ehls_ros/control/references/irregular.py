@@ -5,6 +5,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.control.references._blend import quintic
 from ehls_ros.control.references._harmonics import harmonics
 from ehls_ros.errors import BadInput
 from ehls_ros.schema import quantity
@@ -38,10 +39,7 @@ def sample(t: Array, p: Parameters) -> Array:
     weight = 1.0 / frequency
     wave = harmonics(t, p.amplitude * weight / weight.sum(), frequency, phase)
     # A quintic step: value, first and second derivative start at zero and end on the wave's own.
-    x = np.clip(t / FADE, 0.0, 1.0)
-    fade = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
-    fade_rate = 30.0 * x**2 * (1.0 - x) ** 2 / FADE
-    fade_acceleration = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / FADE**2
+    fade, fade_rate, fade_acceleration = quintic(t, FADE)
     return np.column_stack(
         [
             fade * wave[:, 0],
