@@ -10,7 +10,7 @@ from rclpy.qos import QoSProfile
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import metadata
-from ehls_ros.nodes.control import ERROR, OK, ControlNode, run_node
+from ehls_ros.nodes.control import ERROR, OK, WARN, ControlNode, run_node
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos, message_class
 from ehls_ros.recording.bag_writer import BagWriter, Storage
@@ -19,6 +19,9 @@ from ehls_ros.schema import text
 
 REST = 0.02
 """How long messages gather before they are taken in bulk [s]; the middleware keeps them meanwhile."""
+
+FLUSH = 0.5
+"""How often what gathered is put where the death of this process does not reach it [s]."""
 
 DISCOVERY = 30.0
 """Longest time for expected publishers to be found [s]."""
@@ -52,6 +55,8 @@ class RecorderNode(ControlNode):
         chosen = self.text_parameter("bag")
         self.path = Path(chosen) if chosen else Path("bags") / time.strftime("%Y%m%d-%H%M%S")
         self.written = 0
+        self.lost = 0
+        self.newest: dict[str, int] = {}
         self.inboxes = {
             topic.name: Inbox(
                 self,
@@ -89,20 +94,37 @@ class RecorderNode(ControlNode):
             self.writer = BagWriter.create(self.path, self.storage, described, namespace=namespace)
         except BadInput as error:
             self.fail(str(error))
+        self.flushed = time.perf_counter()
 
     def once(self) -> None:
         """Write what gathered."""
         time.sleep(REST)
         self._drain()
+        if self.writer is not None and time.perf_counter() - self.flushed > FLUSH:
+            self.flushed = time.perf_counter()
+            try:
+                self.writer.flush()
+            except OSError as error:
+                self.fail(str(error))
 
     def _drain(self) -> int:
         """Write everything that is there and return how much it was."""
         before = self.written
         for name, inbox in self.inboxes.items():
+            # The numbers of several publishers on one topic are mixed.
+            numbered = inbox.handle.get_publisher_count() == 1
             while (taken := inbox.take_raw()) is not None:
-                message, stamps = taken
-                self._write(name, stamps["source_timestamp"], message)
+                message, info = taken
+                if numbered:
+                    self._count_lost(name, info["publication_sequence_number"])
+                self._write(name, info["source_timestamp"], message)
         return self.written - before
+
+    def _count_lost(self, name: str, number: int) -> None:
+        """Count the gaps in a publisher's numbering; a smaller number is that of a publisher started anew."""
+        last = self.newest.get(name, number - 1)
+        self.lost += max(0, number - last - 1)
+        self.newest[name] = number
 
     def _write(self, name: str, stamp_ns: int, message: bytes) -> None:
         if self.writer is None:
@@ -137,9 +159,11 @@ class RecorderNode(ControlNode):
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say how much is written."""
-        figures = {"bag": getattr(self, "path", ""), "written": getattr(self, "written", 0)}
+        figures = {"bag": getattr(self, "path", ""), "written": getattr(self, "written", 0), "lost": getattr(self, "lost", 0)}
         if getattr(self, "failure", ""):
             return ERROR, f"not recording: {self.failure}", figures
+        if getattr(self, "lost", 0):
+            return WARN, "messages were lost on their way here", figures
         return OK, "recording" if self._active.is_set() else "inactive", figures
 
 

@@ -15,6 +15,7 @@ from ehls_ros.recording.alignment import CYCLE, MessageColumns, align
 from ehls_ros.recording.bag_topic import BagTopic
 from ehls_ros.recording.provenance import Provenance, provenance_in
 from ehls_ros.recording.reason import reason
+from ehls_ros.recording.recording_note import NOTE
 from ehls_ros.recording.storage_file import CLOSED_BAG, custom_data_in
 from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE
 from ehls_ros.trajectory import SIGNALS, Trajectory
@@ -55,6 +56,8 @@ def read_bag(path: Path) -> Trajectory:
 def _storage_files(path: Path) -> list[Path]:
     """Return the storage files that can be checked by themselves; compressed ones cannot."""
     if path.is_dir():
+        if (path / NOTE).exists():
+            raise BadInput("it is being recorded, or its recorder was killed", str(path), f"`ehls recover {path}` in that case")
         if not (path / METADATA_FILE).exists():
             raise BadInput(f"{METADATA_FILE} is missing", str(path), CLOSED_BAG)
         return sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)

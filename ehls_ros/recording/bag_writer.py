@@ -9,10 +9,13 @@ from typing import Any, Literal, NoReturn, Self, get_args
 
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapWriter
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.provenance import Provenance, Seal, as_json, message_checksum
 from ehls_ros.recording.reason import reason
+from ehls_ros.recording.recording_note import Flushed, Note, remove_note, write_note
 from ehls_ros.recording.topics import NAMESPACE, TOPICS, Topic
 from ehls_ros.recording.trajectory_messages import streams_of
 from ehls_ros.recording.typestore import typestore
@@ -33,6 +36,7 @@ class BagWriter:
     def __init__(self, writer: Writer, topics: Sequence[Topic], namespace: str, provenance: Provenance) -> None:
         """Take over a writer; see :meth:`create`."""
         self._writer = writer
+        self._namespace = namespace
         self._provenance = provenance
         self._checksums = {topic.name: 0 for topic in topics}
         self._paths = {topic.name: topic.resolve(namespace) for topic in topics}
@@ -104,6 +108,32 @@ class BagWriter:
             self._give_up(error)
         self._checksums[topic] += message_checksum(stamp_ns, serialized)
 
+    def flush(self) -> None:
+        """Make sure that what was written survives the death of this process, and note that it does.
+
+        :func:`ehls_ros.recording.recovery.recover` then makes a bag of it.
+
+        Raises:
+            OSError: the disk is full or fails; the bag has then been given up, up to the last flush it is recoverable.
+        """
+        storage = self._writer.storage
+        try:
+            # rosbags keeps an mcap chunk and an SQLite transaction open until they are full or the bag is closed.
+            if isinstance(storage, McapWriter):
+                if storage.chunk.bio.tell():
+                    storage.close_chunk()
+                storage.bio.flush()
+            elif isinstance(storage, Sqlite3Writer):
+                storage.conn.commit()
+            flushed = {
+                self._paths[name]: Flushed(self._writer.counts[connection.id], self._checksums[name])
+                for name, connection in self._connections.items()
+            }
+            plugin = self._writer.storage_plugin.name.lower()
+            write_note(self._writer.path, Note(plugin, self._namespace, self._provenance.configuration, flushed))
+        except (OSError, sqlite3.Error) as error:
+            self._give_up(error)
+
     def close(self) -> None:
         """Write what is still in memory and the metadata; a second call does nothing.
 
@@ -119,6 +149,7 @@ class BagWriter:
             self._writer.set_custom_data(key, value)
         try:
             self._writer.close()
+            remove_note(self._writer.path)
         except (OSError, sqlite3.Error) as error:
             self._give_up(error)
         self._open = False
