@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import numpy as np
-
 from ehls_ros.arrays import Array
 from ehls_ros.control.composition import observer_kernel
 from ehls_ros.control.observers import OBSERVERS
@@ -63,7 +61,3 @@ class FrictionEstimator:
         estimate = self.state.estimate
         flags: Array = estimate[ELEMENTS + (estimate.size - ELEMENTS) // 2 :]
         return flags
-
-    def memory_is_finite(self) -> bool:
-        """Tell whether no bad measurement has got into the elements."""
-        return bool(np.all(np.isfinite(self.state.forces)))

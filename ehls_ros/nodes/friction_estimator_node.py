@@ -1,5 +1,6 @@
 """`friction_estimator_node`: answers each loader_state with the friction of the identified model."""
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple, NoReturn
 
@@ -41,6 +42,8 @@ class FrictionEstimatorNode(ControlNode):
         self.elements = elements
         self.last = -1
         self.gaps = 0
+        self.unmeasured = 0
+        self.velocity_measured = True
         self.states = Inbox(self, LoaderState, "loader_state")
         self.estimates = Outbox(
             self, FrictionEstimate, "friction_estimate", lengths={"element_forces": elements, "slipping": elements}
@@ -68,7 +71,10 @@ class FrictionEstimatorNode(ControlNode):
             elif elapsed > 1:
                 self.gaps += 1
             self.last = cycle
-            estimate = self.estimator.update(message[2 + sensors.VELOCITY], elapsed).tolist()
+            velocity = message[2 + sensors.VELOCITY]
+            self.velocity_measured = math.isfinite(velocity)
+            self.unmeasured += not self.velocity_measured
+            estimate = self.estimator.update(velocity, elapsed).tolist()
             n = self.elements
             slipping = [flag != 0.0 for flag in estimate[2 + n :]]
             self.estimates.send(stamp, cycle, estimate[0], estimate[1], n, *estimate[2 : 2 + n], n, *slipping)
@@ -77,9 +83,15 @@ class FrictionEstimatorNode(ControlNode):
         """Say which model runs and whether it missed a snapshot."""
         if not hasattr(self, "waiter"):
             return OK, "unconfigured", {}
-        figures = {"model": self.model, "cycle": self.last, "gaps": self.gaps, "malformed": self.states.malformed}
-        if not self.estimator.memory_is_finite():
-            return WARN, "a measured velocity was not finite: the elements have to be reset", figures
+        figures = {
+            "model": self.model,
+            "cycle": self.last,
+            "gaps": self.gaps,
+            "velocity_not_measured": self.unmeasured,
+            "malformed": self.states.malformed,
+        }
+        if not self.velocity_measured:
+            return WARN, "the snapshots hold no velocity: the last one is held", figures
         return OK, "running" if self._active.is_set() else "inactive", figures
 
 

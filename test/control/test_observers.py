@@ -124,7 +124,16 @@ def test_reset_puts_it_at_rest(rig, name):
     estimator.reset()
     assert np.array_equal(first, np.array([estimator.update(v).copy() for v in velocities(0, 500)]))
     assert len(estimator.element_forces) == len(estimator.slipping)
-    assert estimator.memory_is_finite()
+
+
+@pytest.mark.parametrize("name", OBSERVERS.names())
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_velocity_that_is_no_number_leaves_no_trace(rig, name, bad):
+    velocity = velocities(1, 1000)
+    with_gaps = velocity.copy()
+    with_gaps[[0, 400, 401, 999]] = bad
+    velocity[[0, 400, 401, 999]] = 0.0, velocity[399], velocity[399], velocity[998]
+    assert np.array_equal(estimates(rig, name, with_gaps), estimates(rig, name, velocity))
 
 
 def test_a_rig_with_another_number_of_elements_works(rig):

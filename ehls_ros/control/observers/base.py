@@ -3,14 +3,16 @@
 ``Parameters``, a named tuple declaring its parameters; ``state(friction)``, an :class:`ObserverState`
 before the first cycle; and a compiled ``update(velocity, period, friction, p, state)`` that takes one more
 measured velocity [m/s] and leaves the estimate in ``state.estimate``: force of the elements together,
-viscous force [N], then each element's force [N], then for each 1 where it slips and 0 where it sticks.
+viscous force [N], then each element's force [N], then for each 1 where it slips and 0 where it sticks. A velocity
+that is no number leaves no trace: the one before it is held (:func:`held`).
 """
 
+import math
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ehls_ros.arrays import Array
+from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.integration import WORK_ROWS
 from ehls_ros.physics.parameters import Friction
 
@@ -53,3 +55,12 @@ def empty_state(elements: int) -> ObserverState:
     return ObserverState(
         np.zeros(elements), np.zeros(elements), np.zeros(2), np.empty((WORK_ROWS, elements)), np.zeros(2 + 2 * elements)
     )
+
+
+@kernel
+def held(velocity: float, state: ObserverState) -> float:
+    """Return a measured velocity, or the last good one where it is no number [m/s], and remember it."""
+    if not math.isfinite(velocity):
+        velocity = state.last[0]
+    state.last[0], state.last[1] = velocity, 1.0
+    return velocity

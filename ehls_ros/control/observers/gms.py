@@ -3,7 +3,7 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.control.observers.base import ELEMENTS, ObserverState, empty_state
+from ehls_ros.control.observers.base import ELEMENTS, ObserverState, empty_state, held
 from ehls_ros.physics.friction import gms
 from ehls_ros.physics.friction.base import stribeck_level
 from ehls_ros.physics.integration import integrator
@@ -50,10 +50,11 @@ _advance = integrator(_evaluate, _switch)
 @kernel
 def update(velocity: float, period: float, friction: Friction, p: Parameters, state: ObserverState) -> None:
     """Run the elements from the last measurement to this one."""
-    if state.last[1] == 1.0:
-        motion = Motion(friction, state.last[0], (velocity - state.last[0]) / period)
+    last, started = state.last[0], state.last[1] == 1.0
+    velocity = held(velocity, state)
+    if started:
+        motion = Motion(friction, last, (velocity - last) / period)
         _advance(0.0, state.forces, state.mode, motion, period / p.steps, p.steps, state.work)
-    state.last[0], state.last[1] = velocity, 1.0
     elements = state.forces.size
     total = 0.0
     for i in range(elements):

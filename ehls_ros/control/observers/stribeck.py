@@ -4,7 +4,7 @@ import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import kernel
-from ehls_ros.control.observers.base import ELEMENTS, ObserverState, empty_state
+from ehls_ros.control.observers.base import ELEMENTS, ObserverState, empty_state, held
 from ehls_ros.physics.friction.base import stribeck_level
 from ehls_ros.physics.parameters import Friction
 from ehls_ros.schema import quantity
@@ -32,8 +32,8 @@ def smoothed_curve(velocity: float, friction: Friction, p: Parameters) -> float:
 @kernel
 def update(velocity: float, period: float, friction: Friction, p: Parameters, state: ObserverState) -> None:
     """Look the curve up."""
+    velocity = held(velocity, state)
     value = smoothed_curve(velocity, friction, p)
-    state.last[0], state.last[1] = velocity, 1.0
     state.estimate[0] = value
     state.estimate[1] = friction.viscous_coefficient * velocity
     state.estimate[ELEMENTS] = value
