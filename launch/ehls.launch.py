@@ -12,6 +12,7 @@ from launch import LaunchDescription
 
 ARGUMENTS = {
     "plant": ("sim", "sim: the simulated rig; bridge: the real one", ["sim", "bridge"]),
+    "bridge": ("", "bridge file for plant:=bridge: DAQ backend, channels, calibration; empty: UDP to this host", None),
     "controller": ("fasmc", "control law; pid follows a position and needs a spec with one", ["fasmc", "sic", "pid"]),
     "rig": ("", "rig file in place of the spec's", None),
     "spec": ("", "experiment file; empty: the 10 kN sine that comes with the package", None),
@@ -39,6 +40,8 @@ def nodes(context: LaunchContext) -> list[Node]:
         f"{chosen['controller']}_node": {},
         PLANTS[chosen["plant"]]: {},
     }
+    if chosen["plant"] == "bridge":
+        own[PLANTS["bridge"]]["bridge"] = chosen["bridge"]
     if chosen["record"]:
         own["recorder_node"] = {"bag": chosen["record"]}
     left_out = set(chosen["without"].split(","))

@@ -64,11 +64,9 @@ class AheadNode(ControlNode):
 
     def release(self) -> None:
         """Close the topics."""
-        if hasattr(self, "waiter"):
-            self.waiter.destroy()
-            self.progress.destroy()
-            self.outbox.destroy()
-            del self.waiter
+        self.waiter.destroy()
+        self.progress.destroy()
+        self.outbox.destroy()
 
     def start(self) -> None:
         """Publish what is wanted before the first snapshot."""
@@ -94,7 +92,5 @@ class AheadNode(ControlNode):
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say how far it is ahead."""
-        if not hasattr(self, "waiter"):
-            return OK, "unconfigured", {}
         figures = {"cycle": self.last, "ahead": self.next - 1 - self.last}
         return OK, "running" if self._active.is_set() else "inactive", figures

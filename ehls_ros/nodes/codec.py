@@ -77,19 +77,28 @@ class Encoder:
 
 
 class Decoder:
-    """Reads the leading numbers of one message type, whatever frame the sender names."""
+    """Reads the leading numbers of one message type, whatever frame the sender names.
+
+    A command's frame names its sender, since the middleware does not say who sent what.
+    """
 
     MOST_FORMATS = 64
     """Frame lengths remembered; senders on a graph have few."""
 
-    def __init__(self, message: Any) -> None:
-        """Take the message class."""
+    def __init__(self, message: Any, *, frame: bool = False) -> None:
+        """Prepare.
+
+        Args:
+            message: message class.
+            frame: whether the frame's name is returned as well.
+        """
         fields = message.get_fields_and_field_types()
+        self._frame = frame
         self._kinds = [_NUMBERS[fields[name]] for name in _leading_numbers(fields)]
         self._formats: dict[tuple[int, bytes], struct.Struct] = {}
 
     def __call__(self, message: bytes) -> tuple[Any, ...] | None:
-        """Return the header's stamp [ns] and the fields as one tuple, or None for what is no such message."""
+        """Return the header's stamp [ns], the frame if asked for, and the fields; None for what is no such message."""
         order = b"<" if message[1:2] == b"\1" else b">"
         try:
             (frame_length,) = struct.unpack_from(order.decode() + "I", message, _FRAME_LENGTH_AT)
@@ -98,10 +107,11 @@ class Decoder:
                 if frame_length > len(message):
                     return None
                 known = self._format(frame_length, order)
-            _, seconds, nanoseconds, _, _, *fields = known.unpack_from(message)
+            _, seconds, nanoseconds, _, frame, *fields = known.unpack_from(message)
         except struct.error:
             return None
-        return seconds * NANOSECONDS + nanoseconds, *fields
+        stamp = seconds * NANOSECONDS + nanoseconds
+        return (stamp, frame.rstrip(b"\0").decode(errors="replace"), *fields) if self._frame else (stamp, *fields)
 
     def _format(self, frame_length: int, order: bytes) -> struct.Struct:
         layout = _Layout(frame_length)

@@ -62,6 +62,7 @@ class ControlNode(LifecycleNode):
         if timing not in TIMINGS:
             raise BadInput(f"timing is '{timing}'", self.get_name(), f"one of {', '.join(TIMINGS)}")
         self.lockstep = timing == LOCKSTEP
+        self.configured = False
         self._active = threading.Event()
         self._idle = threading.Event()
         self._idle.set()
@@ -101,7 +102,7 @@ class ControlNode(LifecycleNode):
         """Give back what :meth:`prepare` built."""
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Return level, message and figures for diagnostics."""
+        """Return level, message and figures for diagnostics, once the node is configured."""
         return OK, "running" if self._active.is_set() else "inactive", {}
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -111,6 +112,7 @@ class ControlNode(LifecycleNode):
         except (BadInput, OSError) as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
+        self.configured = True
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -127,8 +129,14 @@ class ControlNode(LifecycleNode):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Give everything back."""
-        self.release()
+        self.give_back()
         return TransitionCallbackReturn.SUCCESS
+
+    def give_back(self) -> None:
+        """Release what was prepared, if anything was."""
+        if self.configured:
+            self.configured = False
+            self.release()
 
     def work(self, stopping: threading.Event) -> None:
         """Run the loop whenever the node is active, until told to stop."""
@@ -149,8 +157,11 @@ class ControlNode(LifecycleNode):
         """End the loop from inside: its task is done."""
         self._active.clear()
 
+    def _health(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        return self.health() if self.configured else (OK, "unconfigured", {})
+
     def _report(self) -> None:
-        level, message, figures = self.health()
+        level, message, figures = self._health()
         status = DiagnosticStatus(
             level=level,
             name=self.get_name(),
@@ -170,7 +181,7 @@ class ControlNode(LifecycleNode):
 
     def report_change(self) -> None:
         """Publish diagnostics at once when level or message are other than last time."""
-        level, message, _ = self.health()
+        level, message, _ = self._health()
         if (level, message) != self._reported:
             self._report()
 
@@ -225,7 +236,7 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
         server.join()
         executor.remove_node(node)
         executor.shutdown()
-        node.release()
+        node.give_back()
         node.destroy_node()
     # What still refers to the middleware has to go before the middleware does; the loop has put off collection.
     del executor, node

@@ -3,6 +3,7 @@
 `fasmc_node`, `sic_node` and `pid_node` are this node with the law they are named after.
 """
 
+import os
 import time
 from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple
@@ -94,7 +95,8 @@ class ControllerNode(ControlNode):
         self.states = Inbox(self, LoaderState, "loader_state")
         topic = REFERENCE_TOPICS[self.kind.FOLLOWS]
         self.reference = Inbox(self, message_class(topic.type), topic.name)
-        self.commands = Outbox(self, ValveCommand, "valve_command")
+        # By the frame the plant tells this controller's commands from another's.
+        self.commands = Outbox(self, ValveCommand, "valve_command", frame_id=f"{self.get_fully_qualified_name()}-{os.getpid()}")
         self.status = Outbox(self, ControllerStatus, "controller_status")
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
         self.on_state = Waiter([self.states])
@@ -106,13 +108,10 @@ class ControllerNode(ControlNode):
 
     def release(self) -> None:
         """Close the topics."""
-        if not hasattr(self, "on_state"):
-            return
         for part in (self.on_state, self.on_friction, self.on_anything, self.states, self.reference, self.friction):
             part.destroy()
         self.commands.destroy()
         self.status.destroy()
-        del self.on_state
 
     def once(self) -> None:
         """Wait for what the next cycle lacks; answer the newest cycle that has all it needs."""
@@ -196,8 +195,6 @@ class ControllerNode(ControlNode):
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say how answering goes."""
-        if not hasattr(self, "on_state"):
-            return OK, "unconfigured", {}
         figures = {
             "cycle": self.answered,
             "friction_fallbacks": self.fallbacks,

@@ -52,11 +52,9 @@ class FrictionEstimatorNode(ControlNode):
 
     def release(self) -> None:
         """Close the topics."""
-        if hasattr(self, "waiter"):
-            self.waiter.destroy()
-            self.states.destroy()
-            self.estimates.destroy()
-            del self.waiter
+        self.waiter.destroy()
+        self.states.destroy()
+        self.estimates.destroy()
 
     def once(self) -> None:
         """Answer every snapshot that is there."""
@@ -81,8 +79,6 @@ class FrictionEstimatorNode(ControlNode):
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say which model runs and whether it missed a snapshot."""
-        if not hasattr(self, "waiter"):
-            return OK, "unconfigured", {}
         figures = {
             "model": self.model,
             "cycle": self.last,

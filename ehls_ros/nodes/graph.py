@@ -25,6 +25,7 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import SetBool
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import WorkFailed
@@ -32,8 +33,14 @@ from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE, REALTIME
 from ehls_ros.recording.topics import CYCLE_TOPICS, FRICTION_ESTIMATE, REFERENCE_TOPICS
+from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
 
-PLANT, RECORDER = "plant_sim_node", "recorder_node"
+PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
+"""What may stand for the rig; with the bridge, what disturbs the rig is not the graph's."""
+
+RECORDER = "recorder_node"
+
+DISTURBANCE = "disturbance_node"
 
 UP_TIME = 120.0
 """Longest time a node may take to come up and compile [s]."""
@@ -41,7 +48,10 @@ UP_TIME = 120.0
 SHUTDOWN_TIME = 10.0
 """Time a node is given to end by itself after SIGINT [s]."""
 
-BACKGROUND = (RECORDER, "reference_node", "disturbance_node")
+ENABLE_TIME = 10.0
+"""Longest time until a rig's gate finds everything in order [s]."""
+
+BACKGROUND = (RECORDER, "reference_node", DISTURBANCE)
 """Nodes that only have to keep up; they step back for those that have to answer."""
 
 REALTIME_PRIORITY = 10
@@ -62,23 +72,51 @@ class Running(NamedTuple):
     log: Path
 
 
-def nodes_of(spec: Spec) -> list[str]:
+class Plant(NamedTuple):
+    """What stands for the rig.
+
+    Attributes:
+        kind: of :data:`PLANTS`.
+        bridge: bridge file; None: UDP to this host.
+    """
+
+    kind: str = "sim"
+    bridge: Path | None = None
+
+    @property
+    def node(self) -> str:
+        """Its executable."""
+        return PLANTS[self.kind]
+
+
+SIMULATED = Plant()
+
+
+def nodes_of(spec: Spec, plant: Plant) -> list[str]:
     """Return the executables an experiment needs, in the order they are activated; the plant comes last."""
     friction = ["friction_estimator_node"] if CONTROLLERS.load(spec.controller.name).FRICTION else []
-    return [RECORDER, "reference_node", "disturbance_node", *friction, f"{spec.controller.name}_node", PLANT]
+    disturbance = [DISTURBANCE] if plant.kind == "sim" else []
+    return [RECORDER, "reference_node", *disturbance, *friction, f"{spec.controller.name}_node", plant.node]
 
 
-def expected_topics(spec: Spec) -> list[str]:
+def expected_topics(spec: Spec, plant: Plant) -> list[str]:
     """Return the control-path topics that an experiment's nodes publish."""
     law = CONTROLLERS.load(spec.controller.name)
     absent = [topic for follows, topic in REFERENCE_TOPICS.items() if follows != law.FOLLOWS]
     if not law.FRICTION:
         absent.append(FRICTION_ESTIMATE)
+    if plant.kind != "sim":
+        absent.append(DISTURBANCE_TOPIC)
     return [topic.name for topic in CYCLE_TOPICS if topic not in absent]
 
 
 def run_graph(
-    spec: Spec, folder: RunFolder, timing: str, storage: str, progress: Callable[[int, int], None] | None = None
+    spec: Spec,
+    folder: RunFolder,
+    timing: str,
+    storage: str,
+    progress: Callable[[int, int], None] | None = None,
+    plant: Plant = SIMULATED,
 ) -> float:
     """Run an experiment over DDS, each node its own process.
 
@@ -88,6 +126,7 @@ def run_graph(
         timing: lockstep or realtime.
         storage: format of the bag.
         progress: called now and then with the cycles done and the cycles in all.
+        plant: what stands for the rig.
 
     Returns:
         Wall time from the plant's first to its last cycle [s].
@@ -98,12 +137,12 @@ def run_graph(
     environment = graph_environment()
     os.environ.update({key: environment[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
     folder.logs.mkdir()
-    parameters = _parameters(spec, folder, timing, storage)
+    parameters = _parameters(spec, plant, folder, timing, storage)
     # The nodes end together with this process even when it is asked to end in the middle.
-    with _interrupts_noted() as interrupted, _processes(nodes_of(spec), parameters, folder.logs, environment) as running:
+    with _interrupts_noted() as interrupted, _processes(list(parameters), parameters, folder.logs, environment) as running:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         try:
-            wall = conduct(Conductor(running, timing, interrupted), spec.cycles, progress)
+            wall = conduct(Conductor(running, plant, timing, interrupted), spec.cycles, progress)
         finally:
             # What still refers to the middleware has to go before the middleware does.
             gc.collect()
@@ -140,11 +179,18 @@ def free_domain() -> int:
     raise WorkFailed("every ROS domain from 1 to 101 is in use on this host: end other graphs or set ROS_DOMAIN_ID")
 
 
-def _parameters(spec: Spec, folder: RunFolder, timing: str, storage: str) -> dict[str, dict[str, Any]]:
+def _parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, storage: str) -> dict[str, dict[str, Any]]:
+    """Return each node's parameters, in the order the nodes are activated."""
     common = {"spec": str(folder.spec.resolve()), "timing": timing, "autostart": False}
-    parameters: dict[str, dict[str, Any]] = {name: dict(common) for name in nodes_of(spec)}
-    parameters[PLANT]["cycles"] = spec.cycles
-    parameters[RECORDER] |= {"bag": str(folder.bag.resolve()), "storage": storage, "expected": ",".join(expected_topics(spec))}
+    parameters: dict[str, dict[str, Any]] = {name: dict(common) for name in nodes_of(spec, plant)}
+    parameters[plant.node]["cycles"] = spec.cycles
+    if plant.bridge is not None:
+        parameters[plant.node]["bridge"] = str(plant.bridge.resolve())
+    parameters[RECORDER] |= {
+        "bag": str(folder.bag.resolve()),
+        "storage": storage,
+        "expected": ",".join(expected_topics(spec, plant)),
+    }
     if timing == LOCKSTEP:
         # Nothing is late in lockstep; waiting keeps a run the same whatever else the machine does.
         parameters[f"{spec.controller.name}_node"]["friction_patience"] = 10.0
@@ -234,10 +280,11 @@ def conduct(conductor: "Conductor", cycles: int, progress: Callable[[int, int], 
 class Conductor:
     """Takes running nodes through their lifecycle and watches them."""
 
-    def __init__(self, running: list[Running], timing: str, interrupted: threading.Event) -> None:
+    def __init__(self, running: list[Running], plant: Plant, timing: str, interrupted: threading.Event) -> None:
         """Join the graph; once ``interrupted`` is set, the work ends with KeyboardInterrupt."""
         self._interrupted = interrupted
         self._running = running
+        self._plant = plant
         self._timing = timing
         self._node = Node("conductor", namespace=NAMESPACE)
         self._executor = SingleThreadedExecutor()
@@ -245,7 +292,7 @@ class Conductor:
         self._clients = {node.name: self._node.create_client(ChangeState, f"{node.name}/change_state") for node in running}
         self._ended = False
         self._cycle = 0
-        self._node.create_subscription(TransitionEvent, f"{PLANT}/transition_event", self._on_transition, 10)
+        self._node.create_subscription(TransitionEvent, f"{plant.node}/transition_event", self._on_transition, 10)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def run(self, cycles: int, progress: Callable[[int, int], None] | None) -> float:
@@ -262,6 +309,8 @@ class Conductor:
         for node in self._running:
             start = time.perf_counter()
             self._transition(node, Transition.TRANSITION_ACTIVATE)()
+        if self._plant.kind != "sim":
+            self._enable()
         while not self._ended:
             self._spin()
             if progress is not None:
@@ -304,12 +353,29 @@ class Conductor:
 
         return wait
 
+    def _enable(self) -> None:
+        """Let the commands through to the rig, once its gate finds everything in order."""
+        client = self._node.create_client(SetBool, "enable")
+        deadline = time.monotonic() + ENABLE_TIME
+        refusal = "the service did not come up"
+        while time.monotonic() < deadline:
+            self._spin()
+            if not client.service_is_ready():
+                continue
+            future = client.call_async(SetBool.Request(data=True))
+            while not future.done() and time.monotonic() < deadline:
+                self._spin()
+            if future.done() and future.result().success:
+                return
+            refusal = future.result().message if future.done() else "no answer"
+        raise WorkFailed(f"the rig's safety gate does not open: {refusal}")
+
     def _on_transition(self, event: TransitionEvent) -> None:
         self._ended |= (event.start_state.label, event.goal_state.label) == ("deactivating", "inactive")
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
-            if status.name == PLANT:
+            if status.name == self._plant.node:
                 self._cycle = next((int(v.value) for v in status.values if v.key == "cycle"), self._cycle)
 
 

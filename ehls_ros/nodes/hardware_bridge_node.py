@@ -1,16 +1,175 @@
-"""`hardware_bridge_node`: place of the real rig in the graph. This version has no DAQ backend."""
+"""`hardware_bridge_node`: the real rig in the graph. The DAQ's samples pace the cycles; each gets an answer of the gate."""
 
-import sys
+import math
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, NoReturn
+
+from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.experiments.files import config_folder
+from ehls_ros.experiments.spec import read_yaml
+from ehls_ros.hardware.backends.base import Reading
+from ehls_ros.hardware.bridge_file import bridge_from_mapping
+from ehls_ros.hardware.safety_gate import DISABLED
+from ehls_ros.nodes.codec import NANOSECONDS
+from ehls_ros.nodes.control import ERROR, OK, WARN, run_node
+from ehls_ros.nodes.parameters import declare
+from ehls_ros.nodes.plant import PlantNode
+from ehls_ros.physics.rig import SENSED
+from ehls_ros.schema import quantity, text
+
+LOCKSTEP_ANSWER_TIME = 0.05
+"""How long a cycle waits for its answer where the device waits for this node: longer than a busy machine hesitates [s]."""
+
+SILENCE = 2.0
+"""Cycles without a sample after which the gate is stepped all the same."""
 
 
-def main() -> int:
-    """Say what is missing."""
-    print(
-        "hardware_bridge_node: this version has no DAQ backend; start the simulated rig with plant:=sim (plant_sim_node)",
-        file=sys.stderr,
-    )
-    return 1
+class Parameters(NamedTuple):
+    """Where the rig is."""
+
+    bridge: Annotated[str, text("bridge file: DAQ backend, channels, calibration; empty: UDP to this host")] = ""
+    answer_time: Annotated[
+        float,
+        quantity("1", "part of the period that a cycle waits for its answer", above=0.0, maximum=1.0),
+    ] = 0.8
+
+
+class HardwareBridgeNode(PlantNode):
+    """Moves samples to the graph and commands, through the gate, to the rig. The valve stays closed until `enable`."""
+
+    def __init__(self) -> None:
+        """Declare the parameters and read the bridge file.
+
+        Raises:
+            BadInput: the bridge file is wrong.
+        """
+        super().__init__("hardware_bridge_node", {})
+        declare(self, Parameters, live=False)
+        chosen = self.text_parameter("bridge")
+        path = Path(chosen) if chosen else config_folder() / "bridge_udp.yaml"
+        self.bridge = bridge_from_mapping(read_yaml(path, "bridge file"), str(path))
+        part = float(self.get_parameter("answer_time").value)
+        self.answer_time = LOCKSTEP_ANSWER_TIME if self.lockstep else part * self.period
+
+    def prepare(self) -> None:
+        """Open the device and the topics."""
+        self.calibration = self.bridge.calibration
+        try:
+            self.device = self.bridge.open(self.period)
+        except WorkFailed as error:
+            raise BadInput(str(error), self.get_name(), "a device that is there and free") from None
+        self.open_gate(self.calibration.wired)
+        self.cycle = -1
+        self.sequence = -1
+        self.saturated: tuple[str, ...] = ()
+        self.at_null = True
+        self.began_anew = 0
+        self.silent = False
+        self.failure = ""
+        self.elapsed = 1
+        self.lockstep_time = 0.0
+
+    def release(self) -> None:
+        """Close the valve, the device and the topics."""
+        self.device.close()
+        super().release()
+
+    def start(self) -> None:
+        """Begin with the next sample, disabled."""
+        self.first = self.cycle + 1
+        self.stepped = time.perf_counter()
+        self.epoch_ns = time.time_ns() - self.first * round(self.period * NANOSECONDS)
+
+    def stop(self) -> None:
+        """Close the valve."""
+        self.gate.disable()
+        self._write(0.0)
+
+    def once(self) -> None:
+        """Take one sample and answer it, or notice that there is none."""
+        try:
+            reading = self.device.read(SILENCE * self.period)
+            self.failure = ""
+        except WorkFailed as error:
+            self.failure = str(error)
+            reading = None
+        if reading is None:
+            self._bear_silence()
+            return
+        self._open_cycle(reading)
+        deadline = time.perf_counter() + self.answer_time
+        self.take_commands(self.cycle)
+        while self.answered != self.cycle and (remaining := deadline - time.perf_counter()) > 0.0:
+            self.answer.wait(remaining)
+            self.take_commands(self.cycle)
+        if self.answered != self.cycle and self.answered >= self.first:
+            self.missed += 1
+        self._write(self.gate.step(self._time()))
+        if self.cycles and self.cycle - self.first + 1 >= self.cycles:
+            self.end_cycles()
+
+    def _time(self) -> float:
+        """Return the gate's time [s]: where the device waits for answers, that of the cycles, else that of the wall."""
+        now = time.perf_counter()
+        if not self.lockstep:
+            return now
+        self.lockstep_time += now - self.stepped if self.silent else self.elapsed * self.period
+        self.stepped = now
+        return self.lockstep_time
+
+    def _open_cycle(self, reading: Reading) -> None:
+        """Number the sample and send it out; samples that were lost count, so that the cycles keep the device's time."""
+        following = self.sequence >= 0 and reading.sequence > self.sequence
+        self.began_anew += self.sequence >= 0 and not following
+        self.elapsed = reading.sequence - self.sequence if following else 1
+        self.cycle += self.elapsed
+        self.sequence = reading.sequence
+        self.silent = False
+        self.at_null = reading.at_null
+        self.saturated = self.calibration.saturated(reading.values)
+        stamp = self.epoch_ns + round(self.cycle * self.period * NANOSECONDS)
+        signals = self.calibration.signals(reading.values)
+        if self.saturated:
+            # What the converter cannot tell is no measurement.
+            signals = tuple(math.nan if name in self.saturated else value for name, value in zip(SENSED, signals, strict=True))
+        self.publish(self.cycle, stamp, signals)
+
+    def _bear_silence(self) -> None:
+        """Step the gate, which sees the snapshots age, and keep telling the device what it says."""
+        self.silent = True
+        self.take_commands(self.cycle)
+        self._write(self.gate.step(self._time()))
+
+    def _write(self, spool: float) -> None:
+        try:
+            self.device.write(self.calibration.command(spool), self.sequence)
+        except WorkFailed as error:
+            self.failure = str(error)
+
+    def figures(self) -> dict[str, Any]:
+        """Return figures for diagnostics."""
+        counted = {f"device_{name}": count for name, count in self.device.figures().items()}
+        own = {"cycle": self.cycle, "device_began_anew": self.began_anew, "device_at_null": self.at_null}
+        return {**super().figures(), **own, **counted}
+
+    def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        """Say how device, gate and cycles are."""
+        level, message, figures = super().health()
+        if self.failure:
+            return ERROR, self.failure, figures
+        if level == OK and self.at_null and self.gate.state != DISABLED:
+            return WARN, "the device keeps the valve closed: commands do not reach it", figures
+        if level == OK and self.saturated:
+            return WARN, f"converter at the end of its range: {', '.join(self.saturated)}", figures
+        return level, message, figures
+
+
+def main() -> NoReturn:
+    """Run the node."""
+    run_node(HardwareBridgeNode)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -82,9 +82,8 @@ class RecorderNode(ControlNode):
 
     def release(self) -> None:
         """Unsubscribe."""
-        for inbox in getattr(self, "inboxes", {}).values():
+        for inbox in self.inboxes.values():
             inbox.destroy()
-        self.inboxes = {}
 
     def start(self) -> None:
         """Open the bag; it belongs to the thread that writes it."""
@@ -159,10 +158,10 @@ class RecorderNode(ControlNode):
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say how much is written."""
-        figures = {"bag": getattr(self, "path", ""), "written": getattr(self, "written", 0), "lost": getattr(self, "lost", 0)}
-        if getattr(self, "failure", ""):
+        figures = {"bag": self.path, "written": self.written, "lost": self.lost}
+        if self.failure:
             return ERROR, f"not recording: {self.failure}", figures
-        if getattr(self, "lost", 0):
+        if self.lost:
             return WARN, "messages were lost on their way here", figures
         return OK, "recording" if self._active.is_set() else "inactive", figures
 

@@ -35,6 +35,13 @@ def arguments(parser: ArgumentParser) -> None:
         default="lockstep",
         help="lockstep: deterministic, as fast as the machine goes; realtime: wall clock, last command held",
     )
+    parser.add_argument(
+        "--plant",
+        choices=("sim", "bridge"),
+        default="sim",
+        help="sim: simulated rig; bridge: the rig behind --bridge, or UDP here",
+    )
+    parser.add_argument("--bridge", type=Path, help="bridge file: DAQ backend, channels, calibration (with --plant bridge)")
     parser.add_argument("--duration", type=float, help="plant time in s, in place of the spec's")
     parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="format of the bag")
     parser.add_argument("--json", action="store_true", help="end with one line of JSON: the metrics")
@@ -42,6 +49,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Run it."""
+    if options.plant != "sim" and options.in_process:
+        raise BadInput("--plant bridge was given", "command line", "--plant sim with --in-process: a rig needs the graph")
+    if options.bridge is not None and options.plant == "sim":
+        raise BadInput("--bridge was given", "command line", "--plant bridge with it")
     spec = load_spec(options.spec)
     if options.duration is not None:
         spec = _with_duration(spec, options.duration)
@@ -76,12 +87,13 @@ def _over_dds(
     spec: Spec, folder: RunFolder, options: Namespace, progress: Callable[[int, int], None]
 ) -> tuple[Trajectory, float]:
     try:
-        from ehls_ros.nodes.graph import run_graph
+        from ehls_ros.nodes.graph import Plant, run_graph
     except ImportError as error:
         raise BadInput(
             f"ROS 2 cannot be imported ({error})", "this Python", "ROS 2 Jazzy sourced or `make setup`; or --in-process"
         ) from None
-    wall = run_graph(spec, folder, options.timing, options.storage, progress)
+    plant = Plant(options.plant, options.bridge)
+    wall = run_graph(spec, folder, options.timing, options.storage, progress, plant)
     return read_bag(folder.bag), wall
 
 

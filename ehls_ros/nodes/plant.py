@@ -1,0 +1,169 @@
+"""What stands for the rig in the graph, simulated or real: topics, services, the safety gate, telemetry.
+
+``plant_sim_node`` and ``hardware_bridge_node`` are this node with a simulator and with a DAQ backend behind it.
+"""
+
+import math
+import time
+from collections.abc import Collection, Mapping, Sequence
+from typing import Annotated, Any, NamedTuple
+
+from std_srvs.srv import SetBool, Trigger
+
+from ehls_msgs.msg import ForceReference, LoaderState, ValveCommand
+from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
+from ehls_ros.hardware.safety_gate import Gate
+from ehls_ros.nodes.codec import Decoder
+from ehls_ros.nodes.control import OK, WARN, ControlNode
+from ehls_ros.nodes.latency import Latency
+from ehls_ros.nodes.parameters import declare, follow, values_of
+from ehls_ros.nodes.telemetry import Telemetry
+from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
+from ehls_ros.schema import quantity
+
+PATIENCE = 1.0
+"""Time without an answer after which diagnostics say so [s]."""
+
+KEPT = 4000
+"""Force references kept ahead of their cycle."""
+
+
+class Parameters(NamedTuple):
+    """How the cycles are run."""
+
+    cycles: Annotated[int, quantity("1", "cycles to run; 0: until told to stop", minimum=0)] = 0
+    telemetry_rate: Annotated[
+        float, quantity("Hz", "rate of force, load_pressure and joint_states", minimum=0.0, maximum=1e3)
+    ] = 50.0
+
+
+class PlantNode(ControlNode):
+    """Opens each cycle with a loader_state, takes the answers, and lets them through the safety gate.
+
+    Subclasses implement :meth:`once` and run the rig behind the gate.
+    """
+
+    def __init__(self, name: str, gate_defaults: Mapping[str, Any]) -> None:
+        """Declare the parameters and the services.
+
+        Args:
+            name: the node's.
+            gate_defaults: values of the gate's parameters in place of the declared defaults.
+        """
+        super().__init__(name)
+        declare(self, Parameters, live=False)
+        declare(self, GateParameters, dict(gate_defaults), live=True)
+        self.cycles = int(self.get_parameter("cycles").value)
+        self.period = self.spec.settings.control_period
+        self.gate = Gate(self.spec.rig, self.period)
+        follow(self, GateParameters, self._retune)
+        self.create_service(Trigger, "emergency_stop", self._on_emergency_stop)
+        self.create_service(Trigger, "reset_trips", self._on_reset)
+        self.create_service(SetBool, "enable", self._on_enable)
+
+    def open_gate(self, measured: Collection[str]) -> None:
+        """Open a gate, disabled, and the topics.
+
+        Args:
+            measured: signals of ``SENSED`` the rig measures.
+        """
+        self.gate = Gate(self.spec.rig, self.period, values_of(self, GateParameters, self.get_name()), measured)
+        self.answered = -1
+        self.missed = 0
+        self.references: dict[int, float] = {}
+        self.latency = Latency()
+        self.published = time.perf_counter()
+        self.state = Outbox(self, LoaderState, "loader_state", frame_id="loader")
+        # A command from before this node was there is none for its cycles.
+        self.commands = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, frame=True))
+        self.reference = Inbox(self, ForceReference, "force_reference")
+        self.answer = Waiter([self.commands])
+        self.telemetry = Telemetry(self, float(self.get_parameter("telemetry_rate").value))
+
+    def release(self) -> None:
+        """Close the topics."""
+        for part in (self.answer, self.commands, self.reference, self.state):
+            part.destroy()
+        self.telemetry.destroy()
+
+    def publish(self, cycle: int, stamp_ns: int, signals: Sequence[float]) -> None:
+        """Open a cycle: show the gate and the graph a snapshot.
+
+        Args:
+            cycle: its number.
+            stamp_ns: its time [ns].
+            signals: readings in the order of ``SENSED``.
+        """
+        while (message := self.reference.take()) is not None:
+            self.references[message[1]] = message[2]
+        if len(self.references) > KEPT:
+            self.references = {k: force for k, force in self.references.items() if k >= cycle}
+        self.gate.sense(cycle, signals, self.references.pop(cycle, math.nan))
+        self.published = time.perf_counter()
+        self.state.send(stamp_ns, cycle, *signals)
+        self.telemetry.tell(cycle * self.period, stamp_ns, signals)
+
+    def take_commands(self, cycle: int) -> None:
+        """Hand the gate what came in.
+
+        Args:
+            cycle: the cycle under way.
+        """
+        while (message := self.commands.take()) is not None:
+            _, sender, answered, spool = message
+            if self.gate.take(answered, spool, sender) and answered > self.answered:
+                self.answered = answered
+                if answered == cycle:
+                    self.latency.add(time.perf_counter() - self.published)
+
+    def end_cycles(self) -> None:
+        """Leave the active state from the service thread: the last cycle is done."""
+        self.finish()
+        timer = self.create_timer(0.0, lambda: (timer.cancel(), self.trigger_deactivate()))
+
+    def _retune(self, parameters: GateParameters) -> None:
+        self.gate.retune(parameters)
+
+    def _on_emergency_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.gate.emergency_stop()
+        return self._answered(response, None, "stopped; reset_trips, then enable to go on")
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.gate.emergency_stop(engaged=False)
+        return self._answered(response, self.gate.reset(), "reset; enable to go on")
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if not request.data:
+            self.gate.disable()
+            return self._answered(response, None, "disabled")
+        refusal = self.gate.enable() if self._active.is_set() else "the node is not active"
+        return self._answered(response, refusal, "enabled")
+
+    def _answered(self, response: Any, refusal: str | None, message: str) -> Any:
+        """Fill a service's response, and tell diagnostics at once."""
+        response.success, response.message = refusal is None, refusal or message
+        self.report_change()
+        return response
+
+    def figures(self) -> dict[str, Any]:
+        """Return figures for diagnostics; subclasses add theirs."""
+        return {"cycles": self.cycles, "missed": self.missed, **self.latency.figures()}
+
+    def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        """Say what the gate says, or else how the cycles go."""
+        level, state, figures = self.gate.health()
+        figures = {**self.figures(), **figures}
+        if level:
+            return bytes([level]), state, figures
+        if not self._active.is_set():
+            return OK, "inactive", figures
+        complaint = self._complaint()
+        return (WARN, complaint, figures) if complaint else (OK, state, figures)
+
+    def _complaint(self) -> str:
+        """Return what is wrong with the answers; nothing where nothing is."""
+        if self.lockstep and time.perf_counter() - self.published > PATIENCE:
+            return "waiting for the controller's answer or the disturbance"
+        if self.answered < 0:
+            return "no controller has answered yet"
+        return "cycles without an answer: the last command was held" if self.missed else ""
