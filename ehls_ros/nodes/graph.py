@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import rclpy
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
@@ -291,6 +291,7 @@ class Conductor:
         self._executor.add_node(self._node)
         self._clients = {node.name: self._node.create_client(ChangeState, f"{node.name}/change_state") for node in running}
         self._ended = False
+        self._failure = ""
         self._cycle = 0
         self._node.create_subscription(TransitionEvent, f"{plant.node}/transition_event", self._on_transition, 10)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
@@ -311,13 +312,15 @@ class Conductor:
             self._transition(node, Transition.TRANSITION_ACTIVATE)()
         if self._plant.kind != "sim":
             self._enable()
-        while not self._ended:
+        while not self._ended and not self._failure:
             self._spin()
             if progress is not None:
                 progress(self._cycle, cycles)
         wall = time.perf_counter() - start
         recorder = next(node for node in self._running if node.name == RECORDER)
         self._transition(recorder, Transition.TRANSITION_DEACTIVATE)()
+        if self._failure:
+            raise WorkFailed(f"{self._plant.node}: {self._failure}; what was recorded until then is kept")
         return wall
 
     def close(self) -> None:
@@ -375,6 +378,8 @@ class Conductor:
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
+            if status.name == self._plant.node and status.level == DiagnosticStatus.ERROR:
+                self._failure = status.message
             if status.name == self._plant.node:
                 self._cycle = next((int(v.value) for v in status.values if v.key == "cycle"), self._cycle)
 

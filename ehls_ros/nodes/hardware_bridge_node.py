@@ -12,18 +12,17 @@ from ehls_ros.experiments.spec import read_yaml
 from ehls_ros.hardware.backends.base import Reading
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
 from ehls_ros.hardware.safety_gate import DISABLED
-from ehls_ros.nodes.codec import NANOSECONDS
 from ehls_ros.nodes.control import ERROR, OK, WARN, run_node
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.plant import PlantNode
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.schema import quantity, text
 
-LOCKSTEP_ANSWER_TIME = 0.05
-"""How long a cycle waits for its answer where the device waits for this node: longer than a busy machine hesitates [s]."""
+LOCKSTEP_PATIENCE = 0.05
+"""In lockstep the gate's time goes on without a sample or an answer after this, longer than a busy machine hesitates [s]."""
 
 SILENCE = 2.0
-"""Cycles without a sample after which the gate is stepped all the same."""
+"""Periods without a sample after which the gate is stepped all the same."""
 
 
 class Parameters(NamedTuple):
@@ -51,7 +50,8 @@ class HardwareBridgeNode(PlantNode):
         path = Path(chosen) if chosen else config_folder() / "bridge_udp.yaml"
         self.bridge = bridge_from_mapping(read_yaml(path, "bridge file"), str(path))
         part = float(self.get_parameter("answer_time").value)
-        self.answer_time = LOCKSTEP_ANSWER_TIME if self.lockstep else part * self.period
+        self.answer_time = LOCKSTEP_PATIENCE if self.lockstep else part * self.period
+        self.sample_time = LOCKSTEP_PATIENCE if self.lockstep else SILENCE * self.period
 
     def prepare(self) -> None:
         """Open the device and the topics."""
@@ -79,8 +79,7 @@ class HardwareBridgeNode(PlantNode):
     def start(self) -> None:
         """Begin with the next sample, disabled."""
         self.first = self.cycle + 1
-        self.stepped = time.perf_counter()
-        self.epoch_ns = time.time_ns() - self.first * round(self.period * NANOSECONDS)
+        self.set_epoch(self.first)
 
     def stop(self) -> None:
         """Close the valve."""
@@ -90,7 +89,7 @@ class HardwareBridgeNode(PlantNode):
     def once(self) -> None:
         """Take one sample and answer it, or notice that there is none."""
         try:
-            reading = self.device.read(SILENCE * self.period)
+            reading = self.device.read(self.sample_time)
             self.failure = ""
         except WorkFailed as error:
             self.failure = str(error)
@@ -111,12 +110,10 @@ class HardwareBridgeNode(PlantNode):
             self.end_cycles()
 
     def _time(self) -> float:
-        """Return the gate's time [s]: where the device waits for answers, that of the cycles, else that of the wall."""
-        now = time.perf_counter()
+        """Return the gate's time [s]: that of the wall, or of the cycles where the device waits for their answers."""
         if not self.lockstep:
-            return now
-        self.lockstep_time += now - self.stepped if self.silent else self.elapsed * self.period
-        self.stepped = now
+            return time.perf_counter()
+        self.lockstep_time += self.period if self.silent else self.elapsed * self.period
         return self.lockstep_time
 
     def _open_cycle(self, reading: Reading) -> None:
@@ -129,12 +126,11 @@ class HardwareBridgeNode(PlantNode):
         self.silent = False
         self.at_null = reading.at_null
         self.saturated = self.calibration.saturated(reading.values)
-        stamp = self.epoch_ns + round(self.cycle * self.period * NANOSECONDS)
         signals = self.calibration.signals(reading.values)
         if self.saturated:
             # What the converter cannot tell is no measurement.
             signals = tuple(math.nan if name in self.saturated else value for name, value in zip(SENSED, signals, strict=True))
-        self.publish(self.cycle, stamp, signals)
+        self.publish(self.cycle, signals)
 
     def _bear_silence(self) -> None:
         """Step the gate, which sees the snapshots age, and keep telling the device what it says."""

@@ -8,18 +8,22 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, Any, NamedTuple
 
+from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.msg import ForceReference, LoaderState, ValveCommand
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
 from ehls_ros.hardware.safety_gate import Gate
-from ehls_ros.nodes.codec import Decoder
+from ehls_ros.nodes.codec import NANOSECONDS, Decoder
 from ehls_ros.nodes.control import OK, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
-from ehls_ros.nodes.telemetry import Telemetry
-from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
+from ehls_ros.nodes.telemetry import Telemetry, time_of
+from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos
 from ehls_ros.schema import quantity
+
+CLOCK_CYCLES = 10
+"""In lockstep /clock tells the cycles' time every so many cycles; what runs ahead of the cycles goes by it."""
 
 PATIENCE = 1.0
 """Time without an answer after which diagnostics say so [s]."""
@@ -78,6 +82,7 @@ class PlantNode(ControlNode):
         self.commands = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, frame=True))
         self.reference = Inbox(self, ForceReference, "force_reference")
         self.answer = Waiter([self.commands])
+        self.clock = self.create_publisher(Clock, "/clock", control_qos(1)) if self.lockstep else None
         self.telemetry = Telemetry(self, float(self.get_parameter("telemetry_rate").value))
 
     def release(self) -> None:
@@ -85,13 +90,22 @@ class PlantNode(ControlNode):
         for part in (self.answer, self.commands, self.reference, self.state):
             part.destroy()
         self.telemetry.destroy()
+        if self.clock is not None:
+            self.destroy_publisher(self.clock)
 
-    def publish(self, cycle: int, stamp_ns: int, signals: Sequence[float]) -> None:
+    def set_epoch(self, cycle: int) -> None:
+        """Let stamps go by the clock of the wall from now, or in lockstep by the cycles alone.
+
+        Args:
+            cycle: the cycle that begins now.
+        """
+        self.epoch_ns = 0 if self.lockstep else time.time_ns() - cycle * round(self.period * NANOSECONDS)
+
+    def publish(self, cycle: int, signals: Sequence[float]) -> None:
         """Open a cycle: show the gate and the graph a snapshot.
 
         Args:
             cycle: its number.
-            stamp_ns: its time [ns].
             signals: readings in the order of ``SENSED``.
         """
         while (message := self.reference.take()) is not None:
@@ -99,8 +113,11 @@ class PlantNode(ControlNode):
         if len(self.references) > KEPT:
             self.references = {k: force for k, force in self.references.items() if k >= cycle}
         self.gate.sense(cycle, signals, self.references.pop(cycle, math.nan))
+        stamp_ns = self.epoch_ns + round(cycle * self.period * NANOSECONDS)
         self.published = time.perf_counter()
         self.state.send(stamp_ns, cycle, *signals)
+        if self.clock is not None and cycle % CLOCK_CYCLES == 0:
+            self.clock.publish(Clock(clock=time_of(stamp_ns)))
         self.telemetry.tell(cycle * self.period, stamp_ns, signals)
 
     def take_commands(self, cycle: int) -> None:

@@ -5,20 +5,14 @@ from collections.abc import Mapping
 from typing import Any, NoReturn
 
 import numpy as np
-from rosgraph_msgs.msg import Clock
 
 from ehls_msgs.msg import Disturbance
 from ehls_ros.experiments.loop import simulator_of
 from ehls_ros.hardware.gate_parameters import SIMULATED
-from ehls_ros.nodes.codec import NANOSECONDS
 from ehls_ros.nodes.control import ERROR, WAIT, run_node
 from ehls_ros.nodes.plant import PATIENCE, PlantNode
-from ehls_ros.nodes.telemetry import time_of
-from ehls_ros.nodes.transport import Inbox, Waiter, control_qos
+from ehls_ros.nodes.transport import Inbox, Waiter
 from ehls_ros.physics.rig import SENSED
-
-CLOCK_CYCLES = 10
-"""In lockstep /clock tells the plant's time every so many cycles; what runs ahead of the cycles goes by it."""
 
 
 class PlantSimNode(PlantNode):
@@ -41,20 +35,16 @@ class PlantSimNode(PlantNode):
         self.enabled = False
         self.disturbance = Inbox(self, Disturbance, "disturbance")
         self.anything = Waiter([self.commands, self.disturbance])
-        self.clock = self.create_publisher(Clock, "/clock", control_qos(1)) if self.lockstep else None
 
     def release(self) -> None:
         """Close the topics."""
         self.anything.destroy()
         self.disturbance.destroy()
-        if self.clock is not None:
-            self.destroy_publisher(self.clock)
         super().release()
 
     def start(self) -> None:
         """Publish the first snapshot."""
-        period_ns = round(self.period * NANOSECONDS)
-        self.epoch_ns = 0 if self.lockstep else time.time_ns() - self.cycle * period_ns
+        self.set_epoch(self.cycle)
         self.epoch = time.perf_counter() - self.cycle * self.period
         self._snapshot()
 
@@ -115,11 +105,7 @@ class PlantSimNode(PlantNode):
         return self.gate.step(self.cycle * self.period)
 
     def _snapshot(self) -> None:
-        measured = self.simulator.measure(self.random.standard_normal(len(SENSED)))
-        stamp = self.epoch_ns + round(self.cycle * self.period * NANOSECONDS)
-        self.publish(self.cycle, stamp, measured.tolist())
-        if self.clock is not None and self.cycle % CLOCK_CYCLES == 0:
-            self.clock.publish(Clock(clock=time_of(stamp)))
+        self.publish(self.cycle, self.simulator.measure(self.random.standard_normal(len(SENSED))).tolist())
 
     def figures(self) -> dict[str, Any]:
         """Return figures for diagnostics."""
