@@ -48,6 +48,7 @@ setup(
         "parquet": ["pyarrow>=15"],
         "optimisers": ["pymoo>=0.6.2", "pyswarms>=1.3"],
         "peers": ["pysindy==2.1.0"],
+        "nidaqmx": ["nidaqmx>=1"],
     },
     entry_points={
         "console_scripts": [

@@ -5,8 +5,9 @@ what a compiled kernel can take as it is; the annotation is what the YAML check,
 the command line's help and the tables of the documentation are made of.
 """
 
-from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+from collections.abc import Hashable, Iterator, Mapping
+from functools import cache
+from typing import Annotated, Any, NamedTuple, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
@@ -104,9 +105,15 @@ def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> 
         BadInput: naming the first offending key, its value and what was expected.
     """
     try:
-        return TypeAdapter(parameters).validate_python(dict(data))
+        return cast(Parameters, _adapter(cast(Hashable, parameters)).validate_python(dict(data)))
     except ValidationError as error:
         raise bad_input(error, where, parameters) from None
+
+
+@cache
+def _adapter(parameters: Any) -> TypeAdapter[Any]:
+    """Return the checker of a parameter set; making one takes milliseconds."""
+    return TypeAdapter(parameters)
 
 
 def bad_input(error: ValidationError, where: str, parameters: type) -> BadInput:

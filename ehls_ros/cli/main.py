@@ -21,7 +21,7 @@ def parser() -> argparse.ArgumentParser:
     verbs = top.add_subparsers(dest="verb", metavar="VERB", required=True)
     for name in VERBS.names():
         verb = VERBS.load(name)
-        verb.arguments(verbs.add_parser(name, help=verb.HELP, description=verb.HELP))
+        verb.arguments(verbs.add_parser(name.replace("_", "-"), help=verb.HELP, description=verb.HELP))
     return top
 
 
@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = parser().parse_args(arguments)
     try:
-        return VERBS.load(options.verb).run(options)
+        return VERBS.load(options.verb.replace("-", "_")).run(options)
     except BadInput as error:
         print(f"ehls {options.verb}: {error}", file=sys.stderr)
         return BAD_INPUT

@@ -128,7 +128,9 @@ class PlantNode(ControlNode):
         """
         while (message := self.commands.take()) is not None:
             _, sender, answered, spool = message
-            if self.gate.take(answered, spool, sender) and answered > self.answered:
+            self.gate.take(answered, spool, sender)
+            # What the gate refuses is an answer as well, if it is of whoever is to answer.
+            if sender == self.gate.owner and self.answered < answered <= cycle:
                 self.answered = answered
                 if answered == cycle:
                     self.latency.add(time.perf_counter() - self.published)

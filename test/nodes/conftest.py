@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -32,22 +33,55 @@ POSITION = "{name: velocity_sweep, velocities: [0.02], travel: 2.0e-3, rest: 0.0
 RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
 
 
+def shared_memory_of(process: int) -> set[str]:
+    """Return the files in shared memory that a process uses."""
+    with contextlib.suppress(OSError):
+        lines = Path(f"/proc/{process}/maps").read_text(encoding="utf-8").splitlines()
+        files = {line.split(maxsplit=5)[-1] for line in lines}
+        files |= {str(descriptor.readlink()) for descriptor in Path(f"/proc/{process}/fd").iterdir()}
+        return {file for file in files if file.startswith("/dev/shm/fastrtps")}
+    return set()
+
+
 class Graph:
     """Nodes started by hand."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self.orphans: set[str] = set()
 
-    def start(self, name: str, **parameters: Any) -> subprocess.Popen[bytes]:
+    def start(self, name: str, *, remap: str = "", largest_file: int = -1, **parameters: Any) -> subprocess.Popen[bytes]:
+        arguments = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
+        arguments += ["-r", remap] if remap else []
+        return self.run(name, ["-m", f"ehls_ros.nodes.{name}", "--ros-args", *arguments], largest_file)
+
+    def run(self, name: str, arguments: list[str], largest_file: int = -1) -> subprocess.Popen[bytes]:
+        """Start a process of the graph; files it writes may not grow beyond ``largest_file``."""
         from ehls_ros.nodes.graph import graph_environment
 
-        arguments = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
-        command = [sys.executable, "-m", f"ehls_ros.nodes.{name}", "--ros-args", *arguments]
         with (self.folder / f"{name}.log").open("ab") as log:
-            process = subprocess.Popen(command, env=graph_environment(), stdout=log, stderr=subprocess.STDOUT)
+            process = subprocess.Popen(
+                [sys.executable, *arguments], env=graph_environment(), stdout=log, stderr=subprocess.STDOUT
+            )
+        if largest_file >= 0:
+            resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (largest_file, largest_file))
         self.processes[name] = process
         return process
+
+    def kill(self, name: str) -> None:
+        """End a process as a crash would; what it leaves in shared memory is cleared away at the end of the test."""
+        process = self.processes.pop(name)
+        self.orphans |= shared_memory_of(process.pid)
+        process.kill()
+        process.wait(20)
+
+    def clear_orphans(self) -> None:
+        """Remove what killed processes left in shared memory, unless a living one uses it."""
+        for process in Path("/proc").glob("[0-9]*") if self.orphans else ():
+            self.orphans -= shared_memory_of(int(process.name))
+        for path in self.orphans:
+            Path(path).unlink(missing_ok=True)
 
     def stop(self, name: str, number: int = signal.SIGINT) -> int:
         process = self.processes.pop(name)
@@ -69,6 +103,7 @@ def graph(tmp_path: Path) -> Iterator[Graph]:
             process.wait(15)
         process.kill()
         process.wait()
+    started.clear_orphans()
 
 
 @pytest.fixture
@@ -97,6 +132,12 @@ class Participant:
         self.node = rclpy.create_node("participant", context=self.context, namespace="ehls")
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
+
+    def rest(self, seconds: float) -> None:
+        """Take part for a while."""
+        deadline = time.monotonic() + seconds
+        while (remaining := deadline - time.monotonic()) > 0.0:
+            self.executor.spin_once(timeout_sec=remaining)
 
     def until(self, condition: Callable[[], bool], seconds: float = 60.0) -> None:
         deadline = time.monotonic() + seconds

@@ -1,0 +1,170 @@
+"""`ehls rig-emulator`: a process that is the rig as seen from the wire."""
+
+import json
+import signal
+import sys
+import threading
+import time
+from argparse import ArgumentParser, Namespace
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+from ehls_ros.cli.folder import writable
+from ehls_ros.control.disturbances import DISTURBANCES
+from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.experiments.files import config_folder
+from ehls_ros.experiments.loop import sampled, simulator_of
+from ehls_ros.experiments.spec import Spec, load_rig, read_yaml, spec_from_mapping
+from ehls_ros.hardware.backends.udp import bound_socket, codec
+from ehls_ros.hardware.bridge_file import Bridge, bridge_from_mapping
+from ehls_ros.hardware.emulator import Emulator
+from ehls_ros.hardware.emulator_loop import Delays, Run, run_lockstep, run_realtime
+from ehls_ros.hardware.faults import FAULTS
+from ehls_ros.hardware.realtime import claim
+from ehls_ros.hardware.target import Target
+from ehls_ros.hardware.truth_log import TruthLog
+from ehls_ros.hardware.wire import BadWire, Impairments, Wire
+from ehls_ros.physics.rig import rig_to_mapping
+from ehls_ros.schema import parse
+
+HELP = "Be the rig as seen from the wire: plant, converters, sensors, UDP; for tests of the hardware bridge."
+
+PRIORITY = 40
+"""Of the loop in SCHED_FIFO, where that is permitted."""
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--rig", type=Path, help="rig file, in place of the spec's (default: rig_paper_measured.yaml)")
+    parser.add_argument("--spec", type=Path, help="experiment file: its rig, disturbance, period, initial position, oil, seed")
+    parser.add_argument("--bridge", type=Path, help="bridge file with the udp backend (default: bridge_udp.yaml)")
+    parser.add_argument("--port", type=int, help="UDP port to listen at, in place of the bridge file's; 0: any")
+    parser.add_argument("--duration", type=float, help="plant time to run in s (default: until told to stop)")
+    parser.add_argument("--seed", type=int, help="seed of sensor noise and net, in place of the spec's")
+    parser.add_argument("--log", type=Path, help="CSV file that is written at the end: what really happened, cycle by cycle")
+    parser.add_argument("--json", action="store_true", help="end with one line of JSON: counts and timing")
+    parser.add_argument(
+        "--disturb-at-once",
+        action="store_true",
+        help="start the disturbance at once; by default with the first command that opens the valve",
+    )
+    timing = parser.add_argument_group("timing")
+    timing.add_argument("--lockstep", action="store_true", help="wait in each cycle for the command that answers it")
+    timing.add_argument("--patience", type=float, default=30.0, help="longest wait in lockstep in s (default: 30)")
+    timing.add_argument("--priority", type=int, default=PRIORITY, help=f"of SCHED_FIFO; 0: do not ask (default: {PRIORITY})")
+    net = parser.add_argument_group("net", "what happens to packets, both ways")
+    net.add_argument("--latency-ms", type=float, default=0.0, help="time every packet takes")
+    net.add_argument("--jitter-ms", type=float, default=0.0, help="largest further time")
+    for name in ("loss", "duplicate", "reorder", "corrupt"):
+        net.add_argument(f"--{name}", type=float, default=0.0, metavar="SHARE", help="share of packets, 0 to 1")
+    parser.add_argument(
+        "--faults-from-stdin", action="store_true", help=f"for tests; a line each: {', '.join(FAULTS)}; see docs/hardware.md"
+    )
+
+
+def run(options: Namespace) -> int:
+    """Run it."""
+    bridge = _bridge(options)
+    spec = _spec(options)
+    seed = spec.settings.seed if options.seed is None else options.seed
+    period = spec.settings.control_period
+    impairments = _impairments(options)
+    if options.log is not None:
+        writable(options.log.parent, options.log.name)
+    parameters = bridge.parameters
+    opened = bound_socket(parameters.host, parameters.port if options.port is None else options.port)
+    with opened:
+        wire = Wire(opened) if impairments == Impairments() else BadWire(opened, impairments, period, seed)
+        output = bridge.calibration.output
+        target = Target(codec(parameters), period, output.offset)
+        kind = DISTURBANCES.load(spec.disturbance.name)
+        log = TruthLog() if options.log is not None else None
+        emulator = Emulator(
+            simulator_of(spec),
+            kind.build(spec.disturbance.parameters, sampled(spec.disturbance.signal, period), spec.rig, period),
+            bridge.calibration,
+            seed,
+            disturb_at_once=options.disturb_at_once,
+            log=log,
+        )
+        delays = Delays()
+        begin = time.process_time()
+        try:
+            _run(options, emulator, target, wire, delays, opened.getsockname())
+        finally:
+            cpu = time.process_time() - begin
+            if log is not None:
+                _write(log, options.log)
+    figures = _figures(emulator, target, wire, delays, lockstep=options.lockstep)
+    figures["cpu_s"] = round(cpu, 2)
+    print(json.dumps(figures) if options.json else "\n".join(f"  {name:<24}{value:>12g}" for name, value in figures.items()))
+    return 0
+
+
+def _run(options: Namespace, emulator: Emulator, target: Target, wire: Wire, delays: Delays, address: Any) -> None:
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    cycles = sys.maxsize if options.duration is None else round(options.duration / emulator.period)
+    lines: deque[str] = deque()
+    if options.faults_from_stdin:
+        threading.Thread(target=lambda: lines.extend(map(str.strip, sys.stdin)), daemon=True).start()
+    run_of = Run(cycles, stop.is_set, lines, _tell)
+    print(f"rig emulator: listening at {address[0]} port {address[1]}", flush=True)
+    if options.lockstep:
+        run_lockstep(emulator, target, wire, run_of, options.patience)
+        return
+    for refusal in claim(options.priority):
+        print(f"rig emulator: {refusal}", file=sys.stderr)
+    run_realtime(emulator, target, wire, run_of, delays)
+
+
+def _bridge(options: Namespace) -> Bridge:
+    path = options.bridge or config_folder() / "bridge_udp.yaml"
+    bridge = bridge_from_mapping(read_yaml(path, "bridge file"), str(path))
+    if bridge.backend != "udp":
+        raise BadInput(f"name is {bridge.backend!r}", f"{path}: backend", "udp, which is what the emulator speaks")
+    return bridge
+
+
+def _spec(options: Namespace) -> Spec:
+    if options.duration is not None and not 0.0 < options.duration < 1e6:
+        raise BadInput(f"--duration is {options.duration:g}", "command line", "seconds above 0 and below 1e6")
+    rig = options.rig or config_folder() / "rig_paper_measured.yaml"
+    if options.spec is None:
+        nothing = {"reference": {"name": "constant", "value": 0.0}, "controller": "fasmc"}
+        return spec_from_mapping({"rig": rig_to_mapping(load_rig(rig)), **nothing}, str(rig), rig.parent)
+    content = read_yaml(options.spec, "spec")
+    if options.rig is not None and isinstance(content, dict):
+        content["rig"] = rig_to_mapping(load_rig(rig))
+    return spec_from_mapping(content, str(options.spec), options.spec.parent)
+
+
+def _impairments(options: Namespace) -> Impairments:
+    values = {"latency": 1e-3 * options.latency_ms, "jitter": 1e-3 * options.jitter_ms}
+    shares = {name: getattr(options, name) for name in ("loss", "duplicate", "reorder", "corrupt")}
+    impairments = parse(Impairments, values | shares, "command line")
+    if options.lockstep and impairments != Impairments():
+        raise BadInput("a bad net was asked for", "command line", "--lockstep, or a bad net in real time")
+    return impairments
+
+
+def _tell(line: str, now: float) -> None:
+    print(f"fault: {now:.6f} {line}", flush=True)
+
+
+def _write(log: TruthLog, path: Path) -> None:
+    try:
+        log.write(path)
+    except OSError as error:
+        raise WorkFailed(f"{path} cannot be written ({error.strerror})") from error
+
+
+def _figures(emulator: Emulator, target: Target, wire: Wire, delays: Delays, *, lockstep: bool) -> dict[str, float]:
+    figures: dict[str, float] = {"cycles": emulator.cycle, **target.figures(), "unsent": wire.unsent}
+    if not lockstep:
+        parts = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
+        figures |= {f"wakeup_{name}_us": round(1e6 * delays.quantile(part)) for name, part in parts.items()}
+        figures["wakeup_max_us"] = round(1e6 * delays.largest)
+    return figures

@@ -1,0 +1,81 @@
+"""The bridge file: which DAQ backend, which channels, what they mean."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from ehls_ros.errors import BadInput
+from ehls_ros.hardware.backends import BACKENDS
+from ehls_ros.hardware.backends.base import Device
+from ehls_ros.hardware.calibration import Calibration, Input, Output, check_channel
+from ehls_ros.physics.rig import SENSED
+from ehls_ros.schema import parse
+
+SECTIONS = ("backend", "channels", "command")
+
+
+class Bridge(NamedTuple):
+    """How this computer is wired to the rig."""
+
+    backend: str
+    parameters: Any
+    calibration: Calibration
+
+    def open(self, period: float) -> Device:
+        """Open the device; ``period`` is the sampling period [s].
+
+        Raises:
+            BadInput: a parameter or channel does not fit the device.
+            WorkFailed: the device cannot be opened.
+        """
+        return BACKENDS.load(self.backend).open(self.parameters, self.calibration.wiring, period)
+
+
+def bridge_from_mapping(data: Any, where: str) -> Bridge:
+    """Check a bridge file's content.
+
+    Args:
+        data: the parsed file, with the sections of :data:`SECTIONS`.
+        where: the file, for errors.
+
+    Raises:
+        BadInput: the first key that is missing, unknown or out of range.
+    """
+    if not isinstance(data, Mapping):
+        raise BadInput(f"a bridge is {type(data).__name__}", where, f"a mapping with the sections {', '.join(SECTIONS)}")
+    for section in data:
+        if section not in SECTIONS:
+            raise BadInput(f"section {section!r} is unknown", where, f"one of {', '.join(SECTIONS)}")
+    for section in SECTIONS:
+        if section not in data:
+            raise BadInput(f"section '{section}' is missing", where, "a mapping of its keys")
+        if not isinstance(data[section], Mapping):
+            raise BadInput(f"section '{section}' is {data[section]!r}", where, "a mapping of its keys")
+    values = dict(data["backend"])
+    place = f"{where}: backend"
+    if "name" not in values:
+        raise BadInput("key 'name' is missing", place, f"one of {', '.join(BACKENDS.names())}")
+    name = values.pop("name")
+    backend = BACKENDS.load(name, place)
+    output = parse(Output, data["command"], f"{where}: command")
+    check_channel(output, f"{where}: command")
+    inputs = _inputs(data["channels"], f"{where}: channels")
+    return Bridge(name, parse(backend.Parameters, values, f"{place}: {name}"), Calibration(inputs, output))
+
+
+def _inputs(data: Mapping[str, Any], where: str) -> dict[str, Input]:
+    inputs: dict[str, Input] = {}
+    taken: dict[int, str] = {}
+    for signal, values in data.items():
+        if signal not in SENSED:
+            raise BadInput(f"signal {signal!r} is unknown", where, f"one of {', '.join(SENSED)}")
+        place = f"{where}: {signal}"
+        if not isinstance(values, Mapping):
+            raise BadInput(f"{signal} is {values!r}", where, f"a mapping of {', '.join(Input._fields)}")
+        inputs[signal] = parse(Input, values, place)
+        check_channel(inputs[signal], place)
+        other = taken.setdefault(inputs[signal].channel, signal)
+        if other != signal:
+            raise BadInput(f"channel is {inputs[signal].channel}, which {other} has", place, "a channel of its own")
+    if not inputs:
+        raise BadInput("no signal is wired", where, f"at least one of {', '.join(SENSED)}")
+    return inputs

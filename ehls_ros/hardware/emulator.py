@@ -1,0 +1,150 @@
+"""A rig as its converters show it: simulated plant, its disturbance, its sensors and their converters."""
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.disturbances.base import DISPLACEMENT, FORCE, FORCE_RATE, VELOCITY, Source
+from ehls_ros.hardware.calibration import Calibration, Input, Output, step
+from ehls_ros.hardware.faults import Faults
+from ehls_ros.hardware.packet import Status
+from ehls_ros.hardware.truth_log import TruthLog
+from ehls_ros.physics import sensors
+from ehls_ros.physics.plant import V, X
+from ehls_ros.physics.rig import SENSED
+
+NOISE_BLOCK = 1024
+"""Samples that noise is drawn for at a time."""
+
+
+class Steppable(Protocol):
+    """What is needed of a :class:`ehls_ros.physics.simulator.Simulator`."""
+
+    period: float
+    cycle: int
+    y: Array
+    truth: Array
+
+    def measure(self, noise: Array) -> Array:
+        """Read the sensors, given standard normal numbers."""
+
+    def advance(self, command: float, force: float, force_rate: float, displacement: float, velocity: float) -> Any:
+        """Go on by one period."""
+
+
+def converted(value: float, channel: Input | Output) -> float:
+    """Return the nearest raw value that a channel's converter knows."""
+    low, high = channel.range
+    size = step(channel)
+    code = round((min(max(value, low), high) - low) / size)
+    return low + size * min(code, (1 << channel.bits) - 1)
+
+
+class Emulator:
+    """The rig; each cycle is a :meth:`sense` and an :meth:`advance`.
+
+    Attributes:
+        faults: of the sensors and the wire.
+        log: what really happened, or None.
+    """
+
+    def __init__(
+        self,
+        simulator: Steppable,
+        disturbance: Source,
+        calibration: Calibration,
+        seed: int,
+        *,
+        disturb_at_once: bool = False,
+        log: TruthLog | None = None,
+    ) -> None:
+        """Put it together.
+
+        Args:
+            simulator: the plant with its sensors.
+            disturbance: the actuator under test.
+            calibration: of the rig's channels.
+            seed: of the sensors' noise.
+            disturb_at_once: start the disturbance in cycle 0, not with the first command that opens the valve.
+            log: where the truth is kept.
+        """
+        self.faults = Faults(calibration.wired)
+        self.log = log
+        self._simulator = simulator
+        self._disturbance = disturbance
+        self._calibration = calibration
+        self._wired = np.array([SENSED.index(signal) for signal in calibration.wired])
+        self._values = [0.0] * (1 + max(used.channel for used in calibration.inputs))
+        self._random = np.random.default_rng(seed)
+        self._noise = np.empty((0, len(SENSED)))
+        self._drawn = 0
+        self._null = converted(calibration.output.offset, calibration.output)
+        self._disturbed = -1
+        self._row = disturbance.first().copy()
+        self._disturbs = disturb_at_once
+        if not disturb_at_once:
+            self._row[[FORCE_RATE, VELOCITY]] = 0.0
+
+    @property
+    def period(self) -> float:
+        """Time between two cycles [s]."""
+        return self._simulator.period
+
+    @property
+    def cycle(self) -> int:
+        """Number of the present cycle."""
+        return self._simulator.cycle
+
+    def sense(self) -> tuple[float, ...]:
+        """Return the raw values of the present cycle by channel number; a channel without a sensor reads 0."""
+        if self._drawn == len(self._noise):
+            self._noise, self._drawn = self._random.standard_normal((NOISE_BLOCK, len(SENSED))), 0
+        signals = self._simulator.measure(self._noise[self._drawn])[self._wired].tolist()
+        self._drawn += 1
+        self.faults.spoil(signals)
+        for signal, channel in zip(signals, self._calibration.inputs, strict=True):
+            raw = signal / channel.scale + channel.offset
+            # What is no number cannot come from a converter; a target that computes its signals could send it.
+            self._values[channel.channel] = converted(raw, channel) if raw == raw else raw  # noqa: PLR0124
+        return tuple(self._values)
+
+    def advance(self, raw: float, status: Status, now: float) -> None:
+        """Go on by one cycle; :meth:`sense` has been called.
+
+        Args:
+            raw: the valve's raw command, held.
+            status: why it is at null, for the log.
+            now: the computer's time, for the log [s].
+        """
+        simulator, output = self._simulator, self._calibration.output
+        raw = converted(raw, output)
+        spool = output.scale * (raw - output.offset)
+        if not self._disturbs and raw != self._null:
+            self._disturbs = True
+            self._row = self._disturbance.first().copy()
+        if self.log is not None:
+            self.log.add((*self._truth(spool), raw, status, now))
+        position, velocity = float(simulator.y[X]), float(simulator.y[V])
+        force, rate, displacement, speed = self._row.tolist()
+        simulator.advance(spool, force, rate, displacement, speed)
+        if self._disturbs:
+            self._disturbed += 1
+            self._row = self._disturbance.following(self._disturbed, position, velocity)
+
+    def _truth(self, spool: float) -> tuple[float, ...]:
+        truth, row = self._simulator.truth.tolist(), self._row.tolist()
+        return (
+            self._simulator.cycle * self._simulator.period,
+            spool,
+            truth[sensors.SPOOL],
+            truth[sensors.LOAD_PRESSURE],
+            truth[sensors.SUPPLY_PRESSURE],
+            truth[sensors.POSITION],
+            truth[sensors.VELOCITY],
+            truth[sensors.FORCE],
+            row[FORCE],
+            truth[sensors.OIL_TEMPERATURE],
+            row[DISPLACEMENT],
+            row[VELOCITY],
+        )

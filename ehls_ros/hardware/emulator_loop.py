@@ -1,0 +1,144 @@
+"""The emulated rig on the wire: on its own clock, or waiting for the answer to each cycle."""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.hardware.emulator import Emulator
+from ehls_ros.hardware.packet import Status
+from ehls_ros.hardware.target import Target
+from ehls_ros.hardware.wire import Wire
+
+GIVEN_UP = 1.0
+"""Delay behind the clock beyond which time is let go rather than made up for [s]."""
+
+LOOK = 0.05
+"""Time between two looks at whether to stop, where packets are waited for [s]."""
+
+SLOWEST = 10_000
+"""Delays of the wake-up are counted up to so many microseconds."""
+
+
+class Run(NamedTuple):
+    """How long to run, and what is asked in between.
+
+    Attributes:
+        cycles: number of cycles to run.
+        stopped: tells whether to stop.
+        lines: faults to put in, added to by another thread.
+        tell: called with each fault put in, or what is wrong with its line, and the time of it [s].
+    """
+
+    cycles: int
+    stopped: Callable[[], bool]
+    lines: deque[str]
+    tell: Callable[[str, float], None]
+
+
+class Delays:
+    """Delays of the wake-ups behind their deadlines, in steps of a microsecond."""
+
+    def __init__(self) -> None:
+        """Start with none."""
+        self._counts = [0] * (SLOWEST + 1)
+        self.largest = 0.0
+
+    def add(self, delay: float) -> None:
+        """Count one [s]."""
+        self._counts[min(int(1e6 * delay), SLOWEST)] += 1
+        self.largest = max(self.largest, delay)
+
+    def quantile(self, part: float) -> float:
+        """Return the delay that a part of all lie below [s], to a microsecond."""
+        wanted, seen = part * sum(self._counts), 0
+        for delay, count in enumerate(self._counts):
+            seen += count
+            if seen >= wanted:
+                return 1e-6 * delay
+        return 1e-6 * SLOWEST
+
+
+def run_realtime(emulator: Emulator, target: Target, wire: Wire, run: Run, delays: Delays) -> None:
+    """Run on the computer's clock; a command acts from the cycle after it came.
+
+    Args:
+        emulator: the rig.
+        target: its side of the protocol.
+        wire: its socket.
+        run: how long.
+        delays: where wake-ups are counted.
+    """
+    period = emulator.period
+    values = emulator.sense()
+    start = time.monotonic() + period
+    for cycle in range(run.cycles):
+        if run.stopped():
+            return
+        deadline = start + cycle * period
+        now = wire.wait(deadline)
+        delays.add(now - deadline)
+        start += max(now - deadline - GIVEN_UP, 0.0)
+        _put_faults(emulator, run, now)
+        for data, sender in wire.received():
+            if not emulator.faults.deaf:
+                target.receive(data, sender, now, cycle - 1)
+        raw, status = target.output(now)
+        _send(emulator, target, wire, status, values)
+        emulator.advance(raw, status, now)
+        values = emulator.sense()
+
+
+def run_lockstep(emulator: Emulator, target: Target, wire: Wire, run: Run, patience: float) -> None:
+    """Wait in each cycle for the command that answers it; it acts in the next one.
+
+    Args:
+        emulator: the rig.
+        target: its side of the protocol.
+        wire: its socket.
+        run: how long.
+        patience: longest wait for an answer [s].
+
+    Raises:
+        WorkFailed: no answer came in time.
+    """
+    raw, status = target.output(0.0)
+    for cycle in range(run.cycles):
+        values = emulator.sense()
+        target.greeted = True
+        give_up = time.monotonic() + patience
+        while target.answered != cycle:
+            if target.greeted and target.address is not None:
+                _send(emulator, target, wire, status, values)
+            target.greeted = False
+            now = time.monotonic()
+            if run.stopped():
+                return
+            if now > give_up:
+                raise WorkFailed(f"lockstep: no command answered cycle {cycle} within {patience:g} s")
+            wire.await_packet(LOOK)
+            now = time.monotonic()
+            _put_faults(emulator, run, now)
+            for data, sender in wire.received():
+                target.receive(data, sender, now, cycle)
+        emulator.advance(raw, status, now)
+        raw, status = target.output(now)
+
+
+def _send(emulator: Emulator, target: Target, wire: Wire, status: Status, values: tuple[float, ...]) -> None:
+    if target.address is None or emulator.faults.silent:
+        return
+    time_ns = round(1e9 * emulator.cycle * emulator.period) + emulator.faults.clock_ns
+    wire.send(target.measurement(emulator.cycle, time_ns, status, values), target.address)
+
+
+def _put_faults(emulator: Emulator, run: Run, now: float) -> None:
+    while run.lines:
+        line = run.lines.popleft()
+        try:
+            emulator.faults.apply(line)
+        except BadInput as error:
+            run.tell(str(error), now)
+        else:
+            run.tell(line, now)

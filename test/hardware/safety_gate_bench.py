@@ -1,0 +1,68 @@
+"""A safety gate with a rig at rest before it, turned cycle by cycle."""
+
+import math
+from pathlib import Path
+
+from ehls_ros.experiments.spec import load_rig
+from ehls_ros.hardware.gate_parameters import Parameters
+from ehls_ros.hardware.safety_gate import Gate
+from ehls_ros.physics.rig import SENSED
+
+PERIOD = 1e-3
+RIG = load_rig(Path(__file__).parents[2] / "config" / "rig_paper.yaml")
+AREA = RIG.plant.piston_area
+REST = {"supply_pressure": RIG.plant.supply_pressure, "oil_temperature": 313.15}
+
+
+class Bench:
+    """Plays the rig and the controller.
+
+    Attributes:
+        gate: under test.
+        cycle: number of the next snapshot.
+        time: of the next step [s].
+    """
+
+    def __init__(self, measured=SENSED, **parameters):
+        self.gate = Gate(RIG, PERIOD, Parameters(**{"enable_time": 0.0, **parameters}), measured)
+        self.cycle = 0
+        self.time = 100.0
+
+    def sense(self, reference=math.nan, **readings):
+        """Hand in a snapshot of the rig at rest, but for some signals; readings that are not given tremble a little."""
+        values = {**REST, **readings}
+        tremble = 1e-9 * (self.cycle % 2)
+        self.gate.sense(self.cycle, [values.get(signal, tremble) for signal in SENSED], reference)
+        self.cycle += 1
+
+    def step(self, elapsed=PERIOD):
+        """Return what is written next."""
+        self.time += elapsed
+        return self.gate.step(self.time)
+
+    def turn(self, command=1e-3, sender="controller", reference=math.nan, **readings):
+        """Go through one cycle; a command that is None does not come."""
+        self.sense(reference, **readings)
+        if command is not None:
+            self.gate.take(self.cycle - 1, command, sender)
+        return self.step()
+
+    def turns(self, count, command=1e-3, **inputs):
+        """Go through some cycles and return what was written."""
+        return [self.turn(command, **inputs) for _ in range(count)]
+
+    def run(self, command=1e-3, cycles=5, **inputs):
+        """Enable, and go through some cycles of a command."""
+        self.turn(command, **inputs)
+        assert self.gate.enable() is None
+        self.turns(cycles, command, **inputs)
+        assert self.gate.state == "active"
+        return self
+
+    def counts(self):
+        """Return how often each fault came up, where it did."""
+        return {name: detector.count for name, detector in self.gate.detectors.items() if detector.count}
+
+    def causes_named(self):
+        """Return the names of what tripped it, first first."""
+        return [cause.detector for cause in self.gate.causes]

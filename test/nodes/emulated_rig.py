@@ -1,0 +1,115 @@
+"""The bridge's graph on an emulated rig, all of it processes, with faults put in and what the actuator saw read back."""
+
+import csv
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from std_srvs.srv import SetBool, Trigger
+
+from ehls_ros.physics.rig import SENSED
+
+ROOT = Path(__file__).resolve().parents[2]
+PERIOD = 1e-3
+
+SPEC = {
+    "title": "a rig to put faults into",
+    "rig": str(ROOT / "config" / "rig_paper_measured.yaml"),
+    "duration": 1000.0,
+    "reference": {"name": "sine", "amplitude": 4e3, "frequency": 1.0},
+    "disturbance": {"name": "force", "signal": {"name": "sine", "amplitude": 1e3, "frequency": 0.5}},
+}
+
+
+def free_port() -> int:
+    """Return a UDP port of this host that nobody has."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class EmulatedRig:
+    """Emulator, bridge, reference and controller; the test itself is a participant beside them."""
+
+    def __init__(
+        self, graph: Any, participant: Any, folder: Path, law: str, timing: str, emulator: Sequence[str], spoil: str
+    ) -> None:
+        self.graph, self.participant, self.folder, self.law, self.timing = graph, participant, folder, law, timing
+        self.spec = folder / "rig.yaml"
+        self.spec.write_text(yaml.safe_dump({**SPEC, "controller": {"name": law}}), encoding="utf-8")
+        bridge = yaml.safe_load((ROOT / "config" / "bridge_udp.yaml").read_text(encoding="utf-8"))
+        self.port = bridge["backend"]["port"] = free_port()
+        self.bridge = folder / "bridge.yaml"
+        self.bridge.write_text(yaml.safe_dump(bridge), encoding="utf-8")
+        self.wired = [signal for signal in SENSED if signal in bridge["channels"]]
+        self.emulator_arguments = emulator
+        self.emulators = 0
+        self.start_emulator()
+        self.start("reference_node")
+        self.start(f"{law}_node", remap="valve_command:=valve_command_unspoilt" if spoil else "")
+        if spoil:
+            graph.run("spoil_commands", [str(Path(__file__).with_name("spoil_commands.py")), spoil, "1"])
+        self.start("hardware_bridge_node")
+
+    def start(self, name: str, **options: Any) -> subprocess.Popen[bytes]:
+        """Start one of the nodes, or start it anew."""
+        own = {"bridge": self.bridge} if name == "hardware_bridge_node" else {}
+        return self.graph.start(name, spec=self.spec, timing=self.timing, **own, **options)
+
+    def start_emulator(self) -> None:
+        self.emulators += 1
+        self.log = self.folder / f"truth{self.emulators}.csv"
+        lockstep = ["--lockstep"] if self.timing == "lockstep" else []
+        command = [
+            sys.executable,
+            "-m",
+            "ehls_ros.cli.main",
+            "rig-emulator",
+            "--spec",
+            str(self.spec),
+            "--bridge",
+            str(self.bridge),
+        ]
+        command += ["--log", str(self.log), "--json", "--faults-from-stdin", *lockstep, *self.emulator_arguments]
+        with (self.folder / "emulator.err").open("ab") as errors:
+            self.emulator = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors)
+        assert b"listening" in self.emulator.stdout.readline(), (self.folder / "emulator.err").read_text()
+
+    def enable(self, seconds: float = 60.0) -> None:
+        """Let the commands through, as soon as the gate agrees."""
+        deadline = time.monotonic() + seconds
+        while True:
+            self.participant.call(Trigger, "reset_trips", Trigger.Request())
+            answer = self.participant.call(SetBool, "enable", SetBool.Request(data=True))
+            if answer.success:
+                return
+            assert time.monotonic() < deadline, answer.message
+
+    def fault(self, line: str) -> None:
+        """Put a fault into the emulated rig and wait until it says that it is in."""
+        self.emulator.stdin.write(f"{line}\n".encode())
+        self.emulator.stdin.flush()
+        told = self.emulator.stdout.readline().decode()
+        assert told.startswith("fault: "), told
+        assert told.split(maxsplit=2)[2].strip() == line, told
+
+    def stop_emulator(self, number: int = signal.SIGINT) -> dict[str, Any]:
+        """End the emulator and return its counts."""
+        self.emulator.send_signal(number)
+        output, _ = self.emulator.communicate(timeout=20)
+        return json.loads(output.splitlines()[-1]) if number == signal.SIGINT else {}
+
+    def seen(self) -> dict[str, np.ndarray]:
+        """Return what the actuator saw, by the names of the emulator's log."""
+        with self.log.open(encoding="utf-8", newline="") as file:
+            header, *rows = csv.reader(file)
+        table = np.array(rows, dtype=float).reshape(-1, len(header))
+        return dict(zip(header, table.T, strict=True))
