@@ -21,6 +21,7 @@ ARGUMENTS = {
         "realtime: wall clock; lockstep: deterministic, as fast as the machine goes",
         ["realtime", "lockstep"],
     ),
+    "priority": ("0", "in realtime: SCHED_FIFO priority of the nodes that answer each other, 1 to 99; 0: none", None),
     "namespace": ("ehls", "namespace of all topics", None),
     "record": ("", "folder to record a bag into; empty: no recording", None),
     "without": ("", "nodes to leave out, separated by commas", None),
@@ -35,13 +36,16 @@ def nodes(context: LaunchContext) -> list[Node]:
     common = {"spec": chosen["spec"], "rig": chosen["rig"], "timing": chosen["timing"]}
     own: dict[str, dict[str, object]] = {
         "reference_node": {},
-        "disturbance_node": {},
         "friction_estimator_node": {},
         f"{chosen['controller']}_node": {},
         PLANTS[chosen["plant"]]: {},
     }
+    for name in own.keys() - {"reference_node", "disturbance_node"}:
+        own[name]["priority"] = int(chosen["priority"])
     if chosen["plant"] == "bridge":
         own[PLANTS["bridge"]]["bridge"] = chosen["bridge"]
+    if chosen["plant"] == "sim":
+        own["disturbance_node"] = {}
     if chosen["record"]:
         own["recorder_node"] = {"bag": chosen["record"]}
     left_out = set(chosen["without"].split(","))

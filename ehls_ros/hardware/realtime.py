@@ -4,6 +4,7 @@ import ctypes
 import gc
 import os
 import time
+from pathlib import Path
 
 SPIN = 50e-6
 """Time before a deadline that is spent looking at the clock, since a sleeper wakes late [s]."""
@@ -30,10 +31,11 @@ def sleep_until(deadline: float) -> float:
 
 
 def claim(priority: int) -> tuple[str, ...]:
-    """Get this thread ready for a loop with deadlines.
+    """Get this process ready for a loop with deadlines in this thread.
 
     The objects there are leave garbage collection, which is then off: the loop must not make cycles. Wake-ups become
-    exact, memory is locked, and the thread gets the scheduling class SCHED_FIFO, as far as the system permits.
+    exact, memory is locked, and all threads there are, those of the middleware too, get the scheduling class
+    SCHED_FIFO, as far as the system permits.
 
     Args:
         priority: for SCHED_FIFO, 1 to 99; 0 leaves scheduling and memory as they are.
@@ -50,7 +52,8 @@ def claim(priority: int) -> tuple[str, ...]:
         return ()
     refused = []
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        for thread in Path("/proc/self/task").iterdir():
+            os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError:
         refused.append(f"SCHED_FIFO at priority {priority} is not permitted (RLIMIT_RTPRIO)")
     if libc.mlockall(MCL_CURRENT | MCL_FUTURE) != 0:

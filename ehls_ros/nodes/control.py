@@ -18,9 +18,10 @@ from rclpy.signals import SignalHandlerOptions
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, load_rig, load_spec
+from ehls_ros.hardware.realtime import claim
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.process import end
-from ehls_ros.schema import text
+from ehls_ros.schema import quantity, text
 
 NAMESPACE = "ehls"
 
@@ -39,6 +40,10 @@ class Common(NamedTuple):
     spec: Annotated[str, text("experiment file; empty: the 10 kN sine that comes with the package")] = ""
     rig: Annotated[str, text("rig file in place of the spec's; empty: the spec's")] = ""
     timing: Annotated[str, text("realtime: wall clock; lockstep: each cycle waits for its answer, deterministic")] = "realtime"
+    priority: Annotated[
+        int,
+        quantity("1", "in realtime: priority of SCHED_FIFO, with memory locked; 0: neither", minimum=0, maximum=99),
+    ] = 0
     autostart: Annotated[bool, text("configure and activate at start, as when started by hand")] = True
 
 
@@ -63,6 +68,7 @@ class ControlNode(LifecycleNode):
             raise BadInput(f"timing is '{timing}'", self.get_name(), f"one of {', '.join(TIMINGS)}")
         self.lockstep = timing == LOCKSTEP
         self.configured = False
+        self.not_permitted: tuple[str, ...] = ()
         self._active = threading.Event()
         self._idle = threading.Event()
         self._idle.set()
@@ -143,9 +149,7 @@ class ControlNode(LifecycleNode):
         while not stopping.is_set():
             if not self._active.wait(WAIT):
                 continue
-            # A collection in the middle of a cycle would be a late answer; the loops make no cyclic garbage.
-            gc.freeze()
-            gc.disable()
+            self.not_permitted = claim(0 if self.lockstep else int(self.get_parameter("priority").value))
             self.start()
             while self._active.is_set() and not stopping.is_set():
                 self.once()
@@ -158,7 +162,10 @@ class ControlNode(LifecycleNode):
         self._active.clear()
 
     def _health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        return self.health() if self.configured else (OK, "unconfigured", {})
+        if not self.configured:
+            return OK, "unconfigured", {}
+        level, message, figures = self.health()
+        return level, message, {**figures, **{f"not_permitted_{i}": text for i, text in enumerate(self.not_permitted, 1)}}
 
     def _report(self) -> None:
         level, message, figures = self._health()

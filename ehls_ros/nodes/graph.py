@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
@@ -31,7 +31,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import WorkFailed
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec
-from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE, REALTIME
+from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE
 from ehls_ros.recording.topics import CYCLE_TOPICS, FRICTION_ESTIMATE, REFERENCE_TOPICS
 from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
 
@@ -55,7 +55,7 @@ BACKGROUND = (RECORDER, "reference_node", DISTURBANCE)
 """Nodes that only have to keep up; they step back for those that have to answer."""
 
 REALTIME_PRIORITY = 10
-"""Priority of the nodes that answer each other, in realtime."""
+"""Priority of the nodes that answer each other, in realtime, if this user may give it."""
 
 NICE = 10
 """How far they step back, on the scale of nice."""
@@ -253,8 +253,7 @@ def share_processors(running: list[Running], timing: str) -> None:
 
     Plant, estimator and controller work in turn, never at once. In lockstep they get one processor together: there
     they hand over to each other, where on several each hand-over has to wake an idle one, which takes longer than
-    the work itself. In realtime, where a free processor now counts for more than the work done in all, they get
-    real-time priority, if this user may give it.
+    the work itself. In realtime a free processor now counts for more than the work done in all.
     """
     processors = sorted(os.sched_getaffinity(0))
     for node in running:
@@ -264,9 +263,6 @@ def share_processors(running: list[Running], timing: str) -> None:
                 os.setpriority(os.PRIO_PROCESS, thread, NICE)
             if timing == LOCKSTEP and len(processors) > 1:
                 os.sched_setaffinity(thread, processors[:-1] if background else processors[-1:])
-            if timing == REALTIME and not background:
-                with suppress(PermissionError):
-                    os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(REALTIME_PRIORITY))
 
 
 def conduct(conductor: "Conductor", cycles: int, progress: Callable[[int, int], None] | None) -> float:
