@@ -144,6 +144,11 @@ class ControlNode(LifecycleNode):
             self.configured = False
             self.release()
 
+    def start_by_itself(self) -> bool:
+        """Configure and activate; return whether that went well, the reason is in the log."""
+        wanted = TransitionCallbackReturn.SUCCESS
+        return bool(self.trigger_configure() == wanted and self.trigger_activate() == wanted)
+
     def work(self, stopping: threading.Event) -> None:
         """Run the loop whenever the node is active, until told to stop."""
         while not stopping.is_set():
@@ -204,7 +209,7 @@ def _made(make: Callable[[], ControlNode]) -> tuple[ControlNode | None, str]:
 def run_node(make: Callable[[], ControlNode]) -> NoReturn:
     """Run one node as a process: main thread for the loop, a second one for lifecycle and parameters.
 
-    The process ends with code 0 after SIGINT or SIGTERM, and with 2 for bad input.
+    The process ends with code 0 after SIGINT or SIGTERM, with 1 when it cannot configure itself, and with 2 for bad input.
 
     Args:
         make: builds the node, after ROS is up.
@@ -232,12 +237,13 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
 
     server = threading.Thread(target=serve, args=(executor,), name="services")
     server.start()
+    code = 0
     try:
-        if node.get_parameter("autostart").value:
-            node.trigger_configure()
-            node.trigger_activate()
-        node.get_logger().info("up")
-        node.work(stopping)
+        if not node.get_parameter("autostart").value or node.start_by_itself():
+            node.get_logger().info("up")
+            node.work(stopping)
+        else:
+            code = 1
     finally:
         stopping.set()
         server.join()
@@ -250,4 +256,4 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
     gc.unfreeze()
     gc.collect()
     rclpy.try_shutdown()
-    end(0)
+    end(code)

@@ -59,7 +59,7 @@ class PlantNode(ControlNode):
         declare(self, GateParameters, dict(gate_defaults), live=True)
         self.cycles = int(self.get_parameter("cycles").value)
         self.period = self.spec.settings.control_period
-        self.gate = Gate(self.spec.rig, self.period)
+        self.gate = Gate(self.spec.rig, self.period, values_of(self, GateParameters, name))
         follow(self, GateParameters, self._retune)
         self.create_service(Trigger, "emergency_stop", self._on_emergency_stop)
         self.create_service(Trigger, "reset_trips", self._on_reset)
