@@ -155,6 +155,11 @@ class Gate:
         self._start = 0.0
         self._slope = math.inf
 
+    @property
+    def driving(self) -> bool:
+        """Whether commands reach the actuator."""
+        return self.state in {ENABLING, ACTIVE, HOLDING}
+
     def retune(self, parameters: Parameters) -> None:
         """Put other limits and reactions in force from the next call on.
 
@@ -245,7 +250,8 @@ class Gate:
             return False
         value = min(max(value, -self._limit), self._limit)
         fast = False
-        if self._answered >= 0:
+        # Before it is driven, and while it is blended in, a command that jumps moves nothing faster than the gate lets it.
+        if self._answered >= 0 and self.state in {ACTIVE, HOLDING}:
             rate = abs(value - self._command) / ((number - self._answered) * self._period)
             fast = rate > self.parameters.command_rate
             self._rate.look(fast, rate, self.parameters.command_rate)
@@ -316,7 +322,7 @@ class Gate:
             detector.raised = False
         if worst is not None and self.state in {RAMPING, CUT}:
             self._trip(worst, worst.reaction)
-        elif self.state in {ENABLING, ACTIVE, HOLDING}:
+        elif self.driving:
             if worst is None:
                 self.state = ACTIVE if self._blend >= 1.0 else ENABLING
                 self._held = max(0.0, self._held - RECOVERY * elapsed)
@@ -378,7 +384,7 @@ class Gate:
             None, or why that cannot be: tripped, no fresh command or snapshot, or a fault that would trip it at once.
         """
         with self._lock:
-            if self.state in {ENABLING, ACTIVE, HOLDING}:
+            if self.driving:
                 return None
             reason = self._why_not()
             if reason is not None:
@@ -408,7 +414,7 @@ class Gate:
         """Lead the output to null and let the actuator's owner go."""
         with self._lock:
             self.owner = None
-            if self.state in {ENABLING, ACTIVE, HOLDING}:
+            if self.driving:
                 self._ramp(DISABLED)
 
     def emergency_stop(self, engaged: bool = True) -> None:
@@ -466,7 +472,7 @@ class Gate:
             for number, cause in enumerate(self.causes, 1):
                 figures[f"cause_{number}"] = f"{cause} at {cause.time:.6f} s, {cause.reaction}"
             for detector in self._all:
-                figures[detector.name] = _line(detector)
+                figures[f"fault_{detector.name}"] = _line(detector)
             figures |= self.parameters._asdict()
             return level, message, figures
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from std_msgs.msg import Bool
 
 from ehls_msgs.msg import ControllerStatus, FrictionEstimate, LoaderState, ValveCommand
 from ehls_ros.control.controller import Controller
@@ -19,9 +20,9 @@ from ehls_ros.errors import BadInput
 from ehls_ros.nodes.control import OK, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
-from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, message_class
+from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class
 from ehls_ros.physics import sensors
-from ehls_ros.recording.topics import REFERENCE_TOPICS
+from ehls_ros.recording.topics import DRIVING, REFERENCE_TOPICS
 from ehls_ros.schema import quantity
 
 PATIENCE = 1.0
@@ -99,6 +100,8 @@ class ControllerNode(ControlNode):
         self.commands = Outbox(self, ValveCommand, "valve_command", frame_id=f"{self.get_fully_qualified_name()}-{os.getpid()}")
         self.status = Outbox(self, ControllerStatus, "controller_status")
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
+        self.driving = Inbox(self, Bool, DRIVING.name, control_qos(1), _is_true)
+        self.driven = True
         self.on_state = Waiter([self.states])
         self.on_friction = Waiter([self.friction])
         self.on_anything = Waiter([self.states, self.friction, self.reference])
@@ -108,7 +111,15 @@ class ControllerNode(ControlNode):
 
     def release(self) -> None:
         """Close the topics."""
-        for part in (self.on_state, self.on_friction, self.on_anything, self.states, self.reference, self.friction):
+        for part in (
+            self.on_state,
+            self.on_friction,
+            self.on_anything,
+            self.states,
+            self.reference,
+            self.friction,
+            self.driving,
+        ):
             part.destroy()
         self.commands.destroy()
         self.status.destroy()
@@ -160,6 +171,11 @@ class ControllerNode(ControlNode):
     def _answer(self, state: tuple[Any, ...]) -> None:
         stamp, cycle = state[:2]
         reference, friction = self.references[cycle], self.frictions.get(cycle)
+        while (driven := self.driving.take()) is not None:
+            self.driven = driven
+        if not self.driven:
+            # What the valve does not follow is nothing to learn from.
+            self.controller.reset()
         elapsed = cycle - self.answered if self.answered >= 0 else 1
         if elapsed < 1:
             self.controller.reset()
@@ -207,3 +223,8 @@ class ControllerNode(ControlNode):
         if self.pending and time.perf_counter() - self.pending_since > PATIENCE:
             return WARN, f"no {self.kind.FOLLOWS} reference for the cycle under way", figures
         return OK, "running" if self._active.is_set() else "inactive", figures
+
+
+def _is_true(message: bytes) -> bool:
+    """Return what a Bool says."""
+    return message[4:5] == b"\1"

@@ -139,6 +139,7 @@ class HardwareBridgeNode(PlantNode):
         self._write(self.gate.step(self._time()))
 
     def _write(self, spool: float) -> None:
+        self.tell_driving(self.gate.driving)
         try:
             self.device.write(self.calibration.command(spool), self.sequence)
         except WorkFailed as error:

@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, Any, NamedTuple
 
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.msg import ForceReference, LoaderState, ValveCommand
@@ -20,6 +21,7 @@ from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos
+from ehls_ros.recording.topics import DRIVING
 from ehls_ros.schema import quantity
 
 CLOCK_CYCLES = 10
@@ -82,6 +84,8 @@ class PlantNode(ControlNode):
         self.commands = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, frame=True))
         self.reference = Inbox(self, ForceReference, "force_reference")
         self.answer = Waiter([self.commands])
+        self.driving = self.create_publisher(Bool, DRIVING.name, control_qos(1))
+        self.told_driving: bool | None = None
         self.clock = self.create_publisher(Clock, "/clock", control_qos(1)) if self.lockstep else None
         self.telemetry = Telemetry(self, float(self.get_parameter("telemetry_rate").value))
 
@@ -90,6 +94,7 @@ class PlantNode(ControlNode):
         for part in (self.answer, self.commands, self.reference, self.state):
             part.destroy()
         self.telemetry.destroy()
+        self.destroy_publisher(self.driving)
         if self.clock is not None:
             self.destroy_publisher(self.clock)
 
@@ -119,6 +124,12 @@ class PlantNode(ControlNode):
         if self.clock is not None and cycle % CLOCK_CYCLES == 0:
             self.clock.publish(Clock(clock=time_of(stamp_ns)))
         self.telemetry.tell(cycle * self.period, stamp_ns, signals)
+
+    def tell_driving(self, driving: bool) -> None:
+        """Tell the controllers whether their commands reach the valve, when that changes: a loop that is open winds up."""
+        if driving != self.told_driving:
+            self.told_driving = driving
+            self.driving.publish(Bool(data=driving))
 
     def take_commands(self, cycle: int) -> None:
         """Hand the gate what came in.

@@ -46,6 +46,7 @@ class PlantSimNode(PlantNode):
         """Publish the first snapshot."""
         self.set_epoch(self.cycle)
         self.epoch = time.perf_counter() - self.cycle * self.period
+        self.tell_driving(self.gate.driving or not self.enabled)
         self._snapshot()
 
     def once(self) -> None:
@@ -102,7 +103,9 @@ class PlantSimNode(PlantNode):
         """Return the command the gate lets through; a simulated rig is enabled by the first command that comes."""
         if not self.enabled and self.answered >= 0:
             self.enabled = self.gate.enable() is None
-        return self.gate.step(self.cycle * self.period)
+        command = self.gate.step(self.cycle * self.period)
+        self.tell_driving(self.gate.driving or not self.enabled)
+        return command
 
     def _snapshot(self) -> None:
         self.publish(self.cycle, self.simulator.measure(self.random.standard_normal(len(SENSED))).tolist())

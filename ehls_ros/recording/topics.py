@@ -111,7 +111,11 @@ CYCLE_TOPICS = (
 )
 """The topics a trajectory is made of, in the order of one control cycle; every message has a header and a cycle."""
 
+DRIVING = Topic("driving", "std_msgs/msg/Bool")
+"""Whether commands reach the valve; told when that changes."""
+
 TELEMETRY_TOPICS = (
+    DRIVING,
     Topic("force", "std_msgs/msg/Float64"),
     Topic("load_pressure", "sensor_msgs/msg/FluidPressure"),
     Topic("joint_states", "sensor_msgs/msg/JointState"),

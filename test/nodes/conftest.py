@@ -62,19 +62,28 @@ class Graph:
 
         with (self.folder / f"{name}.log").open("ab") as log:
             process = subprocess.Popen(
-                [sys.executable, *arguments], env=graph_environment(), stdout=log, stderr=subprocess.STDOUT
+                [sys.executable, *arguments],
+                env=graph_environment(),
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=subprocess.STDOUT,
             )
         if largest_file >= 0:
             resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (largest_file, largest_file))
         self.processes[name] = process
         return process
 
-    def kill(self, name: str) -> None:
-        """End a process as a crash would; what it leaves in shared memory is cleared away at the end of the test."""
+    def kill(self, name: str) -> float:
+        """End a process as a crash would and return when, of the monotonic clock [s].
+
+        What it leaves in shared memory is cleared away at the end of the test.
+        """
         process = self.processes.pop(name)
         self.orphans |= shared_memory_of(process.pid)
         process.kill()
+        killed = time.monotonic()
         process.wait(20)
+        return killed
 
     def clear_orphans(self) -> None:
         """Remove what killed processes left in shared memory, unless a living one uses it."""

@@ -40,7 +40,7 @@ class EmulatedRig:
     """Emulator, bridge, reference and controller; the test itself is a participant beside them."""
 
     def __init__(
-        self, graph: Any, participant: Any, folder: Path, law: str, timing: str, emulator: Sequence[str], spoil: str
+        self, graph: Any, participant: Any, folder: Path, law: str, timing: str, emulator: Sequence[str], spoil: bool
     ) -> None:
         self.graph, self.participant, self.folder, self.law, self.timing = graph, participant, folder, law, timing
         self.spec = folder / "rig.yaml"
@@ -56,7 +56,7 @@ class EmulatedRig:
         self.start("reference_node")
         self.start(f"{law}_node", remap="valve_command:=valve_command_unspoilt" if spoil else "")
         if spoil:
-            graph.run("spoil_commands", [str(Path(__file__).with_name("spoil_commands.py")), spoil, "1"])
+            graph.run("spoil_commands", [str(Path(__file__).with_name("spoil_commands.py")), "1"])
         self.start("hardware_bridge_node")
 
     def start(self, name: str, **options: Any) -> subprocess.Popen[bytes]:
@@ -83,23 +83,30 @@ class EmulatedRig:
             self.emulator = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors)
         assert b"listening" in self.emulator.stdout.readline(), (self.folder / "emulator.err").read_text()
 
-    def enable(self, seconds: float = 60.0) -> None:
+    def enable(self, seconds: float = 20.0) -> None:
         """Let the commands through, as soon as the gate agrees."""
         deadline = time.monotonic() + seconds
         while True:
-            self.participant.call(Trigger, "reset_trips", Trigger.Request())
+            reset = self.participant.call(Trigger, "reset_trips", Trigger.Request())
             answer = self.participant.call(SetBool, "enable", SetBool.Request(data=True))
             if answer.success:
                 return
-            assert time.monotonic() < deadline, answer.message
+            assert time.monotonic() < deadline, f"reset: {reset.message}; enable: {answer.message}"
 
-    def fault(self, line: str) -> None:
-        """Put a fault into the emulated rig and wait until it says that it is in."""
+    def fault(self, line: str) -> float:
+        """Put a fault into the emulated rig and return when it was in, of the monotonic clock [s]."""
         self.emulator.stdin.write(f"{line}\n".encode())
         self.emulator.stdin.flush()
         told = self.emulator.stdout.readline().decode()
-        assert told.startswith("fault: "), told
-        assert told.split(maxsplit=2)[2].strip() == line, told
+        word, when, what = told.split(maxsplit=2)
+        assert (word, what.strip()) == ("fault:", line), told
+        return float(when)
+
+    def spoil_commands(self, mode: str) -> None:
+        """Let the node between controller and bridge do something else to the commands."""
+        spoiler = self.graph.processes["spoil_commands"]
+        spoiler.stdin.write(f"{mode}\n".encode())
+        spoiler.stdin.flush()
 
     def stop_emulator(self, number: int = signal.SIGINT) -> dict[str, Any]:
         """End the emulator and return its counts."""

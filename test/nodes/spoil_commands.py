@@ -1,9 +1,10 @@
-"""A node between controller and bridge that spoils commands from SIGUSR1 on: `spoil_commands.py MODE SEED`."""
+"""A node between controller and bridge that spoils commands as the last line on stdin says: `spoil_commands.py SEED`."""
 
 import math
 import random
 import signal
 import sys
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 
@@ -48,6 +49,7 @@ def replaced(value: float) -> Callable[[Iterator[Command], random.Random], Itera
 
 
 MODES = {
+    "none": lambda commands, chance: commands,
     "lost": lose,
     "delayed": delay,
     "duplicated": duplicate,
@@ -60,9 +62,9 @@ MODES = {
 
 
 def main() -> None:
-    mode, seed = sys.argv[1:3]
-    spoiling, stopping = [False], [False]
-    signal.signal(signal.SIGUSR1, lambda *_: spoiling.__setitem__(0, True))
+    wanted, chance = ["none"], random.Random(int(sys.argv[1]))
+    threading.Thread(target=lambda: [wanted.append(line.strip()) for line in sys.stdin], daemon=True).start()
+    stopping = [False]
     signal.signal(signal.SIGINT, lambda *_: stopping.__setitem__(0, True))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("spoil_commands", namespace="ehls")
@@ -70,17 +72,16 @@ def main() -> None:
     outbox = Outbox(node, ValveCommand, "valve_command", frame_id="spoil_commands")
     waiter = Waiter([inbox])
 
-    def arriving() -> Iterator[Command]:
-        while not stopping[0]:
-            waiter.wait(0.05)
+    def arriving(mode: str) -> Iterator[Command]:
+        while not stopping[0] and wanted[-1] == mode:
+            waiter.wait(0.02)
             while (command := inbox.take()) is not None:
-                if not spoiling[0]:
-                    outbox.send(*command)
-                else:
-                    yield command
+                yield command
 
-    for command in MODES[mode](arriving(), random.Random(int(seed))):
-        outbox.send(*command)
+    while not stopping[0]:
+        mode = wanted[-1]
+        for command in MODES[mode](arriving(mode), chance):
+            outbox.send(*command)
     for part in (waiter, inbox, outbox):
         part.destroy()
     node.destroy_node()
