@@ -58,7 +58,7 @@ class Parameters(NamedTuple):
     ] = 12.0
     g: Annotated[float, quantity("1/MPa", "steepness of the sliding surface near zero error", minimum=0.1, maximum=1e4)] = 13.0
     xi: Annotated[float, quantity("1", "weight of the error's rate in the sliding variable", minimum=1e-3, maximum=1e3)] = 1.0
-    reaching_rate: Annotated[float, quantity("1/s", "rate at which s is taken out", minimum=0.0, maximum=1e6)] = 450.0
+    reaching_rate: Annotated[float, quantity("1/s", "rate at which s is taken out", minimum=0.0, maximum=1e6)] = 300.0
     command_delay: Annotated[float, quantity("s", "time a command takes to the valve", minimum=0.0, maximum=0.05)] = 1e-3
     coupling_stiffness: Annotated[
         float, quantity("N/m", "stiffness of what ties the piston to its surroundings", minimum=0.0, maximum=1e9)
@@ -83,7 +83,7 @@ class Parameters(NamedTuple):
     ] = 1e-6
     external_noise: Annotated[
         float, quantity("N/s^5/2", "unrest of the external force's second rate", minimum=0.0, maximum=1e15)
-    ] = 1.5e8
+    ] = 1.3e8
     gain_noise: Annotated[float, quantity("1/s^1/2", "unrest of the valve's gain", minimum=0.0, maximum=1e3)] = 0.05
     flow_noise: Annotated[float, quantity("Pa/s^3/2", "unrest of the flow's error", minimum=0.0, maximum=1e12)] = 1e7
     offset_noise: Annotated[float, quantity("N/s^1/2", "unrest of the load cell's offset", minimum=0.0, maximum=1e6)] = 30.0
