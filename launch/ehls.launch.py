@@ -13,7 +13,11 @@ from launch import LaunchDescription
 ARGUMENTS = {
     "plant": ("sim", "sim: the simulated rig; bridge: the real one", ["sim", "bridge"]),
     "bridge": ("", "bridge file for plant:=bridge: DAQ backend, channels, calibration; empty: UDP to this host", None),
-    "controller": ("fasmc", "control law; pid follows a position and needs a spec with one", ["fasmc", "sic", "pid"]),
+    "controller": (
+        "fasmc",
+        "control law; fasmc_output_feedback needs no velocity; pid follows a position and needs a spec with one",
+        ["fasmc", "fasmc_output_feedback", "sic", "pid"],
+    ),
     "rig": ("", "rig file in place of the spec's", None),
     "spec": ("", "experiment file; empty: the 10 kN sine that comes with the package", None),
     "timing": (

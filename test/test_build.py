@@ -83,6 +83,7 @@ def test_colcon_puts_executables_where_ros2_run_looks(workspace: Path) -> None:
         "disturbance_node",
         "friction_estimator_node",
         "fasmc_node",
+        "fasmc_output_feedback_node",
         "sic_node",
         "pid_node",
         "reference_node",

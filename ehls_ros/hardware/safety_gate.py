@@ -249,12 +249,10 @@ class Gate:
         if beyond and self._range.reaction >= HOLD_REACTION:
             return False
         value = min(max(value, -self._limit), self._limit)
-        fast = False
-        # Before it is driven, and while it is blended in, a command that jumps moves nothing faster than the gate lets it.
-        if self._answered >= 0 and self.state in {ACTIVE, HOLDING}:
-            rate = abs(value - self._command) / ((number - self._answered) * self._period)
-            fast = rate > self.parameters.command_rate
-            self._rate.look(fast, rate, self.parameters.command_rate)
+        rate = abs(value - self._command) / ((number - self._answered) * self._period)
+        # Where it does not act, and while it is blended in, a command may jump: the output does not.
+        fast = rate > self.parameters.command_rate and self._answered >= 0 and self.state in {ACTIVE, HOLDING}
+        self._rate.look(fast, rate, self.parameters.command_rate)
         if fast and self._rate.reaction >= HOLD_REACTION:
             return False
         self._command, self._answered, self._taken = value, number, True

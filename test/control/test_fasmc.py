@@ -569,4 +569,4 @@ def test_step_does_not_depend_on_what_it_was_given_before_but_through_its_memory
 
 def test_model_is_the_nominal_rig_without_effects(rig):
     model = model_of(rig, 1e-3)
-    assert model == Model(rig.plant, 1e-3, rig.limits.spool)
+    assert model == Model(rig.plant, rig.friction, 1e-3, rig.limits.spool)

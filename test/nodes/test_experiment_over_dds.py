@@ -36,7 +36,7 @@ def assert_same(one, other, relative):
         assert np.nanmax(np.abs(one[name] - other[name])) <= scale, name
 
 
-@pytest.mark.parametrize("controller", ["fasmc", "sic", "pid"])
+@pytest.mark.parametrize("controller", ["fasmc", "fasmc_output_feedback", "sic", "pid"])
 def test_lockstep_is_deterministic_and_the_same_in_one_process(spec_file, tmp_path, controller):
     spec = spec_file(duration=0.5, controller=controller)
     first = trajectory_of(ehls("experiment", spec, "--out", tmp_path / "first", "--json"))

@@ -18,7 +18,7 @@ import math
 from typing import Any, Literal, NamedTuple, Protocol
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.parameters import Friction, Plant
 from ehls_ros.physics.rig import Rig
 
 E3, S, ALPHA, BETA, DELTA, U1, U2, U3, FORCE_ERROR, FORCE_BOUND, SATURATED, STATUS_SIZE = range(12)
@@ -32,6 +32,7 @@ class Model(NamedTuple):
     """What a controller knows of the rig."""
 
     plant: Plant
+    friction: Friction
     period: float
     spool_limit: float
 
@@ -52,7 +53,7 @@ class ControllerLaw(Protocol):
 
 def model_of(rig: Rig, period: float) -> Model:
     """Return what a controller may know of a rig: its parameters, not its effects."""
-    return Model(rig.plant, period, rig.limits.spool)
+    return Model(rig.plant, rig.friction, period, rig.limits.spool)
 
 
 @kernel

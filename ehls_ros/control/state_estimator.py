@@ -1,0 +1,445 @@
+"""What a rig does not measure, from what it does: an extended Kalman filter, and its prediction over the command's delay.
+
+    x'  = v
+    m v' = Ac pL - (B0 + sigma_f + cc) v - (ks + kc) x - m g - sum F_i - d        (3)
+    pL' = -e1 v - e2 pL + e3 sqrt(ps - sgn(xv) pL) xv + q                         (25)
+    xv' = omega_v (Kv (1 + b) u(t - delay) - xv)                                  (4)
+    b' = -b/tau + white noise,  d''', q', o' = white noise
+
+Position, load pressure, spool and force are measured, force = Ac pL + o. The surroundings are a spring kc and a damper cc whose
+far end moves as it will: kc and cc are known, what the far end does is in d. b is what the valve's gain misses, q what the
+flow's model does, o what the load cell reads beside the pressure. The friction elements F_i follow the estimated velocity by
+(6) and (8); while they stick, a corrected position corrects them. It is the load pressure that tells the velocity: a cycle's
+change of pressure resolves 0.2 um of motion where the position sensor resolves 5 um.
+
+Mean and covariance are stepped together: the mean by Runge-Kutta steps of order 4 of the equations above, the covariance by the
+exponential of their Jacobian. A reading that is no number is left out. Everything lies in one array, so that a controller can
+keep it.
+
+Source: Anderson, Moore, Optimal Filtering, 1979, chapters 6 to 8; the delay as in Åström, Wittenmark, Computer-Controlled
+Systems, 1997, section 3.2.
+"""
+
+import math
+from typing import NamedTuple
+
+from numba import njit
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.control.controllers.base import Model
+from ehls_ros.physics import sensors
+from ehls_ros.physics.beam import applied_force
+from ehls_ros.physics.cylinder import load_pressure_rate
+from ehls_ros.physics.friction.base import sign, stribeck_level
+from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.plant import PL, XV, V, X
+from ehls_ros.physics.valve import load_flow, spool_rate
+
+EXTERNAL, EXTERNAL_RATE, EXTERNAL_CURVATURE, VALVE_GAIN, FLOW_ERROR, CELL_OFFSET, STATES = range(4, 11)
+"""Where the mean holds d with its two rates, b, q and o, after the plant's own x, v, pL and xv; and their number."""
+
+MOST_ELEMENTS = 16
+"""Friction elements that are followed; the force of further ones falls to the external force."""
+
+SENT = 64
+"""Commands sent that are remembered."""
+
+STEP = 5e-4
+"""Longest Runge-Kutta step of the mean [s]; the rig's fastest mode turns 0.23 rad in it."""
+
+PIECE = 1e-3
+"""Longest step of the covariance [s]."""
+
+ROUNDING = 1e-9
+"""Times nearer to each other are one [s]."""
+
+GAIN_MEMORY = 10.0
+"""Time after which an error of the valve's gain is forgotten that no command has shown meanwhile, tau [s]."""
+
+LEAST_DROP = 0.01
+"""The pressure drop over the valve is taken no smaller than this part of the nominal supply pressure."""
+
+_LENGTH = STATES + MOST_ELEMENTS
+_MATRIX = STATES * STATES
+MEMORY_SIZE = 1 + 2 * (_LENGTH + MOST_ELEMENTS) + 5 * _LENGTH + 4 * _MATRIX + STATES + 2 * SENT
+
+
+class Assumptions(NamedTuple):
+    """What the filter takes for granted.
+
+    Attributes:
+        coupling_stiffness: kc [N/m].
+        coupling_damping: cc [N s/m].
+        command_delay: time a command takes to the valve [s].
+        position_noise: standard deviation of a position reading, rounding included [m].
+        pressure_noise: of a load pressure reading [Pa].
+        spool_noise: of a spool reading [m].
+        force_noise: of a load cell reading [N].
+        motion_noise: root of the density of what (3) misses [N s^1/2].
+        oil_noise: of what (25) misses from cycle to cycle [Pa/s^1/2].
+        valve_noise: of what (4) misses from cycle to cycle [m/s^1/2].
+        external_noise: of the external force's third derivative [N/s^5/2].
+        gain_noise: of the rate of the valve gain's error b [1/s^1/2].
+        flow_noise: of the rate of the flow's error [Pa/s^3/2].
+        offset_noise: of the rate of the load cell's offset [N/s^1/2].
+    """
+
+    coupling_stiffness: float
+    coupling_damping: float
+    command_delay: float
+    position_noise: float
+    pressure_noise: float
+    spool_noise: float
+    force_noise: float
+    motion_noise: float
+    oil_noise: float
+    valve_noise: float
+    external_noise: float
+    gain_noise: float
+    flow_noise: float
+    offset_noise: float
+
+
+class State(NamedTuple):
+    """The filter's parts, all views into one array of :data:`MEMORY_SIZE`.
+
+    Attributes:
+        started: 1 once there was a measurement to start from.
+        mean: the estimate, then the friction elements' forces [N].
+        mode: modes of the elements, as in :mod:`ehls_ros.physics.friction.base`.
+        foreseen: the mean predicted to when the next command acts; scratch of the controller from then on.
+        foreseen_mode: and its modes.
+        covariance: of the estimate, shape (STATES, STATES).
+        commands: spool commands sent, newest first [m].
+        ages: times since they were sent [s].
+        work: scratch, shape (5, length of the mean).
+        matrices: scratch, shape (3, STATES, STATES).
+        gain: scratch, shape (STATES,).
+    """
+
+    started: Array
+    mean: Array
+    mode: Array
+    foreseen: Array
+    foreseen_mode: Array
+    covariance: Array
+    commands: Array
+    ages: Array
+    work: Array
+    matrices: Array
+    gain: Array
+
+
+@kernel
+def state_of(memory: Array) -> State:
+    """Return the parts of a memory, shape (:data:`MEMORY_SIZE`,); all zero before the first measurement."""
+    mean = 1
+    foreseen = mean + _LENGTH + MOST_ELEMENTS
+    covariance = foreseen + _LENGTH + MOST_ELEMENTS
+    commands = covariance + _MATRIX
+    work = commands + 2 * SENT
+    matrices = work + 5 * _LENGTH
+    gain = matrices + 3 * _MATRIX
+    return State(
+        memory[:mean],
+        memory[mean : mean + _LENGTH],
+        memory[mean + _LENGTH : foreseen],
+        memory[foreseen : foreseen + _LENGTH],
+        memory[foreseen + _LENGTH : covariance],
+        memory[covariance:commands].reshape((STATES, STATES)),
+        memory[commands : commands + SENT],
+        memory[commands + SENT : work],
+        memory[work:matrices].reshape((5, _LENGTH)),
+        memory[matrices:gain].reshape((3, STATES, STATES)),
+        memory[gain : gain + STATES],
+    )
+
+
+@kernel
+def elements(friction: Friction) -> int:
+    """Return how many friction elements are followed."""
+    return min(len(friction.element_stiffness), MOST_ELEMENTS)
+
+
+@kernel
+def rates(y: Array, mode: Array, command: float, supply: float, model: Model, p: Assumptions, rate: Array) -> None:
+    """Write the derivative of a mean.
+
+    Args:
+        y: the mean, as :class:`State` has it.
+        mode: modes of the friction elements.
+        command: spool command that has arrived at the valve [m].
+        supply: supply pressure [Pa].
+        model: what is known of the rig.
+        p: what the filter takes for granted.
+        rate: where the derivative goes, as long as ``y``.
+    """
+    plant, friction = model.plant, model.friction
+    level = stribeck_level(y[V], friction)
+    resisting = friction.viscous_coefficient * y[V]
+    for i in range(elements(friction)):
+        force = y[STATES + i]
+        resisting += force
+        if mode[i] == 0.0:
+            rate[STATES + i] = friction.element_stiffness[i] * y[V]  # (6)
+        else:
+            rate[STATES + i] = friction.attraction_rate * (mode[i] * friction.element_weight[i] - force / level)  # (8)
+    around = -p.coupling_stiffness * y[X] - p.coupling_damping * y[V]
+    side = 1.0 if y[XV] >= 0.0 else -1.0
+    flow = load_flow(y[XV], side, y[PL], supply, plant)
+    rate[X] = y[V]
+    rate[V] = (applied_force(y[X], y[V], y[PL], y[EXTERNAL], around, plant) - resisting) / plant.moving_mass
+    rate[PL] = load_pressure_rate(flow, y[V], y[PL], 0.0, plant.bulk_modulus, plant) + y[FLOW_ERROR]
+    rate[XV] = spool_rate(y[XV], (1.0 + y[VALVE_GAIN]) * command, plant)
+    rate[EXTERNAL], rate[EXTERNAL_RATE] = y[EXTERNAL_RATE], y[EXTERNAL_CURVATURE]
+    rate[VALVE_GAIN] = -y[VALVE_GAIN] / GAIN_MEMORY
+    rate[EXTERNAL_CURVATURE] = rate[FLOW_ERROR] = rate[CELL_OFFSET] = 0.0
+
+
+@kernel
+def switch(y: Array, mode: Array, friction: Friction) -> None:
+    """Let elements break away, at the force where they do, or hold at a reversal."""
+    level, direction = stribeck_level(y[V], friction), sign(y[V])
+    for i in range(elements(friction)):
+        if mode[i] == 0.0:
+            most = friction.element_weight[i] * level
+            if direction * y[STATES + i] > most:
+                mode[i], y[STATES + i] = direction, direction * most
+        elif mode[i] * y[V] < 0.0:
+            mode[i] = 0.0
+
+
+# Long, and called from several places: a function of its own.
+@njit(error_model="numpy")
+def move(
+    y: Array, mode: Array, command: float, supply: float, duration: float, model: Model, p: Assumptions, work: Array
+) -> None:
+    """Run a mean on under one command; arguments as of :func:`rates`, ``duration`` [s], ``work`` of :class:`State`."""
+    steps = max(1, math.ceil((duration - ROUNDING) / STEP))
+    step = duration / steps
+    length = STATES + elements(model.friction)
+    stage, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4]
+    for _ in range(steps):
+        rates(y, mode, command, supply, model, p, k1)
+        for i in range(length):
+            stage[i] = y[i] + 0.5 * step * k1[i]
+        rates(stage, mode, command, supply, model, p, k2)
+        for i in range(length):
+            stage[i] = y[i] + 0.5 * step * k2[i]
+        rates(stage, mode, command, supply, model, p, k3)
+        for i in range(length):
+            stage[i] = y[i] + step * k3[i]
+        rates(stage, mode, command, supply, model, p, k4)
+        for i in range(length):
+            y[i] += step / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
+        switch(y, mode, model.friction)
+
+
+@kernel
+def arrived(t: float, delay: float, state: State) -> tuple[float, float]:
+    """Return the command [m] that acts at ``t`` [s] from now and until when the next one sent leaves it acting."""
+    until = math.inf
+    for i in range(SENT):
+        arrival = delay - state.ages[i]
+        if arrival <= t + ROUNDING:
+            return state.commands[i], until
+        until = arrival
+    return state.commands[SENT - 1], until
+
+
+@kernel
+def linearise(state: State, command: float, supply: float, model: Model, p: Assumptions, jacobian: Array) -> None:
+    """Write the Jacobian of the equations at the mean, the sticking elements' stiffness included."""
+    plant, friction, y = model.plant, model.friction, state.mean
+    stiffness = plant.spring_stiffness + p.coupling_stiffness
+    for i in range(elements(friction)):
+        if state.mode[i] == 0.0:
+            stiffness += friction.element_stiffness[i]
+    hydraulic = 4.0 * plant.bulk_modulus / plant.total_volume
+    side = 1.0 if y[XV] >= 0.0 else -1.0
+    drop = max(supply - side * y[PL], LEAST_DROP * plant.supply_pressure)
+    flow_gain = plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt(drop / plant.oil_density)
+    jacobian[:] = 0.0
+    jacobian[X, V] = jacobian[EXTERNAL, EXTERNAL_RATE] = jacobian[EXTERNAL_RATE, EXTERNAL_CURVATURE] = jacobian[
+        PL, FLOW_ERROR
+    ] = 1.0
+    jacobian[V, X] = -stiffness / plant.moving_mass
+    jacobian[V, V] = -(plant.viscous_damping + friction.viscous_coefficient + p.coupling_damping) / plant.moving_mass
+    jacobian[V, PL] = plant.piston_area / plant.moving_mass
+    jacobian[V, EXTERNAL] = -1.0 / plant.moving_mass
+    jacobian[PL, V] = -hydraulic * plant.piston_area
+    jacobian[PL, PL] = -hydraulic * (plant.leakage_coefficient + flow_gain * abs(y[XV]) / (2.0 * drop))
+    jacobian[PL, XV] = hydraulic * flow_gain
+    jacobian[XV, XV] = -plant.valve_bandwidth
+    jacobian[XV, VALVE_GAIN] = plant.valve_bandwidth * plant.valve_gain * command
+    jacobian[VALVE_GAIN, VALVE_GAIN] = -1.0 / GAIN_MEMORY
+
+
+@kernel
+def multiply(a: Array, b: Array, product: Array) -> None:
+    """Write the product of two square matrices."""
+    size = len(a)
+    for i in range(size):
+        for j in range(size):
+            product[i, j] = 0.0
+        for k in range(size):
+            for j in range(size):
+                product[i, j] += a[i, k] * b[k, j]
+
+
+@njit(error_model="numpy")
+def spread(state: State, command: float, supply: float, duration: float, model: Model, p: Assumptions) -> None:
+    """Take the covariance on by ``duration`` [s], no longer than :data:`PIECE`."""
+    covariance, jacobian, transition, product = state.covariance, state.matrices[0], state.matrices[1], state.matrices[2]
+    linearise(state, command, supply, model, p, jacobian)
+    # exp(A T) = I + A T (I + A T/2 (I + A T/3 (I + A T/4)))
+    transition[:] = 0.0
+    for i in range(STATES):
+        transition[i, i] = 1.0
+    for order in range(4, 0, -1):
+        multiply(jacobian, transition, product)
+        for i in range(STATES):
+            for j in range(STATES):
+                transition[i, j] = product[i, j] * duration / order
+            transition[i, i] += 1.0
+    multiply(transition, covariance, product)
+    for i in range(STATES):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(STATES):
+                total += product[i, k] * transition[j, k]
+            covariance[i, j] = covariance[j, i] = total
+    covariance[V, V] += (p.motion_noise / model.plant.moving_mass) ** 2 * duration
+    covariance[PL, PL] += p.oil_noise**2 * duration
+    covariance[XV, XV] += p.valve_noise**2 * duration
+    covariance[EXTERNAL_CURVATURE, EXTERNAL_CURVATURE] += p.external_noise**2 * duration
+    covariance[VALVE_GAIN, VALVE_GAIN] += p.gain_noise**2 * duration
+    covariance[FLOW_ERROR, FLOW_ERROR] += p.flow_noise**2 * duration
+    covariance[CELL_OFFSET, CELL_OFFSET] += p.offset_noise**2 * duration
+
+
+@njit(error_model="numpy")
+def advance(supply: float, model: Model, p: Assumptions, state: State) -> None:
+    """Take mean and covariance on by a period, under the commands that arrived in it."""
+    for i in range(SENT):
+        state.ages[i] += model.period
+    t = -model.period
+    while t < -ROUNDING:
+        command, until = arrived(t, p.command_delay, state)
+        duration = min(until, 0.0, t + PIECE) - t
+        spread(state, command, supply, duration, model, p)
+        move(state.mean, state.mode, command, supply, duration, model, p, state.work)
+        t += duration
+
+
+@njit(error_model="numpy")
+def correct(reading: float, signal: int, scale: float, offset: float, noise: float, state: State) -> None:
+    """Take one reading in: ``scale`` times what the mean holds at ``signal`` and ``offset`` times o, within ``noise``.
+
+    A reading that is no number changes nothing.
+    """
+    mean, covariance, gain = state.mean, state.covariance, state.gain
+    missed = reading - scale * mean[signal] - offset * mean[CELL_OFFSET]
+    if not math.isfinite(missed):
+        return
+    for i in range(STATES):
+        gain[i] = scale * covariance[i, signal] + offset * covariance[i, CELL_OFFSET]
+    variance = scale * gain[signal] + offset * gain[CELL_OFFSET] + noise * noise
+    for i in range(STATES):
+        mean[i] += gain[i] * missed / variance
+    for i in range(STATES):
+        for j in range(i + 1):
+            covariance[i, j] -= gain[i] * gain[j] / variance
+            covariance[j, i] = covariance[i, j]
+
+
+FIRST_VELOCITY = 0.01
+"""How far from rest the piston may be at the first measurement [m/s]."""
+
+FIRST_FORCE, FIRST_FORCE_RATE, FIRST_FORCE_CURVATURE = 1e3, 1e5, 1e6
+"""How far the external force may be from balance [N], its rates from nothing [N/s, N/s^2]."""
+
+FIRST_GAIN, FIRST_FLOW, FIRST_OFFSET = 0.1, 1e7, 100.0
+"""How far the valve's gain may be off [1], the flow's model [Pa/s], and the load cell [N]."""
+
+
+@njit(error_model="numpy")
+def start(measured: Array, model: Model, p: Assumptions, state: State) -> None:
+    """Start at rest from the first measurement, with the external force that balances it."""
+    plant, y, covariance = model.plant, state.mean, state.covariance
+    y[X], y[PL], y[XV] = measured[sensors.POSITION], measured[sensors.LOAD_PRESSURE], measured[sensors.SPOOL]
+    y[EXTERNAL] = applied_force(y[X], 0.0, y[PL], 0.0, -p.coupling_stiffness * y[X], plant)
+    deviations = (
+        p.position_noise,
+        FIRST_VELOCITY,
+        p.pressure_noise,
+        p.spool_noise,
+        FIRST_FORCE,
+        FIRST_FORCE_RATE,
+        FIRST_FORCE_CURVATURE,
+        FIRST_GAIN,
+        FIRST_FLOW,
+        FIRST_OFFSET,
+    )
+    for i in range(STATES):
+        covariance[i, i] = deviations[i] ** 2
+    state.started[0] = 1.0
+
+
+@kernel
+def supply_of(measured: Array, model: Model) -> float:
+    """Return the supply pressure as measured, or the nominal one where it is not [Pa]."""
+    supply = measured[sensors.SUPPLY_PRESSURE]
+    return supply if math.isfinite(supply) else model.plant.supply_pressure
+
+
+@njit(error_model="numpy")
+def observe(measured: Array, model: Model, p: Assumptions, state: State) -> bool:
+    """Take one more measurement, a period after the last.
+
+    Args:
+        measured: readings in the order of ``SENSED``, shape (7,); the velocity is not looked at.
+        model: what is known of the rig, and the time since the last measurement.
+        p: what the filter takes for granted.
+        state: changed in place.
+
+    Returns:
+        Whether there is an estimate: not before position, load pressure and spool have once been read together.
+    """
+    if state.started[0] == 0.0:
+        sum_read = measured[sensors.POSITION] + measured[sensors.LOAD_PRESSURE] + measured[sensors.SPOOL]
+        if not math.isfinite(sum_read):
+            return False
+        start(measured, model, p, state)
+        return True
+    advance(supply_of(measured, model), model, p, state)
+    position = state.mean[X]
+    correct(measured[sensors.POSITION], X, 1.0, 0.0, p.position_noise, state)
+    correct(measured[sensors.LOAD_PRESSURE], PL, 1.0, 0.0, p.pressure_noise, state)
+    correct(measured[sensors.FORCE], PL, model.plant.piston_area, 1.0, p.force_noise, state)
+    correct(measured[sensors.SPOOL], XV, 1.0, 0.0, p.spool_noise, state)
+    for i in range(elements(model.friction)):
+        if state.mode[i] == 0.0:
+            state.mean[STATES + i] += model.friction.element_stiffness[i] * (state.mean[X] - position)
+    return True
+
+
+@njit(error_model="numpy")
+def foresee(supply: float, model: Model, p: Assumptions, state: State) -> None:
+    """Write into ``state.foreseen`` where the commands under way take the mean until one sent now acts."""
+    state.foreseen[:] = state.mean
+    state.foreseen_mode[:] = state.mode
+    t = 0.0
+    while t < p.command_delay - ROUNDING:
+        command, until = arrived(t, p.command_delay, state)
+        duration = min(until, p.command_delay) - t
+        move(state.foreseen, state.foreseen_mode, command, supply, duration, model, p, state.work)
+        t += duration
+
+
+@kernel
+def send(command: float, state: State) -> None:
+    """Remember a command [m] that is sent now."""
+    for i in range(SENT - 1, 0, -1):
+        state.commands[i], state.ages[i] = state.commands[i - 1], state.ages[i - 1]
+    state.commands[0], state.ages[0] = command, 0.0
