@@ -156,10 +156,17 @@ class Participant:
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         client = self.node.create_client(kind, service)
-        self.until(client.service_is_ready)
-        future = client.call_async(request)
-        self.until(future.done)
-        return future.result()
+        deadline = time.monotonic() + 60.0
+        while True:
+            self.until(client.service_is_ready)
+            future = client.call_async(request)
+            asked = time.monotonic()
+            # A server that was killed still seems to be there for a while, and keeps what it is asked to itself.
+            self.until(lambda future=future, asked=asked: future.done() or time.monotonic() > asked + 3.0)
+            if future.done():
+                self.node.destroy_client(client)
+                return future.result()
+            assert time.monotonic() < deadline, f"{service} does not answer"
 
     def collect(self, kind: Any, topic: str) -> list[Any]:
         from ehls_ros.nodes.transport import control_qos
