@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.nodes.shared_memory import used_by
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS 2 Jazzy or its wheels")
 pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
@@ -33,23 +34,13 @@ POSITION = "{name: velocity_sweep, velocities: [0.02], travel: 2.0e-3, rest: 0.0
 RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
 
 
-def shared_memory_of(process: int) -> set[str]:
-    """Return the files in shared memory that a process uses."""
-    with contextlib.suppress(OSError):
-        lines = Path(f"/proc/{process}/maps").read_text(encoding="utf-8").splitlines()
-        files = {line.split(maxsplit=5)[-1] for line in lines}
-        files |= {str(descriptor.readlink()) for descriptor in Path(f"/proc/{process}/fd").iterdir()}
-        return {file for file in files if file.startswith("/dev/shm/fastrtps")}
-    return set()
-
-
 class Graph:
     """Nodes started by hand."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self.orphans: set[str] = set()
+        self.orphans: set[Path] = set()
 
     def start(self, name: str, *, remap: str = "", largest_file: int = -1, **parameters: Any) -> subprocess.Popen[bytes]:
         arguments = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
@@ -79,7 +70,7 @@ class Graph:
         What it leaves in shared memory is cleared away at the end of the test.
         """
         process = self.processes.pop(name)
-        self.orphans |= shared_memory_of(process.pid)
+        self.orphans |= used_by(process.pid)
         process.kill()
         killed = time.monotonic()
         process.wait(20)
@@ -88,9 +79,9 @@ class Graph:
     def clear_orphans(self) -> None:
         """Remove what killed processes left in shared memory, unless a living one uses it."""
         for process in Path("/proc").glob("[0-9]*") if self.orphans else ():
-            self.orphans -= shared_memory_of(int(process.name))
+            self.orphans -= used_by(int(process.name))
         for path in self.orphans:
-            Path(path).unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
 
     def stop(self, name: str, number: int = signal.SIGINT) -> int:
         process = self.processes.pop(name)

@@ -25,10 +25,15 @@ from ehls_ros.hardware.realtime import claim
 from ehls_ros.hardware.target import Target
 from ehls_ros.hardware.truth_log import TruthLog
 from ehls_ros.hardware.wire import BadWire, Impairments, Wire
-from ehls_ros.physics.rig import rig_to_mapping
+from ehls_ros.physics.rig import Rig, rig_to_mapping
 from ehls_ros.schema import parse
 
 HELP = "Be the rig as seen from the wire: plant, converters, sensors, UDP; for tests of the hardware bridge."
+
+COMMAND_DELAY = "command_delay"
+
+ROUNDING = 1e-9
+"""A delay no longer than this is none [s]."""
 
 PRIORITY = 40
 """Of the loop in SCHED_FIFO, where that is permitted."""
@@ -138,7 +143,20 @@ def _spec(options: Namespace) -> Spec:
     content = read_yaml(options.spec, "spec")
     if options.rig is not None and isinstance(content, dict):
         content["rig"] = rig_to_mapping(load_rig(rig))
-    return spec_from_mapping(content, str(options.spec), options.spec.parent)
+    spec = spec_from_mapping(content, str(options.spec), options.spec.parent)
+    return spec._replace(rig=_without_own_delay(spec.rig, spec.settings.control_period))
+
+
+def _without_own_delay(rig: Rig, period: float) -> Rig:
+    """Take the cycle that a command takes by itself here off the rig's delay, so that a spec means the same on every plant."""
+    effects = []
+    for use in rig.effects:
+        if use.name == COMMAND_DELAY:
+            left = use.parameters.delay - period
+            effects += [use._replace(parameters=use.parameters._replace(delay=left))] if left > ROUNDING else []
+        else:
+            effects.append(use)
+    return rig._replace(effects=tuple(effects))
 
 
 def _impairments(options: Namespace) -> Impairments:

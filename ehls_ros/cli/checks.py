@@ -1,0 +1,232 @@
+"""What `ehls doctor` looks at, a function each: what was found, and what to do about it."""
+
+import importlib
+import importlib.metadata
+import os
+import platform
+import resource
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.files import config_folder
+from ehls_ros.hardware.realtime import sleep_until
+from ehls_ros.nodes.shared_memory import leftovers
+from ehls_ros.physics.composition import cache_folder
+
+Level = Literal["ok", "note", "problem"]
+
+SUPPORTED = ((3, 11), (3, 13))
+"""First and last Python that is tested."""
+
+WAKE_UPS = 500
+PERIOD = 1e-3
+
+DISCOVERY_TIME = 20.0
+"""Longest time two processes are given to find each other [s]."""
+
+LEAST_SPACE = 4.0
+"""Room for about an hour of recording at 1 kHz [GB]."""
+
+LATEST = 500.0
+"""A wake-up later than this leaves too little of a period of 1 ms [us]."""
+
+CPU = Path("/sys/devices/system/cpu")
+
+ECHO = """
+import rclpy
+from std_msgs.msg import Float64
+rclpy.init()
+node = rclpy.create_node("ehls_doctor_echo")
+publisher = node.create_publisher(Float64, "ehls_doctor_back", 10)
+node.create_subscription(Float64, "ehls_doctor_there", publisher.publish, 10)
+rclpy.spin(node)
+"""
+
+ASKER = """
+import sys, time, rclpy
+from std_msgs.msg import Float64
+rclpy.init()
+node = rclpy.create_node("ehls_doctor")
+trips = []
+publisher = node.create_publisher(Float64, "ehls_doctor_there", 10)
+node.create_subscription(Float64, "ehls_doctor_back", lambda m: trips.append(time.perf_counter() - m.data), 10)
+deadline = time.monotonic() + float(sys.argv[1])
+while len(trips) < 100 and time.monotonic() < deadline:
+    publisher.publish(Float64(data=time.perf_counter()))
+    rclpy.spin_once(node, timeout_sec=0.05)
+print(sorted(trips)[len(trips) // 2] if trips else "")
+"""
+
+
+class Finding(NamedTuple):
+    """What a check found.
+
+    Attributes:
+        check: what was looked at.
+        level: ok; note, worth knowing; problem, something will not work.
+        found: one line.
+        advice: what to do; empty where nothing has to be done.
+    """
+
+    check: str
+    level: Level
+    found: str
+    advice: str = ""
+
+
+def python() -> Finding:
+    """Look at the interpreter."""
+    found = f"{platform.python_version()} at {sys.executable}"
+    if SUPPORTED[0] <= sys.version_info[:2] <= SUPPORTED[1]:
+        return Finding("Python", "ok", found)
+    return Finding("Python", "problem", found, "use CPython 3.11, 3.12 or 3.13: PYTHON=python3.12 make setup")
+
+
+def packages() -> Finding:
+    """Look whether what is always needed can be imported."""
+    missing = []
+    for name in ("numba", "numpy", "plotly", "pydantic", "rich", "rosbags", "scipy", "yaml"):
+        try:
+            importlib.import_module(name)
+        except ImportError as error:
+            missing.append(f"{name} ({error})")
+    if missing:
+        return Finding("packages", "problem", f"cannot be imported: {', '.join(missing)}", "make setup, or pip install . again")
+    versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("numpy", "numba", "rosbags"))
+    return Finding("packages", "ok", versions)
+
+
+def ros() -> Finding:
+    """Look whether ROS and the messages are there."""
+    try:
+        importlib.import_module("rclpy")
+    except ImportError as error:
+        advice = "source ROS 2 Jazzy, or make setup for the wheels; without it: ehls experiment --in-process"
+        return Finding("ROS 2", "note", f"rclpy cannot be imported ({error})", advice)
+    try:
+        importlib.import_module("ehls_msgs.msg")
+    except ImportError as error:
+        return Finding(
+            "ROS 2", "problem", f"ehls_msgs cannot be imported ({error})", "make setup, or colcon build and source it"
+        )
+    distribution = os.environ.get("ROS_DISTRO", "wheels")
+    middleware = os.environ.get("RMW_IMPLEMENTATION", "the default")
+    return Finding("ROS 2", "ok", f"{distribution}, middleware {middleware}")
+
+
+def environment() -> Finding:
+    """Look at the variables that say who finds whom."""
+    domain = os.environ.get("ROS_DOMAIN_ID", "not set: 0, or a free one for `ehls experiment`")
+    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "not set: this host only")
+    found = f"domain {domain}; discovery range {reach}"
+    if reach == "SUBNET":
+        return Finding("discovery range", "note", found, "everybody on the network sees the nodes: LOCALHOST keeps them here")
+    return Finding("discovery range", "ok", found)
+
+
+def discovery() -> Finding:
+    """Let two processes find each other and a message go there and back."""
+    try:
+        from ehls_ros.nodes.graph import graph_environment
+    except ImportError:
+        return Finding("DDS", "note", "not looked at without ROS 2")
+    environment = graph_environment()
+    echo = subprocess.Popen([sys.executable, "-c", ECHO], env=environment, stderr=subprocess.DEVNULL)
+    try:
+        asker = [sys.executable, "-c", ASKER, str(DISCOVERY_TIME)]
+        done = subprocess.run(asker, env=environment, capture_output=True, text=True, check=False)
+    finally:
+        echo.terminate()
+        echo.wait()
+    if not done.stdout.strip():
+        reason = (done.stderr.strip().splitlines() or ["nothing came back"])[-1]
+        advice = (
+            "look at firewall rules for the loopback interface, and at ROS_DISCOVERY_SERVER and FASTRTPS_DEFAULT_PROFILES_FILE"
+        )
+        return Finding("DDS", "problem", f"two processes did not find each other in {DISCOVERY_TIME:.0f} s ({reason})", advice)
+    return Finding("DDS", "ok", f"a message there and back takes {1e6 * float(done.stdout):.0f} us")
+
+
+def shared_memory() -> Finding:
+    """Look for what killed processes left in shared memory."""
+    left = leftovers()
+    if not left:
+        return Finding("shared memory", "ok", "nothing left behind")
+    size = sum(file.stat().st_size for file in left if file.exists()) / 2**20
+    found = f"{len(left)} files of killed processes, {size:.0f} MiB"
+    return Finding("shared memory", "note", found, "ehls doctor --clean removes them")
+
+
+def processors() -> Finding:
+    """Look at the processors and how they are clocked."""
+    count = len(os.sched_getaffinity(0))
+    governors = {file.read_text(encoding="utf-8").strip() for file in CPU.glob("cpu*/cpufreq/scaling_governor")}
+    found = f"{count} usable, load {os.getloadavg()[0]:.1f}" + (f", governor {', '.join(governors)}" if governors else "")
+    if count < 2:
+        return Finding("processors", "note", found, "realtime at 1 kHz wants two or more; lockstep does with one")
+    if governors - {"performance"}:
+        return Finding("processors", "note", found, "for realtime: sudo cpupower frequency-set -g performance")
+    return Finding("processors", "ok", found)
+
+
+def clock() -> Finding:
+    """Measure how late a sleeping loop wakes at 1 kHz."""
+    start = time.monotonic() + PERIOD
+    late = [sleep_until(start + k * PERIOD) - (start + k * PERIOD) for k in range(WAKE_UPS)]
+    p50, p99, worst = 1e6 * np.percentile(late, [50, 99, 100])
+    found = f"a 1 kHz loop wakes {p50:.0f} us late at the median, {p99:.0f} us at p99, {worst:.0f} us at worst"
+    if p99 > LATEST:
+        return Finding("clock", "note", found, "other work is in the way of realtime: stop it, or give the nodes priority")
+    return Finding("clock", "ok", found)
+
+
+def permissions() -> Finding:
+    """Look whether realtime priority and locked memory are permitted."""
+    priority = resource.getrlimit(resource.RLIMIT_RTPRIO)[1]
+    memory = resource.getrlimit(resource.RLIMIT_MEMLOCK)[1]
+    root = os.geteuid() == 0
+    missing = [] if root or priority else ["realtime priority"]
+    missing += [] if root or memory == resource.RLIM_INFINITY else ["locked memory"]
+    if missing:
+        advice = "for realtime: rtprio 50 and memlock unlimited in /etc/security/limits.d (docs/hardware.md), then log in anew"
+        return Finding("permissions", "note", f"{' and '.join(missing)} not permitted", advice)
+    return Finding("permissions", "ok", "realtime priority and locked memory permitted")
+
+
+def places() -> Finding:
+    """Look at the configuration, the cache of kernels and the room on the disk."""
+    try:
+        config_folder()
+    except BadInput as error:
+        return Finding("files", "problem", str(error), "install the package again")
+    cache = cache_folder()
+    if not os.access(next(folder for folder in (cache, *cache.parents) if folder.exists()), os.W_OK):
+        return Finding("files", "problem", f"{cache} cannot be written", "set EHLS_CACHE_DIR to a folder that can")
+    free = shutil.disk_usage(Path.cwd()).free / 1e9
+    found = f"kernels in {cache}; {free:.1f} GB free here"
+    if free < LEAST_SPACE:
+        return Finding("files", "note", found, "an hour of recording at 1 kHz takes some 4 GB")
+    return Finding("files", "ok", found)
+
+
+CHECKS: tuple[Callable[[], Finding], ...] = (
+    python,
+    packages,
+    ros,
+    environment,
+    discovery,
+    shared_memory,
+    processors,
+    clock,
+    permissions,
+    places,
+)
+"""In the order they are best read."""
