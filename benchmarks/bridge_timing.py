@@ -1,0 +1,142 @@
+"""Latency and missed cycles of the graph on a rig behind UDP, beside an empty rclpy echo at the same pace.
+
+usage: bridge_timing.py [--seconds 60] [--rounds 1] [--controller fasmc_output_feedback]
+
+Every node is a process of its own over Fast DDS; the rig is `ehls rig-emulator` at 1 kHz on its own clock. A round is an echo,
+then the graph, then an echo: the floor is that of the same minutes. The echo is two processes, one small message there and
+back each millisecond, rclpy's own events executor, reliable, at the realtime priority of the nodes.
+"""
+
+import argparse
+import os
+import platform
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from graph_timing import percentiles
+from rclpy.experimental import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Float64
+
+from ehls_ros.experiments.files import config_folder
+from ehls_ros.experiments.metrics import evaluate
+from ehls_ros.experiments.run_folder import RunFolder
+from ehls_ros.experiments.spec import load_spec
+from ehls_ros.hardware.realtime import claim
+from ehls_ros.nodes.graph import REALTIME_PRIORITY, Plant, graph_environment, run_graph
+from ehls_ros.recording.bag_reader import read_bag
+from ehls_ros.trajectory import Trajectory
+
+PERIOD = 1e-3
+ECHO_SECONDS = 10.0
+SPEC = config_folder() / "experiments" / "measured_sine_fd1.yaml"
+
+
+def be_echo() -> None:
+    """Send back whatever comes, until SIGINT."""
+    stopping = [False]
+    signal.signal(signal.SIGINT, lambda *_: stopping.__setitem__(0, True))
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("echo")
+    publisher = node.create_publisher(Float64, "back", 10)
+    node.create_subscription(Float64, "there", publisher.publish, 10)
+    executor = EventsExecutor()
+    executor.add_node(node)
+    claim(REALTIME_PRIORITY)
+    while not stopping[0]:
+        executor.spin_once(timeout_sec=0.1)
+
+
+def be_asker() -> None:
+    """Print the round trips of one message each period [s]."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("asker")
+    publisher = node.create_publisher(Float64, "there", 10)
+    trips: list[float] = []
+    node.create_subscription(Float64, "back", lambda message: trips.append(time.perf_counter() - message.data), 10)
+    executor = EventsExecutor()
+    executor.add_node(node)
+    while publisher.get_subscription_count() == 0 or node.count_publishers("back") == 0:
+        executor.spin_once(timeout_sec=0.1)
+    claim(REALTIME_PRIORITY)
+    start = time.perf_counter() + 0.5
+    for cycle in range(round(ECHO_SECONDS / PERIOD)):
+        deadline = start + cycle * PERIOD
+        while (remaining := deadline - time.perf_counter()) > 0.0:
+            executor.spin_once(timeout_sec=remaining)
+        publisher.publish(Float64(data=time.perf_counter()))
+    executor.spin_once(timeout_sec=0.1)
+    print(*trips[100:])
+
+
+def echo() -> np.ndarray:
+    """Return the round trips of an empty echo between two processes [s]."""
+    environment = graph_environment()
+    answering = subprocess.Popen([sys.executable, __file__, "--be", "echo"], env=environment)
+    asking = subprocess.run(
+        [sys.executable, __file__, "--be", "asker"], env=environment, check=True, capture_output=True, text=True
+    )
+    answering.send_signal(signal.SIGINT)
+    answering.wait(10)
+    return np.array([float(trip) for trip in asking.stdout.split()])
+
+
+def graph(seconds: float, controller: str) -> Trajectory:
+    """Run the graph on the emulated rig and return what it recorded."""
+    spec = load_spec(SPEC)
+    spec = spec._replace(
+        settings=spec.settings._replace(duration=seconds), controller=spec.controller._replace(name=controller)
+    )
+    emulator = subprocess.Popen(
+        [sys.executable, "-m", "ehls_ros.cli.main", "rig-emulator", "--spec", str(SPEC)], stdout=subprocess.DEVNULL
+    )
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            run_folder = RunFolder.create(Path(folder) / "run", "bridge", overwrite=True)
+            run_folder.write_spec(spec)
+            run_graph(spec, run_folder, "realtime", "mcap", plant=Plant("bridge"))
+            return read_bag(run_folder.bag)
+    finally:
+        emulator.send_signal(signal.SIGINT)
+        emulator.wait(20)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of each run of the graph")
+    parser.add_argument("--rounds", type=int, default=1, help="rounds of echo, graph, echo")
+    parser.add_argument("--controller", default="fasmc_output_feedback", help="control law")
+    parser.add_argument("--be", choices=("echo", "asker"), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.be:
+        {"echo": be_echo, "asker": be_asker}[options.be]()
+        sys.stdout.flush()
+        os._exit(0)
+    print(f"{platform.machine()}, {os.cpu_count()} processors, Python {platform.python_version()}")
+    print("                                     p50      p99    p99.9      max  [us]")
+    for number in range(options.rounds):
+        before = echo()
+        trajectory = graph(options.seconds, options.controller)
+        after = echo()
+        metrics = evaluate(trajectory)
+        response = trajectory["response_s"]
+        answered = response[np.isfinite(response)]
+        floor = np.concatenate([before, after])
+        lost = int(np.sum(~np.isfinite(trajectory["force_n"])))
+        print(f"{number + 1} snapshot to command             {percentiles(answered)}")
+        print(f"  empty rclpy echo, there and back{percentiles(floor)}")
+        ratios = np.percentile(answered, [50, 99]) / np.percentile(floor, [50, 99])
+        print(f"  ratio {ratios[0]:.2f} at p50, {ratios[1]:.2f} at p99; {metrics.missed_cycles} of {metrics.cycles} cycles")
+        print(f"  unanswered ({100 * metrics.missed_cycles / metrics.cycles:.2f} %), {lost} snapshots lost in the bag,")
+        print(f"  largest error in the last half {metrics.max_error_n:.0f} N")
+
+
+if __name__ == "__main__":
+    main()
