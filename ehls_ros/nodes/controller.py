@@ -22,6 +22,7 @@ from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class
 from ehls_ros.physics import sensors
+from ehls_ros.physics.rig import SENSED
 from ehls_ros.recording.topics import DRIVING, REFERENCE_TOPICS
 from ehls_ros.schema import quantity
 
@@ -218,6 +219,9 @@ class ControllerNode(ControlNode):
             "saturated": self.saturated,
             **self.latency.figures(),
         }
+        unmeasured = [name for name in self.kind.NEEDS if np.isnan(self.measured[SENSED.index(name)])]
+        if unmeasured:
+            return WARN, f"not measured, yet needed: {', '.join(unmeasured)}; fasmc_output_feedback needs no velocity", figures
         if self.kind.FRICTION and not self.friction_comes:
             return WARN, "no friction estimate comes: the static Stribeck curve stands in", figures
         if self.pending and time.perf_counter() - self.pending_since > PATIENCE:

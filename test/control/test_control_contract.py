@@ -16,6 +16,7 @@ from ehls_ros.control.references.base import SampledReference
 from ehls_ros.errors import BadInput
 from ehls_ros.families import Family
 from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.rig import SENSED
 from ehls_ros.schema import declarations, parse
 
 FAMILIES = {"controller": CONTROLLERS, "reference": REFERENCES, "disturbance": DISTURBANCES, "observer": OBSERVERS}
@@ -76,6 +77,7 @@ def test_a_controller_has_its_parts(name):
     member = CONTROLLERS.load(name)
     assert isinstance(member.FRICTION, bool)
     assert member.FOLLOWS in {"force", "position"}
+    assert set(member.NEEDS) < set(SENSED)
     memory = member.memory(member.Parameters())
     assert memory.dtype == np.float64
     assert np.all(np.isfinite(memory))

@@ -12,6 +12,7 @@ from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.estimator import FrictionEstimator
 from ehls_ros.physics import sensors
 from ehls_ros.physics.plant import PL, XV, V, X
+from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.schema import parse
 
@@ -188,3 +189,20 @@ def test_a_broken_cycle_is_forgotten(rig, name):
         ends.append([command, simulator.y[X], simulator.y[PL]])
     assert ends[0][0] == pytest.approx(ends[1][0], abs=1e-8)
     assert ends[0][1:] == pytest.approx(ends[1][1:], rel=1e-3)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS.names())
+def test_what_a_law_does_not_need_it_does_without(rig, name):
+    needs = CONTROLLERS.load(name).NEEDS
+    whole, blind = make(rig, name), make(rig, name)
+    wanted = np.array([2.7e3 if CONTROLLERS.load(name).FOLLOWS == "force" else 1e-3, 0.0, 0.0])
+    simulator, estimator, commands = Simulator(rig, PERIOD), FrictionEstimator("gms", rig.friction, PERIOD), []
+    for _ in range(300):
+        measured = measure(rig, simulator)
+        partial = np.array([value if signal in needs else math.nan for signal, value in zip(SENSED, measured, strict=True)])
+        friction = estimator.update(measured[sensors.VELOCITY])
+        commands.append((whole.step(measured, wanted, friction), blind.step(partial, wanted, friction)))
+        simulator.advance(commands[-1][0], 0.0, 0.0, 0.0, 0.0)
+    given, without = np.array(commands).T
+    assert np.max(np.abs(given)) > 1e-5
+    assert without == pytest.approx(given, abs=1e-12)

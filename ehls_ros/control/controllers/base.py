@@ -1,8 +1,8 @@
 """What a controller's file provides.
 
 ``Parameters``, a named tuple declaring its parameters; ``FOLLOWS``, what the reference it follows is, force or
-position; ``FRICTION``, whether it uses the friction estimate; ``memory(parameters)``, its state before the first
-cycle; and a compiled
+position; ``FRICTION``, whether it uses the friction estimate; ``NEEDS``, the readings without which it controls
+nothing; ``memory(parameters)``, its state before the first cycle; and a compiled
 
 ``step(m, r, f, p, model, memory, status) -> spool command [m]``
 
@@ -43,6 +43,7 @@ class ControllerLaw(Protocol):
     Parameters: Any
     FOLLOWS: Literal["force", "position"]
     FRICTION: bool
+    NEEDS: tuple[str, ...]
 
     def memory(self, p: Any) -> Array:
         """Return the state before the first cycle."""

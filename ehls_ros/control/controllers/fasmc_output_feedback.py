@@ -42,6 +42,7 @@ from ehls_ros.schema import quantity
 
 FOLLOWS = "force"
 FRICTION = False
+NEEDS = ("position", "load_pressure", "spool_position", "force")
 
 TRIALS = 2
 """Commands whose outcome is foreseen before the one that is sent."""

@@ -19,6 +19,7 @@ from ehls_ros.schema import quantity
 
 FOLLOWS = "position"
 FRICTION = False
+NEEDS = ("position", "load_pressure", "supply_pressure")
 
 LEAST_DROP = 0.01
 """The pressure drop over the valve is taken no smaller than this part of the nominal supply pressure."""

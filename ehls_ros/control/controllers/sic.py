@@ -18,6 +18,7 @@ from ehls_ros.schema import quantity
 
 FOLLOWS = "force"
 FRICTION = False
+NEEDS = ("velocity", "load_pressure", "spool_position", "force", "supply_pressure")
 
 LEAST_DROP = 0.01
 """The pressure drop over the valve is taken no smaller than this part of the nominal supply pressure."""
