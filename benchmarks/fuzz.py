@@ -281,7 +281,7 @@ def csv_input(draw: random.Random, folder: Path) -> Callable[[], object]:
             case 5:
                 table.insert(draw.randrange(len(table) + 1), list(row))
             case _:
-                row[:] = row * draw.choice((0, 2, 1000)) if len(row) < 10 and draw.random() < 0.1 else row[::-1]
+                row[:] = row * draw.choice((0, 2, 1000)) if sum(map(len, row)) < 1000 and draw.random() < 0.1 else row[::-1]
     separator = draw.choice((",", ",", ";", "\t", " ", ", "))
     text = draw.choice(("\n", "\n", "\r\n", "\r")).join(separator.join(row) for row in table)
     content = text.encode(draw.choice(("utf-8",) * 8 + ("utf-8-sig", "utf-16")))

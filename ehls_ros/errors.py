@@ -1,5 +1,8 @@
 """The two ways work ends early: a user's input was wrong, or the work itself failed."""
 
+LONGEST = 1000
+"""Characters of each part of a line; what is longer is cut in the middle."""
+
 
 class BadInput(ValueError):
     """A user's input that cannot be used: one line saying what, where and what was expected.
@@ -15,14 +18,23 @@ class BadInput(ValueError):
             where: file, section and key it stands in.
             expected: what would have been accepted.
         """
-        self.what = what
-        self.where = where
-        self.expected = expected
-        super().__init__(f"{where}: {what}; expected {expected}")
+        self.what = _readable(what)
+        self.where = _readable(where)
+        self.expected = _readable(expected)
+        super().__init__(f"{self.where}: {self.what}; expected {self.expected}")
 
     def __reduce__(self) -> tuple[type["BadInput"], tuple[str, str, str]]:
         """Let it travel between processes."""
         return BadInput, (self.what, self.where, self.expected)
+
+
+def _readable(text: str) -> str:
+    """Return a text, parts of which may come out of a foreign file, such that it neither breaks the line nor floods it."""
+    return _cut("".join(char if char.isprintable() else repr(char)[1:-1] for char in _cut(text)))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[: LONGEST // 2 - 1]} … {text[-LONGEST // 2 + 2 :]}"
 
 
 class WorkFailed(RuntimeError):

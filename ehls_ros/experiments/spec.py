@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-import yaml
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.disturbances import DISTURBANCES
@@ -15,6 +14,7 @@ from ehls_ros.control.references import REFERENCES
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig, effects_from_list, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP
+from ehls_ros.recording.yaml_text import LARGEST, parse_yaml
 from ehls_ros.schema import parse, quantity, text
 
 
@@ -88,16 +88,15 @@ def read_yaml(path: Path, what: str) -> Any:
         BadInput: it cannot be read or is no YAML.
     """
     try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
+        with path.open(encoding="utf-8") as file:
+            text = file.read(LARGEST + 1)
     except OSError as error:
         raise BadInput(f"{what} cannot be read ({error.strerror})", str(path), "a readable YAML file") from None
     except UnicodeDecodeError:
         raise BadInput(f"{what} is no text", str(path), "a YAML file in UTF-8") from None
-    except yaml.YAMLError as error:
-        line = getattr(getattr(error, "problem_mark", None), "line", None)
-        place = f"{path}:{line + 1}" if line is not None else str(path)
-        problem = " ".join(str(getattr(error, "problem", error)).split())
-        raise BadInput(f"{what} is no YAML ({problem})", place, "valid YAML") from None
+    except ValueError as error:
+        raise BadInput(f"{what} cannot be read ({error})", str(path), "the name of a YAML file") from None
+    return parse_yaml(text, str(path), what)
 
 
 def load_rig(path: Path) -> Rig:
@@ -205,7 +204,7 @@ def read_points(path: Path) -> list[tuple[float, float]]:
     try:
         with path.open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise BadInput(f"reference file cannot be read ({error})", str(path), "a CSV file") from None
     points: list[tuple[float, float]] = []
     for number, row in enumerate(rows, start=2):

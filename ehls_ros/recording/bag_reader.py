@@ -16,7 +16,7 @@ from ehls_ros.recording.bag_topic import BagTopic
 from ehls_ros.recording.provenance import Provenance, provenance_in
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import NOTE
-from ehls_ros.recording.storage_file import CLOSED_BAG, custom_data_in
+from ehls_ros.recording.storage_file import CLOSED_BAG, custom_data_in, parse_metadata
 from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE
 from ehls_ros.trajectory import SIGNALS, Trajectory
 
@@ -60,6 +60,8 @@ def _storage_files(path: Path) -> list[Path]:
             raise BadInput("it is being recorded, or its recorder was killed", str(path), f"`ehls recover {path}` in that case")
         if not (path / METADATA_FILE).exists():
             raise BadInput(f"{METADATA_FILE} is missing", str(path), CLOSED_BAG)
+        # rosbags parses it again, and trusts it
+        parse_metadata((path / METADATA_FILE).read_text(encoding="utf-8"), str(path / METADATA_FILE))
         return sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)
     if not path.exists():
         raise BadInput("it does not exist", str(path), "a folder of a rosbag2, or a file .mcap or .db3")
@@ -103,6 +105,8 @@ def _read_topics(reader: Reader, provenance: Provenance | None, where: str) -> d
     """Return the messages of the cycle topics the bag has, by the topic's name."""
     by_path: dict[str, list[Connection]] = defaultdict(list)
     for connection in reader.connections:
+        if not isinstance(connection.topic, str):
+            raise BadInput(f"a topic is named {connection.topic!r}", where, CLOSED_BAG)
         by_path[connection.topic].append(connection)
     namespace = _namespace(by_path, where)
     seals = provenance.seals if provenance else {}

@@ -4,10 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-import yaml
-
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.reason import reason
+from ehls_ros.recording.yaml_text import LARGEST, parse_yaml
 from ehls_ros.schema import parse, quantity, text
 from ehls_ros.trajectory import SIGNALS
 
@@ -44,11 +43,13 @@ def read_columns(path: Path) -> Columns:
         BadInput: the file cannot be read, or an entry is wrong.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        with path.open(encoding="utf-8") as file:
+            text_of_map = file.read(LARGEST + 1)
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", str(path), EXPECTED_MAP) from None
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
+    except UnicodeDecodeError as error:
         raise BadInput(f"it is no YAML ({reason(error)})", str(path), EXPECTED_MAP) from None
+    content = parse_yaml(text_of_map, str(path), "map of columns")
     if not isinstance(content, dict):
         raise BadInput(f"it holds {content!r}", str(path), EXPECTED_MAP)
     return {str(name): _column(str(name), entry, path) for name, entry in content.items()}

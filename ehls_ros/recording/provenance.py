@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from ehls_ros.errors import BadInput
 
@@ -50,6 +51,9 @@ class Provenance(NamedTuple):
         return {KEY: content, CHECKSUM_KEY: _text_checksum(content)}
 
 
+_PROVENANCE = TypeAdapter(Provenance)
+
+
 def provenance_in(custom_data: Mapping[str, str], where: str) -> Provenance | None:
     """Read the entries back.
 
@@ -68,9 +72,10 @@ def provenance_in(custom_data: Mapping[str, str], where: str) -> Provenance | No
     content = str(custom_data.get(KEY, ""))
     if custom_data.get(CHECKSUM_KEY) != _text_checksum(content):
         raise BadInput("the configuration kept in the bag is damaged", where, "a bag as it was written")
-    fields = json.loads(content)
-    seals = {topic: Seal(**seal) for topic, seal in fields.pop("seals").items()}
-    return Provenance(seals=seals, **fields)
+    try:
+        return _PROVENANCE.validate_json(content)
+    except ValidationError:
+        raise BadInput("the configuration kept in the bag is none of ours", where, "a bag as it was written") from None
 
 
 def message_checksum(stamp_ns: int, serialized: bytes) -> int:

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pydantic import TypeAdapter, ValidationError
+
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.reason import reason
 
@@ -45,6 +47,9 @@ class Note(NamedTuple):
     flushed: Mapping[str, Flushed]
 
 
+_NOTE = TypeAdapter(Note)
+
+
 def write_note(folder: Path, note: Note) -> None:
     """Put the note in a bag's folder, in place of the last one, never half of it.
 
@@ -76,13 +81,11 @@ def read_note(folder: Path) -> Note:
     """
     path = folder / NOTE
     try:
-        fields = json.loads(path.read_text(encoding="utf-8"))
-        flushed = {name: Flushed(int(messages), int(checksum)) for name, (messages, checksum) in fields.pop("flushed").items()}
-        return Note(flushed=flushed, **fields)
+        return _NOTE.validate_json(path.read_bytes())
     except (FileNotFoundError, NotADirectoryError):
         what = "no recording was cut off here" if folder.exists() else "it does not exist"
         raise BadInput(what, str(folder), RECOVERABLE) from None
     except OSError as error:
         raise BadInput(f"the note cannot be read ({reason(error)})", str(path), RECOVERABLE) from None
-    except (ValueError, TypeError, KeyError, AttributeError):
+    except ValidationError:
         raise BadInput("the note is damaged", str(path), RECOVERABLE) from None

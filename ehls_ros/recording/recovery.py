@@ -17,7 +17,7 @@ from ehls_ros.recording.bag_writer import BagWriter, Storage
 from ehls_ros.recording.provenance import message_checksum
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import RECOVERABLE, Note, read_note
-from ehls_ros.recording.storage_file import MCAP_MAGIC, MCAP_RECORD
+from ehls_ros.recording.storage_file import MCAP_MAGIC, MCAP_RECORD, check_database
 from ehls_ros.recording.topics import TOPICS
 
 SOUND_DISK = "a disk that keeps what was written to it"
@@ -58,7 +58,10 @@ def recover(folder: Path, out: Path) -> int:
     """
     note = read_note(folder)
     names = {topic.resolve(note.namespace): topic for topic in TOPICS}
-    topics = [names[path] for path in note.flushed if path in names]
+    unknown = next((path for path in note.flushed if path not in names), None)
+    if unknown is not None:
+        raise BadInput(f"the note vouches for {unknown}", str(folder), f"topics in {note.namespace}")
+    topics = [names[path] for path in note.flushed]
     writer = BagWriter.create(out, cast(Storage, note.storage), note.configuration, namespace=note.namespace, topics=topics)
     recovered = 0
     try:
@@ -136,9 +139,12 @@ def _messages_of_chunk(content: bytes, topics: dict[int, str]) -> Iterator[Messa
 def _stored_in_sqlite(file: Path) -> Iterator[Message]:
     """Read the rows; what the recorder was in the middle of is rolled back when the file is opened."""
     with closing(sqlite3.connect(file)) as database:
+        check_database(database)
         rows = database.execute(
             "SELECT topics.name, messages.timestamp, messages.data FROM messages "
             "JOIN topics ON topics.id = messages.topic_id ORDER BY messages.id"
         )
-        for row in rows:
-            yield Message(*row)
+        for topic, stamp_ns, serialized in rows:
+            if not (isinstance(topic, str) and isinstance(stamp_ns, int) and stamp_ns >= 0 and isinstance(serialized, bytes)):
+                raise ValueError("a row is no message")
+            yield Message(topic, stamp_ns, serialized)

@@ -9,11 +9,11 @@ import struct
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
-
-import yaml
+from typing import Any
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.reason import reason
+from ehls_ros.recording.yaml_text import parse_yaml
 
 CLOSED_BAG = "a bag whose recorder was closed"
 
@@ -38,16 +38,50 @@ def custom_data_in(file: Path) -> Mapping[str, str]:
         BadInput: the file is cut, damaged or was never closed.
     """
     try:
-        text = _mcap_metadata(file) if file.suffix == ".mcap" else _sqlite_metadata(file)
-        metadata = yaml.safe_load(text)
+        metadata = parse_metadata(_mcap_metadata(file) if file.suffix == ".mcap" else _sqlite_metadata(file), str(file))
     except BadInput:
         raise
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", str(file), CLOSED_BAG) from None
-    except (ValueError, struct.error, sqlite3.Error, yaml.YAMLError):
+    except (ValueError, struct.error, sqlite3.Error):
         raise BadInput("the file is damaged", str(file), CLOSED_BAG) from None
     custom_data = metadata.get("custom_data") if isinstance(metadata, dict) else None
     return custom_data if isinstance(custom_data, dict) else {}
+
+
+def parse_metadata(text: str, where: str) -> Any:
+    """Parse the metadata of a bag.
+
+    Args:
+        text: content of a metadata.yaml.
+        where: its file, for the error.
+
+    Raises:
+        BadInput: it is no YAML.
+    """
+    try:
+        return parse_yaml(text, where, "the metadata")
+    except BadInput as error:
+        raise BadInput(error.what, error.where, CLOSED_BAG) from None
+
+
+def check_database(database: sqlite3.Connection) -> None:
+    """Refuse a database that could go round in circles: with damaged pages, or with tables that compute what they hold.
+
+    Args:
+        database: of a bag.
+
+    Raises:
+        ValueError: it is such a database.
+        sqlite3.Error: it is none.
+    """
+    for name, definition in database.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL").fetchall():
+        if not str(definition).upper().startswith(("CREATE TABLE", "CREATE INDEX")):
+            raise ValueError(f"{name} is neither table nor index")
+        if database.execute("SELECT 1 FROM pragma_table_xinfo(?) WHERE hidden", (name,)).fetchone():
+            raise ValueError(f"{name} has columns that are computed")
+    if database.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
+        raise ValueError("quick_check")
 
 
 def _cut(file: Path) -> BadInput:
@@ -113,8 +147,7 @@ def _sqlite_metadata(file: Path) -> str:
         if Path(journal).exists() and Path(journal).stat().st_size:
             raise BadInput(f"the file was never closed: {Path(journal).name} is beside it", str(file), CLOSED_BAG)
     with closing(sqlite3.connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as database:
-        if database.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
-            raise ValueError("quick_check")
+        check_database(database)
         if not database.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'metadata'").fetchone():
             return ""
         row = database.execute("SELECT metadata FROM metadata ORDER BY id DESC LIMIT 1").fetchone()

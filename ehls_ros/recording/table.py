@@ -71,10 +71,11 @@ def _scaled(values: NDArray[Any], column: Column, name: str, where: str) -> NDAr
     if values.ndim != 1 and not (values.ndim == 2 and element_of(f"{name}_1")):
         raise BadInput(f"column '{column.name}' for {name} has the shape {values.shape}", where, "one value a sample")
     numbers = values.astype(np.float64)
-    if column.scale != 1:
-        numbers *= column.scale
-    if column.offset != 0:
-        numbers += column.offset
+    with np.errstate(over="ignore", invalid="ignore"):
+        if column.scale != 1:
+            numbers *= column.scale
+        if column.offset != 0:
+            numbers += column.offset
     return numbers
 
 

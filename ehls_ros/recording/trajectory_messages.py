@@ -30,12 +30,13 @@ class Stream(NamedTuple):
     messages: list[bytes]
 
 
-def streams_of(trajectory: Trajectory, where: str) -> list[Stream]:
+def streams_of(trajectory: Trajectory, where: str, first: int = 0) -> list[Stream]:
     """Make the messages of every cycle topic the trajectory has signals of.
 
     Args:
-        trajectory: header stamps are its times rounded to nanoseconds, cycles count its samples from 0.
+        trajectory: header stamps are its times rounded to nanoseconds, cycles count its samples.
         where: what the messages are for, for errors.
+        first: cycle of the first sample.
 
     Returns:
         The topics with at least one message; a message is left out where all its signals are NaN.
@@ -44,7 +45,7 @@ def streams_of(trajectory: Trajectory, where: str) -> list[Stream]:
         BadInput: the trajectory holds what messages cannot express.
     """
     stamps_ns = _stamps_ns(trajectory.time_s, where)
-    streams = [_stream(topic, trajectory, stamps_ns, where) for topic in CYCLE_TOPICS]
+    streams = [_stream(topic, trajectory, stamps_ns, where, first) for topic in CYCLE_TOPICS]
     return [stream for stream in streams if stream.messages]
 
 
@@ -58,7 +59,7 @@ def _stamps_ns(time_s: NDArray[np.float64], where: str) -> NDArray[np.int64]:
     return exact.astype(np.int64)
 
 
-def _stream(topic: Topic, trajectory: Trajectory, stamps_ns: NDArray[np.int64], where: str) -> Stream:
+def _stream(topic: Topic, trajectory: Trajectory, stamps_ns: NDArray[np.int64], where: str, first: int) -> Stream:
     known = {field: trajectory[signal] for field, signal in topic.signals.items() if signal in trajectory}
     rows = np.flatnonzero(_present(topic, list(known.values()), len(trajectory)))
     seconds, nanoseconds = np.divmod(stamps_ns[rows], 10**9)
@@ -66,7 +67,7 @@ def _stream(topic: Topic, trajectory: Trajectory, stamps_ns: NDArray[np.int64], 
         "header.stamp.sec": seconds,
         "header.stamp.nanosec": nanoseconds,
         "header.frame_id": FRAME_ID,
-        "cycle": rows,
+        "cycle": first + rows,
     }
     fields = flatten(typestore().fielddefs, topic.type)
     for field in fields:

@@ -23,7 +23,8 @@ def test_a_map_is_read(tmp_path: Path):
     [
         ("", ": it holds None; expected a mapping like 'position_m: {name: x, scale: 0.001, offset: 0.0}'"),
         ("- time_s", ": it holds ['time_s']; expected a mapping like"),
-        ("time_s: [", ": it is no YAML (while parsing a flow node"),
+        ("time_s: [", ":2: map of columns is no YAML ("),
+        ("position_m: {name: x}\nposition_m: {name: y}", ":2: map of columns is no YAML (key 'position_m' is there twice)"),
         ("position_mm: {name: x}", ": name 'position_mm' is unknown; expected one of time_s, valve_command_m,"),
         ("friction_elements_n_0: {name: x}", ": name 'friction_elements_n_0' is unknown; expected one of"),
         ("force_n_1: {name: x}", ": name 'force_n_1' is unknown; expected one of"),

@@ -1,0 +1,185 @@
+"""What is read from foreign files is taken or refused in one line, whatever is in it."""
+
+import importlib.util
+import json
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import yaml
+from recorded_runs import loader_state, make_trajectory, record, serialized, storage_file
+
+from ehls_ros.errors import LONGEST, BadInput
+from ehls_ros.recording.bag_reader import read_bag
+from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
+from ehls_ros.recording.csv_file import read_csv
+from ehls_ros.recording.provenance import CHECKSUM_KEY, KEY, _text_checksum
+from ehls_ros.recording.recording_note import NOTE
+from ehls_ros.recording.recovery import recover
+from ehls_ros.recording.topics import LOADER_STATE
+from ehls_ros.recording.yaml_text import DEEPEST, LARGEST, parse_yaml
+
+COMPUTED = """
+    ALTER TABLE messages RENAME TO old;
+    CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB AS (zeroblob(1000000000)));
+    INSERT INTO messages(id, topic_id, timestamp) SELECT id, topic_id, timestamp FROM old;
+"""
+ENDLESS = """
+    ALTER TABLE messages RENAME TO old;
+    CREATE VIEW messages AS
+        WITH RECURSIVE endless(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM endless)
+        SELECT endless.id, topic_id, timestamp, data FROM endless, old;
+"""
+RELABEL = """
+    PRAGMA writable_schema = ON;
+    UPDATE sqlite_master SET type = 'table' WHERE name = 'messages';
+"""
+
+
+@pytest.fixture(scope="module")
+def fuzz() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("fuzz", Path(__file__).resolve().parents[2] / "benchmarks" / "fuzz.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(("name", "inputs"), [("csv", 3000), ("yaml", 1500), ("bag", 300)])
+def test_damaged_files_are_taken_or_refused(tmp_path: Path, fuzz: ModuleType, name: str, inputs: int):
+    outcomes = fuzz.fuzz(fuzz.TARGETS[name](), inputs, 11, tmp_path)
+    assert set(outcomes) == {"taken", "refused"}
+    assert outcomes["taken"] > inputs / 20
+    assert outcomes["refused"] > inputs / 4
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "complaint"),
+    [
+        ("a: 1\nb: 2\na: 3\n", 3, "key 'a' is there twice"),
+        ("plant:\n  mass: 1\n  area: 2\n  'mass': 3\n", 4, "key 'mass' is there twice"),
+        ("a: &x [1]\nb: *x\n", 2, "alias *x"),
+        ("a: 1\nb: &b [*b]\n", 2, "alias *b"),
+        ("[" * (DEEPEST + 1), 1, f"collections are nested {DEEPEST + 1} deep"),
+        ("[" * 200_000, 1, f"collections are nested {DEEPEST + 1} deep"),
+        ("- " * 200_000, 1, f"collections are nested {DEEPEST + 1} deep"),
+        ("a: 1\nb: 2001-99-99\n", 2, "'2001-99-99' is no timestamp"),
+        ("a: " + "9" * 5000, 1, "is no int"),
+        ("a: 0x" + "f" * 5000, 1, "is no int"),
+        ("a: 1" + ":59" * 500 + ".5", 1, "is no float"),
+        ("a: !!int ''", 1, "'' is no int"),
+        ("a: !!bool maybe", 1, "'maybe' is no bool"),
+        ("a: !!timestamp noon", 1, "'noon' is no timestamp"),
+        ("a: !!python/object:os.system x", 1, "could not determine a constructor"),
+    ],
+)
+def test_yaml_that_is_not_plain_data_is_refused_with_its_line(text: str, line: int, complaint: str):
+    with pytest.raises(BadInput) as caught:
+        parse_yaml(text, "rig.yaml", "rig file")
+    assert caught.value.where == f"rig.yaml:{line}"
+    assert complaint in caught.value.what
+
+
+def test_yaml_up_to_the_limits_is_read():
+    assert parse_yaml("[" * DEEPEST + "]" * DEEPEST, "rig.yaml", "rig file") is not None
+    assert parse_yaml("a: " + "1" * 309, "rig.yaml", "rig file") == {"a": int("1" * 309)}
+    with pytest.raises(BadInput, match="characters"):
+        parse_yaml("#" * (LARGEST + 1), "rig.yaml", "rig file")
+
+
+def test_a_line_made_of_a_foreign_file_stays_one_short_line(tmp_path: Path):
+    file = tmp_path / "data.csv"
+    file.write_text('time_s,"a\nb\x1b[31m\u2028c",' + "x" * 10_000 + "\n0,1,2\n", encoding="utf-8")
+    with pytest.raises(BadInput) as caught:
+        read_csv(file)
+    assert str(caught.value).isprintable()
+    assert len(caught.value.what) == LONGEST
+    assert "a\\nb\\x1b[31m\\u2028c" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "script", [ENDLESS, ENDLESS + RELABEL, COMPUTED], ids=["endless view", "said to be a table", "computed"]
+)
+def test_a_database_that_computes_its_messages_is_refused(tmp_path: Path, script: str):
+    bag = record(tmp_path / "theirs", [loader_state(0), loader_state(1)], "sqlite3")
+    with closing(sqlite3.connect(storage_file(bag))) as database, database:
+        database.executescript(script)
+    with pytest.raises(BadInput, match="the file is damaged"):
+        read_bag(bag)
+
+
+def test_a_topic_whose_name_is_no_text_is_refused(tmp_path: Path):
+    bag = record(tmp_path / "theirs", [loader_state(0)], "sqlite3")
+    with closing(sqlite3.connect(storage_file(bag))) as database, database:
+        database.execute("UPDATE topics SET name = x'00'")
+    with pytest.raises(BadInput, match="a topic is named"):
+        read_bag(storage_file(bag))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "[",
+        "[" * 100_000,
+        "1",
+        "{}",
+        '{"configuration": {}, "seals": {"/a": {}}, "signals": null}',
+        '{"configuration": [], "seals": {}, "signals": null}',
+        '{"configuration": {}, "seals": {}, "signals": 3}',
+    ],
+    ids=["empty", "cut", "deep", "number", "nothing in it", "seal", "configuration", "signals"],
+)
+def test_a_configuration_of_another_make_is_refused_though_its_checksum_is_right(tmp_path: Path, content: str):
+    write_trajectory(tmp_path / "bag", make_trajectory(3))
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    entries = yaml.safe_load(metadata.read_text(encoding="utf-8"))
+    entries["rosbag2_bagfile_information"]["custom_data"] = {KEY: content, CHECKSUM_KEY: _text_checksum(content)}
+    metadata.write_text(yaml.safe_dump(entries), encoding="utf-8")
+    with pytest.raises(BadInput, match="the configuration kept in the bag is none of ours"):
+        read_bag(tmp_path / "bag")
+
+
+def cut_off(folder: Path, storage: Storage = "mcap") -> Path:
+    """Return what a recorder leaves that is killed after a flush."""
+    writer = BagWriter.create(folder / "bag", storage, {}, topics=[LOADER_STATE])
+    writer.write(LOADER_STATE.name, 5, serialized(loader_state(0)))
+    writer.flush()
+    writer.abort()
+    return folder / "bag"
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "complaint"),
+    [
+        ("configuration", [1], "the note is damaged"),
+        ("flushed", {"/ehls/loader_state": [float("inf"), 0]}, "the note is damaged"),
+        ("flushed", {"/ehls/loader_state": [1]}, "the note is damaged"),
+        ("namespace", 7, "the note is damaged"),
+        ("flushed", {"/ehls/nothing": [1, 0]}, "the note vouches for /ehls/nothing"),
+        ("storage", "tape", "storage is 'tape'"),
+    ],
+)
+def test_a_note_that_is_wrong_is_refused(tmp_path: Path, key: str, value: object, complaint: str):
+    bag = cut_off(tmp_path)
+    note = json.loads((bag / NOTE).read_text(encoding="utf-8"))
+    (bag / NOTE).write_text(json.dumps({**note, key: value}), encoding="utf-8")
+    with pytest.raises(BadInput, match=complaint):
+        recover(bag, tmp_path / "out")
+
+
+def test_a_note_nested_too_deeply_is_refused(tmp_path: Path):
+    bag = cut_off(tmp_path)
+    (bag / NOTE).write_text("[" * 100_000, encoding="utf-8")
+    with pytest.raises(BadInput, match="the note is damaged"):
+        recover(bag, tmp_path / "out")
+
+
+@pytest.mark.parametrize("change", ["timestamp = -1", "timestamp = 'noon'", "data = 'text'", "data = 5"])
+def test_a_row_that_is_no_message_is_not_recovered(tmp_path: Path, change: str):
+    bag = cut_off(tmp_path, "sqlite3")
+    with closing(sqlite3.connect(storage_file(bag))) as database, database:
+        database.execute(f"UPDATE messages SET {change}")
+    with pytest.raises(BadInput, match="a row is no message"):
+        recover(bag, tmp_path / "out")
