@@ -45,7 +45,10 @@ setup(
     extras_require={
         "ros": requirements("ros"),
         "dev": requirements("dev"),
+        "dashboard": ["nicegui>=3.18"],
+        "foxglove": ["foxglove-sdk>=0.30"],
         "parquet": ["pyarrow>=15"],
+        "campaign": ["pyarrow>=15", "distributed>=2024.5"],
         "optimisers": ["pymoo>=0.6.2", "pyswarms>=1.3"],
         "peers": ["pysindy==2.1.0"],
         "nidaqmx": ["nidaqmx>=1"],

@@ -1,0 +1,88 @@
+"""`ehls campaign`: many experiments from one file, on this machine's processors or on a Dask cluster."""
+
+import json
+import os
+import sys
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ehls_ros.cli.progress import progress_bar
+from ehls_ros.cli.valid_json import valid_json
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.campaign.backends import dask, local
+from ehls_ros.experiments.campaign.conduct import Outcome, conduct
+from ehls_ros.experiments.campaign.plan import Plan, load_plan
+from ehls_ros.experiments.campaign.store import Folder, opened, read_results
+from ehls_ros.experiments.campaign.work import code_version
+from ehls_ros.report.campaign import write_campaign_report
+from ehls_ros.report.campaign_findings import ERROR, failed, numbers, quantile, unsettled, verdict_sentence
+
+HELP = "Run a sweep or a Monte Carlo study of experiments: one table of metrics and a report. Started again, it goes on."
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("campaign", type=Path, help="campaign file (YAML), such as config/campaigns/k_and_h.yaml")
+    parser.add_argument("--out", type=Path, help="folder of the results (default: runs/<campaign>)")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--jobs", type=int, help="processes to run in (default: one a processor)")
+    where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://192.168.0.7:8786")
+    parser.add_argument("--spec", type=int, metavar="RUN", help="print the spec of one run of the table and do nothing else")
+    parser.add_argument("--json", action="store_true", help="end with one line of JSON: the summary")
+
+
+def run(options: Namespace) -> int:
+    """Run it."""
+    if options.jobs is not None and options.jobs < 1:
+        raise BadInput(f"--jobs is {options.jobs}", "command line", "1 or more")
+    plan = load_plan(options.campaign)
+    if options.spec is not None:
+        print(yaml.safe_dump(json.loads(plan.run(options.spec).spec), sort_keys=False, allow_unicode=True), end="")
+        return 0
+    place = dask(options.dask) if options.dask else local(options.jobs or len(os.sched_getaffinity(0)))
+    with opened(options.out or Path("runs") / options.campaign.stem) as folder:
+        try:
+            with progress_bar(plan.settings.title) as progress:
+                outcome = conduct(plan, folder, place, progress)
+        except KeyboardInterrupt:
+            print(f"what is done is kept in {folder.parts}; start again to go on", file=sys.stderr)
+            raise
+        results = read_results(folder.results)
+        making = [*_summary_facts(outcome), ("Seed", str(plan.settings.seed)), ("ehls_ros", code_version())]
+        write_campaign_report(results, plan.columns, plan.file, making, folder.report)
+    _print(plan, folder, outcome, results, machine=options.json)
+    return 0
+
+
+def _summary_facts(outcome: Outcome) -> list[tuple[str, str]]:
+    return [
+        ("Runs", str(outcome.runs)),
+        ("Made at the last start", str(outcome.made)),
+        ("Wall time of the last start", f"{outcome.wall_s:.1f} s"),
+    ]
+
+
+def _print(plan: Plan, folder: Folder, outcome: Outcome, results: dict[str, list[Any]], *, machine: bool) -> None:
+    print(plan.settings.title)
+    print(f"  {verdict_sentence(results)[0]}")
+    print(f"  made now     {outcome.made} of {outcome.runs} runs in {outcome.wall_s:.1f} s")
+    print(f"  table        {folder.results}")
+    print(f"  report       {folder.report}")
+    if machine:
+        errors = numbers(results, ERROR)
+        summary = {
+            "runs": outcome.runs,
+            "made": outcome.made,
+            "failed": len(failed(results)),
+            "not_converged": unsettled(results),
+            "median_max_error_n": quantile(errors, 0.5),
+            "p95_max_error_n": quantile(errors, 0.95),
+            "largest_max_error_n": quantile(errors, 1.0),
+            "wall_s": outcome.wall_s,
+            "results": str(folder.results),
+            "report": str(folder.report),
+        }
+        print(json.dumps(valid_json(summary)))

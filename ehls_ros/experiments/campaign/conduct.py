@@ -1,0 +1,133 @@
+"""Running a campaign: what is missing is handed out, what comes back is kept."""
+
+import itertools
+import json
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import yaml
+
+from ehls_ros.experiments.campaign.backends import Backend, Chunk, Place
+from ehls_ros.experiments.campaign.plan import Plan
+from ehls_ros.experiments.campaign.store import Folder, Index, digests_done, keep
+from ehls_ros.experiments.campaign.work import Row, code_version, run_digest, run_one
+
+CHUNK_CYCLES = 400_000
+"""Control cycles that go to a worker together at most: about a second of work."""
+
+CHUNKS_LEFT = 3
+"""Chunks a slot is still to get when the chunks begin to shrink, so that all slots end together."""
+
+KEPT_EVERY_S = 2.0
+"""Rows wait this long at most before they are written."""
+
+Progress = Callable[[int, int], None]
+
+
+class Outcome(NamedTuple):
+    """What a campaign came to.
+
+    Attributes:
+        runs: runs in all.
+        made: those made this time; the others were there.
+        wall_s: wall time of making them, workers' start, kernels and the table included.
+    """
+
+    runs: int
+    made: int
+    wall_s: float
+
+
+def conduct(plan: Plan, folder: Folder, place: Place, progress: Progress | None = None) -> Outcome:
+    """Make the runs of a campaign that are missing and write its table.
+
+    Args:
+        plan: the campaign.
+        folder: where it keeps its files, opened.
+        place: where the runs are done.
+        progress: called with the runs done and the runs in all.
+    """
+    start = time.perf_counter()
+    folder.campaign.write_text(yaml.safe_dump(plan.file, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    work = _Work(plan, folder, progress)
+    with place as backend:
+        work.do(backend)
+    about = {"title": plan.settings.title, "seed": plan.settings.seed, "version": code_version()}
+    work.index.write_results(folder, about)
+    return Outcome(len(plan), work.made, time.perf_counter() - start)
+
+
+class _Work:
+    """The state of one call of :func:`conduct`.
+
+    Attributes:
+        index: the runs gone through so far.
+        made: rows that came back.
+    """
+
+    def __init__(self, plan: Plan, folder: Folder, progress: Progress | None) -> None:
+        self._plan, self._folder, self._progress = plan, folder, progress
+        self._known = digests_done(folder)
+        self._unkept: list[tuple[str, Row]] = []
+        self._kept_at = time.monotonic()
+        self._left = max(len(plan) - len(self._known), 1)
+        self._found = 0
+        self.index = Index(plan.columns)
+        self.made = 0
+
+    def do(self, backend: Backend) -> None:
+        """Have every missing run made; an interruption loses nothing that came back."""
+        chunks = self._chunks(backend.slots)
+        try:
+            first = next(chunks, None)
+            if first is None:
+                return
+            for chunk, rows in backend.work(self._readied(first, chunks, backend.slots)):
+                self._take(chunk, rows)
+        finally:
+            keep(self._folder, self._unkept)
+
+    def _readied(self, first: Chunk, others: Iterator[Chunk], slots: int) -> Iterator[Chunk]:
+        """Hand out the chunks once the kernels are made; workers start and import meanwhile, over chunks of nothing."""
+        yield from itertools.repeat(Chunk((), ()), slots)
+        compile_kernels(self._plan)
+        yield first
+        yield from others
+
+    def _take(self, chunk: Chunk, rows: list[Row]) -> None:
+        self._unkept += zip(chunk.digests, rows, strict=True)
+        self.made += len(rows)
+        if time.monotonic() - self._kept_at > KEPT_EVERY_S:
+            keep(self._folder, self._unkept)
+            self._unkept, self._kept_at = [], time.monotonic()
+        if self._progress is not None:
+            self._progress(self._found + self.made, len(self._plan))
+
+    def _chunks(self, slots: int) -> Iterator[Chunk]:
+        """Go through the runs, note each, and cut what is missing into chunks, smaller ones towards the end."""
+        most = max(CHUNK_CYCLES // self._plan.cycles, 1)
+        digests: list[str] = []
+        specs: list[str] = []
+        for run in self._plan.runs():
+            digest = run_digest(run.spec)
+            self.index.add(run, digest)
+            if digest in self._known:
+                self._found += 1
+                continue
+            self._known.add(digest)
+            digests.append(digest)
+            specs.append(run.spec)
+            if len(specs) >= min(most, self._left // (CHUNKS_LEFT * slots)):
+                yield Chunk(tuple(digests), tuple(specs))
+                self._left -= len(specs)
+                digests, specs = [], []
+        if specs:
+            yield Chunk(tuple(digests), tuple(specs))
+
+
+def compile_kernels(plan: Plan) -> None:
+    """Compile, or load, every kernel of a campaign's grid here, so that workers find them made."""
+    for point in {point.kernel: point for point in plan.points}.values():
+        spec: dict[str, Any] = json.loads(point.spec)
+        run_one(json.dumps(spec | {"duration": 10.0 * spec["control_period"]}))

@@ -1,0 +1,170 @@
+"""What is kept of a campaign: parts while it runs, one table at its end.
+
+A part holds the metrics of runs by their digests and nothing of the campaign, so that a campaign that was changed takes over
+what it shares with the one before. A part is there whole or not at all. One process at a time works in a folder.
+"""
+
+import fcntl
+import json
+import os
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.experiments.campaign.plan import Column, Run
+from ehls_ros.experiments.campaign.work import METRICS, Row
+from ehls_ros.recording.reason import reason
+
+COUNTS = ("cycles", "missed_cycles")
+"""Metrics that are whole numbers."""
+
+
+class Folder(NamedTuple):
+    """Where a campaign keeps its files."""
+
+    path: Path
+
+    @property
+    def parts(self) -> Path:
+        """The folder of the parts."""
+        return self.path / "parts"
+
+    @property
+    def results(self) -> Path:
+        """The table."""
+        return self.path / "results.parquet"
+
+    @property
+    def report(self) -> Path:
+        """The report."""
+        return self.path / "report.html"
+
+    @property
+    def campaign(self) -> Path:
+        """The campaign with its base written out."""
+        return self.path / "campaign.yaml"
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Folder]:
+    """Make a campaign's folder, or go on with it, and keep other processes out of it.
+
+    Raises:
+        BadInput: it cannot be written, another campaign is at work in it, or pyarrow is not installed.
+    """
+    _parquet()
+    folder = Folder(path)
+    try:
+        folder.parts.mkdir(parents=True, exist_ok=True)
+        lock = os.open(folder.parts, os.O_RDONLY)
+    except OSError as error:
+        raise BadInput(f"the folder cannot be written ({error.strerror})", str(path), "a writable folder") from None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield folder
+    except BlockingIOError:
+        raise BadInput("another campaign is at work in the folder", str(path), "another folder, or its end") from None
+    finally:
+        os.close(lock)
+
+
+def _parquet() -> Any:
+    try:
+        return import_module("pyarrow.parquet")
+    except ImportError:
+        raise BadInput("pyarrow is not installed", "campaign", "pip install 'ehls_ros[campaign]'") from None
+
+
+def _schema() -> Any:
+    arrow: Any = import_module("pyarrow")
+    kinds = {name: arrow.int64() if name in COUNTS else arrow.float64() for name in METRICS}
+    return arrow.schema([("digest", arrow.string()), *kinds.items(), ("error", arrow.string())])
+
+
+def digests_done(folder: Folder) -> set[str]:
+    """Return the digests of the runs whose metrics are kept."""
+    done: set[str] = set()
+    for path in sorted(folder.parts.glob("*.parquet")):
+        done.update(_read(path, ["digest"]).column("digest").to_pylist())
+    return done
+
+
+def keep(folder: Folder, rows: Sequence[tuple[str, Row]]) -> None:
+    """Write a part.
+
+    Args:
+        folder: the campaign's.
+        rows: digest and metrics of each run.
+    """
+    if not rows:
+        return
+    arrow: Any = import_module("pyarrow")
+    table = arrow.Table.from_pylist([{"digest": digest, **row} for digest, row in rows], schema=_schema())
+    _write(table, folder.parts / f"{rows[0][0]}.parquet")
+
+
+def _write(table: Any, path: Path) -> None:
+    scratch = path.with_suffix(".writing")
+    try:
+        _parquet().write_table(table, scratch)
+        scratch.replace(path)
+    except OSError as error:
+        raise WorkFailed(f"{path} cannot be written ({reason(error)})") from None
+
+
+def _read(path: Path, columns: list[str] | None = None) -> Any:
+    try:
+        return _parquet().read_table(path, columns=columns)
+    except (OSError, ValueError) as error:
+        expected = "a part as it was written; delete it to have its runs made again"
+        raise BadInput(f"the part cannot be read ({reason(error)})", str(path), expected) from None
+
+
+class Index:
+    """The runs of a campaign as columns: number, draw, digest, varied values."""
+
+    def __init__(self, columns: Sequence[Column]) -> None:
+        """Start without a run."""
+        self._columns = columns
+        self._digests: list[str] = []
+        self._draws = array("q")
+        self._values: dict[str, Any] = {column.path: array("d") if column.numeric else [] for column in columns}
+
+    def add(self, run: Run, digest: str) -> None:
+        """Take up the next run."""
+        self._digests.append(digest)
+        self._draws.append(run.draw)
+        for column in self._columns:
+            value = run.values[column.path]
+            self._values[column.path].append(value if column.numeric else str(value))
+
+    def write_results(self, folder: Folder, about: Mapping[str, Any]) -> None:
+        """Write the table: a row a run, in their order.
+
+        Args:
+            folder: the campaign's, with the metrics of every run.
+            about: what the file says of itself.
+        """
+        arrow: Any = import_module("pyarrow")
+        compute: Any = import_module("pyarrow.compute")
+        parts = [_read(path) for path in sorted(folder.parts.glob("*.parquet"))]
+        kept = arrow.concat_tables(parts).combine_chunks()
+        at = compute.index_in(arrow.array(self._digests, arrow.string()), value_set=kept.column("digest").combine_chunks())
+        if at.null_count:
+            raise WorkFailed(f"{at.null_count} runs are missing in {folder.parts}; start the campaign again")
+        metrics = kept.take(at)
+        columns = {"run": arrow.array(range(len(self._digests))), "draw": arrow.array(self._draws)}
+        columns |= {path: arrow.array(values) for path, values in self._values.items()}
+        columns |= {name: metrics.column(name) for name in (*METRICS, "error", "digest")}
+        table = arrow.table(columns).replace_schema_metadata({"ehls_ros": json.dumps(about)})
+        _write(table, folder.results)
+
+
+def read_results(path: Path) -> dict[str, list[Any]]:
+    """Return the table's columns by name; what a run has no value for is None."""
+    columns: dict[str, list[Any]] = _read(path).to_pydict()
+    return columns

@@ -1,0 +1,157 @@
+"""Campaigns in processes of their own: a killed Dask worker, a killed local one, Ctrl-C."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+from campaign_cases import BASE, DRAWS, write
+from distributed import Client
+
+from ehls_ros.experiments.campaign.backends import dask, local
+from ehls_ros.experiments.campaign.conduct import conduct
+from ehls_ros.experiments.campaign.plan import load_plan
+from ehls_ros.experiments.campaign.store import opened, read_results
+
+PATIENCE_S = 120.0
+COUNT = 60
+
+
+@pytest.fixture
+def campaign(tmp_path):
+    """A campaign of a few seconds of work."""
+    return write(tmp_path, base={**BASE, "duration": 20.0}, runs=COUNT, vary=DRAWS)
+
+
+@pytest.fixture
+def processes():
+    """Start programs; those that still run at the end are ended."""
+    with contextlib.ExitStack() as stack:
+
+        def start(*arguments, **options):
+            process = stack.enter_context(subprocess.Popen([sys.executable, "-m", *arguments], text=True, **options))
+            stack.callback(process.wait, 30)
+            stack.callback(process.terminate)
+            return process
+
+        yield start
+
+
+@pytest.fixture
+def cluster(processes, tmp_path):
+    """A scheduler on a free port of the loopback and two worker processes without nanny, by name."""
+    file = tmp_path / "scheduler.json"
+    common = ["--scheduler-file", str(file), "--host", "127.0.0.1", "--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
+    log = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    processes("dask", "scheduler", "--port", "0", *common, **log)
+    wait_until(file.exists)
+    own = ["--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path)]
+    workers = {name: processes("dask", "worker", "--name", name, *own, *common, **log) for name in ("one", "two")}
+    with Client(json.loads(file.read_text())["address"], set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=PATIENCE_S)
+        yield client, workers
+
+
+def wait_until(condition):
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.02)
+
+
+def make(path, out, place, progress=None):
+    plan = load_plan(path)
+    with opened(out) as folder:
+        return conduct(plan, folder, place, progress)
+
+
+def kept(out):
+    return [digest for part in (out / "parts").glob("*.parquet") for digest in read_results(part)["digest"]]
+
+
+def numbers(out):
+    """The table without what depends on the clock."""
+    return {name: column for name, column in read_results(out / "results.parquet").items() if name != "wall_s"}
+
+
+def test_a_killed_dask_worker_loses_nothing(campaign, cluster, tmp_path):
+    client, workers = cluster
+    held = []
+
+    def kill_one_at_work(done, total):
+        if done == 0 or held:
+            return
+        addresses = {worker["name"]: address for address, worker in client.scheduler_info(n_workers=-1)["workers"].items()}
+        wait_until(lambda: client.processing()[addresses["two"]])
+        held.extend(client.processing()[addresses["two"]])
+        os.kill(workers["two"].pid, signal.SIGKILL)
+        workers["two"].wait(PATIENCE_S)
+
+    out = tmp_path / "dask"
+    outcome = make(campaign, out, dask(client.scheduler.address), kill_one_at_work)
+    assert held, "the worker had nothing to lose"
+    assert list(client.nthreads().values()) == [1]
+    assert outcome[:2] == (COUNT, COUNT)
+    digests = kept(out)
+    assert len(digests) == len(set(digests)) == COUNT
+    make(campaign, tmp_path / "local", local(1))
+    assert numbers(out) == numbers(tmp_path / "local")
+
+
+def start_command(processes, campaign, out, **options):
+    """Start `ehls campaign` on two processes and wait until some of it is kept."""
+    arguments = ["campaign", str(campaign), "--out", str(out), "--jobs", "2"]
+    command = processes("ehls_ros.cli.main", *arguments, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, **options)
+    wait_until(lambda: command.poll() is not None or list((out / "parts").glob("*.parquet")))
+    assert command.poll() is None, command.stderr.read()
+    return command
+
+
+@pytest.fixture
+def long_campaign(tmp_path):
+    """A campaign that goes on until it is stopped."""
+    return write(tmp_path, base={**BASE, "duration": 20.0}, runs=100_000, vary=DRAWS)
+
+
+def test_ctrl_c_ends_all_processes_and_keeps_what_is_done(processes, long_campaign, tmp_path):
+    out = tmp_path / "out"
+    command = start_command(processes, long_campaign, out, start_new_session=True)
+    children = psutil.Process(command.pid).children(recursive=True)
+    os.killpg(command.pid, signal.SIGINT)  # as a terminal does
+    _, said = command.communicate(timeout=PATIENCE_S)
+    assert command.returncode == 130
+    assert said.splitlines()[-2:] == [
+        f"what is done is kept in {out / 'parts'}; start again to go on",
+        "ehls campaign: interrupted",
+    ]
+    assert "Traceback" not in said
+    wait_until(lambda: not any(child.is_running() for child in children))
+    digests = kept(out)
+    assert len(digests) == len(set(digests)) > 0
+    assert not list(Path(out).rglob("*.writing"))
+
+
+def test_a_killed_local_worker_ends_in_one_line_and_keeps_what_is_done(processes, long_campaign, tmp_path):
+    out = tmp_path / "out"
+    command = start_command(processes, long_campaign, out)
+    workers = [child for child in psutil.Process(command.pid).children() if "LokyProcess" in " ".join(child.cmdline())]
+    workers[0].kill()
+    _, said = command.communicate(timeout=PATIENCE_S)
+    assert command.returncode == 1
+    assert "a worker process was killed" in said.splitlines()[-1]
+    assert kept(out)
+
+
+def test_two_processes_give_what_one_gives(processes, campaign, tmp_path):
+    command = processes(
+        "ehls_ros.cli.main", "campaign", str(campaign), "--out", str(tmp_path / "two"), "--jobs", "2", stdout=subprocess.DEVNULL
+    )
+    assert command.wait(PATIENCE_S) == 0
+    make(campaign, tmp_path / "one", local(1))
+    assert numbers(tmp_path / "two") == numbers(tmp_path / "one")
