@@ -29,6 +29,9 @@ DISCOVERY = 30.0
 QUIET = 0.3
 """At the end: nothing more comes once it was quiet for so long [s]."""
 
+LAST = 1.0
+"""At the end, of a graph that goes on: what comes later than this is left out [s]."""
+
 
 class Parameters(NamedTuple):
     """Where the bag goes."""
@@ -143,8 +146,8 @@ class RecorderNode(ControlNode):
 
     def stop(self) -> None:
         """Take what is still under way and close the bag."""
-        quiet_since = time.perf_counter()
-        while time.perf_counter() - quiet_since < QUIET:
+        quiet_since = asked_at = time.perf_counter()
+        while (now := time.perf_counter()) - quiet_since < QUIET and now - asked_at < LAST:
             if self._drain():
                 quiet_since = time.perf_counter()
             time.sleep(REST)

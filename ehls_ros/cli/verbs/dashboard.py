@@ -1,0 +1,67 @@
+"""`ehls dashboard`: a live page on the running graph."""
+
+import os
+import threading
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.spec import load_spec
+
+HELP = "Show a running graph in the browser, live: signals, parameters, start and stop, recording, emergency stop."
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        "--spec",
+        type=Path,
+        help="experiment file to start a graph for, in a domain of its own unless ROS_DOMAIN_ID is set (default: join)",
+    )
+    parser.add_argument(
+        "--host", default="127.0.0.1", help="address to serve at; other than this machine's own, reading needs the token too"
+    )
+    parser.add_argument("--port", type=int, default=8765, help="port to serve at; 0: any that is free (default: 8765)")
+
+
+def run(options: Namespace) -> int:
+    """Serve until Ctrl-C; then end everything that was started from the page."""
+    spec = load_spec(options.spec) if options.spec is not None else None
+    try:
+        from ehls_ros.dashboard.server import listening, serve
+    except ImportError as error:
+        raise BadInput(
+            f"the page's libraries are missing ({error})", "this Python", "pip install 'ehls_ros[dashboard]'"
+        ) from None
+    try:
+        from ehls_ros.nodes.dashboard_graph import DashboardGraph
+        from ehls_ros.nodes.graph import graph_environment
+    except ImportError as error:
+        raise BadInput(f"ROS 2 cannot be imported ({error})", "this Python", "ROS 2 Jazzy sourced, or `make setup`") from None
+    with listening(options.host, options.port) as opened:
+        if spec is not None:
+            environment = graph_environment()
+            os.environ.update({key: environment[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
+        graph = DashboardGraph()
+
+        def start() -> None:
+            if spec is not None:
+                _tell(graph.start(spec, options.spec.stem).message)
+
+        starting = threading.Thread(target=start)
+        starting.start()
+        try:
+            serve(graph, opened, options.spec and options.spec.resolve(), _say_where)
+        finally:
+            graph.give_up()
+            starting.join()
+            graph.close()
+    return 0
+
+
+def _say_where(address: str) -> None:
+    _tell(f"{address}\nROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}; Ctrl-C ends the dashboard and what it started")
+
+
+def _tell(text: str) -> None:
+    print(text, flush=True)

@@ -1,0 +1,190 @@
+"""The page: pictures of the signals, what the nodes say, and controls for who may write."""
+
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+from nicegui import ui
+from numpy.typing import NDArray
+
+from ehls_ros.dashboard.controls import button
+from ehls_ros.dashboard.experiment import ExperimentTab
+from ehls_ros.dashboard.graph import Graph, Health
+from ehls_ros.dashboard.panels import PANELS, SPAN, Panel, options
+from ehls_ros.dashboard.tuning import TuningTab
+from ehls_ros.dashboard.window import INTERVAL
+
+FOLDER = Path(__file__).parent
+
+PICTURES = 0.1
+"""Time between two updates of the pictures [s]."""
+
+WORDS = 0.5
+"""Time between two updates of the texts [s]."""
+
+GATE_STATE = "state"
+"""Figure of the node that has the safety gate."""
+
+LEVELS = ("well", "warning", "error", "silent")
+
+
+class Page:
+    """One browser's page."""
+
+    def __init__(self, graph: Graph, spec: Path | None, *, writes: bool) -> None:
+        """Build the page; it keeps itself up to date once a browser is there.
+
+        Args:
+            graph: the graph it shows.
+            spec: experiment file that Start offers first.
+            writes: whether it may change things. If not, there are no controls, neither in the browser nor here.
+        """
+        self._graph = graph
+        self._client = ui.context.client
+        self._following, self._era = 0, -1
+        self._was_there = False
+        self._tuning: TuningTab | None = None
+        self._experiment: ExperimentTab | None = None
+        ui.add_css(FOLDER / "style.css")
+        self._head(writes=writes)
+        with ui.element("div").classes("plots"):
+            charts = [_plot(panel) for panel in PANELS]
+        with ui.element("div").classes("side"):
+            self._side(spec, writes=writes)
+        settings = {"interval": INTERVAL, "kept": round(SPAN / INTERVAL), "charts": charts}
+        script = (FOLDER / "live.js").read_text(encoding="utf-8")
+        ui.add_body_html(f"<script>{script}\nehlsLive.begin({_json(settings)})</script>")
+        ui.timer(PICTURES, self._send_pictures)
+        ui.timer(WORDS, self._send_words)
+
+    def _head(self, *, writes: bool) -> None:
+        graph = self._graph
+        with ui.element("div").classes("head"):
+            ui.html("Electro-hydraulic load simulator", sanitize=False, tag="h1")
+            self._state = ui.label("no graph").classes("badge").props('data-name="state"')
+            self._gate = ui.label("").classes("badge").props('data-name="gate"')
+            ui.element("div").classes("grow")
+            if not writes:
+                ui.label("read only: controls need the address with the token").classes("said").props('data-name="read-only"')
+            # Pausing is the browser's own affair.
+            ui.switch("pause").props("dense").on("update:model-value", js_handler="(value) => ehlsLive.pause(value)")
+            if writes:
+                button("Reset trips", graph.reset_trips, "flat dense")
+                button("Enable", graph.enable, "outline dense")
+                button("Emergency stop", graph.emergency_stop, "dense color=negative")
+        self._trouble = ui.label("").classes("trouble").props('data-name="trouble"')
+        self._trouble.set_visibility(False)
+        ui.label("The dashboard's server does not answer: it was ended, or the connection is lost.").classes("trouble lost")
+
+    def _side(self, spec: Path | None, *, writes: bool) -> None:
+        names = ("Tune", "Experiment", "Nodes") if writes else ("Nodes",)
+        with ui.tabs().props("dense no-caps align=justify") as tabs:
+            made = {name: ui.tab(name).props(f'data-name="tab-{name.lower()}"') for name in names}
+        with ui.tab_panels(tabs, value=made[names[0]], animated=False, keep_alive=True):
+            if writes:
+                with ui.tab_panel(made["Tune"]):
+                    self._tuning = TuningTab(self._graph)
+                with ui.tab_panel(made["Experiment"]):
+                    self._experiment = ExperimentTab(self._graph, spec)
+            with ui.tab_panel(made["Nodes"]):
+                self._nodes = NodesTab()
+
+    def _send_pictures(self) -> None:
+        window = self._graph.window
+        part = window.part(self._following, self._era)
+        self._following, self._era = part.following, part.era
+        message = {
+            "first": part.first,
+            "era": part.era,
+            "low": dict(zip(window.signals, _columns(part.low), strict=True)),
+            "high": dict(zip(window.signals, _columns(part.high), strict=True)),
+        }
+        self._client.run_javascript(f"ehlsLive.extend({_json(message)})")
+
+    async def _send_words(self) -> None:
+        rate, health = self._graph.rate(), self._graph.health()
+        self._was_there |= rate > 0.0
+        self._state.set_text(f"running, {rate:.0f} cycles/s" if rate else "graph gone" if self._was_there else "no graph")
+        self._state.classes(replace=f"badge level-{0 if rate else 3 if self._was_there else 1}")
+        gate = next((node for node in health if GATE_STATE in node.figures), None)
+        self._gate.set_text(f"gate {gate.figures[GATE_STATE]}" if gate else "")
+        self._gate.set_visibility(gate is not None)
+        self._gate.classes(replace=f"badge level-{gate.level if gate else 0}")
+        self._show_trouble(health, there=rate > 0.0)
+        self._nodes.show(health)
+        if self._experiment is not None:
+            self._experiment.show()
+        if self._tuning is not None:
+            await self._tuning.follow()
+
+    def _show_trouble(self, health: tuple[Health, ...], *, there: bool) -> None:
+        worst = max(health, key=lambda node: node.level, default=None)
+        text = ""
+        if self._was_there and not there:
+            text = "No snapshots come any more: the graph was ended, or what stands for the rig has stopped."
+        elif worst is not None and worst.level:
+            text = f"{worst.node}: {worst.message}"
+        self._trouble.set_text(text)
+        self._trouble.set_visibility(bool(text))
+
+
+class NodesTab:
+    """What each node says of itself, with its figures on request."""
+
+    def __init__(self) -> None:
+        """Build it in the current slot."""
+        self._none = ui.label("No node speaks.").classes("said")
+        self._list = ui.element("div").classes("nodes")
+        self._rows: dict[str, _Row] = {}
+
+    def show(self, health: tuple[Health, ...]) -> None:
+        """Bring it up to date."""
+        self._none.set_visibility(not health)
+        if [node.node for node in health] != list(self._rows):
+            self._list.clear()
+            with self._list:
+                self._rows = {node.node: _Row(node.node) for node in health}
+        for node in health:
+            self._rows[node.node].show(node)
+
+
+class _Row:
+    """One node."""
+
+    def __init__(self, name: str) -> None:
+        with ui.element("details").props(f'data-name="node-{name}"'):
+            with ui.element("summary"):
+                ui.html(escape(name), sanitize=False, tag="b")
+                self._level = ui.label("").classes("badge")
+                self._message = ui.label("").classes("said")
+            self._figures = ui.html("", sanitize=False, tag="dl")
+
+    def show(self, health: Health) -> None:
+        self._level.set_text(LEVELS[health.level])
+        self._level.classes(replace=f"badge level-{health.level}")
+        self._message.set_text(health.message)
+        cells = (f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in health.figures.items())
+        self._figures.set_content("".join(cells))
+
+
+def _plot(panel: Panel) -> dict[str, Any]:
+    """Make an empty picture, and return what the browser needs to fill it."""
+    legend = [f'<span class="c{line.colour}">{escape(line.label)}</span>' for line in panel.lines]
+    lines = [{"signal": line.signal, "factor": line.factor, "colour": line.colour} for line in panel.lines]
+    lines += [{**lines[number], "factor": -line.factor} for number, line in enumerate(panel.lines) if line.mirrored]
+    with ui.element("section").classes("plot"):
+        ui.html(f"<b>{escape(panel.title)}</b>{''.join(legend)}", sanitize=False, tag="header")
+        chart = ui.echart(options(panel))
+    return {"id": chart.id, "lines": lines}
+
+
+def _columns(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return one row a signal, in the precision of a picture."""
+    return np.ascontiguousarray(values.T, dtype=np.float32)
+
+
+def _json(content: Any) -> str:
+    """Write JSON that may stand in a script; what is no finite number becomes null."""
+    return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY).decode().replace("</", "<\\/")

@@ -1,0 +1,104 @@
+"""The last seconds of all signals: lowest and highest value of each in every short interval of time."""
+
+import threading
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+INTERVAL = 0.02
+"""Length of an interval [s]: 20 cycles at 1 kHz; a picture 300 pixels wide shows no more of ten seconds."""
+
+INTERVALS = 600
+"""Intervals kept: 12 s, of which the page shows the last 10."""
+
+OPEN = 6
+"""The newest intervals, into which some topics may still bring samples: topics are taken one after another."""
+
+
+class Part(NamedTuple):
+    """Some intervals of the window.
+
+    Attributes:
+        first: number of the first interval.
+        following: what to ask for next time.
+        era: another one than last time means that the time of the graph began anew.
+        low: lowest values, shape (intervals, signals); NaN where there is no sample.
+        high: highest values, likewise.
+    """
+
+    first: int
+    following: int
+    era: int
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+class Window:
+    """A ring of intervals. One thread fills it, any thread reads it."""
+
+    def __init__(self, signals: Sequence[str]) -> None:
+        """Start empty.
+
+        Args:
+            signals: names, in the order of the columns.
+        """
+        self.signals = tuple(signals)
+        self._column = {name: i for i, name in enumerate(self.signals)}
+        self._lock = threading.Lock()
+        self._low = np.full((INTERVALS, len(self.signals)), np.nan)
+        self._high = np.full((INTERVALS, len(self.signals)), np.nan)
+        self._newest = -1
+        self._era = 0
+
+    def add(self, time: NDArray[np.float64], values: Mapping[str, NDArray[np.float64]]) -> None:
+        """Take in samples of some signals.
+
+        Args:
+            time: time of the graph [s], not decreasing, shape (n,).
+            values: signals by name, each of shape (n,); names the window does not have are left out.
+        """
+        known = [name for name in values if name in self._column]
+        if not time.size or not known:
+            return
+        interval = np.floor(time / INTERVAL).astype(np.int64)
+        starts = np.flatnonzero(np.diff(interval, prepend=interval[0] - 1))
+        samples = np.column_stack([values[name] for name in known])
+        columns = np.array([self._column[name] for name in known])
+        numbers = interval[starts]
+        low, high = np.fmin.reduceat(samples, starts), np.fmax.reduceat(samples, starts)
+        with self._lock:
+            self._make_room(int(numbers[-1]))
+            kept = numbers > self._newest - INTERVALS
+            place = np.ix_(numbers[kept] % INTERVALS, columns)
+            self._low[place] = np.fmin(self._low[place], low[kept])
+            self._high[place] = np.fmax(self._high[place], high[kept])
+
+    def begin_anew(self) -> None:
+        """Forget everything: the graph's time starts again."""
+        with self._lock:
+            self._low[:] = self._high[:] = np.nan
+            self._newest = -1
+            self._era += 1
+
+    def part(self, following: int, era: int) -> Part:
+        """Return the finished intervals from a number on, or all that are kept if another era has begun since.
+
+        Args:
+            following: as the last part said; 0 at first.
+            era: as the last part said; -1 at first.
+        """
+        with self._lock:
+            end = max(0, self._newest + 1 - OPEN)
+            first = max(0 if era != self._era else following, end - INTERVALS + OPEN)
+            rows = np.arange(first, end) % INTERVALS
+            return Part(first, max(first, end), self._era, self._low[rows], self._high[rows])
+
+    def _make_room(self, newest: int) -> None:
+        if newest <= self._newest:
+            return
+        first = max(self._newest + 1, newest + 1 - INTERVALS)
+        rows = np.arange(first, newest + 1) % INTERVALS
+        self._low[rows] = self._high[rows] = np.nan
+        self._newest = newest

@@ -1,0 +1,345 @@
+"""The dashboard's view of a running graph: signals taken in bulk, diagnostics, parameters and services."""
+
+import gc
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from numpy.typing import NDArray
+from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.experimental import EventsExecutor
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import SetBool, Trigger
+
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.dashboard.graph import Answer, Health, Tunable, Value
+from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, RESPONSE, SIGNALS
+from ehls_ros.dashboard.window import Window
+from ehls_ros.nodes.control import NAMESPACE
+from ehls_ros.nodes.transport import DEPTH, Inbox, message_class
+from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS
+from ehls_ros.recording.cdr import CdrError, decode, flatten
+from ehls_ros.recording.topics import (
+    CONTROLLER_STATUS,
+    FRICTION_ESTIMATE,
+    LOADER_STATE,
+    POSITION_REFERENCE,
+    VALVE_COMMAND,
+    Topic,
+)
+from ehls_ros.recording.typestore import typestore
+
+REST = 0.05
+"""How long messages gather before they are taken in bulk [s]."""
+
+PATIENCE = 5.0
+"""Longest time for a service to be found and to answer [s]."""
+
+SILENCE = 3.0
+"""A node that has not spoken for so long, three of its diagnostics, is silent [s]."""
+
+FORGOTTEN = 15.0
+"""A node that has been silent for so long is shown no more [s]."""
+
+GONE = 1.0
+"""Without a snapshot for so long, there is no graph [s]."""
+
+SILENT = 3
+"""Level of a silent node, above those of diagnostics."""
+
+PLANTS = ("plant_sim_node", "hardware_bridge_node")
+"""What may stand for the rig; the gate's limits are its parameters."""
+
+KEPT = 8192
+"""Snapshots whose time of sending is kept until their command comes."""
+
+TOPICS = (LOADER_STATE, VALVE_COMMAND, CONTROLLER_STATUS, FRICTION_ESTIMATE, POSITION_REFERENCE)
+"""What is taken, the snapshots first: by them the time of the rest is known."""
+
+NS = 1_000_000_000
+
+
+def looking_on() -> QoSProfile:
+    """Return the quality of service of a reader that costs the loop as little as can be: it acknowledges nothing."""
+    return QoSProfile(
+        depth=DEPTH,
+        history=HistoryPolicy.KEEP_LAST,
+        reliability=ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.VOLATILE,
+    )
+
+
+class _Heard(NamedTuple):
+    when: float
+    health: Health
+
+
+class _Source:
+    """One topic's messages as columns."""
+
+    def __init__(self, node: Any, topic: Topic) -> None:
+        self.topic = topic
+        self._fields = flatten(typestore().fielddefs, topic.type)
+        self._wanted = {CYCLE, SECONDS, NANOSECONDS, *topic.signals}
+        self._inbox = Inbox(node, message_class(topic.type), topic.name, looking_on())
+
+    def take(self) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]] | None:
+        """Return everything that is there, and when it was sent [ns]."""
+        messages, sent = [], []
+        while (taken := self._inbox.take_raw()) is not None:
+            messages.append(taken[0])
+            sent.append(taken[1]["source_timestamp"])
+        if not messages:
+            return None
+        try:
+            return decode(messages, self._fields, self._wanted), np.array(sent, dtype=np.int64)
+        except CdrError:
+            # A stranger's message among them: what came with it is not drawn.
+            return None
+
+    def destroy(self) -> None:
+        self._inbox.destroy()
+
+
+class Link:
+    """A participant that looks on, and passes wishes on."""
+
+    def __init__(self) -> None:
+        """Join the graph of this process's domain."""
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        self.window = Window(SIGNALS)
+        self._node = rclpy.create_node("dashboard", namespace=NAMESPACE)
+        self._lock = threading.Lock()
+        self._heard: dict[str, _Heard] = {}
+        self._clients: dict[str, Any] = {}
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self._sources = [_Source(self._node, topic) for topic in TOPICS]
+        self._origin_ns: int | None = None
+        self._newest = -1
+        self._sent_at = np.zeros(KEPT, dtype=np.int64)
+        self._sent_cycle = np.full(KEPT, -1, dtype=np.int64)
+        self._force = np.full(KEPT, np.nan)
+        self._arrivals: list[tuple[float, int]] = []
+        self._closing = threading.Event()
+        self._executor = EventsExecutor()
+        self._executor.add_node(self._node)
+        self._threads = [
+            threading.Thread(target=self._take, name="signals"),
+            threading.Thread(target=self._serve, name="services"),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def give_up(self) -> None:
+        """Let every wish that waits for an answer end now."""
+        self._closing.set()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.give_up()
+        for thread in self._threads:
+            thread.join()
+        self._executor.remove_node(self._node)
+        self._executor.shutdown()
+        for source in self._sources:
+            source.destroy()
+        self._node.destroy_node()
+        # What still refers to the middleware has to go before the middleware does.
+        del self._executor, self._sources, self._clients, self._node
+        gc.collect()
+        rclpy.try_shutdown()
+
+    def rate(self) -> float:
+        """Return the snapshots that came in over the last second or so [1/s]; 0 where there is no graph."""
+        with self._lock:
+            arrivals = list(self._arrivals)
+        if len(arrivals) < 2 or time.monotonic() - arrivals[-1][0] > GONE:
+            return 0.0
+        (begin, _), (end, _) = arrivals[0], arrivals[-1]
+        return sum(count for _, count in arrivals[1:]) / (end - begin)
+
+    def health(self) -> tuple[Health, ...]:
+        """Return what the nodes say, sorted by name."""
+        now = time.monotonic()
+        with self._lock:
+            self._heard = {name: heard for name, heard in self._heard.items() if now - heard.when < FORGOTTEN}
+            heard = sorted(self._heard.items())
+        return tuple(
+            health._replace(level=SILENT, message=f"silent for {now - when:.0f} s") if now - when > SILENCE else health
+            for _, (when, health) in heard
+        )
+
+    def tunable_nodes(self) -> tuple[str, ...]:
+        """Return the nodes with parameters to change, the controller first."""
+        known = {health.node for health in self.health()}
+        return tuple(node for node in (*(f"{law}_node" for law in CONTROLLERS.names()), *PLANTS) if node in known)
+
+    def parameters(self, node: str) -> tuple[Tunable, ...]:
+        """Ask a node for its parameters; nothing where it does not answer."""
+        listed = self.call(ListParameters, f"{node}/list_parameters", ListParameters.Request())
+        if listed is None:
+            return ()
+        names = listed.result.names
+        described = self.call(DescribeParameters, f"{node}/describe_parameters", DescribeParameters.Request(names=names))
+        got = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=names))
+        if described is None or got is None:
+            return ()
+        values = map(parameter_value_to_python, got.values)
+        return tuple(
+            _tunable(descriptor, value)
+            for descriptor, value in zip(described.descriptors, values, strict=True)
+            # rclpy's own have no description.
+            if descriptor.description and not descriptor.read_only and isinstance(value, float | int | str)
+        )
+
+    def set_parameter(self, node: str, name: str, value: Value) -> Answer:
+        """Ask a node to take a value; it says why if it does not."""
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        response = self.call(SetParameters, f"{node}/set_parameters", request)
+        if response is None:
+            return Answer(done=False, message=f"{node} does not answer")
+        [result] = response.results
+        message = f"{name} is {value} now" if result.successful else result.reason or f"{node} refused {name} without a reason"
+        return Answer(result.successful, message)
+
+    def emergency_stop(self) -> Answer:
+        """Cut the command."""
+        return self._wish(Trigger, "emergency_stop", Trigger.Request())
+
+    def reset_trips(self) -> Answer:
+        """Let the gate forget what tripped it."""
+        return self._wish(Trigger, "reset_trips", Trigger.Request())
+
+    def enable(self) -> Answer:
+        """Let commands through again."""
+        return self._wish(SetBool, "enable", SetBool.Request(data=True))
+
+    def change_state(self, node: str, transition: int, patience: float) -> Answer:
+        """Ask a lifecycle node for a transition."""
+        request = ChangeState.Request(transition=Transition(id=transition))
+        response = self.call(ChangeState, f"{node}/change_state", request, patience)
+        if response is None:
+            return Answer(done=False, message=f"{node} did not answer in {patience:.0f} s")
+        return Answer(response.success, "" if response.success else f"{node} refused to go on")
+
+    def text_parameter(self, node: str, name: str) -> str:
+        """Return a node's text parameter; nothing where it does not answer."""
+        response = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=[name]))
+        return str(response.values[0].string_value) if response is not None and response.values else ""
+
+    def call(self, kind: Any, service: str, request: Any, patience: float = PATIENCE) -> Any:
+        """Call a service and wait for the answer; None if none comes in time or the link is being closed."""
+        client = self._client(kind, service)
+        deadline = time.monotonic() + patience
+        while not client.service_is_ready():
+            if time.monotonic() > deadline or self._closing.wait(REST):
+                return None
+        answered = threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _: answered.set())
+        while not answered.wait(REST):
+            if time.monotonic() > deadline or self._closing.is_set():
+                client.remove_pending_request(future)
+                return None
+        return future.result()
+
+    def _wish(self, kind: Any, service: str, request: Any) -> Answer:
+        response = self.call(kind, service, request)
+        if response is None:
+            return Answer(done=False, message=f"{service}: nothing that stands for the rig answers")
+        return Answer(response.success, response.message)
+
+    def _client(self, kind: Any, service: str) -> Any:
+        with self._lock:
+            if service not in self._clients:
+                self._clients[service] = self._node.create_client(kind, service)
+            return self._clients[service]
+
+    def _serve(self) -> None:
+        while not self._closing.is_set():
+            self._executor.spin_once(timeout_sec=0.2)
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        now = time.monotonic()
+        with self._lock:
+            for status in array.status:
+                figures = {pair.key: pair.value for pair in status.values}
+                level = int.from_bytes(status.level, "little")
+                self._heard[status.name] = _Heard(now, Health(status.name, min(level, SILENT), status.message, figures))
+
+    def _take(self) -> None:
+        """Take what gathers, until the link is closed."""
+        while not self._closing.wait(REST):
+            for source in self._sources:
+                taken = source.take()
+                if taken is not None:
+                    self._take_in(source.topic, *taken)
+
+    def _take_in(self, topic: Topic, columns: Mapping[str, NDArray[Any]], sent_ns: NDArray[np.int64]) -> None:
+        cycle = columns[CYCLE].astype(np.int64)
+        stamp_ns = columns[SECONDS].astype(np.int64) * NS + columns[NANOSECONDS]
+        values = _by_signal(topic, columns)
+        if topic is LOADER_STATE:
+            self._take_snapshots(cycle, stamp_ns, sent_ns, values["force_n"])
+        if self._origin_ns is None:
+            return
+        if topic is VALVE_COMMAND:
+            values[RESPONSE] = 1e-3 * self._since_snapshot(cycle, sent_ns - self._sent_at[cycle % KEPT])
+        if topic is CONTROLLER_STATUS:
+            values[FORCE_REFERENCE] = self._since_snapshot(cycle, self._force[cycle % KEPT] - values["force_error_n"])
+        time_s = 1e-9 * (stamp_ns - self._origin_ns)
+        # Of a graph that is gone, or ahead of the cycles.
+        fits = (time_s >= 0.0) & (cycle <= self._newest + DEPTH) & np.isfinite(time_s)
+        order = np.argsort(time_s[fits], kind="stable")
+        self.window.add(time_s[fits][order], {name: column[fits][order] for name, column in values.items()})
+
+    def _take_snapshots(
+        self, cycle: NDArray[np.int64], stamp_ns: NDArray[np.int64], sent_ns: NDArray[np.int64], force: NDArray[np.float64]
+    ) -> None:
+        now = time.monotonic()
+        with self._lock:
+            self._arrivals.append((now, len(cycle)))
+            self._arrivals = [arrival for arrival in self._arrivals if now - arrival[0] < GONE]
+        if cycle[-1] < self._newest or self._origin_ns is None:
+            # The graph began anew: cycle 0 is where its time starts.
+            apart = cycle[-1] - cycle[0]
+            if apart <= 0:
+                return
+            self._origin_ns = int(stamp_ns[0] - cycle[0] * (stamp_ns[-1] - stamp_ns[0]) // apart)
+            self.window.begin_anew()
+        self._newest = int(cycle[-1])
+        self._sent_at[cycle % KEPT] = sent_ns
+        self._sent_cycle[cycle % KEPT] = cycle
+        self._force[cycle % KEPT] = force
+
+    def _since_snapshot(self, cycle: NDArray[np.int64], values: NDArray[Any]) -> NDArray[np.float64]:
+        """Return values reckoned from the snapshots of their cycles; NaN where a snapshot was not seen."""
+        return np.where(self._sent_cycle[cycle % KEPT] == cycle, values, np.nan)
+
+
+def _tunable(descriptor: ParameterDescriptor, value: Any) -> Tunable:
+    limits: list[float | None] = [None, None]
+    for ranges in (descriptor.floating_point_range, descriptor.integer_range):
+        if ranges:
+            limits = [ranges[0].from_value, ranges[0].to_value]
+    return Tunable(descriptor.name, value, descriptor.description, *limits)
+
+
+def _by_signal(topic: Topic, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.float64]]:
+    values: dict[str, NDArray[np.float64]] = {}
+    for field, signal in topic.signals.items():
+        column = columns[field].astype(float)
+        if column.ndim == 1:
+            values[signal] = column
+        else:
+            values |= {f"{signal}[{i}]": column[:, i] for i in range(min(ELEMENTS, column.shape[1]))}
+    return values

@@ -1,0 +1,292 @@
+"""The dashboard in a browser, on a graph it started itself."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+import yaml
+
+pytest.importorskip("nicegui", reason="needs the extra `dashboard`")
+pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+pytest.importorskip("websockets", reason="needs websockets to drive a browser")
+
+import rclpy
+import websockets.exceptions
+from headless_browser import CHROMIUM, browser
+from rcl_interfaces.srv import GetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from websockets.sync.client import connect
+
+from ehls_ros.experiments.spec import load_spec
+from ehls_ros.recording.bag_reader import read_bag
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+
+RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
+
+SPEC = f"""
+title: gentle
+rig: {RIG}
+reference: {{name: sine, amplitude: 1.0e+3, frequency: 0.5}}
+controller: fasmc
+"""
+
+
+class Dashboard(NamedTuple):
+    process: subprocess.Popen[str]
+    address: str
+    folder: Path
+
+    @property
+    def server(self) -> str:
+        return self.address.partition("?")[0]
+
+
+@contextlib.contextmanager
+def dashboard(folder: Path, domain: int, *arguments: str) -> Iterator[Dashboard]:
+    """Run `ehls dashboard`; it has to end well by itself after Ctrl-C."""
+    command = [sys.executable, "-m", "ehls_ros.cli.main", "dashboard", "--port", "0", *arguments]
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    process = subprocess.Popen(
+        command, cwd=folder, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    try:
+        address = process.stdout.readline().strip()
+        assert address.startswith("http://127.0.0.1:"), address + process.stdout.read()
+        # What nobody reads would block it in the end.
+        reader = threading.Thread(target=process.stdout.read)
+        reader.start()
+        yield Dashboard(process, address, folder)
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            code = process.wait(30.0)
+        finally:
+            process.kill()
+    reader.join()
+    assert code == 0
+
+
+@pytest.fixture(scope="module")
+def domain(pytestconfig, domains_used, nothing_left_behind):
+    """Return a domain for as long as this file's graph runs."""
+    common = next(plugin for plugin in pytestconfig.pluginmanager.get_plugins() if hasattr(plugin, "reserve_domain"))
+    number, lock = common.reserve_domain()
+    with lock:
+        domains_used.add(number)
+        yield number
+
+
+@pytest.fixture(scope="module")
+def shown(domain, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dashboard")
+    (folder / "gentle.yaml").write_text(SPEC, encoding="utf-8")
+    with dashboard(folder, domain, "--spec", "gentle.yaml") as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory):
+    with browser(tmp_path_factory.mktemp("chromium")) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def tab(shown, chromium):
+    """Return a page that may write, on a running graph."""
+    with chromium.tab(shown.address) as page:
+        page.resize(1366, 768)
+        page.until("document.querySelector('[data-name=state]')?.innerText.startsWith('running')", 120.0)
+        page.until("!!document.querySelector('[data-name=value-k]')")
+        yield page
+
+
+@pytest.fixture
+def parameter(domain):
+    """Return a function that asks the controller for a parameter, past the dashboard."""
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("asker", context=context, namespace="ehls")
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    client = node.create_client(GetParameters, "fasmc_node/get_parameters")
+
+    def ask(name: str) -> float:
+        assert client.wait_for_service(20.0)
+        future = client.call_async(GetParameters.Request(names=[name]))
+        executor.spin_until_future_complete(future, 20.0)
+        return future.result().values[0].double_value
+
+    yield ask
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def goes_on(page):
+    page.until(f"ehlsLive.last() > {page.evaluate('ehlsLive.last()')} + 10")
+
+
+def gate_says(page, word):
+    page.until(f"document.querySelector('[data-name=gate]').innerText.includes('{word}')")
+
+
+def is_told(page, words):
+    page.until(f"[...document.querySelectorAll('.q-notification')].some(n => n.innerText.includes('{words}'))")
+
+
+def test_the_page_moves_and_asks_no_other_server(tab, shown):
+    picture = "document.querySelector('.plot canvas').toDataURL()"
+    tab.evaluate(f"window.before = {picture}")
+    tab.until(f"{picture} !== window.before")
+    goes_on(tab)
+    assert abs(tab.evaluate("ehlsLive.newest('force_n')")) < 2e4
+    assert tab.evaluate("ehlsLive.newest('supply_pressure_pa')") == pytest.approx(7e6, rel=0.1)
+    server = shown.server.removeprefix("http://")
+    assert {address.partition("://")[2].partition("/")[0] + "/" for address in tab.requested if ":" in address} <= {server}
+    assert tab.complaints == []
+
+
+def test_nothing_is_cut_off_at_the_size_of_a_laptop(tab):
+    assert tab.evaluate("document.documentElement.scrollHeight <= 768 && document.documentElement.scrollWidth <= 1366")
+    boxes = tab.evaluate(
+        "[...document.querySelectorAll('.plot')].map(p => { const b = p.getBoundingClientRect();"
+        "return [b.left, b.top, b.right, b.bottom]; })"
+    )
+    assert len(boxes) == 9
+    for i, (left, top, right, bottom) in enumerate(boxes):
+        assert 0 <= left < right <= 1366
+        assert 0 <= top < bottom <= 768
+        for other in boxes[i + 1 :]:
+            assert right <= other[0] or other[2] <= left or bottom <= other[1] or other[3] <= top
+    assert tab.evaluate("[...document.querySelectorAll('.plot header')].every(h => h.scrollWidth <= h.clientWidth)")
+
+
+def test_a_slider_changes_the_parameter_in_the_node(tab, parameter):
+    before = parameter("k")
+    tab.press("[data-name=slider-k] [tabindex]", "ArrowRight")
+    tab.until(f"Number(document.querySelector('[data-name=value-k]').value) > {before}")
+    is_told(tab, "k is ")
+    assert parameter("k") == pytest.approx(tab.evaluate("Number(document.querySelector('[data-name=value-k]').value)"))
+
+
+def test_a_value_out_of_range_shows_the_reason_of_the_node(tab, parameter):
+    before = parameter("g")
+    tab.type_into("[data-name=value-g]", "1e9")
+    tab.until("document.querySelector('[data-name=refused-g]').innerText.includes('range')")
+    assert parameter("g") == before
+    tab.type_into("[data-name=value-g]", "61")
+    tab.until("document.querySelector('[data-name=refused-g]').offsetParent === null")
+    assert parameter("g") == 61.0
+    goes_on(tab)
+
+
+def test_the_emergency_stop_cuts_until_it_is_reset_and_enabled(tab):
+    tab.click("[data-name='emergency stop']")
+    gate_says(tab, "cut")
+    is_told(tab, "stopped; reset_trips")
+    tab.click("[data-name='reset trips']")
+    gate_says(tab, "disabled")
+    tab.click("[data-name=enable]")
+    is_told(tab, "enabled")
+    tab.until("document.querySelector('[data-name=gate]').innerText !== 'gate disabled'")
+
+
+def test_a_page_without_the_token_shows_but_cannot_write(tab, shown, chromium):
+    with chromium.tab(shown.server) as reader:
+        reader.until("document.querySelector('[data-name=state]')?.innerText.startsWith('running')")
+        goes_on(reader)
+        assert reader.text("read-only")
+        assert reader.evaluate("document.querySelectorAll('button, .side input').length") == 0
+        # What the button of the other page sends, sent from here.
+        button = tab.evaluate("document.querySelector(\"[data-name='emergency stop']\").id.slice(1)")
+        listener = tab.evaluate(f"mounted_app.elements[{button}].events.find(e => e.type === 'click').listener_id")
+        event = {"id": int(button), "listener_id": listener, "args": ["{}"]}
+        reader.evaluate(f"void window.socket.emit('event', {{...{json.dumps(event)}, client_id: window.clientId}})")
+        goes_on(reader)
+        goes_on(tab)
+        assert "emergency stop" not in tab.text("trouble")
+
+
+def refused(address, **headers):
+    with pytest.raises(urllib.error.HTTPError) as caught:
+        urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=10.0)
+    assert caught.value.code == 403
+    return caught.value.read().decode()
+
+
+def test_wrong_tokens_hosts_and_origins_are_refused(shown):
+    assert "token" in refused(f"{shown.server}?token=guessed")
+    assert "Host" in refused(shown.address, Host="rebound.example")
+    assert "Origin" in refused(shown.address, Origin="http://elsewhere.example")
+    socket = shown.server.replace("http", "ws", 1) + "_nicegui_ws/socket.io/?EIO=4&transport=websocket"
+    with pytest.raises(websockets.exceptions.InvalidStatus) as caught:
+        connect(socket, origin="http://elsewhere.example")
+    assert caught.value.response.status_code == 403
+    with connect(socket, origin=shown.server.rstrip("/")) as opened:
+        assert opened.recv(timeout=10.0).startswith("0")
+
+
+def test_a_recording_holds_what_went_by(tab, shown):
+    tab.click("[data-name=tab-experiment]")
+    tab.until("document.querySelector('[data-name=record]')?.disabled === false")
+    tab.click("[data-name=record]")
+    is_told(tab, "Recording to ")
+    tab.click("[data-name=tab-nodes]")
+    tab.until("!!document.querySelector('[data-name=node-recorder_node]')")
+    goes_on(tab)
+    tab.click("[data-name=tab-experiment]")
+    tab.click("[data-name=record]")
+    tab.until("document.querySelector('[data-name=activity]').innerText.includes('Recorded: ')")
+    [bag] = shown.folder.glob("runs/*-recording-*/bag")
+    trajectory = read_bag(bag)
+    assert len(trajectory["force_n"]) > 100
+
+
+def test_a_graph_is_stopped_and_started_again_with_a_hidden_effect(tab, shown):
+    tab.click("[data-name=tab-experiment]")
+    tab.until("document.querySelector('[data-name=stop]')?.disabled === false")
+    tab.click("[data-name=stop]")
+    tab.until("document.querySelector('[data-name=state]').innerText === 'graph gone'")
+    assert "No snapshots" in tab.text("trouble")
+    tab.type_into("[data-name=effect]", "dead zone", "ArrowDown", "Enter")
+    tab.type_into("[data-name=effect-positive]", "2e-4")
+    tab.click("[data-name='add effect']")
+    tab.until("document.querySelector('.q-chip')?.innerText.includes('valve dead zone')")
+    tab.until("document.querySelector('[data-name=start]').disabled === false")
+    tab.click("[data-name=start]")
+    tab.until("document.querySelector('[data-name=state]').innerText.startsWith('running')", 120.0)
+    goes_on(tab)
+    newest = max(shown.folder.glob("runs/gentle-*/spec.yaml"), key=lambda path: path.stat().st_mtime)
+    spec = load_spec(newest)
+    [effect] = spec.rig.effects
+    assert (effect.name, effect.parameters.positive) == ("valve_dead_zone", 2e-4)
+    assert spec.controller_rig.effects == ()
+    assert yaml.safe_load(newest.read_text(encoding="utf-8"))["title"] == "gentle"
+
+
+def test_a_second_dashboard_joins_leaves_the_graph_alone_and_says_when_its_server_is_gone(
+    tab, shown, chromium, domain, tmp_path
+):
+    with contextlib.ExitStack() as stack:
+        with dashboard(tmp_path, domain) as second:
+            page = stack.enter_context(chromium.tab(second.address))
+            page.until("document.querySelector('[data-name=state]')?.innerText.startsWith('running')")
+            goes_on(page)
+            page.click("[data-name=tab-experiment]")
+            page.until("document.querySelector('[data-name=stop]')?.disabled")
+            assert page.evaluate("document.querySelector('[data-name=start]').disabled")
+        page.until("document.body.classList.contains('cut-off')")
+        assert page.evaluate("document.querySelector('.lost').offsetParent !== null")
+        goes_on(tab)
