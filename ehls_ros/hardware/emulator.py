@@ -57,6 +57,7 @@ class Emulator:
         seed: int,
         *,
         disturb_at_once: bool = False,
+        disturb_after: float = 0.0,
         log: TruthLog | None = None,
     ) -> None:
         """Put it together.
@@ -67,6 +68,7 @@ class Emulator:
             calibration: of the rig's channels.
             seed: of the sensors' noise.
             disturb_at_once: start the disturbance in cycle 0, not with the first command that opens the valve.
+            disturb_after: time from that command to the disturbance [s].
             log: where the truth is kept.
         """
         self.faults = Faults(calibration.wired)
@@ -83,6 +85,8 @@ class Emulator:
         self._disturbed = -1
         self._row = disturbance.first().copy()
         self._disturbs = disturb_at_once
+        self._until_disturbed = round(disturb_after / simulator.period)
+        self._opened = False
         if not disturb_at_once:
             self._row[[FORCE_RATE, VELOCITY]] = 0.0
 
@@ -120,9 +124,12 @@ class Emulator:
         simulator, output = self._simulator, self._calibration.output
         raw = converted(raw, output)
         spool = output.scale * (raw - output.offset)
-        if not self._disturbs and raw != self._null:
-            self._disturbs = True
-            self._row = self._disturbance.first().copy()
+        self._opened |= raw != self._null
+        if self._opened and not self._disturbs:
+            self._disturbs = self._until_disturbed <= 0
+            self._until_disturbed -= 1
+            if self._disturbs:
+                self._row = self._disturbance.first().copy()
         if self.log is not None:
             self.log.add((*self._truth(spool), raw, status, now))
         position, velocity = float(simulator.y[X]), float(simulator.y[V])

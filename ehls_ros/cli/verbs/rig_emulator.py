@@ -52,7 +52,10 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--disturb-at-once",
         action="store_true",
-        help="start the disturbance at once; by default with the first command that opens the valve",
+        help="start the disturbance at once; by default some time after the first command that opens the valve",
+    )
+    parser.add_argument(
+        "--disturb-after", type=float, default=1.0, help="that time in s; the gate blends in meanwhile (default: 1)"
     )
     timing = parser.add_argument_group("timing")
     timing.add_argument("--lockstep", action="store_true", help="wait in each cycle for the command that answers it")
@@ -91,6 +94,7 @@ def run(options: Namespace) -> int:
             bridge.calibration,
             seed,
             disturb_at_once=options.disturb_at_once,
+            disturb_after=options.disturb_after,
             log=log,
         )
         delays = Delays()
@@ -136,6 +140,8 @@ def _bridge(options: Namespace) -> Bridge:
 def _spec(options: Namespace) -> Spec:
     if options.duration is not None and not 0.0 < options.duration < 1e6:
         raise BadInput(f"--duration is {options.duration:g}", "command line", "seconds above 0 and below 1e6")
+    if not 0.0 <= options.disturb_after < 1e6:
+        raise BadInput(f"--disturb-after is {options.disturb_after:g}", "command line", "seconds from 0 to below 1e6")
     rig = options.rig or config_folder() / "rig_paper_measured.yaml"
     if options.spec is None:
         nothing = {"reference": {"name": "constant", "value": 0.0}, "controller": "fasmc"}
