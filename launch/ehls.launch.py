@@ -1,6 +1,7 @@
 """The whole graph: ``ros2 launch ehls_ros ehls.launch.py plant:=sim controller:=fasmc rig:=config/rig_paper.yaml``.
 
-A node can be left out (``without:=fasmc_node``) and started by hand instead.
+A node can be left out (``without:=fasmc_node``) and started by hand instead. A second rig runs beside the first in a namespace
+of its own (``namespace:=rig2``): only /diagnostics is shared, where its nodes are named ``rig2/...``.
 """
 
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
@@ -26,7 +27,7 @@ ARGUMENTS = {
         ["realtime", "lockstep"],
     ),
     "priority": ("0", "in realtime: SCHED_FIFO priority of the nodes that answer each other, 1 to 99; 0: none", None),
-    "namespace": ("ehls", "namespace of all topics", None),
+    "namespace": ("ehls", "namespace of nodes and topics; one of its own for each further rig, such as rig2", None),
     "record": ("", "folder to record a bag into; empty: no recording", None),
     "without": ("", "nodes to leave out, separated by commas", None),
 }

@@ -1,5 +1,6 @@
 """The repository builds with colcon, its imports point one way, and its locks and metadata say what they should."""
 
+import ast
 import os
 import re
 import runpy
@@ -13,6 +14,7 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import pytest
 
@@ -289,7 +291,7 @@ def metadata(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 def test_the_offline_half_needs_no_ros(metadata: dict[str, Any]) -> None:
     names = requirement_names(metadata["install_requires"])
-    assert names == {"numpy", "scipy", "numba", "pydantic", "pyyaml", "rosbags", "plotly", "rich"}
+    assert names == {"numpy", "scipy", "numba", "pydantic", "pyyaml", "rosbags", "plotly", "rich", "joblib", "shtab"}
     assert all(name.startswith("ros-") for name in requirement_names(metadata["extras_require"]["ros"]))
 
 
@@ -310,3 +312,44 @@ def test_package_xml_and_setup_agree(metadata: dict[str, Any]) -> None:
     manifest = (ROOT / "package.xml").read_text(encoding="utf-8")
     for tag in ("name", "version", "license"):
         assert f"<{tag}>{metadata[tag]}</{tag}>" in manifest
+
+
+ROSDEP_KEYS = {
+    "joblib": "python3-joblib",
+    "numba": "python3-numba",
+    "numpy": "python3-numpy",
+    "rich": "python3-rich",
+    "rosbags": "python3-rosbags-pip",
+    "scipy": "python3-scipy",
+    "yaml": "python3-yaml",
+}
+"""Keys of rosdistro's rosdep/python.yaml by the package that is imported."""
+
+NO_ROSDEP_KEY = {"plotly", "pydantic", "shtab"}
+"""Needed too, yet without a key, or with one for a version that is too old: package.xml says so."""
+
+OPTIONAL = {"distributed", "fastapi", "foxglove", "nicegui", "orjson", "pyarrow", "pymoo", "pyswarms", "starlette", "uvicorn"}
+"""What the extras bring."""
+
+
+def imported() -> set[str]:
+    """Return the top-level packages that the sources import, but for the standard library's and our own."""
+    found: set[str] = set()
+    for file in (*(ROOT / "ehls_ros").rglob("*.py"), *(ROOT / "launch").glob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                found.add(node.module.split(".")[0])
+    return found - set(sys.stdlib_module_names) - {"ehls_ros"}
+
+
+def test_package_xml_asks_for_what_is_imported_and_nothing_else() -> None:
+    manifest = ET.parse(ROOT / "package.xml").getroot()
+    asked = {element.text for element in manifest.iter("exec_depend")}
+    needed = imported() - NO_ROSDEP_KEY - OPTIONAL
+    assert asked == {ROSDEP_KEYS.get(name, name) for name in needed}
+
+
+def test_what_has_no_rosdep_key_comes_with_the_base_lock() -> None:
+    assert requirement_names(requirement_blocks(ROOT / "requirements" / "base.txt")) >= NO_ROSDEP_KEY

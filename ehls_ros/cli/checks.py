@@ -93,7 +93,7 @@ def python() -> Finding:
 def packages() -> Finding:
     """Look whether what is always needed can be imported."""
     missing = []
-    for name in ("numba", "numpy", "plotly", "pydantic", "rich", "rosbags", "scipy", "yaml"):
+    for name in ("joblib", "numba", "numpy", "plotly", "pydantic", "rich", "rosbags", "scipy", "shtab", "yaml"):
         try:
             importlib.import_module(name)
         except ImportError as error:

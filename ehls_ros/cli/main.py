@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from ehls_ros import __version__
+from ehls_ros.cli.completion import add_completion
 from ehls_ros.cli.verbs import VERBS
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.process import end
@@ -22,6 +23,7 @@ def parser() -> argparse.ArgumentParser:
     for name in VERBS.names():
         verb = VERBS.load(name)
         verb.arguments(verbs.add_parser(name.replace("_", "-"), help=verb.HELP, description=verb.HELP))
+    add_completion(top)
     return top
 
 

@@ -227,7 +227,23 @@ def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = Non
     return _trajectory(spec, loop.columns, record, reference, disturbance)
 
 
-def _trajectory(spec: Spec, columns: Columns, record: Array, reference: Array, disturbance: Array) -> Trajectory:
+def run_in_stretches(spec: Spec) -> Iterator[Trajectory]:
+    """Run an experiment without ROS, only as far ahead as somebody asks.
+
+    Args:
+        spec: the experiment.
+
+    Yields:
+        What :func:`run_in_process` returns, :data:`CHUNK` cycles at a time. Its memory is used again for the next stretch.
+    """
+    loop = ClosedLoop(spec)
+    for block in loop.blocks():
+        yield _trajectory(spec, loop.columns, block.record, block.reference, block.disturbance, block.first)
+
+
+def _trajectory(
+    spec: Spec, columns: Columns, record: Array, reference: Array, disturbance: Array, first: int = 0
+) -> Trajectory:
     signals: dict[str, Array] = {}
     signals.update(zip(LOADER_STATE.signals.values(), record[:, columns.measured].T, strict=True))
     signals["valve_command_m"] = record[:, columns.command]
@@ -242,7 +258,7 @@ def _trajectory(spec: Spec, columns: Columns, record: Array, reference: Array, d
     signals.update(zip(CONTROLLER_STATUS.signals.values(), record[:, columns.status].T, strict=False))
     signals.update(zip(REFERENCE_TOPICS[law.FOLLOWS].signals.values(), reference.T, strict=True))
     signals.update(zip(DISTURBANCE.signals.values(), disturbance.T, strict=True))
-    time = np.arange(len(record), dtype=np.float64) * spec.settings.control_period
+    time = np.arange(first, first + len(record), dtype=np.float64) * spec.settings.control_period
     return Trajectory(time, signals, metadata(spec, "in-process"))
 
 

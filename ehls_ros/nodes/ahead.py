@@ -13,7 +13,7 @@ from ehls_ros.nodes.control import OK, WAIT, ControlNode
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, newest_qos
 
 LEAD = 200
-"""Cycles a signal of time alone runs ahead; well over the cycles between two messages on /clock."""
+"""Cycles a signal of time alone runs ahead; well over the cycles between two messages of the clock."""
 
 REST = 0.005
 """How long snapshots gather in realtime before a signal of time alone looks again [s]."""
@@ -23,7 +23,7 @@ class AheadNode(ControlNode):
     """Publishes one row a cycle, ahead of it.
 
     A row that depends on the loader's state (``lead`` 1) goes by each loader_state. A row that depends on time
-    alone needs to know only about where the cycles have got to: from /clock in lockstep, where every process
+    alone needs to know only about where the cycles have got to: from the clock in lockstep, where every process
     that need not wake with each cycle is time gained, and from the newest loader_state in realtime.
     """
 
@@ -49,7 +49,7 @@ class AheadNode(ControlNode):
         if self.lead == 1:
             self.progress = Inbox(self, LoaderState, "loader_state")
         elif self.lockstep:
-            self.progress = Inbox(self, Clock, "/clock", control_qos(1), self._cycle_of_clock)
+            self.progress = Inbox(self, Clock, self.clock_topic, control_qos(1), self._cycle_of_clock)
         else:
             self.progress = Inbox(self, LoaderState, "loader_state", newest_qos())
         self.waiter = Waiter([self.progress])

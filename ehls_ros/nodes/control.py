@@ -1,6 +1,7 @@
 """What the control-path nodes share: lifecycle, spec, the loop in the main thread, diagnostics, shutdown."""
 
 import gc
+import os
 import signal
 import sys
 import threading
@@ -24,9 +25,13 @@ from ehls_ros.process import end
 from ehls_ros.schema import quantity, text
 
 NAMESPACE = "ehls"
+"""Namespace of the nodes unless a launch file or `-r __ns:=` says otherwise."""
 
 LOCKSTEP, REALTIME = TIMINGS = ("lockstep", "realtime")
 """Timing modes."""
+
+DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+"""Variable by which the middleware is told how far nodes look for each other."""
 
 WAIT = 0.1
 """Longest time a loop waits before it looks whether it should stop [s]."""
@@ -75,6 +80,11 @@ class ControlNode(LifecycleNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._reported: tuple[bytes, str] | None = None
         self.create_timer(1.0, self._report)
+
+    @property
+    def clock_topic(self) -> str:
+        """The topic of the cycles' time: /clock is that of the whole ROS graph, so a rig of another namespace has its own."""
+        return "/clock" if self.get_namespace() == f"/{NAMESPACE}" else "clock"
 
     def text_parameter(self, name: str) -> str:
         """Return a text parameter's value."""
@@ -176,9 +186,10 @@ class ControlNode(LifecycleNode):
         level, message, figures = self._health()
         status = DiagnosticStatus(
             level=level,
-            name=self.get_name(),
+            # /diagnostics is everybody's: a rig of another namespace has that in its names.
+            name=self.get_fully_qualified_name().removeprefix(f"/{NAMESPACE}/").removeprefix("/"),
             message=message,
-            hardware_id="ehls",
+            hardware_id=self.get_namespace().strip("/"),
             values=[
                 KeyValue(key=key, value=f"{value:.6g}" if isinstance(value, float) else str(value))
                 for key, value in figures.items()
@@ -221,6 +232,8 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
 
     signal.signal(signal.SIGINT, on_signal)
     signal.signal(signal.SIGTERM, on_signal)
+    # However the node is started: whoever wants it found beyond this host has to say so.
+    os.environ[DISCOVERY_RANGE] = os.environ.get(DISCOVERY_RANGE) or "LOCALHOST"
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node, complaint = _made(make)
     if node is None:

@@ -25,7 +25,7 @@ from ehls_ros.recording.topics import DRIVING
 from ehls_ros.schema import quantity
 
 CLOCK_CYCLES = 10
-"""In lockstep /clock tells the cycles' time every so many cycles; what runs ahead of the cycles goes by it."""
+"""In lockstep the clock tells the cycles' time every so many cycles; what runs ahead of the cycles goes by it."""
 
 PATIENCE = 1.0
 """Time without an answer after which diagnostics say so [s]."""
@@ -86,7 +86,7 @@ class PlantNode(ControlNode):
         self.answer = Waiter([self.commands])
         self.driving = self.create_publisher(Bool, DRIVING.name, control_qos(1))
         self.told_driving: bool | None = None
-        self.clock = self.create_publisher(Clock, "/clock", control_qos(1)) if self.lockstep else None
+        self.clock = self.create_publisher(Clock, self.clock_topic, control_qos(1)) if self.lockstep else None
         self.telemetry = Telemetry(self, float(self.get_parameter("telemetry_rate").value))
 
     def release(self) -> None:

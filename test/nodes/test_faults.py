@@ -179,7 +179,9 @@ def test_controller_and_reference_die_freeze_and_come_back(trial, graph):
     running.trips_it(
         "reference killed", lambda: graph.kill(REFERENCE), ahead + GATE.command_timeout, lambda: running.rig.start(REFERENCE)
     )
-    running.trips_it("emergency stop", lambda: running.rig.participant.call(Trigger, "emergency_stop", Trigger.Request()), 0.02)
+    running.trips_it(
+        "emergency stop", lambda: answered(running.rig.participant.call(Trigger, "emergency_stop", Trigger.Request())), 0.0
+    )
     running.finish()
 
 

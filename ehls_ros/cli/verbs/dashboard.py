@@ -21,7 +21,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--host", default="127.0.0.1", help="address to serve at; other than this machine's own, reading needs the token too"
     )
-    parser.add_argument("--port", type=int, default=8765, help="port to serve at; 0: any that is free (default: 8765)")
+    parser.add_argument("--port", type=int, default=8766, help="port to serve at; 0: any that is free (default: 8766)")
 
 
 def run(options: Namespace) -> int:

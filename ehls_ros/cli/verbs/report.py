@@ -5,6 +5,7 @@ from pathlib import Path
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.metrics import evaluate
+from ehls_ros.recording.columns import read_columns
 from ehls_ros.recording.load import load
 from ehls_ros.report.experiment import write_experiment_report
 
@@ -22,7 +23,7 @@ def run(options: Namespace) -> int:
     """Write it."""
     data: Path = options.data
     bag = data / "bag"
-    trajectory = load(bag if bag.is_dir() else data, options.columns)
+    trajectory = load(bag if bag.is_dir() else data, read_columns(options.columns) if options.columns else None)
     out: Path = options.out or (data if bag.is_dir() else data.parent) / "report.html"
     controlled = {"force_reference_n", "position_reference_m"} & trajectory.signals.keys()
     metrics = evaluate(trajectory).as_json() if controlled else {}

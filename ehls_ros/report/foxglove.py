@@ -1,0 +1,238 @@
+"""A stream of trajectories to Foxglove, or whatever speaks its WebSocket protocol; no ROS is needed.
+
+The messages are those of the node graph, topic by topic, with the schemas a bag of it has: a layout made for one shows both.
+Several sources go by one clock, that of the samples, so that a recording and a simulation lie upon each other.
+"""
+
+import heapq
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from operator import itemgetter
+from types import TracebackType
+from typing import NamedTuple, Self
+
+import foxglove
+from foxglove.websocket import Capability, ChannelView, Client, ServerListener
+
+from ehls_ros.errors import BadInput
+from ehls_ros.recording.topics import CYCLE_TOPICS, RESPONSE, Topic
+from ehls_ros.recording.trajectory_messages import streams_of
+from ehls_ros.recording.typestore import typestore
+from ehls_ros.trajectory import Trajectory
+
+TICK = 0.02
+"""How long messages that are due gather before they are sent [s]."""
+
+SETTLED = 0.2
+"""A viewer has asked for all it wants when it asked for nothing more for so long [s]."""
+
+BACKLOG = 100_000
+"""Messages kept for a viewer that is slow; then the oldest are dropped."""
+
+STRETCH = 2000
+"""Samples made into messages at a time."""
+
+Message = tuple[int, str, bytes]
+"""Time [ns], topic with its namespace, and what is in it as CDR."""
+
+
+class Source(NamedTuple):
+    """What is streamed in one namespace.
+
+    Attributes:
+        namespace: namespace of its topics, such as ``/ehls``.
+        start_s: time of the clock at which it begins [s].
+        stretches: begins anew and returns the trajectory piece by piece; its times count from any moment on.
+    """
+
+    namespace: str
+    start_s: float
+    stretches: Callable[[], Iterator[Trajectory]]
+
+
+def in_stretches(trajectory: Trajectory) -> Iterator[Trajectory]:
+    """Cut a trajectory into pieces that are quickly made into messages."""
+    for first in range(0, len(trajectory), STRETCH):
+        rows = slice(first, first + STRETCH)
+        yield Trajectory(trajectory.time_s[rows], {name: values[rows] for name, values in trajectory.signals.items()})
+
+
+def messages_of(source: Source) -> Iterator[Message]:
+    """Yield a source's messages in the order of their times.
+
+    Raises:
+        BadInput: the source holds what messages cannot express.
+    """
+    first = 0
+    offset = 0.0
+    for stretch in source.stretches():
+        if first == 0:
+            offset = source.start_s - stretch.time_s[0]
+        # When a command was sent is the recording's own affair; here it stands at its sample, as all the others.
+        signals = {name: values for name, values in stretch.signals.items() if name != RESPONSE}
+        time_s = stretch.time_s + offset if offset else stretch.time_s
+        due: list[Message] = []
+        for stream in streams_of(Trajectory(time_s, signals), source.namespace, first):
+            topic = stream.topic.resolve(source.namespace)
+            due += zip(stream.sent_ns.tolist(), [topic] * len(stream.messages), stream.messages, strict=True)
+        yield from sorted(due, key=itemgetter(0))
+        first += len(stretch)
+
+
+def topics_of(trajectory: Trajectory) -> list[Topic]:
+    """Return the topics that show something of a trajectory."""
+    return [topic for topic in CYCLE_TOPICS if trajectory.signals.keys() & set(topic.signals.values())]
+
+
+def play(
+    messages: Iterable[Message],
+    rate: float,
+    publish: Callable[[Message], None],
+    tell_time: Callable[[int], None],
+    stopping: threading.Event,
+) -> None:
+    """Publish messages when they are due, never before and :data:`TICK` after at most.
+
+    Args:
+        messages: in the order of their times.
+        rate: seconds of the messages' clock in one of the wall's.
+        publish: takes one message.
+        tell_time: takes how far the clock has come [ns].
+        stopping: ends the play once it is set.
+    """
+    began = time.perf_counter()
+    first_ns: int | None = None
+    for message in messages:
+        now_ns = message[0]
+        if first_ns is None:
+            first_ns, began = now_ns, time.perf_counter()
+        ahead = (now_ns - first_ns) * 1e-9 / rate - (time.perf_counter() - began)
+        if ahead > 0.0:
+            tell_time(now_ns)
+            stopping.wait(ahead + TICK)
+        if stopping.is_set():
+            return
+        publish(message)
+
+
+class Viewers(ServerListener):
+    """Who is looking."""
+
+    def __init__(self) -> None:
+        """Start with nobody."""
+        self._changed = threading.Condition()
+        self._asked: set[tuple[int, int]] = set()
+        self._since = 0.0
+
+    def on_subscribe(self, client: Client, channel: ChannelView) -> None:
+        """Note a viewer's wish."""
+        with self._changed:
+            self._asked.add((client.id, channel.id))
+            self._since = time.monotonic()
+            self._changed.notify_all()
+
+    def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
+        """Note that it was withdrawn, or the viewer has left."""
+        with self._changed:
+            self._asked.discard((client.id, channel.id))
+            self._changed.notify_all()
+
+    def present(self) -> bool:
+        """Tell whether somebody has asked for everything wanted."""
+        with self._changed:
+            return bool(self._asked) and time.monotonic() - self._since > SETTLED
+
+    def wait(self, *, present: bool, stopping: threading.Event) -> None:
+        """Wait until somebody is there, or nobody; or until told to stop."""
+        while self.present() != present and not stopping.is_set():
+            with self._changed:
+                self._changed.wait(TICK)
+
+
+class FoxgloveServer:
+    """Streams to whoever connects. It is read only: it takes no messages, parameters or services."""
+
+    def __init__(self, host: str, port: int, topics: Mapping[str, Sequence[Topic]]) -> None:
+        """Listen, and say what there will be.
+
+        Args:
+            host: address to listen at.
+            port: port to listen at; 0: any that is free.
+            topics: by namespace.
+
+        Raises:
+            BadInput: it cannot listen there.
+        """
+        self.viewers = Viewers()
+        # Kept, because a context that nobody holds advertises nothing.
+        self._context = foxglove.Context()
+        self._channels = {
+            topic.resolve(namespace): foxglove.Channel(
+                topic.resolve(namespace), message_encoding="cdr", schema=_schema(topic), context=self._context
+            )
+            for namespace, chosen in topics.items()
+            for topic in chosen
+        }
+        try:
+            self._server = foxglove.start_server(
+                name="ehls_ros",
+                host=host,
+                port=port,
+                capabilities=[Capability.Time],
+                server_listener=self.viewers,
+                context=self._context,
+                message_backlog_size=BACKLOG,
+            )
+        except RuntimeError as error:
+            raise BadInput(
+                f"nothing can be served ({error})", f"{host}:{port}", "a free port of this machine (--port)"
+            ) from None
+
+    @property
+    def port(self) -> int:
+        """The port it listens at."""
+        return self._server.port
+
+    def publish(self, message: Message) -> None:
+        """Send one message."""
+        time_ns, topic, data = message
+        self._channels[topic].log(data, log_time=time_ns)
+
+    def tell_time(self, time_ns: int) -> None:
+        """Say how far the clock has come."""
+        self._server.broadcast_time(time_ns)
+
+    def __enter__(self) -> Self:
+        """Return the server."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Hang up."""
+        self._server.stop()
+        for channel in self._channels.values():
+            channel.close()
+
+
+def serve(server: FoxgloveServer, sources: Sequence[Source], rate: float, stopping: threading.Event) -> None:
+    """Play when somebody is there to see it, and again for who comes after all have left, until told to stop.
+
+    Args:
+        server: where to.
+        sources: what is streamed, all on one clock.
+        rate: seconds of the clock in one of the wall's.
+        stopping: ends it once it is set.
+
+    Raises:
+        BadInput: a source holds what messages cannot express.
+    """
+    while not stopping.is_set():
+        server.viewers.wait(present=True, stopping=stopping)
+        messages = heapq.merge(*map(messages_of, sources), key=itemgetter(0))
+        play(messages, rate, server.publish, server.tell_time, stopping)
+        server.viewers.wait(present=False, stopping=stopping)
+
+
+def _schema(topic: Topic) -> foxglove.Schema:
+    text, _ = typestore().generate_msgdef(topic.type, ros_version=2)
+    return foxglove.Schema(name=topic.type, encoding="ros2msg", data=text.encode())
