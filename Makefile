@@ -8,7 +8,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint lock clean
+.PHONY: help setup demo test docs lint lock clean
 
 help:  ## show this list
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
@@ -24,6 +24,13 @@ demo: setup  ## run one experiment over DDS; bag, metrics and report go to runs/
 test: setup  ## run the tests; PYTEST_ARGS='-k name' picks some
 	PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/python -m pytest -p xdist -p timeout -n 2 --dist loadfile --timeout 300 \
 		$(PYTEST_ARGS)
+
+# EHLS_DOCS=all: the snippets that take long as well.
+docs: setup  ## build the documentation into build/docs/ and run its snippets
+	.venv/bin/python -m sphinx --builder html --fail-on-warning --keep-going --fresh-env --quiet \
+		--doctree-dir build/doctrees docs build/docs
+	EHLS_DOCS=all PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/python -m pytest -p timeout test/test_docs_*.py
+	@echo build/docs/index.html
 
 lint: setup  ## check style, types and import contracts
 	.venv/bin/ruff check

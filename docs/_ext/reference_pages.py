@@ -1,0 +1,350 @@
+"""The reference: pages written from the code's own declarations, each time the site is built, into docs/reference/."""
+
+import argparse
+import ast
+import inspect
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Literal, NamedTuple, get_args, get_origin
+from unittest import mock
+
+import ehls_ros
+from ehls_ros.cli.main import parser
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.disturbances import DISTURBANCES
+from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.references import REFERENCES
+from ehls_ros.experiments import spec
+from ehls_ros.experiments.campaign import plan, variation
+from ehls_ros.families import Family
+from ehls_ros.hardware import calibration, gate_parameters
+from ehls_ros.hardware.backends import BACKENDS
+from ehls_ros.physics import parameters as rig
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.recording import columns, topics
+from ehls_ros.schema import Declaration, declarations
+from ehls_ros.trajectory import SIGNALS
+
+ROOT = Path(ehls_ros.__file__).parent.parent
+MESSAGES = ROOT / "ehls_msgs" / "msg"
+LAUNCH = ROOT / "launch" / "ehls.launch.py"
+WIDTH = "100"
+
+
+class Section(NamedTuple):
+    """A set of parameters with its heading and where it is declared."""
+
+    title: str
+    about: str
+    parameters: type
+    file: Path
+
+
+FAMILIES: Mapping[str, Family[Any]] = {
+    "Controllers": CONTROLLERS,
+    "Friction observers": OBSERVERS,
+    "References": REFERENCES,
+    "Disturbances": DISTURBANCES,
+    "Effects": EFFECTS,
+    "DAQ backends": BACKENDS,
+}
+
+FILES: Mapping[str, tuple[tuple[str, type, ModuleType], ...]] = {
+    "Experiment file": (("Settings", spec.Settings, spec),),
+    "Rig file": (
+        ("plant", rig.Plant, rig),
+        ("friction", rig.Friction, rig),
+        ("sensors: of each signal", rig.Sensor, rig),
+        ("limits", rig.Limits, rig),
+    ),
+    "Campaign file": (
+        ("Settings of a campaign", plan.Settings, plan),
+        ("vary: a range", variation.Range, variation),
+        ("vary: a distribution", variation.Distribution, variation),
+    ),
+    "Bridge file": (("channels", calibration.Input, calibration), ("command", calibration.Output, calibration)),
+    "Map of columns": (("A column", columns.Column, columns),),
+}
+
+API: Mapping[str, tuple[str, ...]] = {
+    "Experiments": (
+        "ehls_ros.experiments.spec.load_spec",
+        "ehls_ros.experiments.spec.load_rig",
+        "ehls_ros.experiments.loop.run_in_process",
+        "ehls_ros.experiments.metrics.evaluate",
+    ),
+    "Recordings": (
+        "ehls_ros.recording.load.load",
+        "ehls_ros.recording.csv_file.write_csv",
+        "ehls_ros.recording.bag_writer.write_trajectory",
+        "ehls_ros.trajectory.Trajectory",
+    ),
+    "Identification and diagnosis": ("ehls_ros.identification.identify.identify", "ehls_ros.diagnosis.diagnose.diagnose"),
+    "The plant by itself": ("ehls_ros.physics.simulator.Simulator",),
+    "Errors": ("ehls_ros.errors.BadInput", "ehls_ros.errors.WorkFailed"),
+}
+"""What a script of one's own calls."""
+
+SERVICES: Mapping[str, str] = {
+    "emergency_stop": "closes the valve at once and latches; from anywhere on the graph",
+    "reset_trips": "forgets the first cause; refused while it persists",
+    "enable": "lets commands through, blended in, or shuts them off",
+}
+
+
+def setup(app: Any) -> dict[str, bool]:
+    """Write the pages before Sphinx looks for them."""
+    app.connect("config-inited", lambda app, config: write(Path(app.srcdir) / "reference"))
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def write(folder: Path) -> None:
+    """Write all pages into a folder; a page that has not changed is left alone."""
+    folder.mkdir(exist_ok=True)
+    pages = {
+        "commands": commands_page, "parameters": parameters_page, "nodes": nodes_page, "messages": messages_page,
+        "signals": signals_page, "python": python_page,
+    }  # fmt: skip
+    texts = {name: page() for name, page in pages.items()} | {"index": index_page(pages)}
+    for name, text in texts.items():
+        path = folder / f"{name}.md"
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+def index_page(pages: Iterable[str]) -> str:
+    """Return the list of the pages."""
+    names = "\n".join(pages)
+    return f"# Reference\n\nWritten from the code when this site is built.\n\n```{{toctree}}\n:maxdepth: 2\n\n{names}\n```\n"
+
+
+# --- commands ---------------------------------------------------------------------------------------------------------
+
+
+def commands_page() -> str:
+    """Return the help of every verb."""
+    parts = ["# Commands\n\n`ehls VERB`; exit code 0: done, 1: the work failed, 2: the input was wrong, 130: interrupted.\n"]
+    with mock.patch.dict(os.environ, {"COLUMNS": WIDTH, "NO_COLOR": "1"}):
+        for name, verb in verbs(parser()).items():
+            parts.append(f"## ehls {name}\n\n```text\n{verb.format_help()}```\n")
+    return "\n".join(parts)
+
+
+def verbs(top: argparse.ArgumentParser) -> Mapping[str, argparse.ArgumentParser]:
+    """Return the parser of each verb."""
+    actions = top._actions  # noqa: SLF001 - argparse has no public way
+    return next(dict(action.choices) for action in actions if isinstance(action, argparse._SubParsersAction))  # noqa: SLF001
+
+
+# --- parameters -------------------------------------------------------------------------------------------------------
+
+
+def parameters_page() -> str:
+    """Return the tables of everything that stands in a YAML file."""
+    parts = ["# Parameters\n\nAs they stand in YAML files, in SI units unless another is given.\n"]
+    for title, sets in FILES.items():
+        parts.append(f"## {title}\n")
+        parts += [text_of(Section(name, "", declared, Path(module.__file__ or ""))) for name, declared, module in sets]
+    for title, family in FAMILIES.items():
+        parts.append(f"## {title}\n")
+        parts += [text_of(section) for section in members(family)]
+    return "\n".join(parts)
+
+
+def members(family: Family[Any]) -> Iterator[Section]:
+    """Yield a section for each member of a family."""
+    for name in family.names():
+        member = family.load(name)
+        about = first_sentence(member)
+        if hasattr(member, "EQUATION"):
+            about += f"\n\n    {member.EQUATION}\n\nSource: {member.SOURCE}."
+        yield Section(name, about, member.Parameters, Path(member.__file__))
+
+
+def text_of(section: Section) -> str:
+    """Return a section: heading, what it is, table, and the file."""
+    link = f"[{section.file.name}](../../{section.file.relative_to(ROOT)})"
+    about = f"{section.about}\n\n" if section.about else ""
+    return f"### {section.title}\n\n{about}{table(section.parameters)}\nDeclared in {link}.\n"
+
+
+def table(parameters: type) -> str:
+    """Return the table of a parameter set."""
+    rows = [
+        (f"`{d.name}`", shown_default(parameters, d), shown_unit(d), shown_range(d), d.description)
+        for d in declarations(parameters)
+    ]
+    return rows_of(("name", "default", "unit", "range", "what it is"), rows) if rows else "No parameters.\n"
+
+
+def shown_default(parameters: Any, declared: Declaration) -> str:
+    """Return how a default is shown."""
+    if declared.name not in parameters._field_defaults:
+        return "required"
+    default = declared.default
+    if isinstance(default, float):
+        return f"{default:g}"
+    if isinstance(default, tuple):
+        return f"[{', '.join(f'{value:g}' for value in default)}]"
+    if isinstance(default, bool):
+        return str(default).lower()
+    return "–" if default in ("", None) else str(default)
+
+
+def shown_unit(declared: Declaration) -> str:
+    """Return how a unit is shown; what is no number has none."""
+    return declared.unit or "–"
+
+
+def shown_range(declared: Declaration) -> str:
+    """Return how a range is shown."""
+    if declared.kind is bool:
+        return "true, false"
+    if get_origin(declared.kind) is Literal:
+        return ", ".join(get_args(declared.kind))
+    low = "" if declared.minimum is None else f"{declared.minimum:g}"
+    high = "" if declared.maximum is None else f"{declared.maximum:g}"
+    return f"{low} … {high}".strip() if low or high else "–"
+
+
+def rows_of(heading: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Return a Markdown table."""
+    lines = [list(heading), *(list(row) for row in rows)]
+    lines.insert(1, ["---"] * len(lines[0]))
+    return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |\n" for line in lines)
+
+
+def first_sentence(thing: Any) -> str:
+    """Return the first paragraph of a docstring, as one line."""
+    return " ".join((inspect.getdoc(thing) or "").split("\n\n")[0].split())
+
+
+# --- nodes ------------------------------------------------------------------------------------------------------------
+
+
+def nodes_page() -> str:
+    """Return the nodes with their ROS parameters, the launch arguments, topics and services."""
+    parts = [
+        "# Nodes, launch file, topics, services\n",
+        "`ros2 run ehls_ros NODE`, or `ehls run NODE`. Parameters of laws and of the gate may change while the node runs.\n",
+        "## Launch arguments\n\n`ros2 launch ehls_ros ehls.launch.py NAME:=VALUE`\n",
+        rows_of(
+            ("name", "default", "what it is", "choices"),
+            (
+                (f"`{name}`", default or "–", about, ", ".join(choices or ()) or "–")
+                for name, (default, about, choices) in launch_arguments().items()
+            ),
+        ),
+        "## Topics\n",
+        rows_of(("topic", "type"), ((f"`{topic.resolve()}`", f"`{topic.type}`") for topic in all_topics())),
+        "## Services\n\nOf the plant's node, `plant_sim_node` or `hardware_bridge_node`.\n",
+        rows_of(("service", "type", "what it does"), services()),
+        "## Parameters of every node\n",
+        table(import_module("ehls_ros.nodes.control").Common),
+    ]
+    for name in node_names():
+        module = import_module(f"ehls_ros.nodes.{name}")
+        parts.append(f"## {name}\n\n{first_sentence(module)}\n")
+        parts += [table(own) for own in own_parameters(name)]
+        parts += [f"[Parameters of the law](parameters.md#{slug(law)}).\n" for law in controller_of(name)]
+    parts.append(f"## The safety gate\n\nParameters of the plant's node.\n\n{table(gate_parameters.Parameters)}")
+    return "\n".join(parts)
+
+
+def node_names() -> tuple[str, ...]:
+    """Return the names of all nodes."""
+    return tuple(sorted(path.stem for path in (ROOT / "ehls_ros" / "nodes").glob("*_node.py")))
+
+
+def controller_of(node: str) -> tuple[str, ...]:
+    """Return the controller a node runs, none where it runs none."""
+    law = node.removesuffix("_node")
+    return (law,) if law in CONTROLLERS.names() else ()
+
+
+def own_parameters(node: str) -> tuple[type, ...]:
+    """Return the parameter sets a node declares beside the common ones, the safety gate's and its law's."""
+    module = import_module(f"ehls_ros.nodes.{node}")
+    sets: list[type] = [module.Parameters] if hasattr(module, "Parameters") else []
+    if node in {"plant_sim_node", "hardware_bridge_node"}:
+        sets.insert(0, import_module("ehls_ros.nodes.plant").Parameters)
+    if controller_of(node):
+        sets.append(import_module("ehls_ros.nodes.controller").Parameters)
+    return tuple(sets)
+
+
+def node_parameters(node: str) -> Mapping[str, Declaration]:
+    """Return every parameter of a node that is declared from a parameter set, by name."""
+    sets = [import_module("ehls_ros.nodes.control").Common, *own_parameters(node)]
+    sets += [CONTROLLERS.load(law).Parameters for law in controller_of(node)]
+    if node in {"plant_sim_node", "hardware_bridge_node"}:
+        sets.append(gate_parameters.Parameters)
+    return {declared.name: declared for parameters in sets for declared in declarations(parameters)}
+
+
+def launch_arguments() -> Mapping[str, tuple[str, str, list[str] | None]]:
+    """Return the launch file's arguments: default, what it is, choices; read without importing the file."""
+    tree = ast.parse(LAUNCH.read_text(encoding="utf-8"))
+    values = [node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "ARGUMENTS"]
+    found: Mapping[str, tuple[str, str, list[str] | None]] = ast.literal_eval(values[0])
+    return found
+
+
+def all_topics() -> list[topics.Topic]:
+    """Return every topic of a run."""
+    return [value for value in vars(topics).values() if isinstance(value, topics.Topic)]
+
+
+def services() -> Iterator[tuple[str, str, str]]:
+    """Yield name, type and what it does of every service, from the calls that create them."""
+    tree = ast.parse((ROOT / "ehls_ros" / "nodes" / "plant.py").read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "create_service":
+            kind, name = ast.unparse(node.args[0]), str(ast.literal_eval(node.args[1]))
+            yield f"`{topics.NAMESPACE}/{name}`", f"`std_srvs/srv/{kind}`", SERVICES[name]
+
+
+# --- messages, signals, Python ----------------------------------------------------------------------------------------
+
+
+def messages_page() -> str:
+    """Return the fields of every message."""
+    parts = ["# Messages\n\nOf the package `ehls_msgs`.\n"]
+    for path in sorted(MESSAGES.glob("*.msg")):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        about = " ".join(line.removeprefix("#").strip() for line in lines if line.startswith("#"))
+        fields = [found for line in lines if (found := re.match(r"(\S+)\s+(\w+)\s*(?:#\s*(.*))?$", line))]
+        rows = ((f"`{name}`", f"`{kind}`", comment or "–") for kind, name, comment in (field.groups() for field in fields))
+        parts.append(f"## {path.stem}\n\n{about}\n\n{rows_of(('field', 'type', 'what it is'), rows)}")
+    return "\n".join(parts)
+
+
+def signals_page() -> str:
+    """Return the names of the data contract."""
+    rows = ((f"`{name}`", signal.label, signal.unit) for name, signal in SIGNALS.items())
+    return (
+        "# Signals\n\nColumns of CSV, MAT and Parquet files, and names in a `Trajectory`. `time_s` comes first.\n\n"
+        + rows_of(("name", "what it is", "unit"), rows)
+    )
+
+
+def python_page() -> str:
+    """Return the directives by which autodoc documents what a script of one's own calls."""
+    parts = ["# Python\n"]
+    for title, names in API.items():
+        parts.append(f"## {title}\n")
+        for name in names:
+            module, _, member = name.rpartition(".")
+            kind = "autoclass" if inspect.isclass(getattr(import_module(module), member)) else "autofunction"
+            options = "   :members:\n" if kind == "autoclass" else ""
+            parts.append(f"```{{eval-rst}}\n.. {kind}:: {name}\n{options}```\n")
+    return "\n".join(parts)
+
+
+def slug(title: str) -> str:
+    """Return the anchor of a heading."""
+    return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")

@@ -1,0 +1,31 @@
+"""The documentation site; `make docs` builds it into build/docs/.
+
+Sphinx, as ROS's rosdoc2 uses, with MyST, so that every page is the Markdown one reads in the repository. The site loads nothing
+from elsewhere.
+"""
+
+import sys
+from pathlib import Path
+
+from ehls_ros import __version__
+
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+
+project = "ehls_ros"
+copyright = "ehls_ros maintainers"  # noqa: A001 - Sphinx's name for it
+version = release = __version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "reference_pages", "source_links"]
+exclude_patterns = ["pictures"]
+
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 3
+myst_url_schemes = ["http", "https", "source"]
+
+autodoc_typehints = "description"
+autodoc_member_order = "bysource"
+
+html_theme = "furo"
+html_title = f"ehls_ros {__version__}"
+html_math_renderer = "mathml"
+html_copy_source = False

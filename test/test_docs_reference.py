@@ -1,0 +1,59 @@
+"""The generated reference holds everything that the code declares."""
+
+import importlib
+from collections.abc import Iterator
+from types import ModuleType
+
+import pytest
+from docs_snippets import ROOT
+
+from ehls_ros.cli.verbs import VERBS
+from ehls_ros.schema import declarations
+from ehls_ros.trajectory import SIGNALS
+
+
+@pytest.fixture(scope="module")
+def reference() -> Iterator[ModuleType]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT / "docs" / "_ext"))
+        yield importlib.import_module("reference_pages")
+
+
+def test_every_member_of_every_family_has_its_parameters(reference: ModuleType) -> None:
+    page = reference.parameters_page().replace("\\|", "|")
+    sections = {text.partition("\n")[0]: text for text in page.split("\n### ")[1:]}
+    for family in reference.FAMILIES.values():
+        for name in family.names():
+            for declared in declarations(family.load(name).Parameters):
+                assert f"| `{declared.name}` | " in sections[name], f"{name}: {declared.name}"
+                assert declared.description in sections[name]
+
+
+def test_every_verb_has_its_help(reference: ModuleType) -> None:
+    page = reference.commands_page()
+    for name in VERBS.names():
+        assert f"\n## ehls {name.replace('_', '-')}\n" in page
+    assert "--in-process" in page
+    assert "\x1b" not in page
+
+
+def test_every_node_message_and_signal_is_there(reference: ModuleType) -> None:
+    nodes, messages, signals = reference.nodes_page(), reference.messages_page(), reference.signals_page()
+    for path in (ROOT / "ehls_ros" / "nodes").glob("*_node.py"):
+        assert f"\n## {path.stem}\n" in nodes
+    for path in (ROOT / "ehls_msgs" / "msg").glob("*.msg"):
+        assert f"\n## {path.stem}\n" in messages
+    assert "| `load_pressure` | `float64` | load pressure pL = p1 - p2 [Pa] |" in messages
+    for name in SIGNALS:
+        assert f"| `{name}` |" in signals
+
+
+def test_a_table_tells_what_is_required_and_what_ranges_are(reference: ModuleType) -> None:
+    page = reference.parameters_page()
+    assert "| `supply_pressure` | required | Pa |" in page
+    assert "| `k` | 12 | MPa/s | 0.1 … 1000 |" in page
+    assert "| `spacing` | linear | – | linear, log |" in page
+
+
+def test_services_are_those_of_the_plants_node(reference: ModuleType) -> None:
+    assert {name for name, _, _ in reference.services()} == {"`/ehls/emergency_stop`", "`/ehls/reset_trips`", "`/ehls/enable`"}

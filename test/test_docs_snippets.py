@@ -1,0 +1,201 @@
+"""Every command and snippet of README.md and docs/ runs, or at least parses, or says why it does neither."""
+
+import importlib
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import docs_snippets
+import pytest
+import yaml
+from docs_snippets import ROOT, SHELL, Block, Command, ParametersOf, Unknown, blocks, commands, pages
+
+from ehls_ros.cli.main import main
+from ehls_ros.experiments.campaign.plan import plan_from_mapping
+from ehls_ros.experiments.spec import spec_from_mapping
+from ehls_ros.families import Family
+from ehls_ros.hardware.bridge_file import bridge_from_mapping
+from ehls_ros.physics.rig import rig_from_mapping
+from ehls_ros.recording.columns import read_columns
+from ehls_ros.schema import declarations
+
+EVERYTHING = os.environ.get("EHLS_DOCS") == "all"
+SHORT = "0.5"
+"""Plant time of an experiment where its full length is not asked for [s]."""
+
+_counts: Counter[str] = Counter()
+_skipped: list[str] = []
+
+
+@pytest.fixture(scope="module", autouse=True)
+def report(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Print what was done with the snippets, and why the rest was not."""
+    yield
+    if _counts:
+        with request.config.pluginmanager.get_plugin("capturemanager").global_and_fixture_disabled():
+            print(f"\nsnippets: {', '.join(f'{n} {word}' for word, n in sorted(_counts.items()))}", *_skipped, sep="\n")
+
+
+@pytest.fixture(scope="module")
+def parameters_of() -> ParametersOf:
+    """Nodes, launch arguments and services, from the code that writes the reference."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT / "docs" / "_ext"))
+        return ParametersOf(importlib.import_module("reference_pages"))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A copy of the repository's configuration to run a page in; files a page writes into the package are found, too."""
+    for name in ("config", "examples"):
+        shutil.copytree(ROOT / name, tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    before = set(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
+            del sys.modules[name]
+
+
+@pytest.mark.timeout(900 if EVERYTHING else 300)
+@pytest.mark.parametrize("page", [page for page in pages() if blocks(page)])
+def test_snippets_of_a_page(page: str, folder: Path, parameters_of: ParametersOf, monkeypatch: pytest.MonkeyPatch) -> None:
+    names: dict[str, Any] = {}
+    made: list[str] = []
+    for block in blocks(page):
+        try:
+            done = handle(block, folder, parameters_of, made, names, monkeypatch)
+        except Unknown as error:
+            pytest.fail(f"{block}: {error}", pytrace=False)
+        _counts[done] += 1
+        if done in {"parsed", "not run"}:
+            _skipped.append(f"  {done}: {block}: {block.note}")
+
+
+def handle(
+    block: Block, folder: Path, parameters_of: ParametersOf, made: list[str], names: dict[str, Any], patch: pytest.MonkeyPatch
+) -> str:
+    """Do with a block what its language and mark ask for, and say what was done."""
+    if block.mark not in {"", "file"} and not block.note:
+        raise Unknown("the mark gives no reason")
+    if block.mark == "not run":
+        return "not run"
+    if block.mark == "file":
+        save(block, folder, patch)
+        made.append(block.note)
+    match block.language:
+        case "yaml":
+            load_yaml(block, folder)
+        case "toml":
+            tomllib.loads(block.text)
+        case "python" if block.mark == "file":
+            load_member(block.note)
+        case "python":
+            exec(compile(block.text, str(block), "exec"), names)
+        case "sh" | "bash":
+            return shell(block, parameters_of, made)
+        case "text":
+            return "run"
+        case language:
+            raise Unknown(f"nobody knows how to run {language!r}")
+    return "run"
+
+
+def save(block: Block, folder: Path, patch: pytest.MonkeyPatch) -> None:
+    """Write a block to its file; the package it belongs to looks there, too."""
+    path = folder / block.note
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(block.text, encoding="utf-8")
+    if path.suffix == ".py":
+        package = importlib.import_module(".".join(Path(block.note).parent.parts))
+        patch.setattr(package, "__path__", [*package.__path__, str(path.parent)])
+
+
+def load_member(file: str) -> None:
+    """Load a member of a family as the family does; its parameters are declared as the house has it."""
+    package = importlib.import_module(".".join(Path(file).parent.parts))
+    family = next(value for value in vars(package).values() if isinstance(value, Family))
+    member: ModuleType = family.load(Path(file).stem)
+    for declared in declarations(member.Parameters):
+        assert declared.unit, declared.name
+        assert declared.description, declared.name
+        assert declared.minimum is not None, declared.name
+        assert declared.maximum is not None, declared.name
+
+
+def load_yaml(block: Block, folder: Path) -> None:
+    """Load a block with the loader of what it is; a part of an experiment or rig file goes into one of the project's."""
+    data, where = yaml.safe_load(block.text), str(block)
+    example = yaml.safe_load((ROOT / "config" / "rig_paper.yaml").read_text(encoding="utf-8"))
+    keys = set(data)
+    if "vary" in keys:
+        plan_from_mapping(data, where, folder)
+    elif "backend" in keys:
+        bridge_from_mapping(data, where)
+    elif keys <= set(example):
+        rig_from_mapping({**example, **data}, where)
+    elif "controller" in keys:
+        spec_from_mapping(data, where, folder)
+    else:
+        path = folder / (block.note or "columns.yaml")
+        path.write_text(block.text, encoding="utf-8")
+        read_columns(path)
+
+
+def shell(block: Block, parameters_of: ParametersOf, made: list[str]) -> str:
+    """Parse every command, and run those of `ehls` if the block is to be run."""
+    runs = block.mark == "" or (block.mark == "slow" and EVERYTHING)
+    for command in commands(block):
+        options = docs_snippets.check(command, parameters_of, made)
+        if runs:
+            if options is None:
+                raise Unknown(f"{command.shown} is not run by this test: mark the block with why it is only parsed")
+            run(command)
+    return "run" if runs else "parsed"
+
+
+def run(command: Command) -> None:
+    """Run an `ehls` command: an experiment for a short time, a campaign, which starts workers, in a process of its own."""
+    words = [*command.words[1:]]
+    if words[0] == "experiment":
+        words += ["--duration", SHORT]
+    if words[0] == "campaign" and "--spec" not in words:
+        subprocess.run([sys.executable, "-m", "ehls_ros.cli.main", *words], check=True, capture_output=True)
+    else:
+        assert main(words) == 0, command.shown
+
+
+# --- the checks themselves ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "ehls experimnt config/experiments/sine_fd2.yaml",
+        "ehls experiment config/experiments/sine_fd2.yaml --no-such-option",
+        "ehls experiment config/experiments/no_such.yaml",
+        "ehls experiment not_on_the_page.yaml",
+        "make nothing",
+        "pip install ehls_ros[no_such]",
+        "python benchmarks/no_such.py",
+        "python benchmarks/fuzz.py --no-such-option",
+        "ros2 run ehls_ros no_node",
+        "ros2 run ehls_ros fasmc_node --ros-args -p kk:=1.0",
+        "ros2 param set /ehls/fasmc_node k -1.0",
+        "ros2 launch ehls_ros ehls.launch.py nothing:=sim",
+        "ros2 service call /ehls/emergency_stop std_srvs/srv/SetBool",
+        "ros2 topic hz /ehls/no_topic",
+        "rm -rf build",
+    ],
+)
+def test_a_wrong_command_is_noticed(line: str, parameters_of: ParametersOf) -> None:
+    (command,) = commands(Block("page", 1, SHELL, line, "", ""))
+    with pytest.raises(Unknown):
+        docs_snippets.check(command, parameters_of, [])
