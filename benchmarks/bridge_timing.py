@@ -28,7 +28,7 @@ from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import load_spec
-from ehls_ros.hardware.realtime import claim
+from ehls_ros.hardware.realtime import claim, exact_wake_ups
 from ehls_ros.nodes.graph import REALTIME_PRIORITY, Plant, graph_environment, run_graph
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.trajectory import Trajectory
@@ -48,6 +48,7 @@ def be_echo() -> None:
     node.create_subscription(Float64, "there", publisher.publish, 10)
     executor = EventsExecutor()
     executor.add_node(node)
+    exact_wake_ups()
     claim(REALTIME_PRIORITY)
     while not stopping[0]:
         executor.spin_once(timeout_sec=0.1)
@@ -64,6 +65,7 @@ def be_asker() -> None:
     executor.add_node(node)
     while publisher.get_subscription_count() == 0 or node.count_publishers("back") == 0:
         executor.spin_once(timeout_sec=0.1)
+    exact_wake_ups()
     claim(REALTIME_PRIORITY)
     start = time.perf_counter() + 0.5
     for cycle in range(round(ECHO_SECONDS / PERIOD)):

@@ -30,12 +30,17 @@ def sleep_until(deadline: float) -> float:
     return now
 
 
-def claim(priority: int) -> tuple[str, ...]:
-    """Get this process ready for a loop with deadlines in this thread.
+def exact_wake_ups() -> None:
+    """Let this thread's waits end when they should, not up to 50 us later together with others."""
+    ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
-    The objects there are leave garbage collection, which is then off: the loop must not make cycles. Wake-ups become
-    exact, memory is locked, and all threads there are, those of the middleware too, get the scheduling class
-    SCHED_FIFO, as far as the system permits.
+
+def claim(priority: int) -> tuple[str, ...]:
+    """Get this process ready for a loop with deadlines; takes some tenths of a second.
+
+    The objects there are leave garbage collection, which is then off: the loop must not make cycles. Memory is locked,
+    and all threads there are, those of the middleware too, get the scheduling class SCHED_FIFO, as far as the system
+    permits.
 
     Args:
         priority: for SCHED_FIFO, 1 to 99; 0 leaves scheduling and memory as they are.
@@ -46,8 +51,6 @@ def claim(priority: int) -> tuple[str, ...]:
     gc.collect()
     gc.freeze()
     gc.disable()
-    libc = ctypes.CDLL(None, use_errno=True)
-    libc.prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
     if priority == 0:
         return ()
     refused = []
@@ -56,6 +59,6 @@ def claim(priority: int) -> tuple[str, ...]:
             os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError:
         refused.append(f"SCHED_FIFO at priority {priority} is not permitted (RLIMIT_RTPRIO)")
-    if libc.mlockall(MCL_CURRENT | MCL_FUTURE) != 0:
+    if ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE) != 0:
         refused.append(f"memory cannot be locked ({os.strerror(ctypes.get_errno())}; RLIMIT_MEMLOCK)")
     return tuple(refused)

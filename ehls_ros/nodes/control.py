@@ -19,7 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, load_rig, load_spec
-from ehls_ros.hardware.realtime import claim
+from ehls_ros.hardware.realtime import claim, exact_wake_ups
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.process import end
 from ehls_ros.schema import quantity, text
@@ -35,6 +35,9 @@ DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 WAIT = 0.1
 """Longest time a loop waits before it looks whether it should stop [s]."""
+
+SWITCH_INTERVAL = 1e-4
+"""Time after which a thread hands the interpreter over to one that waits for it [s]."""
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -128,6 +131,7 @@ class ControlNode(LifecycleNode):
         except (BadInput, OSError) as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
+        self.not_permitted = claim(0 if self.lockstep else int(self.get_parameter("priority").value))
         self.configured = True
         return TransitionCallbackReturn.SUCCESS
 
@@ -161,10 +165,14 @@ class ControlNode(LifecycleNode):
 
     def work(self, stopping: threading.Event) -> None:
         """Run the loop whenever the node is active, until told to stop."""
+        exact_wake_ups()
+        # The other thread, once under way, would keep the interpreter for up to 5 ms.
+        sys.setswitchinterval(SWITCH_INTERVAL)
         while not stopping.is_set():
             if not self._active.wait(WAIT):
                 continue
-            self.not_permitted = claim(0 if self.lockstep else int(self.get_parameter("priority").value))
+            # A collection in the middle of a cycle would be a late answer; the loops make no cyclic garbage.
+            gc.disable()
             self.start()
             while self._active.is_set() and not stopping.is_set():
                 self.once()

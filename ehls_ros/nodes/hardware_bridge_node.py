@@ -106,6 +106,7 @@ class HardwareBridgeNode(PlantNode):
         if self.answered != self.cycle and self.answered >= self.first:
             self.missed += 1
         self._write(self.gate.step(self._time()))
+        self.tell_telemetry()
         if self.cycles and self.cycle - self.first + 1 >= self.cycles:
             self.end_cycles()
 

@@ -123,7 +123,11 @@ class PlantNode(ControlNode):
         self.state.send(stamp_ns, cycle, *signals)
         if self.clock is not None and cycle % CLOCK_CYCLES == 0:
             self.clock.publish(Clock(clock=time_of(stamp_ns)))
-        self.telemetry.tell(cycle * self.period, stamp_ns, signals)
+        self.untold = (cycle * self.period, stamp_ns, signals)
+
+    def tell_telemetry(self) -> None:
+        """Publish telemetry of the cycle, if it is due: once the cycle has been answered, so that it is in nobody's way."""
+        self.telemetry.tell(*self.untold)
 
     def tell_driving(self, driving: bool) -> None:
         """Tell the controllers whether their commands reach the valve, when that changes: a loop that is open winds up."""

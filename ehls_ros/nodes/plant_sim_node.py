@@ -93,6 +93,7 @@ class PlantSimNode(PlantNode):
         if len(self.disturbances) > 10_000:
             self.disturbances = {k: v for k, v in self.disturbances.items() if k > self.cycle}
         self.dense += self.simulator.advance(self._gated(), *row)
+        self.tell_telemetry()
         self.cycle += 1
         if self.cycles and self.cycle >= self.cycles:
             self.end_cycles()

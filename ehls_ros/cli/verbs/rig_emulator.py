@@ -21,7 +21,7 @@ from ehls_ros.hardware.bridge_file import Bridge, bridge_from_mapping
 from ehls_ros.hardware.emulator import Emulator
 from ehls_ros.hardware.emulator_loop import Delays, Run, run_lockstep, run_realtime
 from ehls_ros.hardware.faults import FAULTS
-from ehls_ros.hardware.realtime import claim
+from ehls_ros.hardware.realtime import claim, exact_wake_ups
 from ehls_ros.hardware.target import Target
 from ehls_ros.hardware.truth_log import TruthLog
 from ehls_ros.hardware.wire import BadWire, Impairments, Wire
@@ -124,6 +124,7 @@ def _run(options: Namespace, emulator: Emulator, target: Target, wire: Wire, del
     if options.lockstep:
         run_lockstep(emulator, target, wire, run_of, options.patience)
         return
+    exact_wake_ups()
     for refusal in claim(options.priority):
         print(f"rig emulator: {refusal}", file=sys.stderr)
     run_realtime(emulator, target, wire, run_of, delays)
