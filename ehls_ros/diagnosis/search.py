@@ -8,8 +8,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from ehls_ros.diagnosis.evidence import Evidence, loss, noise_of, sections
-from ehls_ros.diagnosis.fit import Fit, Held, Worker, gauss_newton, held_out, inflation_of, predicted_loss
-from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, bounds, parts
+from ehls_ros.diagnosis.fit import Fit, Held, Worker, gauss_newton, held_out, inflation_of, lines_of, predicted_loss
+from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, at_lines, bounds, parts
 from ehls_ros.diagnosis.stages import Channel
 
 NEEDED = 20.0
@@ -56,6 +56,9 @@ SCREENED_BLOCKS = 8
 
 MOST_CAUSES = 3
 """Most causes that are looked for together."""
+
+LINES = 3
+"""Lines of a residual's spectrum from which periodic disturbances start."""
 
 Item = TypeVar("Item")
 Done = TypeVar("Done")
@@ -187,13 +190,18 @@ def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress
         beam = _distinct(ranked)[:BEAM]
         if count == MOST_CAUSES:
             break
-        begins = [b for member in beam for b in _extensions(evidence, member, screened)]
+        begins = [b for member in beam for b in _extensions(evidence, pool, member, found, screened)]
         level = _fitted(evidence, pool, begins)
         progress("causes together", 0.55 + 0.1 * count)
-    best, rests, rivals = _settled(evidence, pool, best, screened, nothing, inflation)
+    best, rests, rivals = _settled(evidence, pool, best, found, screened, nothing, inflation)
     inflation = _inflation(evidence, [best, *[j for js in rivals for j in js]])
     progress("causes together", 1.0)
     return Searched(best, rests, rivals, tuple(sorted(singles, key=lambda j: -j.score(inflation))), tuple(screened), inflation)
+
+
+def main_channel(evidence: Evidence) -> Channel:
+    """Return the channel in which lines of the spectrum are looked for."""
+    return "force" if "force" in evidence.channels else evidence.channels[0]
 
 
 def _nothing(evidence: Evidence) -> Fit:
@@ -292,18 +300,31 @@ def _distinct(ranked: Sequence[Judged]) -> list[Judged]:
     return out
 
 
-def _extensions(evidence: Evidence, member: Judged, screened: Sequence[Fit]) -> list[Fit]:
+def _extensions(
+    evidence: Evidence, pool: Pool, member: Judged, found: Sequence[Candidate], screened: Sequence[Fit]
+) -> list[Fit]:
     """Return the starts of a hypothesis with one more cause that promise most beyond it."""
-    promises = []
+    promises = dict[tuple[str, int], tuple[float, Fit]]()
     least = max(PROMISING, 0.5 * MENDED * sum(_excess(evidence, member, c) for c in member.held.gain))
-    for other in screened:
-        if other.hypothesis[0].name in member.names:
+    for other in [*screened, *_at_lines(evidence, pool, member, found)]:
+        (cause,) = other.hypothesis
+        if cause.name in member.names:
             continue
         gain, begin = _promise(evidence, member.fit, other)
-        if gain > least:
-            promises.append((gain, begin))
-    promises.sort(key=lambda item: -item[0])
-    return [begin for _, begin in promises[:REFINED]]
+        if gain > max(least, promises[cause.name, cause.number][0] if (cause.name, cause.number) in promises else 0.0):
+            promises[cause.name, cause.number] = (gain, begin)
+    return [begin for _, begin in sorted(promises.values(), key=lambda item: -item[0])[:REFINED]]
+
+
+def _at_lines(evidence: Evidence, pool: Pool, member: Judged, found: Sequence[Candidate]) -> list[Fit]:
+    """Return causes of one frequency where a hypothesis leaves lines in the spectrum: those of what it explains hid them."""
+    if not member.names:
+        return []
+    main = main_channel(evidence)
+    lines = lines_of(member.fit.errors.values[main], evidence.times(main), LINES)
+    begins = [(c, values) for c in at_lines(found, evidence.record, evidence.rig, lines) for values in c.starts]
+    fits = pool.map(lambda worker, begin: worker.start((begin[0],), begin[1]), begins)
+    return [f for f in fits if f.channels and np.any(f.jacobian)]
 
 
 def _promise(evidence: Evidence, fit: Fit, other: Fit) -> tuple[float, Fit]:
@@ -333,15 +354,21 @@ def _promise(evidence: Evidence, fit: Fit, other: Fit) -> tuple[float, Fit]:
 
 
 def _settled(
-    evidence: Evidence, pool: Pool, best: Judged, screened: Sequence[Fit], nothing: Judged, inflation: dict[Channel, float]
+    evidence: Evidence,
+    pool: Pool,
+    best: Judged,
+    found: Sequence[Candidate],
+    screened: Sequence[Fit],
+    nothing: Judged,
+    inflation: dict[Channel, float],
 ) -> tuple[Judged, tuple[Judged, ...], tuple[tuple[Judged, ...], ...]]:
     """Try another cause in the place of each, and do without each, until nothing better is found."""
     rests: list[Judged] = []
     rivals: tuple[tuple[Judged, ...], ...] = ()
     for _ in range(4):
         rests = [_without(evidence, pool, best, index, nothing) for index in range(len(best.hypothesis))]
-        found = [_fitted(evidence, pool, _extensions(evidence, rest, screened)) for rest in rests]
-        rivals = tuple(tuple(sorted(js, key=lambda j: -j.score(inflation))) for js in found)
+        others = [_fitted(evidence, pool, _extensions(evidence, pool, rest, found, screened)) for rest in rests]
+        rivals = tuple(tuple(sorted(js, key=lambda j: -j.score(inflation))) for js in others)
         inflation = _inflation(evidence, [best, *[j for js in rivals for j in js]])
         simple = _simpler(best, rests, rivals, inflation)
         if simple is not None:
