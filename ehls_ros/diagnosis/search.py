@@ -18,6 +18,9 @@ NEEDED = 20.0
 RELEVANT = 5e-4
 """Part of a balance's largest term below which a difference matters to nobody, however sure it is."""
 
+SHOWN = 0.5
+"""Size of a difference, in that of the noise, below which it may be what the noise floor leaves out, however sure it is."""
+
 SURE = 4.5
 """Standard errors that a cause's surest parameter has to be from its neutral value."""
 
@@ -47,6 +50,9 @@ FITTED = 5
 
 MOST_POLISHED, POLISHED = 3, 25
 """Hypotheses of them that are fitted on if their fit has not settled, and the steps they get."""
+
+REACH = 0.9
+"""Part of the best one's gain that a fit which has not settled has to promise to be fitted on."""
 
 REFINED_SINGLES, FITTED_SINGLES = 24, 10
 """Single causes that are tried, and fitted to the end."""
@@ -265,8 +271,22 @@ def _screen(worker: Worker, candidate: Candidate) -> Fit | None:
     return best
 
 
-def _fitted(evidence: Evidence, pool: Pool, begins: Sequence[Fit], keep: int = FITTED) -> list[Judged]:
-    """Fit hypotheses: one step each, and to the end those that are best after it."""
+def _gain(evidence: Evidence, fit: Fit) -> float:
+    return _base_loss(evidence, fit) - fit.loss
+
+
+def _fitted(
+    evidence: Evidence, pool: Pool, begins: Sequence[Fit], keep: int = FITTED, rival: Judged | None = None
+) -> list[Judged]:
+    """Fit hypotheses: one step each, and to the end those that are best after it.
+
+    Args:
+        evidence: the recording beside the model as it was given.
+        pool: the threads.
+        begins: where the fits start.
+        keep: how many are fitted to the end.
+        rival: what they have to come near to be fitted on; the best of themselves where nothing is said.
+    """
 
     def go(worker: Worker, begin: Fit) -> Fit:
         return worker.fit(worker.start(begin.hypothesis, begin.values, begin.steps))
@@ -276,11 +296,15 @@ def _fitted(evidence: Evidence, pool: Pool, begins: Sequence[Fit], keep: int = F
         return Judged(fit, held_out(evidence, fit, worker))
 
     stepped = pool.map(Worker.step, begins) if len(begins) > keep else list(begins)
-    stepped.sort(key=lambda f: f.loss - _base_loss(evidence, f))
+    stepped.sort(key=lambda f: -_gain(evidence, f))
     gone = pool.map(go, stepped[:keep])
-    gone.sort(key=lambda f: f.loss - _base_loss(evidence, f))
-    gone = [f if i < MOST_POLISHED else f._replace(settled=True) for i, f in enumerate(gone)]
-    return pool.map(finish, gone)
+    gone.sort(key=lambda f: -_gain(evidence, f))
+    wanted = REACH * max([_gain(evidence, f) for f in [*gone[:1], *([rival.fit] if rival is not None else [])]], default=0.0)
+
+    def hopeful(fit: Fit) -> bool:
+        return _base_loss(evidence, fit) - predicted_loss(fit) >= wanted
+
+    return pool.map(finish, [f._replace(settled=f.settled or i >= MOST_POLISHED or not hopeful(f)) for i, f in enumerate(gone)])
 
 
 def _inflation(evidence: Evidence, judged: Sequence[Judged]) -> dict[Channel, float]:
@@ -318,9 +342,9 @@ def _extensions(
 
 def _at_lines(evidence: Evidence, pool: Pool, member: Judged, found: Sequence[Candidate]) -> list[Fit]:
     """Return causes of one frequency where a hypothesis leaves lines in the spectrum: those of what it explains hid them."""
-    if not member.names:
-        return []
     main = main_channel(evidence)
+    if not member.names or _excess(evidence, member, main) < PROMISING:
+        return []
     lines = lines_of(member.fit.errors.values[main], evidence.times(main), LINES)
     begins = [(c, values) for c in at_lines(found, evidence.record, evidence.rig, lines) for values in c.starts]
     fits = pool.map(lambda worker, begin: worker.start((begin[0],), begin[1]), begins)
@@ -365,9 +389,18 @@ def _settled(
     """Try another cause in the place of each, and do without each, until nothing better is found."""
     rests: list[Judged] = []
     rivals: tuple[tuple[Judged, ...], ...] = ()
+    # What is left when one cause goes is the same for whatever had taken its place.
+    known = dict[frozenset[tuple[str, int]], tuple[Judged, list[Judged]]]()
     for _ in range(4):
-        rests = [_without(evidence, pool, best, index, nothing) for index in range(len(best.hypothesis))]
-        others = [_fitted(evidence, pool, _extensions(evidence, pool, rest, found, screened)) for rest in rests]
+        rests, others = [], list[list[Judged]]()
+        for index in range(len(best.hypothesis)):
+            key = frozenset((c.name, c.number) for i, c in enumerate(best.hypothesis) if i != index)
+            if key not in known:
+                rest = _without(evidence, pool, best, index, nothing)
+                begins = _extensions(evidence, pool, rest, found, screened)
+                known[key] = (rest, _fitted(evidence, pool, begins, rival=best))
+            rests.append(known[key][0])
+            others.append(known[key][1])
         rivals = tuple(tuple(sorted(js, key=lambda j: -j.score(inflation))) for js in others)
         inflation = _inflation(evidence, [best, *[j for js in rivals for j in js]])
         simple = _simpler(best, rests, rivals, inflation)
@@ -403,6 +436,8 @@ def _needed(evidence: Evidence, more: Judged, less: Judged, inflation: dict[Chan
     further = any(c in less.fit.channels for c in more.fit.channels if _differ(evidence, more, less, c))
     if gain < NEEDED or relevance(evidence, more, less) < (MATTERS if further else RELEVANT):
         return False
+    if not further and not shows(evidence, more, less):
+        return False
     # A cause that mends little of what is left beside it mends the form of another, not the model.
     left = sum(_excess(evidence, more, c) / inflation[c] for c in more.held.gain)
     # What averages the noise away more than it explains is an average, and no cause.
@@ -435,6 +470,12 @@ def relevance(evidence: Evidence, more: Judged, less: Judged) -> float:
         # What acts seldom has a small mean; where it acts it counts.
         largest = max(largest, float(np.sqrt(np.mean(apart**2))) / size, float(np.quantile(apart, 0.99)) / 5.0 / size)
     return largest
+
+
+def shows(evidence: Evidence, more: Judged, less: Judged) -> bool:
+    """Tell whether two hypotheses differ by a size that stands beside the noise's."""
+    apart = (more.fit.errors.values[c] - less.fit.errors.values[c] for c in evidence.channels)
+    return any(float(np.sqrt(np.mean(a * a))) >= SHOWN for a in apart)
 
 
 def _without(evidence: Evidence, pool: Pool, best: Judged, index: int, nothing: Judged) -> Judged:

@@ -19,7 +19,7 @@ from ehls_ros.physics.effects import EFFECTS
 EQUAL, EQUAL_PART = 4.0, 2e-2
 """How much less than the best another cause may gain and still be as good: [nats], and as a part of the best's gain."""
 
-CLOSED = 0.9
+CLOSED = 0.95
 """Part of the removable error that a named cause has to close; what closes less is named by nobody."""
 
 LITTLE = 1.5
@@ -101,20 +101,28 @@ def left(evidence: Evidence, best: Judged, channel: Channel) -> Left:
 
 
 def patched(evidence: Evidence, found: Searched) -> frozenset[Channel]:
-    """Return the channels in which a cause closes too little of what the others leave.
+    """Return the channels in which something is left and a cause closes too little, or is fitted as far as its range goes.
 
-    What is really there closes nearly all of it. An effect that is not on the list is imitated by several that are, of which
-    each mends a part of what the one before has left.
+    What is really there closes nearly all of what the others leave. An effect that is not on the list is imitated by several
+    that are, of which each mends a part of what the one before has left, or by one that is bent beyond what it stands for.
     """
     out = set[Channel]()
     best = found.best.held.errors.values
-    for rest in found.rests:
+    for index, rest in enumerate(found.rests):
         without = {c: _power(rest.held.errors.values[c]) for c in evidence.channels}
         main = max(evidence.channels, key=lambda c: (without[c] - _power(best[c])) * len(best[c]))
         own, after = _own(evidence, main), _power(best[main])
-        if after >= LITTLE * own and without[main] - after < CLOSED * (without[main] - own):
+        little = without[main] - after < CLOSED * (without[main] - own)
+        if after >= LITTLE * own and (little or _at_an_end(found.best, index)):
             out.add(main)
     return frozenset(out)
+
+
+def _at_an_end(judged: Judged, index: int) -> bool:
+    """Tell whether a cause's fit ended at the end of a parameter's range; zero and neutral are no such ends."""
+    candidate, values = judged.hypothesis[index], judged.fit.values[parts(judged.hypothesis)[index]]
+    ends = ((values <= candidate.lower) | (values >= candidate.upper)) & (values != 0.0) & (values != candidate.neutral)
+    return bool(np.any(ends))
 
 
 def _own(evidence: Evidence, channel: Channel) -> float:
