@@ -9,7 +9,7 @@ from ehls_ros.diagnosis.fit import lines_of
 from ehls_ros.diagnosis.hypotheses import candidates, extended
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis, StageResult, Verdict
-from ehls_ros.diagnosis.search import Judged, Progress, search
+from ehls_ros.diagnosis.search import LINES, Judged, Progress, main_channel, search
 from ehls_ros.diagnosis.stages import STAGES, UNITS, Channel, Comparison, Stage, setup
 from ehls_ros.diagnosis.structure import signals_of, structure
 from ehls_ros.diagnosis.verdict import CLOSED, KEY, Left, causes, excited, gain, sensitivities, stage_left
@@ -31,9 +31,6 @@ WANTED: Mapping[Stage, str] = {
     "sensors": "the signals have to change by many times their noise",
 }
 """What the data have to do to tell something of a stage."""
-
-LINES = 3
-"""Lines of the residual's spectrum from which periodic disturbances start."""
 
 
 def diagnose(
@@ -70,7 +67,7 @@ def diagnose(
     evidence = Evidence(record, rig, used, seed)
     if not evidence.channels:
         return _nothing(record, rig, seed, began)
-    main: Channel = "force" if "force" in evidence.channels else evidence.channels[0]
+    main = main_channel(evidence)
     lines = lines_of(evidence.base.values[main], evidence.times(main), LINES)
     tried, not_judged = candidates(record, rig, lines)
     found = search(evidence, tried, threads or os.cpu_count() or 1, progress)
@@ -78,7 +75,7 @@ def diagnose(
     sizes = sensitivities(evidence, found.screened)
     comparison = evidence.comparison()
     model = extended(rig, best.hypothesis, best.fit.values)
-    lefts = {stage: stage_left(evidence, best, stage) for stage in STAGES}
+    lefts = {stage: stage_left(evidence, found, stage) for stage in STAGES}
     stages = {
         stage: _stage(evidence, comparison, model, best, stage, lefts[stage], excited(evidence, sizes, stage))
         for stage in STAGES

@@ -104,6 +104,25 @@ def candidates(record: Record, rig: Rig, lines: Sequence[float]) -> tuple[list[C
     return found, out
 
 
+def at_lines(found: Sequence[Candidate], record: Record, rig: Rig, lines: Sequence[float]) -> list[Candidate]:
+    """Return the candidates whose fits start at lines of a spectrum, with starts at other lines.
+
+    Args:
+        found: of :func:`candidates`.
+        record: the recording.
+        rig: the model as it was given.
+        lines: frequencies of the strongest lines in the spectrum of what is left [Hz].
+    """
+    out = []
+    for candidate in found:
+        form = EFFECTS.load(candidate.name).forms(rig)[candidate.number]
+        rows = {i for starts in form.free.values() for i, start in enumerate(starts) if isinstance(start, Peak)}
+        if rows and lines:
+            free = {p: tuple(s for i, s in enumerate(starts) if i in rows) for p, starts in form.free.items()}
+            out.append(_candidate(candidate.name, candidate.number, form._replace(free=free), record, lines))
+    return out
+
+
 @cache
 def _declared(name: str) -> dict[str, Declaration]:
     return {d.name: d for d in declarations(EFFECTS.load(name).Parameters)}

@@ -140,14 +140,15 @@ def _source(part: str, friction_model: str, elements: int) -> str:
 _HEAD = '''"""Part of the model along a recording, generated."""
 import numpy as np
 from numba import njit
-from ehls_ros.physics import integration, plant as model
+from ehls_ros.physics import plant as model
 from ehls_ros.physics.beam import applied_force
 from ehls_ros.physics.friction.base import stribeck_level
 from ehls_ros.physics.plant import X, V, PL, XV, FRICTION, U, FD, FD_RATE, XD, VD, TEMPERATURE, START, PERIOD, INPUTS
 from ehls_ros.physics.valve import load_flow, spool_rate
 {imports}
 
-plain = njit(error_model="numpy")
+# They allocate nothing: counting who holds a view of an array would cost ten times what they do.
+plain = njit(error_model="numpy", _nrt=False)
 
 
 {hooks}
@@ -161,8 +162,11 @@ def jump(t, w, p, on):
 
 @plain
 def effect_rates(value, t, y, w, z, p, plant, on, dz):
-    dz[:] = 0.0
+    """Write the rates of the effects' own states; return the command as the last effect leaves it."""
+    for i in range(dz.size):
+        dz[i] = 0.0
 {rates}
+    return value
 
 
 @plain
@@ -191,11 +195,6 @@ def slopes(k, m, period, rate):
     rate[PL] = (m.pressure[after] - m.pressure[k]) / period
     rate[XV] = (m.spool[after] - m.spool[k]) / period
 
-
-@plain
-def nothing(t, y, mode, c):
-    pass
-
 '''
 
 
@@ -222,24 +221,34 @@ def remember(k, m, period, steps, w, slope, p, plant, on, y, rates, stage):
 
 _SPOOL = """
 @plain
-def evaluate(t, y, mode, c, rate):
-    \"\"\"Write the rates of the measured state, of the spool and of the effects' own; no events.\"\"\"
-    w, slope, p, plant, on, arrived = c
-    z = y[FRICTION:]
-    rate[:FRICTION] = slope
-    rate[XV] = spool_rate(y[XV], command(arrived, t, y, w, z, p, plant, on), plant)  # (4)
-    effect_rates(arrived, t, y, w, z, p, plant, on, rate[FRICTION:])
-    return -1.0
-
-
-go = integration.integrator(evaluate, nothing, size=FRICTION + {states}, most_events=0)
+def follow(arrived, t, step, y, z, w, slope, p, plant, on, stage, own, rate, summed):
+    \"\"\"Move the spool and the effects' own states by a Runge-Kutta step, the measured state straight on.\"\"\"
+    spool, moved = y[XV], 0.0
+    for i in range({states}):
+        summed[i] = 0.0
+    total = 0.0
+    for turn in range(4):
+        ahead = 0.0 if turn == 0 else (step if turn == 3 else 0.5 * step)
+        stage[X], stage[V], stage[PL] = y[X] + ahead * slope[X], y[V] + ahead * slope[V], y[PL] + ahead * slope[PL]
+        stage[XV] = spool + ahead * moved
+        for i in range({states}):
+            own[i] = z[i] + ahead * rate[i] if turn else z[i]
+        moved = spool_rate(stage[XV], effect_rates(arrived, t + ahead, stage, w, own, p, plant, on, rate), plant)  # (4)
+        share = 1.0 if turn == 0 or turn == 3 else 2.0
+        total += share * moved
+        for i in range({states}):
+            summed[i] += share * rate[i]
+    y[X], y[V], y[PL] = y[X] + step * slope[X], y[V] + step * slope[V], y[PL] + step * slope[PL]
+    y[XV] = spool + step / 6.0 * total
+    for i in range({states}):
+        z[i] += step / 6.0 * summed[i]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def run(m, fresh, period, steps, history, plant, friction, p, on, out):
     \"\"\"Without steps, commands stand still between their jumps and (4) is followed exactly.\"\"\"
-    y, mode, w = np.zeros(FRICTION + {states}), np.zeros(1), np.zeros(INPUTS + history)
-    slope, work = np.zeros(FRICTION), np.zeros((integration.WORK_ROWS, y.size))
+    y, z, w, slope = np.zeros(FRICTION), np.zeros({states}), np.zeros(INPUTS + history), np.zeros(FRICTION)
+    stage, own, rate, summed = np.zeros(FRICTION), np.zeros({states}), np.zeros({states}), np.zeros({states})
     whole = np.exp(-plant.valve_bandwidth * period)
     for k in range(m.time.size):
         spool = y[XV]
@@ -247,7 +256,7 @@ def run(m, fresh, period, steps, history, plant, friction, p, on, out):
         y[XV] = spool
         if fresh[k]:
             measured(k, m, y)
-            y[FRICTION:] = 0.0
+            z[:] = 0.0
         out[k, 0] = y[XV]
         inputs(k, m, period, w)
         slopes(k, m, period, slope)
@@ -255,14 +264,16 @@ def run(m, fresh, period, steps, history, plant, friction, p, on, out):
         while last - now > tolerance:
             until = min(jump(now + tolerance, w, p, on), last) if history else last
             # Asked amid the piece, where no rounding can take it past a jump.
-            arrived = received(w[U], 0.5 * (now + until), y, w, y[FRICTION:], p, plant, on) if history else w[U]
+            arrived = received(w[U], 0.5 * (now + until), y, w, z, p, plant, on) if history else w[U]
             if steps == 0:
-                held = plant.valve_gain * command(arrived, now, y, w, y[FRICTION:], p, plant, on)
+                held = plant.valve_gain * command(arrived, now, y, w, z, p, plant, on)
                 left = whole if until - now == period else np.exp(-plant.valve_bandwidth * (until - now))
                 y[XV] = held + (y[XV] - held) * left  # (4)
             else:
                 pieces = max(1, int(np.ceil((until - now) / period * steps - 1e-6)))
-                go(now, y, mode, (w, slope, p, plant, on, arrived), (until - now) / pieces, pieces, work)
+                step = (until - now) / pieces
+                for piece in range(pieces):
+                    follow(arrived, now + piece * step, step, y, z, w, slope, p, plant, on, stage, own, rate, summed)
             now = until
 """
 

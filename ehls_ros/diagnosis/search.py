@@ -8,8 +8,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from ehls_ros.diagnosis.evidence import Evidence, loss, noise_of, sections
-from ehls_ros.diagnosis.fit import Fit, Held, Worker, gauss_newton, held_out, inflation_of, predicted_loss
-from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, bounds, parts
+from ehls_ros.diagnosis.fit import Fit, Held, Worker, gauss_newton, held_out, inflation_of, lines_of, predicted_loss
+from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, at_lines, bounds, parts
 from ehls_ros.diagnosis.stages import Channel
 
 NEEDED = 20.0
@@ -17,6 +17,9 @@ NEEDED = 20.0
 
 RELEVANT = 5e-4
 """Part of a balance's largest term below which a difference matters to nobody, however sure it is."""
+
+SHOWN = 0.5
+"""Size of a difference, in that of the noise, below which it may be what the noise floor leaves out, however sure it is."""
 
 SURE = 4.5
 """Standard errors that a cause's surest parameter has to be from its neutral value."""
@@ -48,6 +51,9 @@ FITTED = 5
 MOST_POLISHED, POLISHED = 3, 25
 """Hypotheses of them that are fitted on if their fit has not settled, and the steps they get."""
 
+REACH = 0.9
+"""Part of the best one's gain that a fit which has not settled has to promise to be fitted on."""
+
 REFINED_SINGLES, FITTED_SINGLES = 24, 10
 """Single causes that are tried, and fitted to the end."""
 
@@ -56,6 +62,9 @@ SCREENED_BLOCKS = 8
 
 MOST_CAUSES = 3
 """Most causes that are looked for together."""
+
+LINES = 3
+"""Lines of a residual's spectrum from which periodic disturbances start."""
 
 Item = TypeVar("Item")
 Done = TypeVar("Done")
@@ -187,13 +196,18 @@ def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress
         beam = _distinct(ranked)[:BEAM]
         if count == MOST_CAUSES:
             break
-        begins = [b for member in beam for b in _extensions(evidence, member, screened)]
+        begins = [b for member in beam for b in _extensions(evidence, pool, member, found, screened)]
         level = _fitted(evidence, pool, begins)
         progress("causes together", 0.55 + 0.1 * count)
-    best, rests, rivals = _settled(evidence, pool, best, screened, nothing, inflation)
+    best, rests, rivals = _settled(evidence, pool, best, found, screened, nothing, inflation)
     inflation = _inflation(evidence, [best, *[j for js in rivals for j in js]])
     progress("causes together", 1.0)
     return Searched(best, rests, rivals, tuple(sorted(singles, key=lambda j: -j.score(inflation))), tuple(screened), inflation)
+
+
+def main_channel(evidence: Evidence) -> Channel:
+    """Return the channel in which lines of the spectrum are looked for."""
+    return "force" if "force" in evidence.channels else evidence.channels[0]
 
 
 def _nothing(evidence: Evidence) -> Fit:
@@ -257,8 +271,22 @@ def _screen(worker: Worker, candidate: Candidate) -> Fit | None:
     return best
 
 
-def _fitted(evidence: Evidence, pool: Pool, begins: Sequence[Fit], keep: int = FITTED) -> list[Judged]:
-    """Fit hypotheses: one step each, and to the end those that are best after it."""
+def _gain(evidence: Evidence, fit: Fit) -> float:
+    return _base_loss(evidence, fit) - fit.loss
+
+
+def _fitted(
+    evidence: Evidence, pool: Pool, begins: Sequence[Fit], keep: int = FITTED, rival: Judged | None = None
+) -> list[Judged]:
+    """Fit hypotheses: one step each, and to the end those that are best after it.
+
+    Args:
+        evidence: the recording beside the model as it was given.
+        pool: the threads.
+        begins: where the fits start.
+        keep: how many are fitted to the end.
+        rival: what they have to come near to be fitted on; the best of themselves where nothing is said.
+    """
 
     def go(worker: Worker, begin: Fit) -> Fit:
         return worker.fit(worker.start(begin.hypothesis, begin.values, begin.steps))
@@ -268,11 +296,15 @@ def _fitted(evidence: Evidence, pool: Pool, begins: Sequence[Fit], keep: int = F
         return Judged(fit, held_out(evidence, fit, worker))
 
     stepped = pool.map(Worker.step, begins) if len(begins) > keep else list(begins)
-    stepped.sort(key=lambda f: f.loss - _base_loss(evidence, f))
+    stepped.sort(key=lambda f: -_gain(evidence, f))
     gone = pool.map(go, stepped[:keep])
-    gone.sort(key=lambda f: f.loss - _base_loss(evidence, f))
-    gone = [f if i < MOST_POLISHED else f._replace(settled=True) for i, f in enumerate(gone)]
-    return pool.map(finish, gone)
+    gone.sort(key=lambda f: -_gain(evidence, f))
+    wanted = REACH * max([_gain(evidence, f) for f in [*gone[:1], *([rival.fit] if rival is not None else [])]], default=0.0)
+
+    def hopeful(fit: Fit) -> bool:
+        return _base_loss(evidence, fit) - predicted_loss(fit) >= wanted
+
+    return pool.map(finish, [f._replace(settled=f.settled or i >= MOST_POLISHED or not hopeful(f)) for i, f in enumerate(gone)])
 
 
 def _inflation(evidence: Evidence, judged: Sequence[Judged]) -> dict[Channel, float]:
@@ -292,18 +324,31 @@ def _distinct(ranked: Sequence[Judged]) -> list[Judged]:
     return out
 
 
-def _extensions(evidence: Evidence, member: Judged, screened: Sequence[Fit]) -> list[Fit]:
+def _extensions(
+    evidence: Evidence, pool: Pool, member: Judged, found: Sequence[Candidate], screened: Sequence[Fit]
+) -> list[Fit]:
     """Return the starts of a hypothesis with one more cause that promise most beyond it."""
-    promises = []
+    promises = dict[tuple[str, int], tuple[float, Fit]]()
     least = max(PROMISING, 0.5 * MENDED * sum(_excess(evidence, member, c) for c in member.held.gain))
-    for other in screened:
-        if other.hypothesis[0].name in member.names:
+    for other in [*screened, *_at_lines(evidence, pool, member, found)]:
+        (cause,) = other.hypothesis
+        if cause.name in member.names:
             continue
         gain, begin = _promise(evidence, member.fit, other)
-        if gain > least:
-            promises.append((gain, begin))
-    promises.sort(key=lambda item: -item[0])
-    return [begin for _, begin in promises[:REFINED]]
+        if gain > max(least, promises[cause.name, cause.number][0] if (cause.name, cause.number) in promises else 0.0):
+            promises[cause.name, cause.number] = (gain, begin)
+    return [begin for _, begin in sorted(promises.values(), key=lambda item: -item[0])[:REFINED]]
+
+
+def _at_lines(evidence: Evidence, pool: Pool, member: Judged, found: Sequence[Candidate]) -> list[Fit]:
+    """Return causes of one frequency where a hypothesis leaves lines in the spectrum: those of what it explains hid them."""
+    main = main_channel(evidence)
+    if not member.names or _excess(evidence, member, main) < PROMISING:
+        return []
+    lines = lines_of(member.fit.errors.values[main], evidence.times(main), LINES)
+    begins = [(c, values) for c in at_lines(found, evidence.record, evidence.rig, lines) for values in c.starts]
+    fits = pool.map(lambda worker, begin: worker.start((begin[0],), begin[1]), begins)
+    return [f for f in fits if f.channels and np.any(f.jacobian)]
 
 
 def _promise(evidence: Evidence, fit: Fit, other: Fit) -> tuple[float, Fit]:
@@ -333,15 +378,30 @@ def _promise(evidence: Evidence, fit: Fit, other: Fit) -> tuple[float, Fit]:
 
 
 def _settled(
-    evidence: Evidence, pool: Pool, best: Judged, screened: Sequence[Fit], nothing: Judged, inflation: dict[Channel, float]
+    evidence: Evidence,
+    pool: Pool,
+    best: Judged,
+    found: Sequence[Candidate],
+    screened: Sequence[Fit],
+    nothing: Judged,
+    inflation: dict[Channel, float],
 ) -> tuple[Judged, tuple[Judged, ...], tuple[tuple[Judged, ...], ...]]:
     """Try another cause in the place of each, and do without each, until nothing better is found."""
     rests: list[Judged] = []
     rivals: tuple[tuple[Judged, ...], ...] = ()
+    # What is left when one cause goes is the same for whatever had taken its place.
+    known = dict[frozenset[tuple[str, int]], tuple[Judged, list[Judged]]]()
     for _ in range(4):
-        rests = [_without(evidence, pool, best, index, nothing) for index in range(len(best.hypothesis))]
-        found = [_fitted(evidence, pool, _extensions(evidence, rest, screened)) for rest in rests]
-        rivals = tuple(tuple(sorted(js, key=lambda j: -j.score(inflation))) for js in found)
+        rests, others = [], list[list[Judged]]()
+        for index in range(len(best.hypothesis)):
+            key = frozenset((c.name, c.number) for i, c in enumerate(best.hypothesis) if i != index)
+            if key not in known:
+                rest = _without(evidence, pool, best, index, nothing)
+                begins = _extensions(evidence, pool, rest, found, screened)
+                known[key] = (rest, _fitted(evidence, pool, begins, rival=best))
+            rests.append(known[key][0])
+            others.append(known[key][1])
+        rivals = tuple(tuple(sorted(js, key=lambda j: -j.score(inflation))) for js in others)
         inflation = _inflation(evidence, [best, *[j for js in rivals for j in js]])
         simple = _simpler(best, rests, rivals, inflation)
         if simple is not None:
@@ -376,6 +436,8 @@ def _needed(evidence: Evidence, more: Judged, less: Judged, inflation: dict[Chan
     further = any(c in less.fit.channels for c in more.fit.channels if _differ(evidence, more, less, c))
     if gain < NEEDED or relevance(evidence, more, less) < (MATTERS if further else RELEVANT):
         return False
+    if not further and not shows(evidence, more, less):
+        return False
     # A cause that mends little of what is left beside it mends the form of another, not the model.
     left = sum(_excess(evidence, more, c) / inflation[c] for c in more.held.gain)
     # What averages the noise away more than it explains is an average, and no cause.
@@ -408,6 +470,12 @@ def relevance(evidence: Evidence, more: Judged, less: Judged) -> float:
         # What acts seldom has a small mean; where it acts it counts.
         largest = max(largest, float(np.sqrt(np.mean(apart**2))) / size, float(np.quantile(apart, 0.99)) / 5.0 / size)
     return largest
+
+
+def shows(evidence: Evidence, more: Judged, less: Judged) -> bool:
+    """Tell whether two hypotheses differ by a size that stands beside the noise's."""
+    apart = (more.fit.errors.values[c] - less.fit.errors.values[c] for c in evidence.channels)
+    return any(float(np.sqrt(np.mean(a * a))) >= SHOWN for a in apart)
 
 
 def _without(evidence: Evidence, pool: Pool, best: Judged, index: int, nothing: Judged) -> Judged:

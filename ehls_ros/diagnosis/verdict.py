@@ -19,7 +19,7 @@ from ehls_ros.physics.effects import EFFECTS
 EQUAL, EQUAL_PART = 4.0, 2e-2
 """How much less than the best another cause may gain and still be as good: [nats], and as a part of the best's gain."""
 
-CLOSED = 0.9
+CLOSED = 0.95
 """Part of the removable error that a named cause has to close; what closes less is named by nobody."""
 
 LITTLE = 1.5
@@ -70,7 +70,8 @@ class Left(NamedTuple):
         closed: part of the removable power that is gone; 1 where there was none.
         exceeded: whether there was more than noise, by enough to matter.
         remains: whether there still is.
-        mended: whether a cause acts in the channel and leaves it no more than noise, or closes most of it.
+        mended: whether the causes that act in the channel leave it no more than noise, or close most of it, each of them most
+            of what the others leave.
     """
 
     before: float
@@ -84,12 +85,8 @@ class Left(NamedTuple):
 
 def left(evidence: Evidence, best: Judged, channel: Channel) -> Left:
     """Tell what is left of a channel's residual."""
-    noise = evidence.noisy_base.values[channel] - evidence.base.values[channel]
-    own, before, after = (
-        max(_power(noise), FLOOR),
-        _power(evidence.base.values[channel]),
-        _power(best.held.errors.values[channel]),
-    )
+    own = _own(evidence, channel)
+    before, after = _power(evidence.base.values[channel]), _power(best.held.errors.values[channel])
     removable = before - own
     closed = (before - after) / removable if removable > 0.0 else 1.0
     return Left(
@@ -101,6 +98,36 @@ def left(evidence: Evidence, best: Judged, channel: Channel) -> Left:
         _more_than_noise(evidence, channel, best.held.errors.values[channel], own),
         channel not in best.held.gain or before < LITTLE * own or closed >= CLOSED or after < LITTLE * own,
     )
+
+
+def patched(evidence: Evidence, found: Searched) -> frozenset[Channel]:
+    """Return the channels in which something is left and a cause closes too little, or is fitted as far as its range goes.
+
+    What is really there closes nearly all of what the others leave. An effect that is not on the list is imitated by several
+    that are, of which each mends a part of what the one before has left, or by one that is bent beyond what it stands for.
+    """
+    out = set[Channel]()
+    best = found.best.held.errors.values
+    for index, rest in enumerate(found.rests):
+        without = {c: _power(rest.held.errors.values[c]) for c in evidence.channels}
+        main = max(evidence.channels, key=lambda c: (without[c] - _power(best[c])) * len(best[c]))
+        own, after = _own(evidence, main), _power(best[main])
+        little = without[main] - after < CLOSED * (without[main] - own)
+        if after >= LITTLE * own and (little or _at_an_end(found.best, index)):
+            out.add(main)
+    return frozenset(out)
+
+
+def _at_an_end(judged: Judged, index: int) -> bool:
+    """Tell whether a cause's fit ended at the end of a parameter's range; zero and neutral are no such ends."""
+    candidate, values = judged.hypothesis[index], judged.fit.values[parts(judged.hypothesis)[index]]
+    ends = ((values <= candidate.lower) | (values >= candidate.upper)) & (values != 0.0) & (values != candidate.neutral)
+    return bool(np.any(ends))
+
+
+def _own(evidence: Evidence, channel: Channel) -> float:
+    """Return the power of what noise makes of a channel's whitened residual."""
+    return max(_power(noise_of(evidence, channel)), FLOOR)
 
 
 def _power(e: Array) -> float:
@@ -275,6 +302,8 @@ def excited(evidence: Evidence, found: Sequence[Sensitivity], stage: Stage) -> b
     return any(s.smallest < TELLING * nominal for s in found if (s.name, s.parameter) == (name, parameter))
 
 
-def stage_left(evidence: Evidence, best: Judged, stage: Stage) -> dict[Channel, Left]:
+def stage_left(evidence: Evidence, found: Searched, stage: Stage) -> dict[Channel, Left]:
     """Return what is left in each channel of a stage."""
-    return {c: left(evidence, best, c) for c in evidence.channels if CHANNELS[c] == stage}
+    lefts = {c: left(evidence, found.best, c) for c in evidence.channels if CHANNELS[c] == stage}
+    amiss = patched(evidence, found)
+    return {c: item._replace(mended=item.mended and c not in amiss) for c, item in lefts.items()}

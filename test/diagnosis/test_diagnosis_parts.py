@@ -12,9 +12,9 @@ from ehls_ros.diagnosis import record as records
 from ehls_ros.diagnosis import verdict
 from ehls_ros.diagnosis.evidence import Errors, Evidence, loss, weights
 from ehls_ros.diagnosis.fit import Fit, Worker, held_out, lines_of
-from ehls_ros.diagnosis.hypotheses import candidates, extended
+from ehls_ros.diagnosis.hypotheses import at_lines, candidates, extended
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.search import RELEVANT, Judged, Searched
+from ehls_ros.diagnosis.search import RELEVANT, SHOWN, Judged, Searched, shows
 from ehls_ros.diagnosis.stages import CHANNELS, Comparison, setup
 from ehls_ros.diagnosis.windows import smooth_window
 from ehls_ros.errors import BadInput
@@ -507,6 +507,15 @@ def test_what_the_data_do_not_hold_is_not_asked_about(noisy, rig):
     assert "coulomb_shift" not in {c.name for c in found}
 
 
+def test_only_what_starts_at_lines_is_asked_about_at_other_lines(noisy, rig):
+    found, _ = candidates(noisy, rig, [11.0, 12.0, 13.0])
+    again = at_lines(found, noisy, rig, [3.5, 7.5, 0.5])
+    assert {c.name for c in again} == {"periodic_disturbance", "flexible_mode"}
+    for c in again:
+        assert set(c.starts[:, c.free.index("frequency")]) == {3.5, 7.5}
+    assert at_lines(found, noisy, rig, []) == []
+
+
 # ------------------------------------------------------------------------------------------------------------- verdict
 
 
@@ -593,3 +602,40 @@ def test_what_is_left_is_told_from_noise(noisy, rig):
     assert still.exceeded
     assert still.remains
     assert still.closed == pytest.approx(0.0, abs=1e-9)
+
+
+def two_causes(noisy, rig, closes, values=(3.0, 3.0)):
+    """Return data, and a search's two causes, of which the second closes a part of the amplitude that the first leaves."""
+    rng = np.random.default_rng(6)
+    n = 2000
+    noise, second = rng.standard_normal(n), 4.0 * rng.standard_normal(n)
+    base = noise + second + 40.0 * rng.standard_normal(n)
+    data = SimpleNamespace(
+        base=Errors({"force": base}), noisy_base=Errors({"force": base + rng.standard_normal(n)}), channels=("force",)
+    )
+    found, _ = candidates(noisy, rig, [])
+    hypothesis = tuple(next(c for c in found if c.name == name) for name in ("stribeck_shift", "pressure_sensor_lag"))
+
+    def left(e):
+        errors = Errors({"force": e})
+        fit = SimpleNamespace(hypothesis=hypothesis, values=np.array(values), errors=errors)
+        return Judged(fit, SimpleNamespace(errors=errors))
+
+    without_first, without_second = left(base - closes * second), left(noise + second)
+    best = left(noise + (1.0 - closes) * second)
+    return data, Searched(best, (without_first, without_second), ((), ()), (), (), {"force": 1.0})
+
+
+@pytest.mark.parametrize(("closes", "believed"), [(1.0, True), (0.85, True), (0.6, False)])
+def test_a_cause_has_to_close_most_of_what_the_others_leave(noisy, rig, closes, believed):
+    data, found = two_causes(noisy, rig, closes)
+    # Together they close more than 99 % either way.
+    assert verdict.patched(data, found) == (frozenset() if believed else {"force"})
+
+
+def test_a_difference_below_the_noise_is_not_shown(noisy, rig):
+    data, found = two_causes(noisy, rig, 1.0)
+    best = found.best.fit.errors.values["force"]
+    for size, shown in ((0.9 * SHOWN, False), (1.1 * SHOWN, True)):
+        fit = SimpleNamespace(errors=Errors({"force": best + size}))
+        assert shows(data, Judged(fit, None), found.best) is shown

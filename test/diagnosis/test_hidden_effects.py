@@ -40,11 +40,19 @@ PAIRS = {
         "mass_shift": ({"factor": 1.4}, {"factor": (1.4, 1.0)}),
         "internal_leakage_shift": ({"factor": 4.0}, {"added": (3.0 * 4.7e-12, 0.0)}),
     },
+    # Whose line does not stand out of the spectrum before the friction is right.
+    "large friction and a weak wave": {
+        "coulomb_shift": ({"offset": 250.0}, {"offset": (250.0, 0.0)}),
+        "periodic_disturbance": ({"amplitude": 40.0, "frequency": 2.0, "phase": 3.0}, {"frequency": (2.0, 0.0)}),
+    },
 }
 STRANGE = {
     "squared_crosstalk": {"coefficient": 1e-4},
     "spool_slew_limit": {"rate": 1e-3},
     "pressure_sensor_hysteresis": {"half_width": 1.5e5},
+    # Imitated to more than nine tenths, by a dead zone and a gain, and by an overdamped mass.
+    "laminar_orifice": {"opening": 6e-5},
+    "inertial_friction": {"force": 280.0, "acceleration": 0.7},
 }
 
 
@@ -84,7 +92,7 @@ def test_a_single_effect_is_named_and_measured(name, recorded, diagnosed):
 
 
 @pytest.mark.parametrize("pair", PAIRS)
-def test_two_effects_in_different_stages_are_named(pair, recorded, diagnosed):
+def test_two_effects_are_named(pair, recorded, diagnosed):
     hidden = {name: sizes for name, (sizes, _) in PAIRS[pair].items()}
     d = diagnosed(recorded(hidden, "rich", seed=102, duration=DURATION))
     assert d.verdict == "effect", told(d)
