@@ -19,10 +19,10 @@ from ehls_ros.nodes.graph import (
     SIMULATED,
     UP_TIME,
     Running,
-    _last_line,
-    _parameters,
-    _processes,
     graph_environment,
+    last_line,
+    node_parameters,
+    node_processes,
     share_processors,
 )
 
@@ -58,7 +58,7 @@ class DashboardGraph(Link):
 
     def activity(self) -> str:
         """Say in a sentence what was started here: nodes, recording, files."""
-        dead = [f"{node.name} ended: {_last_line(node.log)}" for node in self._nodes.dead() + self._recorder.dead()]
+        dead = [f"{node.name} ended: {last_line(node.log)}" for node in self._nodes.dead() + self._recorder.dead()]
         parts = [self._doing, *dead, self._nodes.says, self._recorder.says]
         return " ".join(part for part in parts if part)
 
@@ -72,7 +72,7 @@ class DashboardGraph(Link):
                 folder.logs.mkdir()
             except (BadInput, OSError) as error:
                 return Answer(done=False, message=str(error))
-            parameters = _parameters(spec, SIMULATED, folder, REALTIME, STORAGE)
+            parameters = node_parameters(spec, SIMULATED, folder, REALTIME, STORAGE)
             del parameters[RECORDER]
             parameters[SIMULATED.node]["cycles"] = 0
             self._nodes.begin(parameters, folder)
@@ -128,9 +128,9 @@ class DashboardGraph(Link):
                 self._doing = f"{node.name}: {verb} …"
                 answer = self.change_state(node.name, transition, deadline - time.monotonic())
                 if dead := self._nodes.dead():
-                    return f"{dead[0].name} ended: {_last_line(dead[0].log)}"
+                    return f"{dead[0].name} ended: {last_line(dead[0].log)}"
                 if not answer.done:
-                    return f"{answer.message}: {_last_line(node.log)}"
+                    return f"{answer.message}: {last_line(node.log)}"
             if transition == Transition.TRANSITION_CONFIGURE:
                 share_processors(running, REALTIME)
         return ""
@@ -160,7 +160,7 @@ class _Started:
 
     def begin(self, parameters: dict[str, dict[str, Any]], folder: RunFolder) -> None:
         self.folder = folder
-        self.running = self._stack.enter_context(_processes(list(parameters), parameters, folder.logs, graph_environment()))
+        self.running = self._stack.enter_context(node_processes(list(parameters), parameters, folder.logs, graph_environment()))
 
     def end(self) -> None:
         self._stack.close()

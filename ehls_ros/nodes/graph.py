@@ -137,9 +137,9 @@ def run_graph(
     environment = graph_environment()
     os.environ.update({key: environment[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
     folder.logs.mkdir()
-    parameters = _parameters(spec, plant, folder, timing, storage)
+    parameters = node_parameters(spec, plant, folder, timing, storage)
     # The nodes end together with this process even when it is asked to end in the middle.
-    with _interrupts_noted() as interrupted, _processes(list(parameters), parameters, folder.logs, environment) as running:
+    with _interrupts_noted() as interrupted, node_processes(list(parameters), parameters, folder.logs, environment) as running:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         try:
             wall = conduct(Conductor(running, plant, timing, interrupted), spec.cycles, progress)
@@ -179,7 +179,7 @@ def free_domain() -> int:
     raise WorkFailed("every ROS domain from 1 to 101 is in use on this host: end other graphs or set ROS_DOMAIN_ID")
 
 
-def _parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, storage: str) -> dict[str, dict[str, Any]]:
+def node_parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, storage: str) -> dict[str, dict[str, Any]]:
     """Return each node's parameters, in the order the nodes are activated."""
     common = {"spec": str(folder.spec.resolve()), "timing": timing, "autostart": False}
     parameters: dict[str, dict[str, Any]] = {name: dict(common) for name in nodes_of(spec, plant)}
@@ -217,7 +217,7 @@ def _interrupts_noted() -> Iterator[threading.Event]:
 
 
 @contextmanager
-def _processes(
+def node_processes(
     names: list[str], parameters: Mapping[str, Mapping[str, Any]], logs: Path, environment: Mapping[str, str]
 ) -> Iterator[list[Running]]:
     """Start the nodes; on leaving, end them by SIGINT, and by force what does not end."""
@@ -330,7 +330,7 @@ class Conductor:
             raise KeyboardInterrupt
         for node in self._running:
             if node.process.poll() is not None:
-                raise WorkFailed(f"{node.name} ended with exit code {node.process.returncode}: {_last_line(node.log)}")
+                raise WorkFailed(f"{node.name} ended with exit code {node.process.returncode}: {last_line(node.log)}")
 
     def _transition(self, node: Running, transition: int) -> Callable[[], None]:
         """Ask for a transition and return a function that waits for it."""
@@ -348,7 +348,7 @@ class Conductor:
                 if time.monotonic() > deadline:
                     raise WorkFailed(f"{node.name} did not answer in {UP_TIME:.0f} s: see {node.log}")
             if not future.result().success:
-                raise WorkFailed(f"{node.name} refused to go on: {_last_line(node.log)}")
+                raise WorkFailed(f"{node.name} refused to go on: {last_line(node.log)}")
 
         return wait
 
@@ -380,6 +380,7 @@ class Conductor:
                 self._cycle = next((int(v.value) for v in status.values if v.key == "cycle"), self._cycle)
 
 
-def _last_line(log: Path) -> str:
+def last_line(log: Path) -> str:
+    """Return the last thing a node said, and where."""
     lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     return f"{lines[-1]} (in {log})" if lines else f"see {log}"

@@ -151,18 +151,21 @@ def test_commands_stop_and_the_valve_closes(start, tmp_path):
     assert len(truth) == figures["cycles"]
 
 
-def test_disturbance_starts_with_the_first_command_that_opens_the_valve(start, tmp_path):
+@pytest.mark.parametrize("wait", [0, 7])
+def test_disturbance_starts_some_time_after_the_first_command_that_opens_the_valve(start, tmp_path, wait):
     log = tmp_path / "truth.csv"
-    emulator = start("--spec", CONFIG / "experiments" / "sine_fd2.yaml", "--lockstep", "--duration", 0.04, "--log", log)
+    arguments = ("--lockstep", "--duration", 0.04, "--disturb-after", wait * PERIOD, "--log", log)
+    emulator = start("--spec", CONFIG / "experiments" / "sine_fd2.yaml", *arguments)
     for cycle in range(40):
         emulator.device.read(20.0)
         emulator.device.write(0.5 if cycle >= 20 else 0.0, cycle)
     assert emulator.finish()[0] == 0
     force = read_log(log)["disturbance_force_n"]
     # The command that answers cycle 20 acts in cycle 21, which is the disturbance's cycle 0.
-    expected = 5e3 * np.sin(2.0 * np.pi * 1.0 * PERIOD * np.arange(19))
-    assert not force[:21].any()
-    np.testing.assert_allclose(force[21:], expected, atol=1e-6)
+    first = 21 + wait
+    expected = 5e3 * np.sin(2.0 * np.pi * 1.0 * PERIOD * np.arange(40 - first))
+    assert not force[:first].any()
+    np.testing.assert_allclose(force[first:], expected, atol=1e-6)
 
 
 def test_lossy_net_is_survived_and_counted(start):
