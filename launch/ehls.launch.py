@@ -47,6 +47,9 @@ def nodes(context: LaunchContext) -> list[Node]:
     }
     for name in own.keys() - {"reference_node", "disturbance_node"}:
         own[name]["priority"] = int(chosen["priority"])
+    if chosen["timing"] == "lockstep":
+        # Nothing is late in lockstep.
+        own[f"{chosen['controller']}_node"]["friction_patience"] = 10.0
     if chosen["plant"] == "bridge":
         own[PLANTS["bridge"]]["bridge"] = chosen["bridge"]
     if chosen["plant"] == "sim":
