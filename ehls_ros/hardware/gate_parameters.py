@@ -14,7 +14,7 @@ REACTIONS = WARN, HOLD, RAMP, CUT = ("warn", "hold", "ramp", "cut")
 """What may follow a fault, mildest first: say so; keep the last safe command for a while; ramp to null; null at once."""
 
 SIMULATED: Final[dict[str, float]] = {
-    "enable_time": 0.0, "position_margin": -0.005, "command_timeout": 0.1, "sensor_timeout": 0.1,
+    "enable_time": 0.0, "position_margin": -0.005, "command_timeout": 0.5, "sensor_timeout": 0.5,
 }  # fmt: skip
 """What differs before a simulated rig: it starts at once, has no end stop, and bears with a busy computer.
 
@@ -37,9 +37,9 @@ class Parameters(NamedTuple):
     """What the gate lets through, and what it does when it does not."""
 
     command_timeout: Annotated[
-        float, quantity("s", "age at which a command is stale, and its sender has let go", minimum=0.002, maximum=0.1)
+        float, quantity("s", "age at which a command is stale, and its sender has let go", minimum=0.002, maximum=0.5)
     ] = 0.02
-    sensor_timeout: Annotated[float, quantity("s", "age at which a snapshot is stale", minimum=0.002, maximum=0.1)] = 0.02
+    sensor_timeout: Annotated[float, quantity("s", "age at which a snapshot is stale", minimum=0.002, maximum=0.5)] = 0.02
     command_rate: Annotated[float, quantity("m/s", "largest rate of the spool command", above=0.0, maximum=20.0)] = 2.0
     hold_time: Annotated[float, quantity("s", "longest hold; what lasts longer is ramped", minimum=0.0, maximum=0.1)] = 0.02
     ramp_time: Annotated[float, quantity("s", "time of the ramp to null", minimum=0.0, maximum=0.2)] = 0.02

@@ -72,7 +72,7 @@ def test_a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, part
 
 def test_the_estimator_may_go_and_come_back_and_every_node_ends_cleanly(running, participant, graph, spec_file):
     diagnostics = participant.collect(DiagnosticArray, "/diagnostics")
-    assert not running[-1].friction_fallback
+    participant.until(lambda: not running[-1].friction_fallback, 20.0)
     graph.stop("friction_estimator_node")
     participant.until(lambda: running[-1].friction_fallback, 20.0)
     goes_on(participant, running)
