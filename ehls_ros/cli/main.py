@@ -15,12 +15,18 @@ DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
 
 
-def parser() -> argparse.ArgumentParser:
-    """Return the parser with all verbs."""
+def parser(only: str = "") -> argparse.ArgumentParser:
+    """Return the parser.
+
+    Args:
+        only: the one verb that is asked for, since loading them all takes over a second; all verbs where it is none.
+    """
     top = argparse.ArgumentParser(prog="ehls", description="Electro-hydraulic load simulator: run, record, report.")
     top.add_argument("--version", action="version", version=__version__)
     verbs = top.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for name in VERBS.names():
+    names = VERBS.names()
+    wanted = only.replace("-", "_")
+    for name in (wanted,) if wanted in names else names:
         verb = VERBS.load(name)
         verb.arguments(verbs.add_parser(name.replace("_", "-"), help=verb.HELP, description=verb.HELP))
     add_completion(top)
@@ -36,7 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    options = parser().parse_args(arguments)
+    words = sys.argv[1:] if arguments is None else arguments
+    options = parser(words[0] if words else "").parse_args(words)
     try:
         return VERBS.load(options.verb.replace("-", "_")).run(options)
     except BadInput as error:
