@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from graph_timing import percentiles
+from graph_timing import answer_echoes, percentiles
 from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
@@ -36,22 +36,6 @@ from ehls_ros.trajectory import Trajectory
 PERIOD = 1e-3
 ECHO_SECONDS = 10.0
 SPEC = config_folder() / "experiments" / "measured_sine_fd1.yaml"
-
-
-def be_echo() -> None:
-    """Send back whatever comes, until SIGINT."""
-    stopping = [False]
-    signal.signal(signal.SIGINT, lambda *_: stopping.__setitem__(0, True))
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node("echo")
-    publisher = node.create_publisher(Float64, "back", 10)
-    node.create_subscription(Float64, "there", publisher.publish, 10)
-    executor = EventsExecutor()
-    executor.add_node(node)
-    exact_wake_ups()
-    claim(REALTIME_PRIORITY)
-    while not stopping[0]:
-        executor.spin_once(timeout_sec=0.1)
 
 
 def be_asker() -> None:
@@ -118,7 +102,7 @@ def main() -> None:
     parser.add_argument("--be", choices=("echo", "asker"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.be:
-        {"echo": be_echo, "asker": be_asker}[options.be]()
+        answer_echoes(REALTIME_PRIORITY) if options.be == "echo" else be_asker()
         sys.stdout.flush()
         os._exit(0)
     print(f"{platform.machine()}, {os.cpu_count()} processors, Python {platform.python_version()}")

@@ -26,6 +26,7 @@ from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, load_spec
+from ehls_ros.hardware.realtime import claim, exact_wake_ups
 from ehls_ros.nodes.graph import graph_environment, run_graph
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.trajectory import Trajectory
@@ -47,8 +48,8 @@ def percentiles(seconds: np.ndarray) -> str:
     return "".join(f"{value * 1e6:9.0f}" for value in np.percentile(seconds, [50, 99, 99.9, 100]))
 
 
-def answer_echoes() -> None:
-    """Send back whatever comes, until SIGINT."""
+def answer_echoes(priority: int = 0) -> None:
+    """Send back whatever comes, until SIGINT, at a realtime priority where one is given."""
     stopping = [False]
     signal.signal(signal.SIGINT, lambda *_: stopping.__setitem__(0, True))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -57,6 +58,9 @@ def answer_echoes() -> None:
     node.create_subscription(Float64, "there", publisher.publish, 10)
     executor = EventsExecutor()
     executor.add_node(node)
+    if priority:
+        exact_wake_ups()
+        claim(priority)
     while not stopping[0]:
         executor.spin_once(timeout_sec=0.1)
     executor.shutdown()

@@ -13,6 +13,8 @@ from typing import TextIO
 
 import pytest
 
+from ehls_ros.nodes.shared_memory import used_by
+
 # DDS computes its ports from the domain; above domain 101 they reach into the range of ephemeral ports.
 DOMAINS = range(1, 102)
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
@@ -117,8 +119,7 @@ def orphaned(domains: set[int]) -> list[str]:
     ports = ports_of(domains)
     for process in Path("/proc").glob("[0-9]*") if ports else ():
         with contextlib.suppress(OSError):
-            held = {line.split(maxsplit=5)[-1] for line in (process / "maps").read_text().splitlines()}
-            held |= {str(descriptor.readlink()) for descriptor in (process / "fd").iterdir()}
+            held = {str(file) for file in used_by(int(process.name))}
             alive = {ports[name] for name in held & ports.keys()}
             ports = {name: port for name, port in ports.items() if port not in alive}
     return [f"{name} of a process that was killed instead of shut down" for name in sorted(ports)]

@@ -84,9 +84,9 @@ class Emulator:
         self._null = converted(calibration.output.offset, calibration.output)
         self._disturbed = -1
         self._row = disturbance.first().copy()
-        self._disturbs = disturb_at_once
-        self._until_disturbed = round(disturb_after / simulator.period)
-        self._opened = False
+        self._opened = disturb_at_once
+        self._until_disturbed = 0 if disturb_at_once else round(disturb_after / simulator.period)
+        self._disturbs = False
         if not disturb_at_once:
             self._row[[FORCE_RATE, VELOCITY]] = 0.0
 

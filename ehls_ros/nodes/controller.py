@@ -210,6 +210,12 @@ class ControllerNode(ControlNode):
         if len(self.frictions) > KEPT:
             self.frictions = {k: v for k, v in self.frictions.items() if k > cycle}
 
+    def _without(self, unmeasured: list[str]) -> str:
+        """Say which laws control the same without some readings."""
+        laws = {name: CONTROLLERS.load(name) for name in CONTROLLERS.names()}
+        able = [name for name, law in laws.items() if law.FOLLOWS == self.kind.FOLLOWS and not set(law.NEEDS) & set(unmeasured)]
+        return f"without: {', '.join(able)}" if able else "no law does without"
+
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say how answering goes."""
         figures = {
@@ -221,7 +227,7 @@ class ControllerNode(ControlNode):
         }
         unmeasured = [name for name in self.kind.NEEDS if np.isnan(self.measured[SENSED.index(name)])]
         if unmeasured:
-            return WARN, f"not measured, yet needed: {', '.join(unmeasured)}; fasmc_output_feedback needs no velocity", figures
+            return WARN, f"not measured, yet needed: {', '.join(unmeasured)}; {self._without(unmeasured)}", figures
         if self.kind.FRICTION and not self.friction_comes:
             return WARN, "no friction estimate comes: the static Stribeck curve stands in", figures
         if self.pending and time.perf_counter() - self.pending_since > PATIENCE:

@@ -13,8 +13,9 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, load_spec
 from ehls_ros.nodes.control import REALTIME
-from ehls_ros.nodes.dashboard_link import PLANTS, Link
+from ehls_ros.nodes.dashboard_link import Link
 from ehls_ros.nodes.graph import (
+    PLANTS,
     RECORDER,
     SIMULATED,
     UP_TIME,
@@ -141,12 +142,12 @@ class DashboardGraph(Link):
         Raises:
             BadInput: no plant says.
         """
-        for plant in PLANTS:
+        for plant in PLANTS.values():
             if plant in self.tunable_nodes():
                 path = Path(self.text_parameter(plant, "spec"))
                 name = self._nodes.folder.path.name if self.started_here() else path.stem
                 return load_spec(path), name
-        raise BadInput("nothing stands for the rig", "graph", f"one of {', '.join(PLANTS)}")
+        raise BadInput("nothing stands for the rig", "graph", f"one of {', '.join(PLANTS.values())}")
 
 
 class _Started:

@@ -24,7 +24,9 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.dashboard.graph import Answer, Health, Tunable, Value
 from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, RESPONSE, SIGNALS
 from ehls_ros.dashboard.window import Window
+from ehls_ros.nodes import codec
 from ehls_ros.nodes.control import NAMESPACE
+from ehls_ros.nodes.graph import PLANTS
 from ehls_ros.nodes.transport import DEPTH, Inbox, message_class
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS
 from ehls_ros.recording.cdr import CdrError, decode, flatten
@@ -56,16 +58,11 @@ GONE = 1.0
 SILENT = 3
 """Level of a silent node, above those of diagnostics."""
 
-PLANTS = ("plant_sim_node", "hardware_bridge_node")
-"""What may stand for the rig; the gate's limits are its parameters."""
-
 KEPT = 8192
 """Snapshots whose time of sending is kept until their command comes."""
 
 TOPICS = (LOADER_STATE, VALVE_COMMAND, CONTROLLER_STATUS, FRICTION_ESTIMATE, POSITION_REFERENCE)
 """What is taken, the snapshots first: by them the time of the rest is known."""
-
-NS = 1_000_000_000
 
 
 def looking_on() -> QoSProfile:
@@ -181,7 +178,7 @@ class Link:
     def tunable_nodes(self) -> tuple[str, ...]:
         """Return the nodes with parameters to change, the controller first."""
         known = {health.node for health in self.health()}
-        return tuple(node for node in (*(f"{law}_node" for law in CONTROLLERS.names()), *PLANTS) if node in known)
+        return tuple(node for node in (*(f"{law}_node" for law in CONTROLLERS.names()), *PLANTS.values()) if node in known)
 
     def parameters(self, node: str) -> tuple[Tunable, ...]:
         """Ask a node for its parameters; nothing where it does not answer."""
@@ -286,7 +283,7 @@ class Link:
 
     def _take_in(self, topic: Topic, columns: Mapping[str, NDArray[Any]], sent_ns: NDArray[np.int64]) -> None:
         cycle = columns[CYCLE].astype(np.int64)
-        stamp_ns = columns[SECONDS].astype(np.int64) * NS + columns[NANOSECONDS]
+        stamp_ns = columns[SECONDS].astype(np.int64) * codec.NANOSECONDS + columns[NANOSECONDS]
         values = _by_signal(topic, columns)
         if topic is LOADER_STATE:
             self._take_snapshots(cycle, stamp_ns, sent_ns, values["force_n"])

@@ -66,7 +66,6 @@ class HardwareBridgeNode(PlantNode):
         self.saturated: tuple[str, ...] = ()
         self.at_null = True
         self.began_anew = 0
-        self.silent = False
         self.failure = ""
         self.elapsed = 1
         self.lockstep_time = 0.0
@@ -114,7 +113,7 @@ class HardwareBridgeNode(PlantNode):
         """Return the gate's time [s]: that of the wall, or of the cycles where the device waits for their answers."""
         if not self.lockstep:
             return time.perf_counter()
-        self.lockstep_time += self.period if self.silent else self.elapsed * self.period
+        self.lockstep_time += self.elapsed * self.period
         return self.lockstep_time
 
     def _open_cycle(self, reading: Reading) -> None:
@@ -124,7 +123,6 @@ class HardwareBridgeNode(PlantNode):
         self.elapsed = reading.sequence - self.sequence if following else 1
         self.cycle += self.elapsed
         self.sequence = reading.sequence
-        self.silent = False
         self.at_null = reading.at_null
         self.saturated = self.calibration.saturated(reading.values)
         signals = self.calibration.signals(reading.values)
@@ -135,7 +133,7 @@ class HardwareBridgeNode(PlantNode):
 
     def _bear_silence(self) -> None:
         """Step the gate, which sees the snapshots age, and keep telling the device what it says."""
-        self.silent = True
+        self.elapsed = 1
         self.take_commands(self.cycle)
         self._write(self.gate.step(self._time()))
 
