@@ -1,5 +1,6 @@
 """What the control-path nodes share: lifecycle, spec, the loop in the main thread, diagnostics, shutdown."""
 
+import faulthandler
 import gc
 import os
 import signal
@@ -32,6 +33,9 @@ LOCKSTEP, REALTIME = TIMINGS = ("lockstep", "realtime")
 
 DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 """Variable by which the middleware is told how far nodes look for each other."""
+
+CLOSING = 10.0
+"""Time the middleware has for closing what the node had open [s]."""
 
 WAIT = 0.1
 """Longest time a loop waits before it looks whether it should stop [s]."""
@@ -267,6 +271,9 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
             code = 1
     finally:
         stopping.set()
+        # Fast DDS deadlocks now and then while it takes readers and writers down (its issues 4026 and 6193), within a call
+        # that keeps the interpreter; only this ends the process then. What the node had to write, it has written.
+        faulthandler.dump_traceback_later(CLOSING, exit=True)
         server.join()
         executor.remove_node(node)
         executor.shutdown()

@@ -84,7 +84,7 @@ class EmulatedRig:
             self.emulator = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors)
         assert b"listening" in self.emulator.stdout.readline(), (self.folder / "emulator.err").read_text()
 
-    def enable(self, seconds: float = 20.0) -> None:
+    def enable(self, seconds: float = 90.0) -> None:
         """Let the commands through, as soon as the gate agrees."""
         deadline = time.monotonic() + seconds
         while True:
