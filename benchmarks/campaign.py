@@ -1,5 +1,7 @@
 """A campaign's wall and processor time: on one process, on two, on a Dask cluster of two, against the bare loop.
 
+Two bare loops side by side, each with half of the runs and nothing to start, are what the machine's two processors allow.
+
     python benchmarks/campaign.py --repeats 3
 
 The places take turns, so that what else the machine does falls on all of them alike; medians are printed. Processor time
@@ -9,6 +11,7 @@ On a busy machine the efficiency that matters is that of processor time: what tw
 
 import argparse
 import json
+import multiprocessing
 import os
 import statistics
 import subprocess
@@ -46,6 +49,15 @@ def bare(specs: list[str]) -> Cost:
         run_one(spec)
     wall = time.perf_counter() - wall
     return Cost(wall, time.process_time() - cpu, wall)
+
+
+def side_by_side(specs: list[str]) -> Cost:
+    """Run the specs in two copies of this process at once, each doing half of them."""
+    start = time.perf_counter()
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        halves = pool.map(bare, [specs[::2], specs[1::2]], chunksize=1)
+    wall = time.perf_counter() - start
+    return Cost(wall, sum(half.cpu for half in halves), wall)
 
 
 def campaign(file: Path, *options: str) -> Cost:
@@ -112,6 +124,7 @@ def main() -> None:
         run_one(specs[0])
         places = {
             "bare loop": lambda: bare(specs),
+            "two bare loops": lambda: side_by_side(specs),
             "--jobs 1": lambda: campaign(file, "--jobs", "1"),
             "--jobs 2": lambda: campaign(file, "--jobs", "2"),
             "--dask, 2 workers": lambda: on_dask(file, address, processes),
@@ -128,7 +141,8 @@ def main() -> None:
 def show(costs: dict[str, list[Cost]], runs: int) -> None:
     """Print medians: two of a kind are compared by the repeat, one after the other."""
     one, loop = costs["--jobs 1"], costs["bare loop"]
-    print(f"\n{runs} runs, medians of {len(one)}")
+    ceiling = statistics.median(b.wall / (2 * s.wall) for b, s in zip(loop, costs["two bare loops"], strict=True))
+    print(f"\n{runs} runs, medians of {len(one)}; two bare loops side by side reach {100 * ceiling:.1f} % of twice one alone")
     headings = {"wall": 9, "runs": 9, "cpu": 9, "runs eff.": 10, "cpu eff.": 10, "cpu overhead": 15, "memory": 9}
     print(" " * 18 + "".join(f" {text:>{width}s}" for text, width in headings.items()))
     for name, taken in costs.items():
