@@ -6,19 +6,24 @@ module lies in the user's cache folder under a name made of its own text and of 
 any change of either makes a new module, and a cached kernel is never stale.
 """
 
+import fcntl
 import hashlib
 import importlib.util
 import inspect
 import os
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import cast
+from typing import Any, cast
 
 import numba
 import numpy as np
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
 
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS
@@ -54,7 +59,8 @@ def kernel_module(source: str) -> ModuleType:
         source: text of the module; its compiled entry functions say ``cache=True``.
 
     Returns:
-        The module. Its entry functions compile at their first call ever, and load at later ones.
+        The module. Its entry functions compile at their first call ever, and load at later ones. Of several processes
+        that call one for the first time at once, one compiles and the others wait and load.
     """
     digest = hashlib.sha256((_sources_digest() + source).encode()).hexdigest()[:16]
     name = f"ehls_kernel_{digest}"
@@ -67,7 +73,38 @@ def kernel_module(source: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     spec.loader.exec_module(module)
+    for entry in vars(module).values():
+        if isinstance(entry, Dispatcher) and entry.py_func.__module__ == name and entry.stats.cache_path is not None:
+            _compile_in_turn(entry, path.with_name(f"{name}.{entry.py_func.__name__}.lock"))
     return module
+
+
+def _compile_in_turn(entry: Any, file: Path) -> None:
+    """Let a compiled function compile in one process at a time; who waited finds it done and loads it."""
+    compile_or_load = entry.compile
+
+    def in_turn(signature: Any) -> Any:
+        # Numba's own lock first: a thread that holds it may want the file for a kernel inside the one it compiles.
+        with global_compiler_lock, _locked(file):
+            return compile_or_load(signature)
+
+    entry.compile = in_turn
+
+
+@contextmanager
+def _locked(file: Path) -> Iterator[None]:
+    """Keep other processes out; where the folder cannot be written, compiling twice does no harm.
+
+    The lock is the system's: it goes with the process that holds it, however that ends.
+    """
+    try:
+        handle = file.open("ab")
+    except OSError:
+        yield
+        return
+    with handle:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
 
 
 def _written(folder: Path, name: str, source: str) -> Path:

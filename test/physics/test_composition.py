@@ -34,6 +34,28 @@ def test_another_source_is_another_module(folder):
     assert len(list(folder.glob("*.py"))) == 2
 
 
+CHILD = """
+import sys
+from ehls_ros.physics.composition import kernel_module
+twice = kernel_module(sys.argv[1]).twice
+print("ready", flush=True)
+sys.stdin.readline()
+assert twice(1.0) == 7.0
+print(sum(twice.stats.cache_misses.values()), sum(twice.stats.cache_hits.values()))
+"""
+
+
+def test_of_two_processes_that_need_a_kernel_at_once_one_compiles_and_the_other_loads(folder):
+    command = [sys.executable, "-c", CHILD, SOURCE.format(factor=7.0)]
+    children = [subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    assert [child.stdout.readline() for child in children] == ["ready\n"] * 2
+    for child in children:
+        child.stdin.write("\n")
+        child.stdin.flush()
+    counts = sorted(child.communicate(timeout=60.0)[0].split() for child in children)
+    assert counts == [["0", "1"], ["1", "0"]]
+
+
 def test_the_cache_folder_is_the_users(monkeypatch, tmp_path):
     monkeypatch.delenv("EHLS_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
