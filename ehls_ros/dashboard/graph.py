@@ -43,6 +43,18 @@ class Tunable(NamedTuple):
     maximum: float | None
 
 
+class Beginning(NamedTuple):
+    """How far nodes are that are being started.
+
+    Attributes:
+        seconds: since they were started.
+        nodes: what each is doing, in the order they are started.
+    """
+
+    seconds: float
+    nodes: Mapping[str, str]
+
+
 class Answer(NamedTuple):
     """What came of a wish: whether it was done, and the sentence of whoever did or refused it."""
 
@@ -51,9 +63,15 @@ class Answer(NamedTuple):
 
 
 class Graph(Protocol):
-    """A running graph, or one that may be started. Every method may be called from any thread."""
+    """A running graph, or one that may be started. Every method may be called from any thread.
+
+    Attributes:
+        window: the last seconds of its signals.
+        where: its namespace and domain, for people.
+    """
 
     window: Window
+    where: str
 
     def rate(self) -> float:
         """Return the snapshots that came in over the last second or so [1/s]; 0 where there is no graph."""
@@ -88,8 +106,14 @@ class Graph(Protocol):
     def record(self, *, on: bool) -> Answer:
         """Begin a recording, or end it."""
 
+    def beginning(self) -> Beginning | None:
+        """Return how far the nodes are that are being started here; None where none are."""
+
+    def complaint(self) -> str:
+        """Say which of the nodes started here ended although nobody wanted it, and its last words; empty where none did."""
+
     def activity(self) -> str:
-        """Say in a sentence what was started here: nodes, recording, files."""
+        """Say in a sentence what was started here: recording, files."""
 
     def started_here(self) -> bool:
         """Tell whether nodes run that were started here."""

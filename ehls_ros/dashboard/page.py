@@ -9,9 +9,10 @@ import orjson
 from nicegui import ui
 from numpy.typing import NDArray
 
+from ehls_ros.dashboard.beginning import BeginningCard
 from ehls_ros.dashboard.controls import button
 from ehls_ros.dashboard.experiment import ExperimentTab
-from ehls_ros.dashboard.graph import Graph, Health
+from ehls_ros.dashboard.graph import Beginning, Graph, Health
 from ehls_ros.dashboard.panels import PANELS, SPAN, Panel, options
 from ehls_ros.dashboard.tuning import TuningTab
 from ehls_ros.dashboard.window import INTERVAL
@@ -26,6 +27,11 @@ WORDS = 0.5
 
 GATE_STATE = "state"
 """Figure of the node that has the safety gate."""
+
+TRIPPED = 2
+"""Level of that node from when the gate tripped until its trips are reset."""
+
+REMEDY = "To go on: Reset trips, then Enable."
 
 LEVELS = ("well", "warning", "error", "silent")
 
@@ -51,11 +57,13 @@ class Page:
         self._head(writes=writes)
         with ui.element("div").classes("plots"):
             charts = [_plot(panel) for panel in PANELS]
+        self._beginning = BeginningCard(graph, writes=writes)
         with ui.element("div").classes("side"):
             self._side(spec, writes=writes)
         settings = {"interval": INTERVAL, "kept": round(SPAN / INTERVAL), "charts": charts}
         script = (FOLDER / "live.js").read_text(encoding="utf-8")
         ui.add_body_html(f"<script>{script}\nehlsLive.begin({_json(settings)})</script>")
+        self._show_words()
         ui.timer(PICTURES, self._send_pictures)
         ui.timer(WORDS, self._send_words)
 
@@ -65,6 +73,8 @@ class Page:
             ui.html("Electro-hydraulic load simulator", sanitize=False, tag="h1")
             self._state = ui.label("no graph").classes("badge").props('data-name="state"')
             self._gate = ui.label("").classes("badge").props('data-name="gate"')
+            self._gate.set_visibility(False)
+            ui.label(graph.where).classes("said").props('data-name="where"')
             ui.element("div").classes("grow")
             if not writes:
                 ui.label("read only: controls need the address with the token").classes("said").props('data-name="read-only"')
@@ -104,28 +114,43 @@ class Page:
         self._client.run_javascript(f"ehlsLive.extend({_json(message)})")
 
     async def _send_words(self) -> None:
-        rate, health = self._graph.rate(), self._graph.health()
-        self._was_there |= rate > 0.0
-        self._state.set_text(f"running, {rate:.0f} cycles/s" if rate else "graph gone" if self._was_there else "no graph")
-        self._state.classes(replace=f"badge level-{0 if rate else 3 if self._was_there else 1}")
-        gate = next((node for node in health if GATE_STATE in node.figures), None)
-        self._gate.set_text(f"gate {gate.figures[GATE_STATE]}" if gate else "")
-        self._gate.set_visibility(gate is not None)
-        self._gate.classes(replace=f"badge level-{gate.level if gate else 0}")
-        self._show_trouble(health, there=rate > 0.0)
-        self._nodes.show(health)
-        if self._experiment is not None:
-            self._experiment.show()
+        self._show_words()
         if self._tuning is not None:
             await self._tuning.follow()
 
+    def _show_words(self) -> None:
+        rate, health, beginning = self._graph.rate(), self._graph.health(), self._graph.beginning()
+        self._was_there |= rate > 0.0
+        self._show_state(rate, beginning)
+        gate = next((node for node in health if GATE_STATE in node.figures), None)
+        self._gate.set_text(f"gate {gate.figures[GATE_STATE]}" if gate else "")
+        self._gate.set_visibility(gate is not None)
+        _set_level(self._gate, gate.level if gate else 0)
+        self._beginning.show(beginning, was_there=self._was_there)
+        self._show_trouble(health, there=rate > 0.0 or beginning is not None)
+        self._nodes.show(health)
+        if self._experiment is not None:
+            self._experiment.show()
+
+    def _show_state(self, rate: float, beginning: Beginning | None) -> None:
+        if rate:
+            text, level = f"running, {rate:.0f} cycles/s", 0
+        elif beginning:
+            text, level = f"starting, {beginning.seconds:.0f} s", 1
+        else:
+            text, level = ("graph gone", 3) if self._was_there else ("no graph", 1)
+        self._state.set_text(text)
+        _set_level(self._state, level)
+
     def _show_trouble(self, health: tuple[Health, ...], *, there: bool) -> None:
         worst = max(health, key=lambda node: node.level, default=None)
-        text = ""
-        if self._was_there and not there:
+        text = self._graph.complaint()
+        if not text and self._was_there and not there:
             text = "No snapshots come any more: the graph was ended, or what stands for the rig has stopped."
-        elif worst is not None and worst.level:
+        elif not text and worst is not None and worst.level:
             text = f"{worst.node}: {worst.message}"
+            if worst.level == TRIPPED and GATE_STATE in worst.figures:
+                text = f"{text}. {REMEDY}"
         self._trouble.set_text(text)
         self._trouble.set_visibility(bool(text))
 
@@ -163,10 +188,14 @@ class _Row:
 
     def show(self, health: Health) -> None:
         self._level.set_text(LEVELS[health.level])
-        self._level.classes(replace=f"badge level-{health.level}")
+        _set_level(self._level, health.level)
         self._message.set_text(health.message)
         cells = (f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in health.figures.items())
         self._figures.set_content("".join(cells))
+
+
+def _set_level(badge: ui.label, level: int) -> None:
+    badge.classes(add=f"level-{level}", remove=" ".join(f"level-{i}" for i in range(len(LEVELS)) if i != level))
 
 
 def _plot(panel: Panel) -> dict[str, Any]:

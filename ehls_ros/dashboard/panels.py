@@ -67,7 +67,7 @@ PANELS = (
         ),
     ),
     Panel("Piston", "mm", (Line("position_reference_m", "reference", 0, 1e3), Line("position_m", "position", 1, 1e3))),
-    Panel("Scales of the friction", "1", (Line("alpha", "α̂"), Line("beta", "β̂", 2))),
+    Panel("Scales of the friction", "ratio", (Line("alpha", "α̂"), Line("beta", "β̂", 2))),
     Panel("Force beyond the model", "N", (Line("delta_n", "D̂"),)),
     Panel("Loop: snapshot to command", "µs", (Line(RESPONSE, "response"),), logarithmic=True),
 )

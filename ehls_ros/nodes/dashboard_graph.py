@@ -2,17 +2,19 @@
 
 import threading
 import time
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from lifecycle_msgs.msg import Transition
 
-from ehls_ros.dashboard.graph import Answer
+from ehls_ros.dashboard.graph import Answer, Beginning, Health
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, load_spec
-from ehls_ros.nodes.control import REALTIME
+from ehls_ros.nodes.control import NAMESPACE, REALTIME
 from ehls_ros.nodes.dashboard_link import Link
 from ehls_ros.nodes.graph import (
     PLANTS,
@@ -29,17 +31,23 @@ from ehls_ros.nodes.graph import (
 
 STORAGE = "mcap"
 
+STARTING, COMPILING, READY, RUNNING, ENDED = "starting", "compiling", "ready", "running", "ended"
+"""What a node does on its way: its process comes up, it configures itself, it waits for the others, it runs."""
+
 
 class DashboardGraph(Link):
     """What :class:`ehls_ros.dashboard.graph.Graph` asks for, over ROS."""
 
-    def __init__(self) -> None:
-        """Join the graph of this process's domain."""
-        super().__init__()
+    def __init__(self, namespace: str = NAMESPACE) -> None:
+        """Join the graph of this process's domain; see :class:`Link`."""
+        super().__init__(namespace)
         self._changing = threading.Lock()
         self._nodes = _Started()
         self._recorder = _Started()
-        self._doing = ""
+        self._unwanted = threading.Event()
+        self._began: float | None = None
+        self._reached: dict[str, str] = {}
+        self._failure = ""
 
     def close(self) -> None:
         """End what was started here and leave the graph."""
@@ -57,11 +65,28 @@ class DashboardGraph(Link):
         """Tell whether a recording that was begun here goes on."""
         return bool(self._recorder.running)
 
+    def beginning(self) -> Beginning | None:
+        """Return how far the nodes are that are being started here; None where none are."""
+        began = self._began
+        if began is None:
+            return None
+        return Beginning(time.monotonic() - began, {node.name: self._doing(node) for node in self._nodes.running})
+
+    def complaint(self) -> str:
+        """Say which of the nodes started here ended although nobody wanted it, and its last words; empty where none did."""
+        return " ".join([self._failure, *map(_last_words, self._nodes.dead() + self._recorder.dead())]).strip()
+
     def activity(self) -> str:
-        """Say in a sentence what was started here: nodes, recording, files."""
-        dead = [f"{node.name} ended: {last_line(node.log)}" for node in self._nodes.dead() + self._recorder.dead()]
-        parts = [self._doing, *dead, self._nodes.says, self._recorder.says]
-        return " ".join(part for part in parts if part)
+        """Say in a sentence what was started here: recording, files."""
+        return " ".join(part for part in (self._nodes.says, self._recorder.says) if part)
+
+    def health(self) -> tuple[Health, ...]:
+        """Return what the nodes say; who compiles cannot speak, and nothing is wrong with that."""
+        beginning = self.beginning()
+        busy = {node for node, doing in beginning.nodes.items() if doing == COMPILING} if beginning else set()
+        return tuple(
+            health._replace(level=0, message=COMPILING) if health.node in busy else health for health in super().health()
+        )
 
     def start(self, spec: Spec, name: str) -> Answer:
         """Start the nodes for a spec, in real time and without an end; returns once they run."""
@@ -76,22 +101,31 @@ class DashboardGraph(Link):
             parameters = node_parameters(spec, SIMULATED, folder, REALTIME, STORAGE)
             del parameters[RECORDER]
             parameters[SIMULATED.node]["cycles"] = 0
-            self._nodes.begin(parameters, folder)
+            self._unwanted.clear()
+            self._reached, self._failure = {}, ""
+            self._began = time.monotonic()
+            self._nodes.begin(parameters, folder, self.namespace)
             refusal = self._activate()
-            self._doing = ""
             if refusal:
-                self._nodes.end()
+                self._end_nodes()
+                self._failure = "" if self._unwanted.is_set() else refusal
+            self._began = None
+            if refusal:
                 return Answer(done=False, message=refusal)
             self._nodes.says = f"Spec and logs of the nodes are in {folder.path}."
             return Answer(done=True, message=f"{name} runs")
 
     def stop(self) -> Answer:
         """End the nodes that were started here, and a recording of them."""
+        self._unwanted.set()
+        starting = self.beginning() is not None
         with self._changing:
+            if starting and not self.started_here():
+                return Answer(done=True, message="the start was given up")
             if not self.started_here():
                 return Answer(done=False, message="no graph was started here: end it where it was started")
             self._end_recording()
-            self._nodes.end()
+            self._end_nodes()
             return Answer(done=True, message="the graph has ended")
 
     def record(self, *, on: bool) -> Answer:
@@ -110,9 +144,15 @@ class DashboardGraph(Link):
                 return Answer(done=False, message=str(error))
             chosen = {"spec": str(folder.spec.resolve()), "timing": REALTIME}
             bag = {"bag": str(folder.bag.resolve()), "storage": STORAGE}
-            self._recorder.begin({RECORDER: {**chosen, **bag}}, folder)
+            self._recorder.begin({RECORDER: {**chosen, **bag}}, folder, self.namespace)
             self._recorder.says = f"Recording to {folder.bag}."
             return Answer(done=True, message=self._recorder.says)
+
+    def _end_nodes(self) -> None:
+        """End the nodes; that they are silent from now on is no news."""
+        names = {node.name for node in self._nodes.running}
+        self._nodes.end()
+        self.forget(names)
 
     def _end_recording(self) -> None:
         if self.recording():
@@ -121,20 +161,42 @@ class DashboardGraph(Link):
             self._recorder.says = f"Recorded: {bag}."
 
     def _activate(self) -> str:
-        """Take the started nodes through their lifecycle, the plant last; return what went wrong."""
+        """Take the started nodes through their lifecycle; return what went wrong."""
         running = self._nodes.running
         deadline = time.monotonic() + UP_TIME
-        for transition, verb in ((Transition.TRANSITION_CONFIGURE, "compiling"), (Transition.TRANSITION_ACTIVATE, "starting")):
-            for node in running:
-                self._doing = f"{node.name}: {verb} …"
-                answer = self.change_state(node.name, transition, deadline - time.monotonic())
-                if dead := self._nodes.dead():
-                    return f"{dead[0].name} ended: {last_line(dead[0].log)}"
-                if not answer.done:
-                    return f"{answer.message}: {last_line(node.log)}"
-            if transition == Transition.TRANSITION_CONFIGURE:
-                share_processors(running, REALTIME)
+        # All at once, as most of it is compiling; then in order, the plant last.
+        with ThreadPoolExecutor(len(running)) as pool:
+            configured = pool.map(lambda node: self._lead(node, Transition.TRANSITION_CONFIGURE, READY, deadline), running)
+            refusals = [refusal for refusal in configured if refusal]
+        if refusals:
+            return self._why(refusals[0])
+        share_processors(running, REALTIME)
+        for node in running:
+            if refusal := self._lead(node, Transition.TRANSITION_ACTIVATE, RUNNING, deadline):
+                return self._why(refusal)
         return ""
+
+    def _lead(self, node: Running, transition: int, reached: str, deadline: float) -> str:
+        """Take a node through a transition; return why it did not go."""
+        answer = self.change_state(node.name, transition, deadline - time.monotonic(), self._is_hopeless)
+        if not answer.done:
+            return f"{answer.message}: {last_line(node.log)}"
+        self._reached[node.name] = reached
+        return ""
+
+    def _is_hopeless(self) -> bool:
+        return self._unwanted.is_set() or bool(self._nodes.dead())
+
+    def _why(self, refusal: str) -> str:
+        """Return why the start came to nothing: a node that ended has the word before those that waited for it."""
+        if self._unwanted.is_set():
+            return "stopped before it ran"
+        return next(map(_last_words, self._nodes.dead()), refusal)
+
+    def _doing(self, node: Running) -> str:
+        if node.process.poll() is not None:
+            return ENDED
+        return self._reached.get(node.name) or (COMPILING if self.is_up(node.name) else STARTING)
 
     def _spec_of_graph(self) -> tuple[Spec, str]:
         """Return the spec the plant of the graph was started with, and its name.
@@ -159,9 +221,10 @@ class _Started:
         self.says = ""
         self._stack = ExitStack()
 
-    def begin(self, parameters: dict[str, dict[str, Any]], folder: RunFolder) -> None:
+    def begin(self, parameters: Mapping[str, Mapping[str, Any]], folder: RunFolder, namespace: str) -> None:
         self.folder = folder
-        self.running = self._stack.enter_context(node_processes(list(parameters), parameters, folder.logs, graph_environment()))
+        processes = node_processes(list(parameters), parameters, folder.logs, graph_environment(), namespace)
+        self.running = self._stack.enter_context(processes)
 
     def end(self) -> None:
         self._stack.close()
@@ -170,6 +233,10 @@ class _Started:
 
     def dead(self) -> list[Running]:
         return [node for node in self.running if node.process.poll() is not None]
+
+
+def _last_words(node: Running) -> str:
+    return f"{node.name} ended: {last_line(node.log)}"
 
 
 def _folder(spec: Spec, name: str) -> RunFolder:

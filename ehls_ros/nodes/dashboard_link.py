@@ -1,9 +1,10 @@
 """The dashboard's view of a running graph: signals taken in bulk, diagnostics, parameters and services."""
 
 import gc
+import os
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,16 +15,19 @@ from lifecycle_msgs.srv import ChangeState
 from numpy.typing import NDArray
 from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.exceptions import InvalidNamespaceException
 from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_namespace import validate_namespace
 from std_srvs.srv import SetBool, Trigger
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.dashboard.graph import Answer, Health, Tunable, Value
 from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, RESPONSE, SIGNALS
 from ehls_ros.dashboard.window import Window
+from ehls_ros.errors import BadInput
 from ehls_ros.nodes import codec
 from ehls_ros.nodes.control import NAMESPACE
 from ehls_ros.nodes.graph import PLANTS
@@ -110,11 +114,25 @@ class _Source:
 class Link:
     """A participant that looks on, and passes wishes on."""
 
-    def __init__(self) -> None:
-        """Join the graph of this process's domain."""
+    def __init__(self, namespace: str = NAMESPACE) -> None:
+        """Join the graph of this process's domain.
+
+        Args:
+            namespace: where its nodes are; what others say is not heard.
+
+        Raises:
+            BadInput: ROS allows no such namespace.
+        """
+        self.namespace = namespace.strip("/")
+        try:
+            validate_namespace(f"/{self.namespace}")
+        except InvalidNamespaceException as error:
+            expected = "letters, digits and underscores, such as rig2"
+            raise BadInput(f"'{namespace}' is no namespace of ROS", "--namespace", expected) from error
+        self.where = f"/{self.namespace} in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}"
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self.window = Window(SIGNALS)
-        self._node = rclpy.create_node("dashboard", namespace=NAMESPACE)
+        self._node = rclpy.create_node("dashboard", namespace=f"/{self.namespace}")
         self._lock = threading.Lock()
         self._heard: dict[str, _Heard] = {}
         self._clients: dict[str, Any] = {}
@@ -175,6 +193,11 @@ class Link:
             for _, (when, health) in heard
         )
 
+    def forget(self, nodes: Collection[str]) -> None:
+        """Expect to hear no more of some nodes."""
+        with self._lock:
+            self._heard = {name: heard for name, heard in self._heard.items() if name not in nodes}
+
     def tunable_nodes(self) -> tuple[str, ...]:
         """Return the nodes with parameters to change, the controller first."""
         known = {health.node for health in self.health()}
@@ -220,10 +243,14 @@ class Link:
         """Let commands through again."""
         return self._wish(SetBool, "enable", SetBool.Request(data=True))
 
-    def change_state(self, node: str, transition: int, patience: float) -> Answer:
-        """Ask a lifecycle node for a transition."""
+    def is_up(self, node: str) -> bool:
+        """Tell whether a lifecycle node is there to be asked for a transition."""
+        return bool(self._client(ChangeState, f"{node}/change_state").service_is_ready())
+
+    def change_state(self, node: str, transition: int, patience: float, hopeless: Callable[[], bool]) -> Answer:
+        """Ask a lifecycle node for a transition, for as long as there is hope of an answer."""
         request = ChangeState.Request(transition=Transition(id=transition))
-        response = self.call(ChangeState, f"{node}/change_state", request, patience)
+        response = self.call(ChangeState, f"{node}/change_state", request, patience, hopeless)
         if response is None:
             return Answer(done=False, message=f"{node} did not answer in {patience:.0f} s")
         return Answer(response.success, "" if response.success else f"{node} refused to go on")
@@ -233,18 +260,25 @@ class Link:
         response = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=[name]))
         return str(response.values[0].string_value) if response is not None and response.values else ""
 
-    def call(self, kind: Any, service: str, request: Any, patience: float = PATIENCE) -> Any:
-        """Call a service and wait for the answer; None if none comes in time or the link is being closed."""
+    def call(
+        self, kind: Any, service: str, request: Any, patience: float = PATIENCE, hopeless: Callable[[], bool] = lambda: False
+    ) -> Any:
+        """Call a service and wait for the answer; None if none comes in time, the link is closed or there is no hope of one."""
         client = self._client(kind, service)
         deadline = time.monotonic() + patience
+
+        def in_vain() -> bool:
+            return time.monotonic() > deadline or self._closing.is_set() or hopeless()
+
         while not client.service_is_ready():
-            if time.monotonic() > deadline or self._closing.wait(REST):
+            if in_vain():
                 return None
+            self._closing.wait(REST)
         answered = threading.Event()
         future = client.call_async(request)
         future.add_done_callback(lambda _: answered.set())
         while not answered.wait(REST):
-            if time.monotonic() > deadline or self._closing.is_set():
+            if in_vain():
                 client.remove_pending_request(future)
                 return None
         return future.result()
@@ -269,9 +303,12 @@ class Link:
         now = time.monotonic()
         with self._lock:
             for status in array.status:
+                if status.hardware_id != self.namespace:
+                    continue
+                name = status.name.removeprefix(f"{self.namespace}/")
                 figures = {pair.key: pair.value for pair in status.values}
                 level = int.from_bytes(status.level, "little")
-                self._heard[status.name] = _Heard(now, Health(status.name, min(level, SILENT), status.message, figures))
+                self._heard[name] = _Heard(now, Health(name, min(level, SILENT), status.message, figures))
 
     def _take(self) -> None:
         """Take what gathers, until the link is closed."""

@@ -54,9 +54,6 @@ ENABLE_TIME = 10.0
 BACKGROUND = (RECORDER, "reference_node", DISTURBANCE)
 """Nodes that only have to keep up; they step back for those that have to answer."""
 
-REALTIME_PRIORITY = 10
-"""Priority of the nodes that answer each other, in realtime, if this user may give it."""
-
 NICE = 10
 """How far they step back, on the scale of nice."""
 
@@ -218,7 +215,11 @@ def _interrupts_noted() -> Iterator[threading.Event]:
 
 @contextmanager
 def node_processes(
-    names: list[str], parameters: Mapping[str, Mapping[str, Any]], logs: Path, environment: Mapping[str, str]
+    names: list[str],
+    parameters: Mapping[str, Mapping[str, Any]],
+    logs: Path,
+    environment: Mapping[str, str],
+    namespace: str = NAMESPACE,
 ) -> Iterator[list[Running]]:
     """Start the nodes; on leaving, end them by SIGINT, and by force what does not end."""
     running: list[Running] = []
@@ -226,7 +227,8 @@ def node_processes(
         for name in names:
             file = logs / f"{name}.yaml"
             file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(parameters[name])}}), encoding="utf-8")
-            command = [sys.executable, "-m", f"ehls_ros.nodes.{name}", "--ros-args", "--params-file", str(file)]
+            arguments = ["--ros-args", "-r", f"__ns:=/{namespace}", "--params-file", str(file)]
+            command = [sys.executable, "-m", f"ehls_ros.nodes.{name}", *arguments]
             log = logs / f"{name}.log"
             with log.open("wb") as output:
                 # A session of its own: Ctrl-C reaches this process, which then ends the nodes in order.

@@ -54,10 +54,10 @@ class Dashboard(NamedTuple):
 
 
 @contextlib.contextmanager
-def dashboard(folder: Path, domain: int, *arguments: str) -> Iterator[Dashboard]:
+def dashboard(folder: Path, domain: int, *arguments: str, **variables: str) -> Iterator[Dashboard]:
     """Run `ehls dashboard`; it has to end well by itself after Ctrl-C."""
     command = [sys.executable, "-m", "ehls_ros.cli.main", "dashboard", "--port", "0", *arguments]
-    environment = os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"} | variables
     process = subprocess.Popen(
         command, cwd=folder, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
     )
@@ -154,11 +154,58 @@ def test_the_page_moves_and_asks_no_other_server(tab, shown):
     tab.evaluate(f"window.before = {picture}")
     tab.until(f"{picture} !== window.before")
     goes_on(tab)
+    assert tab.evaluate("document.querySelector('[data-name=beginning]').offsetParent") is None
     assert abs(tab.evaluate("ehlsLive.newest('force_n')")) < 2e4
     assert tab.evaluate("ehlsLive.newest('supply_pressure_pa')") == pytest.approx(7e6, rel=0.1)
     server = shown.server.removeprefix("http://")
     assert {address.partition("://")[2].partition("/")[0] + "/" for address in tab.requested if ":" in address} <= {server}
     assert tab.complaints == []
+
+
+FAILS_LATER = """
+import os, pathlib, sys, time
+if "ehls_ros.nodes.plant_sim_node" in sys.orig_argv:
+    while not pathlib.Path("go").exists():
+        time.sleep(0.05)
+    print("out of oil", file=sys.stderr, flush=True)
+    os._exit(2)
+"""
+
+
+def test_a_page_says_how_far_the_nodes_are_and_why_one_ended(tab, shown, chromium, domain, tmp_path):
+    (tmp_path / "gentle.yaml").write_text(SPEC, encoding="utf-8")
+    (tmp_path / "sitecustomize.py").write_text(FAILS_LATER, encoding="utf-8")
+    path = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
+    with (
+        dashboard(tmp_path, domain, "--spec", "gentle.yaml", "--namespace", "rig2", PYTHONPATH=path) as started,
+        chromium.tab(started.address) as page,
+    ):
+        said = "document.querySelector('[data-name=beginning]').innerText.replace(/\\s+/g, ' ')"
+        page.until(f"{said}.includes('fasmc_node ready')", 120.0)
+        assert page.evaluate(said).startswith("Starting the graph: ")
+        assert "plant_sim_node starting" in page.evaluate(said)
+        assert page.text("state").startswith("starting, ")
+        assert page.text("where") == f"/rig2 in ROS domain {domain}"
+        assert page.evaluate("document.querySelector('[data-name=gate]').offsetParent") is None
+        with chromium.tab(shown.server) as other:
+            other.until("document.querySelectorAll('.nodes b').length === 5")
+            assert "rig2" not in other.evaluate("document.querySelector('.nodes').innerText")
+        (tmp_path / "go").touch()
+        page.until("document.querySelector('[data-name=trouble]').innerText.startsWith('plant_sim_node ended: out of oil')")
+        page.until(f"{said}.startsWith('No graph runs here')")
+        assert page.text("state") == "no graph"
+        page.click("[data-name=tab-nodes]")
+        page.until("document.querySelector('.side').innerText.includes('No node speaks.')", 5.0)
+        page.click("[data-name=tab-experiment]")
+        page.until("document.querySelector('[data-name=start]')?.disabled === false")
+
+
+def test_a_namespace_that_ros_does_not_allow_is_refused(domain, tmp_path):
+    command = [sys.executable, "-m", "ehls_ros.cli.main", "dashboard", "--port", "0", "--namespace", "rig 2"]
+    refused = subprocess.run(command, cwd=tmp_path, text=True, capture_output=True, timeout=60.0, check=False)
+    assert refused.returncode == 2
+    assert "'rig 2'" in refused.stderr
+    assert "such as rig2" in refused.stderr
 
 
 def test_nothing_is_cut_off_at_the_size_of_a_laptop(tab):
@@ -247,8 +294,10 @@ def test_a_recording_holds_what_went_by(tab, shown):
     tab.click("[data-name=record]")
     is_told(tab, "Recording to ")
     tab.click("[data-name=tab-nodes]")
-    tab.until("!!document.querySelector('[data-name=node-recorder_node]')")
-    goes_on(tab)
+    tab.until(
+        "[...document.querySelectorAll('[data-name=node-recorder_node] dt')]"
+        ".some(name => name.textContent === 'written' && Number(name.nextElementSibling.textContent) > 1000)"
+    )
     tab.click("[data-name=tab-experiment]")
     tab.click("[data-name=record]")
     tab.until("document.querySelector('[data-name=activity]').innerText.includes('Recorded: ')")

@@ -18,6 +18,7 @@ def arguments(parser: ArgumentParser) -> None:
         type=Path,
         help="experiment file to start a graph for, in a domain of its own unless ROS_DOMAIN_ID is set (default: join)",
     )
+    parser.add_argument("--namespace", default="ehls", help="namespace of the rig, where there are several (default: ehls)")
     parser.add_argument(
         "--host", default="127.0.0.1", help="address to serve at; other than this machine's own, reading needs the token too"
     )
@@ -42,7 +43,7 @@ def run(options: Namespace) -> int:
         if spec is not None:
             environment = graph_environment()
             os.environ.update({key: environment[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
-        graph = DashboardGraph()
+        graph = DashboardGraph(options.namespace)
 
         def start() -> None:
             if spec is not None:
@@ -51,7 +52,7 @@ def run(options: Namespace) -> int:
         starting = threading.Thread(target=start)
         starting.start()
         try:
-            serve(graph, opened, options.spec and options.spec.resolve(), _say_where)
+            serve(graph, opened, options.spec and options.spec.resolve(), lambda address: _say_where(address, graph.where))
         finally:
             graph.give_up()
             starting.join()
@@ -59,8 +60,8 @@ def run(options: Namespace) -> int:
     return 0
 
 
-def _say_where(address: str) -> None:
-    _tell(f"{address}\nROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}; Ctrl-C ends the dashboard and what it started")
+def _say_where(address: str, where: str) -> None:
+    _tell(f"{address}\n{where}; Ctrl-C ends the dashboard and what it started")
 
 
 def _tell(text: str) -> None:
