@@ -68,7 +68,9 @@ class Axis(NamedTuple):
         """Return round numbers on the axis."""
         if self.logarithmic:
             decades = range(int(np.floor(np.log10(self.low))), int(np.ceil(np.log10(self.high))) + 1)
-            return [10.0**n for n in decades if self.low <= 10.0**n * 1.001 and 10.0**n <= self.high * 1.001]
+            factors = (1, 2, 5) if self.high < 100.0 * self.low else (1,)
+            ticks = [factor * 10.0**n for n in decades for factor in factors]
+            return [tick for tick in ticks if self.low <= tick * 1.001 and tick <= self.high * 1.001]
         step = 10.0 ** np.floor(np.log10((self.high - self.low) / 2.5))
         step *= next(factor for factor in (1, 2, 5, 10) if (self.high - self.low) / (factor * step) <= 5)
         return [float(n * step) for n in range(round(np.ceil(self.low / step)), int(self.high / step + 1e-9) + 1)]

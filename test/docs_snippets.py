@@ -29,6 +29,8 @@ MARK = re.compile(r"<!--\s*(?P<word>file|slow|parsed|not run):\s*(?P<rest>.*?)\s
 EHLS = ("ehls", ".venv/bin/ehls")
 PYTHON = ("python", ".venv/bin/python")
 SHELL = "sh"
+SECOND_RIG = "/rig2/"
+"""Where the pages have a second rig."""
 
 
 class Block(NamedTuple):
@@ -202,13 +204,18 @@ def check_ros2(words: list[str], parameters_of: ParametersOf) -> None:
         case ["param", ("set" | "get" | "describe"), node, name, *value]:
             check_value(parameters_of.node(node.rpartition("/")[2]), name, *value)
         case ["topic", _, topic]:
-            if topic not in parameters_of.topics():
+            if in_first_rig(topic) not in parameters_of.topics():
                 raise Unknown(f"there is no topic {topic}")
         case ["service", "call", service, kind, *_]:
-            if parameters_of.services().get(service) != kind:
+            if parameters_of.services().get(in_first_rig(service)) != kind:
                 raise Unknown(f"there is no service {service} of type {kind}")
         case _:
             raise Unknown(f"nobody knows how to check ros2 {' '.join(words)}")
+
+
+def in_first_rig(name: str) -> str:
+    """Return what a topic or service of the second rig is called in the first."""
+    return f"/ehls/{name.removeprefix(SECOND_RIG)}" if name.startswith(SECOND_RIG) else name
 
 
 def check_value(known: Mapping[str, Declaration], name: str, value: str | None = None) -> None:

@@ -192,6 +192,8 @@ def run(command: Command) -> None:
         "ros2 launch ehls_ros ehls.launch.py nothing:=sim",
         "ros2 service call /ehls/emergency_stop std_srvs/srv/SetBool",
         "ros2 topic hz /ehls/no_topic",
+        "ros2 service call /rig2/emergency_stop std_srvs/srv/SetBool",
+        "ros2 topic hz /rig3/loader_state",
         "rm -rf build",
     ],
 )

@@ -1,6 +1,7 @@
-"""Take the pictures of the dashboard: a graph in lockstep, the dashboard that joins it, and a headless browser.
+"""Take the pictures of the dashboard: one that starts a graph, one that joins a graph in lockstep, and a headless browser.
 
-`.venv/bin/python docs/pictures/dashboard.py` writes dashboard.png, dashboard_dark.png and dashboard_experiment.png here.
+`.venv/bin/python docs/pictures/dashboard.py` writes dashboard_starting.png, dashboard.png, dashboard_dark.png and
+dashboard_experiment.png here.
 """
 
 import signal
@@ -8,6 +9,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -21,34 +24,48 @@ DURATION = 1000.0
 """Of the graph in plant time [s]; it is ended when the pictures are taken."""
 
 
+EHLS = (sys.executable, "-m", "ehls_ros.cli.main")
+
+
 def main() -> None:
-    """Start both, take the pictures, end both."""
+    """Take the pictures, and end everything."""
     sys.path.insert(0, str(ROOT))
     from ehls_ros.nodes.graph import graph_environment  # noqa: PLC0415 - found by the line above
 
     environment = graph_environment()
-    ehls = [sys.executable, "-m", "ehls_ros.cli.main"]
     with tempfile.TemporaryDirectory() as folder:
-        experiment = [*ehls, "experiment", str(SPEC), "--duration", str(DURATION), "--out", f"{folder}/run"]
+        # An empty cache: everything has to be compiled.
+        with shown(Path(folder), environment | {"EHLS_CACHE_DIR": f"{folder}/kernels"}, "--spec", str(SPEC)) as tab:
+            tab.until("document.querySelector('[data-name=beginning]').innerText.includes('ready')", 180.0)
+            save(tab, "dashboard_starting")
+        experiment = [*EHLS, "experiment", str(SPEC), "--duration", str(DURATION), "--out", f"{folder}/run"]
         graph = subprocess.Popen(experiment, env=environment, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        server = subprocess.Popen(
-            [*ehls, "dashboard", "--port", "0"], env=environment, cwd=folder, stdout=subprocess.PIPE, text=True
-        )
         try:
-            address = server.stdout.readline().strip() if server.stdout else ""
-            with browser(Path(folder) / "chromium") as chromium, chromium.tab(address) as tab:
+            with shown(Path(folder), environment) as tab:
                 take(tab)
         finally:
-            for process in (server, graph):
-                process.send_signal(signal.SIGINT)
-            for process in (server, graph):
-                process.wait(60.0)
+            graph.send_signal(signal.SIGINT)
+            graph.wait(60.0)
+
+
+@contextmanager
+def shown(folder: Path, environment: Mapping[str, str], *arguments: str) -> Iterator[Tab]:
+    """Run a dashboard and a browser that looks at it at the size of a laptop."""
+    command = [*EHLS, "dashboard", "--port", "0", *arguments]
+    server = subprocess.Popen(command, env=environment, cwd=folder, stdout=subprocess.PIPE, text=True)
+    try:
+        address = server.stdout.readline().strip() if server.stdout else ""
+        with tempfile.TemporaryDirectory() as profile, browser(Path(profile)) as chromium, chromium.tab(address) as tab:
+            tab.resize(1366, 768)
+            tab.prefer("light")
+            yield tab
+    finally:
+        server.send_signal(signal.SIGINT)
+        server.wait(60.0)
 
 
 def take(tab: Tab) -> None:
     """Take the pictures once ten seconds of the graph are there."""
-    tab.resize(1366, 768)
-    tab.prefer("light")
     tab.until(
         "typeof ehlsLive !== 'undefined' && ehlsLive.last() > 800 && !!document.querySelector('[data-name=value-k]')", 180.0
     )
