@@ -4,6 +4,7 @@ import ctypes
 import gc
 import os
 import time
+from collections.abc import Collection
 from pathlib import Path
 
 SPIN = 50e-6
@@ -35,7 +36,7 @@ def exact_wake_ups() -> None:
     ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
-def claim(priority: int) -> tuple[str, ...]:
+def claim(priority: int, behind: Collection[int] = ()) -> tuple[str, ...]:
     """Get this process ready for a loop with deadlines; takes some tenths of a second.
 
     The objects there are leave garbage collection, which is then off: the loop must not make cycles. Memory is locked,
@@ -44,6 +45,7 @@ def claim(priority: int) -> tuple[str, ...]:
 
     Args:
         priority: for SCHED_FIFO, 1 to 99; 0 leaves scheduling and memory as they are.
+        behind: threads, by their native ids, that get the lowest priority of SCHED_FIFO instead.
 
     Returns:
         What was not permitted, a sentence each.
@@ -55,8 +57,8 @@ def claim(priority: int) -> tuple[str, ...]:
         return ()
     refused = []
     try:
-        for thread in Path("/proc/self/task").iterdir():
-            os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority))
+        for thread in (int(task.name) for task in Path("/proc/self/task").iterdir()):
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1 if thread in behind else priority))
     except PermissionError:
         refused.append(f"SCHED_FIFO at priority {priority} is not permitted (RLIMIT_RTPRIO)")
     if ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE) != 0:

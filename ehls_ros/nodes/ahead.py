@@ -28,6 +28,7 @@ class AheadNode(ControlNode):
     """
 
     lead = LEAD
+    answers = False
 
     def open_outbox(self) -> Outbox:
         """Compile what is needed and return where the rows go."""

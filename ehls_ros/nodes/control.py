@@ -66,6 +66,9 @@ class ControlNode(LifecycleNode):
     :meth:`health`.
     """
 
+    answers = True
+    """Whether somebody waits for what the loop publishes; a loop that only has to keep up lets the others go first."""
+
     def __init__(self, name: str) -> None:
         """Declare the common parameters and read the spec.
 
@@ -135,7 +138,10 @@ class ControlNode(LifecycleNode):
         except (BadInput, OSError) as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
-        self.not_permitted = claim(0 if self.lockstep else int(self.get_parameter("priority").value))
+        # The middleware's receivers hold locks that whoever sends to them takes as well: even where the loop goes behind
+        # the others, its receivers must never be kept from running while they hold one.
+        loops = () if self.answers else [thread.native_id for thread in threading.enumerate() if thread.native_id]
+        self.not_permitted = claim(0 if self.lockstep else int(self.get_parameter("priority").value), loops)
         self.configured = True
         return TransitionCallbackReturn.SUCCESS
 

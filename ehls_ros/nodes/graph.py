@@ -31,7 +31,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import WorkFailed
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec
-from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE
+from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE, REALTIME
 from ehls_ros.recording.topics import CYCLE_TOPICS, FRICTION_ESTIMATE, REFERENCE_TOPICS
 from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
 
@@ -180,6 +180,9 @@ def node_parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, st
     """Return each node's parameters, in the order the nodes are activated."""
     common = {"spec": str(folder.spec.resolve()), "timing": timing, "autostart": False}
     parameters: dict[str, dict[str, Any]] = {name: dict(common) for name in nodes_of(spec, plant)}
+    if timing == REALTIME:
+        for own in parameters.values():
+            own["priority"] = REALTIME_PRIORITY
     parameters[plant.node]["cycles"] = spec.cycles
     if plant.bridge is not None:
         parameters[plant.node]["bridge"] = str(plant.bridge.resolve())

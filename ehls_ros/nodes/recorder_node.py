@@ -44,6 +44,8 @@ class Parameters(NamedTuple):
 class RecorderNode(ControlNode):
     """Writes what is published, byte for byte, stamped with the sender's time of publishing."""
 
+    answers = False
+
     def __init__(self) -> None:
         """Declare the parameters."""
         super().__init__("recorder_node")
