@@ -26,7 +26,7 @@ ARGUMENTS = {
         "realtime: wall clock; lockstep: deterministic, as fast as the machine goes",
         ["realtime", "lockstep"],
     ),
-    "priority": ("0", "in realtime: SCHED_FIFO priority of the nodes that answer each other, 1 to 99; 0: none", None),
+    "priority": ("0", "in realtime: SCHED_FIFO priority of the nodes, 1 to 99; 0: none", None),
     "namespace": ("ehls", "namespace of nodes and topics; one of its own for each further rig, such as rig2", None),
     "record": ("", "folder to record a bag into; empty: no recording", None),
     "without": ("", "nodes to leave out, separated by commas", None),
@@ -38,15 +38,13 @@ PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
 def nodes(context: LaunchContext) -> list[Node]:
     """Return the nodes the arguments ask for."""
     chosen = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    common = {"spec": chosen["spec"], "rig": chosen["rig"], "timing": chosen["timing"]}
+    common = {"spec": chosen["spec"], "rig": chosen["rig"], "timing": chosen["timing"], "priority": int(chosen["priority"])}
     own: dict[str, dict[str, object]] = {
         "reference_node": {},
         "friction_estimator_node": {},
         f"{chosen['controller']}_node": {},
         PLANTS[chosen["plant"]]: {},
     }
-    for name in own.keys() - {"reference_node", "disturbance_node"}:
-        own[name]["priority"] = int(chosen["priority"])
     if chosen["timing"] == "lockstep":
         # Nothing is late in lockstep.
         own[f"{chosen['controller']}_node"]["friction_patience"] = 10.0

@@ -4,11 +4,15 @@ import ctypes
 import gc
 import os
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 SPIN = 50e-6
 """Time before a deadline that is spent looking at the clock, since a sleeper wakes late [s]."""
+
+LOWEST = 1
+"""Lowest priority of SCHED_FIFO: before all ordinary work, behind whoever asked for more."""
 
 MCL_CURRENT, MCL_FUTURE = 1, 2
 PR_SET_TIMERSLACK = 29
@@ -36,6 +40,38 @@ def exact_wake_ups() -> None:
     ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
+def threads() -> set[int]:
+    """Return the native ids of this process's threads, those of libraries too."""
+    return {int(task.name) for task in Path("/proc/self/task").iterdir()}
+
+
+def prefer(chosen: Iterable[int], priority: int) -> None:
+    """Give threads the scheduling class SCHED_FIFO.
+
+    Args:
+        chosen: their native ids.
+        priority: 1 to 99.
+
+    Raises:
+        PermissionError: the system does not permit it.
+    """
+    for thread in chosen:
+        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+
+
+@contextmanager
+def preferring_what_starts(priority: int) -> Iterator[None]:
+    """Give SCHED_FIFO to the threads that are started meanwhile, if the system permits it.
+
+    Args:
+        priority: 1 to 99.
+    """
+    before = threads()
+    yield
+    with suppress(PermissionError):
+        prefer(threads() - before, priority)
+
+
 def claim(priority: int, behind: Collection[int] = ()) -> tuple[str, ...]:
     """Get this process ready for a loop with deadlines; takes some tenths of a second.
 
@@ -45,7 +81,7 @@ def claim(priority: int, behind: Collection[int] = ()) -> tuple[str, ...]:
 
     Args:
         priority: for SCHED_FIFO, 1 to 99; 0 leaves scheduling and memory as they are.
-        behind: threads, by their native ids, that get the lowest priority of SCHED_FIFO instead.
+        behind: threads, by their native ids, that get :data:`LOWEST` instead.
 
     Returns:
         What was not permitted, a sentence each.
@@ -57,8 +93,8 @@ def claim(priority: int, behind: Collection[int] = ()) -> tuple[str, ...]:
         return ()
     refused = []
     try:
-        for thread in (int(task.name) for task in Path("/proc/self/task").iterdir()):
-            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1 if thread in behind else priority))
+        prefer(threads().difference(behind), priority)
+        prefer(behind, LOWEST)
     except PermissionError:
         refused.append(f"SCHED_FIFO at priority {priority} is not permitted (RLIMIT_RTPRIO)")
     if ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE) != 0:

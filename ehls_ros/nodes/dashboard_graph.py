@@ -18,6 +18,7 @@ from ehls_ros.nodes.control import NAMESPACE, REALTIME
 from ehls_ros.nodes.dashboard_link import Link
 from ehls_ros.nodes.graph import (
     PLANTS,
+    REALTIME_PRIORITY,
     RECORDER,
     SIMULATED,
     UP_TIME,
@@ -142,7 +143,7 @@ class DashboardGraph(Link):
                 folder.logs.mkdir()
             except (BadInput, OSError) as error:
                 return Answer(done=False, message=str(error))
-            chosen = {"spec": str(folder.spec.resolve()), "timing": REALTIME}
+            chosen = {"spec": str(folder.spec.resolve()), "timing": REALTIME, "priority": REALTIME_PRIORITY}
             bag = {"bag": str(folder.bag.resolve()), "storage": STORAGE}
             self._recorder.begin({RECORDER: {**chosen, **bag}}, folder, self.namespace)
             self._recorder.says = f"Recording to {folder.bag}."

@@ -28,9 +28,10 @@ from ehls_ros.dashboard.graph import Answer, Health, Tunable, Value
 from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, RESPONSE, SIGNALS
 from ehls_ros.dashboard.window import Window
 from ehls_ros.errors import BadInput
+from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes import codec
 from ehls_ros.nodes.control import NAMESPACE
-from ehls_ros.nodes.graph import PLANTS
+from ehls_ros.nodes.graph import PLANTS, REALTIME_PRIORITY
 from ehls_ros.nodes.transport import DEPTH, Inbox, message_class
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS
 from ehls_ros.recording.cdr import CdrError, decode, flatten
@@ -132,7 +133,9 @@ class Link:
         self.where = f"/{self.namespace} in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}"
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self.window = Window(SIGNALS)
-        self._node = rclpy.create_node("dashboard", namespace=f"/{self.namespace}")
+        # Whoever sends here would wait for a receiver that ordinary work keeps from giving its locks back.
+        with preferring_what_starts(REALTIME_PRIORITY):
+            self._node = rclpy.create_node("dashboard", namespace=f"/{self.namespace}")
         self._lock = threading.Lock()
         self._heard: dict[str, _Heard] = {}
         self._clients: dict[str, Any] = {}

@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
@@ -31,6 +31,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import WorkFailed
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec
+from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE, REALTIME
 from ehls_ros.recording.topics import CYCLE_TOPICS, FRICTION_ESTIMATE, REFERENCE_TOPICS
 from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
@@ -53,6 +54,9 @@ ENABLE_TIME = 10.0
 
 BACKGROUND = (RECORDER, "reference_node", DISTURBANCE)
 """Nodes that only have to keep up; they step back for those that have to answer."""
+
+REALTIME_PRIORITY = 10
+"""Priority of the nodes in realtime, if this user may give it; their loops that only have to keep up go behind."""
 
 NICE = 10
 """How far they step back, on the scale of nice."""
@@ -287,7 +291,9 @@ class Conductor:
         self._running = running
         self._plant = plant
         self._timing = timing
-        self._node = Node("conductor", namespace=NAMESPACE)
+        # The nodes send here too, and would wait for a receiver that ordinary work keeps from giving its locks back.
+        with preferring_what_starts(REALTIME_PRIORITY) if timing == REALTIME else nullcontext():
+            self._node = Node("conductor", namespace=NAMESPACE)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._clients = {node.name: self._node.create_client(ChangeState, f"{node.name}/change_state") for node in running}

@@ -62,7 +62,7 @@ class EmulatedRig:
     def start(self, name: str, **options: Any) -> subprocess.Popen[bytes]:
         """Start one of the nodes, or start it anew."""
         own = {"bridge": self.bridge} if name == "hardware_bridge_node" else {}
-        priority = 10 if self.timing == "realtime" and name != "reference_node" else 0
+        priority = 10 if self.timing == "realtime" else 0
         return self.graph.start(name, spec=self.spec, timing=self.timing, priority=priority, **own, **options)
 
     def start_emulator(self) -> None:
