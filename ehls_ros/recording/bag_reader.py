@@ -1,9 +1,11 @@
 """Reading of rosbag2: ours or of ROS's own recorder, whole or not at all."""
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +15,15 @@ from rosbags.rosbag2 import Reader
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.alignment import CYCLE, MessageColumns, align
 from ehls_ros.recording.bag_topic import BagTopic
+from ehls_ros.recording.expansion import Allowance, check_chunks, compression_mode, expanded_message, laid_open
 from ehls_ros.recording.provenance import Provenance, provenance_in
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import NOTE
-from ehls_ros.recording.storage_file import CLOSED_BAG, custom_data_in, parse_metadata
+from ehls_ros.recording.storage_file import CLOSED_BAG, METADATA_FILE, custom_data_in, parse_metadata
 from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE
 from ehls_ros.trajectory import SIGNALS, Trajectory
 
 STORAGE_SUFFIXES = (".mcap", ".db3")
-METADATA_FILE = "metadata.yaml"
 
 
 def read_bag(path: Path) -> Trajectory:
@@ -38,36 +40,60 @@ def read_bag(path: Path) -> Trajectory:
         The trajectory. Its times are the header stamps of the snapshots; those of a wall clock count from the first.
 
     Raises:
-        BadInput: the bag is missing, cut, damaged, never closed, without ``loader_state`` or of several runs.
+        BadInput: the bag is missing, cut, damaged, never closed, without ``loader_state``, of several runs, or
+            expands beyond measure.
     """
     where = str(path)
-    with _damage_reported(where):
-        custom_data = [custom_data_in(file) for file in _storage_files(path)]
-    with closing(_open(path)) as reader:
+    with ExitStack() as stack:
+        with _damage_reported(where):
+            metadata = _metadata(path)
+            allowance = Allowance(_size(path))
+            bag = stack.enter_context(laid_open(path, metadata, allowance)) if metadata is not None else path
+            custom_data = [_checked(file, allowance) for file in _storage_files(bag)]
+        reader = stack.enter_context(closing(_open(bag)))
+        compressed = metadata is not None and compression_mode(metadata) == "message"
+        expand = partial(expanded_message, allowance=allowance, where=where) if compressed else None
         entries = reader.storage.metadata.custom
         provenance = _provenance([*custom_data, entries if isinstance(entries, dict) else {}], where)
-        columns = _read_topics(reader, provenance, where)
+        columns = _read_topics(reader, provenance, where, expand)
     if not len(columns[LOADER_STATE.name][CYCLE]):
         raise BadInput(f"there is no message of {LOADER_STATE.name}", where, "one snapshot or more")
     time_s, signals = align(columns, where)
     return Trajectory(time_s, _recorded(signals, len(time_s), provenance), provenance.configuration if provenance else {})
 
 
-def _storage_files(path: Path) -> list[Path]:
-    """Return the storage files that can be checked by themselves; compressed ones cannot."""
+def _metadata(path: Path) -> Any:
+    """Check that a bag is there and closed, and return what its metadata.yaml says; None for a single storage file."""
     if path.is_dir():
         if (path / NOTE).exists():
             raise BadInput("it is being recorded, or its recorder was killed", str(path), f"`ehls recover {path}` in that case")
         if not (path / METADATA_FILE).exists():
             raise BadInput(f"{METADATA_FILE} is missing", str(path), CLOSED_BAG)
         # rosbags parses it again, and trusts it
-        parse_metadata((path / METADATA_FILE).read_text(encoding="utf-8"), str(path / METADATA_FILE))
-        return sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)
+        return parse_metadata((path / METADATA_FILE).read_text(encoding="utf-8"), str(path / METADATA_FILE))
     if not path.exists():
         raise BadInput("it does not exist", str(path), "a folder of a rosbag2, or a file .mcap or .db3")
     if path.suffix not in STORAGE_SUFFIXES:
         raise BadInput("it is no bag", str(path), "a folder of a rosbag2, or a file .mcap or .db3")
-    return [path]
+    return None
+
+
+def _storage_files(bag: Path) -> list[Path]:
+    """Return the storage files of a folder, or the one that is a bag by itself."""
+    return sorted(file for file in bag.iterdir() if file.suffix in STORAGE_SUFFIXES) if bag.is_dir() else [bag]
+
+
+def _size(path: Path) -> int:
+    """Return what a bag takes on disk [B]."""
+    return sum(file.stat().st_size for file in (path.iterdir() if path.is_dir() else [path]))
+
+
+def _checked(file: Path, allowance: Allowance) -> Mapping[str, str]:
+    """Check that a storage file is whole and does not expand beyond measure, and return the custom data it carries."""
+    custom_data = custom_data_in(file)
+    if file.suffix == ".mcap":
+        check_chunks(file, allowance)
+    return custom_data
 
 
 @contextmanager
@@ -88,9 +114,12 @@ def _open(path: Path) -> Reader:
         return reader
 
 
-def _messages(reader: Reader, connections: Sequence[Connection], where: str) -> Iterator[tuple[Connection, int, bytes]]:
+def _messages(
+    reader: Reader, connections: Sequence[Connection], where: str, expand: Callable[[bytes], bytes] | None
+) -> Iterator[tuple[Connection, int, bytes]]:
     with _damage_reported(where):
-        yield from reader.messages(connections)
+        for connection, stamp_ns, message in reader.messages(connections):
+            yield connection, stamp_ns, expand(message) if expand else message
 
 
 def _provenance(custom_data: Sequence[Mapping[str, str]], where: str) -> Provenance | None:
@@ -101,7 +130,9 @@ def _provenance(custom_data: Sequence[Mapping[str, str]], where: str) -> Provena
     return found[0] if found else None
 
 
-def _read_topics(reader: Reader, provenance: Provenance | None, where: str) -> dict[str, MessageColumns]:
+def _read_topics(
+    reader: Reader, provenance: Provenance | None, where: str, expand: Callable[[bytes], bytes] | None
+) -> dict[str, MessageColumns]:
     """Return the messages of the cycle topics the bag has, by the topic's name."""
     by_path: dict[str, list[Connection]] = defaultdict(list)
     for connection in reader.connections:
@@ -121,7 +152,7 @@ def _read_topics(reader: Reader, provenance: Provenance | None, where: str) -> d
         if (name in by_path) != (name in seals) and provenance:
             raise BadInput(f"topic {name} was not recorded with the others", where, "a bag as it was written")
     connections = [connection for connection in reader.connections if connection.id in sinks]
-    for connection, stamp_ns, message in _messages(reader, connections, where):
+    for connection, stamp_ns, message in _messages(reader, connections, where, expand):
         sinks[connection.id].add(stamp_ns, message)
     return {topic.topic.name: topic.columns() for topic in topics}
 

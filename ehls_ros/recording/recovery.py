@@ -8,21 +8,22 @@ import os
 import sqlite3
 import struct
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple, cast
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.bag_writer import BagWriter, Storage
+from ehls_ros.recording.bag_writer import NEW_FOLDER, BagWriter, Storage
 from ehls_ros.recording.provenance import message_checksum
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import RECOVERABLE, Note, read_note
-from ehls_ros.recording.storage_file import MCAP_MAGIC, MCAP_RECORD, check_database
+from ehls_ros.recording.storage_file import MCAP_CHUNK, MCAP_MAGIC, MCAP_RECORD, check_database
 from ehls_ros.recording.topics import TOPICS
 
 SOUND_DISK = "a disk that keeps what was written to it"
 
-MCAP_CHANNEL, MCAP_MESSAGE, MCAP_CHUNK = 0x04, 0x05, 0x06
+MCAP_CHANNEL, MCAP_MESSAGE = 0x04, 0x05
 MCAP_MESSAGE_HEAD = struct.Struct("<HIQQ")
 MCAP_CHUNK_HEAD = struct.Struct("<QQQIIQ")  # as it is without compression
 
@@ -46,7 +47,7 @@ def recover(folder: Path, out: Path) -> int:
 
     Args:
         folder: what the recorder left behind; it stays as it is.
-        out: folder of the new bag, to be made.
+        out: folder of the new bag, to be made; on failure it is not there.
 
     Returns:
         The number of messages in the new bag.
@@ -57,6 +58,32 @@ def recover(folder: Path, out: Path) -> int:
         OSError: the disk is full or fails.
     """
     note = read_note(folder)
+    if out.exists():
+        raise BadInput("the output exists already", str(out), NEW_FOLDER)
+    with _becoming(out) as unfinished:
+        return _recover(folder, note, unfinished)
+
+
+@contextmanager
+def _becoming(out: Path) -> Iterator[Path]:
+    """Yield a folder to be made beside another, which becomes the other unless something goes wrong; then nothing is left."""
+    beside = next(parent for parent in out.parents if parent.exists())
+    try:
+        temporary = TemporaryDirectory(prefix=".recovering-", dir=beside)
+    except OSError as error:
+        raise BadInput(f"the output cannot be made ({reason(error)})", str(beside), NEW_FOLDER) from None
+    with temporary as unfinished:
+        try:
+            yield Path(unfinished) / out.name
+        except BadInput as error:
+            # The user knows nothing of this folder.
+            raise BadInput(error.what, error.where.replace(unfinished, str(out.parent)), error.expected) from None
+        out.parent.mkdir(parents=True, exist_ok=True)
+        (Path(unfinished) / out.name).rename(out)
+
+
+def _recover(folder: Path, note: Note, out: Path) -> int:
+    """Write what the note vouches for into a new bag and return the number of its messages."""
     names = {topic.resolve(note.namespace): topic for topic in TOPICS}
     unknown = next((path for path in note.flushed if path not in names), None)
     if unknown is not None:

@@ -15,12 +15,14 @@ from ehls_ros.errors import BadInput
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.yaml_text import parse_yaml
 
+METADATA_FILE = "metadata.yaml"
+
 CLOSED_BAG = "a bag whose recorder was closed"
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 MCAP_RECORD = struct.Struct("<BQ")
 MCAP_FOOTER = struct.Struct("<BQQQI8s")
-MCAP_METADATA_INDEX = 0x0D
+MCAP_CHUNK, MCAP_CHUNK_INDEX, MCAP_METADATA_INDEX = 0x06, 0x08, 0x0D
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 

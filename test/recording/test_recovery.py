@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -107,7 +108,38 @@ def test_a_flipped_bit_is_found(tmp_path: Path):
     content[content.index(serialized(valve_command(20)) + next_message) + 30] ^= 1
     file.write_bytes(content)
     with pytest.raises(BadInput, match="messages on /ehls/valve_command are damaged"):
-        recover(bag, tmp_path / "whole")
+        recover(bag, tmp_path / "new" / "whole")
+    assert list(tmp_path.iterdir()) == [bag]
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_full_disk_leaves_no_half_of_a_bag(tmp_path: Path, storage: Storage):
+    bag = killed(tmp_path / "bag", storage, flushed=3000)
+    command = [sys.executable, "-m", "ehls_ros.cli.main", "recover", str(bag)]
+
+    def limit() -> None:
+        size = storage_file(bag).stat().st_size // 2
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+    done = subprocess.run(command, capture_output=True, text=True, check=False, preexec_fn=limit)
+    assert done.returncode == 1
+    assert str(tmp_path / "bag_recovered") in done.stderr
+    assert list(tmp_path.iterdir()) == [bag]
+
+
+def test_the_new_bag_is_named_in_what_is_wrong_with_it(tmp_path: Path):
+    bag = killed(tmp_path / "bag", "sqlite3")
+    out = tmp_path / "100 %"
+    with pytest.raises(BadInput, match="the path holds one of") as caught:
+        recover(bag, out)
+    assert caught.value.where == str(out)
+
+
+def test_the_new_bag_may_lie_in_new_folders(tmp_path: Path):
+    bag = killed(tmp_path / "bag", "mcap")
+    assert recover(bag, tmp_path / "a" / "b" / "whole") == 600
+    assert len(read_bag(tmp_path / "a" / "b" / "whole")) == 300
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "a", bag]
 
 
 @pytest.mark.parametrize("damage", ["{", "[]", '{"storage": "mcap"}', json.dumps({"flushed": {"/ehls/force": 3}})])
