@@ -63,6 +63,7 @@ class PlantNode(ControlNode):
         self.period = self.spec.settings.control_period
         self.gate = Gate(self.spec.rig, self.period, values_of(self, GateParameters, name))
         follow(self, GateParameters, self._retune)
+        self._ending = self.create_timer(0.0, self._leave, autostart=False)
         self.create_service(Trigger, "emergency_stop", self._on_emergency_stop)
         self.create_service(Trigger, "reset_trips", self._on_reset)
         self.create_service(SetBool, "enable", self._on_enable)
@@ -153,7 +154,11 @@ class PlantNode(ControlNode):
     def end_cycles(self) -> None:
         """Leave the active state from the service thread: the last cycle is done."""
         self.finish()
-        timer = self.create_timer(0.0, lambda: (timer.cancel(), self.trigger_deactivate()))
+        self._ending.reset()
+
+    def _leave(self) -> None:
+        self._ending.cancel()
+        self.trigger_deactivate()
 
     def _retune(self, parameters: GateParameters) -> None:
         self.gate.retune(parameters)
