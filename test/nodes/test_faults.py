@@ -54,12 +54,21 @@ class Trip(NamedTuple):
         since: when it was put in, or could first be noticed; of the monotonic clock [s].
         until: when the gate was reset again [s].
         limit: time in which the command has to be null [s].
+        span: span of the command from which on a reading that repeats itself is a fault [m]. The limit counts from
+            frozen_time before it was reached, if that is later.
     """
 
     fault: str
     since: float
     until: float
     limit: float
+    span: float = 0.0
+
+    def begin(self, command, first):
+        """Return the row from which the limit counts, of a command and the row at which the fault was put in."""
+        seen = command[first:]
+        spans = np.maximum.accumulate(seen) - np.minimum.accumulate(seen)
+        return first + max(0, int(np.argmax(spans >= self.span)) - round(GATE.frozen_time / PERIOD)) if self.span else first
 
 
 class Trial:
@@ -93,7 +102,7 @@ class Trial:
 
         self.rig.participant.until(lambda: any(said(s) for array in self.rig.diagnostics for s in array.status), seconds)
 
-    def trips_it(self, fault, put_in, limit, end=lambda: None):
+    def trips_it(self, fault, put_in, limit, end=lambda: None, span=0.0):
         """Put a fault in, see the gate trip, end the fault, and go on; ``put_in`` may return when exactly it was in."""
         before = time.monotonic()
         since = put_in() or before
@@ -102,7 +111,7 @@ class Trial:
         end()
         until = time.monotonic()
         self.enable()
-        self.trips.append(Trip(fault, since, until, limit))
+        self.trips.append(Trip(fault, since, until, limit, span))
 
     def bears_it(self, fault, put_in=lambda: None, end=lambda: None, cycles=300):
         """Put a fault in that the rig has to go on with."""
@@ -121,7 +130,8 @@ class Trial:
         assert np.all(np.isfinite(command))
         assert np.max(np.abs(command)) <= SPOOL_LIMIT * (1.0 + 1e-9)
         for trip in self.trips:
-            first, last = np.searchsorted(clock, [trip.since, trip.until])
+            put_in, last = np.searchsorted(clock, [trip.since, trip.until])
+            first = trip.begin(command[:last], put_in)
             moving = np.flatnonzero(command[first:last])
             took = (int(moving[-1]) + 1 if moving.size else 0) * PERIOD
             assert first + round(took / PERIOD) < last, f"{trip.fault}: the actuator never came to rest"
@@ -216,7 +226,8 @@ def test_sensors_that_lie(trial):
         ("jump force 2e4", 0.0),
         ("jump position 0.1", 0.0),
     ):
-        running.trips_it(f"sensor: {line}", fault(line), limit + GATE.mismatch_time + GATE.ramp_time, fault("clear"))
+        span = GATE.frozen_command if line.startswith("stick") else 0.0
+        running.trips_it(f"sensor: {line}", fault(line), limit + GATE.mismatch_time + GATE.ramp_time, fault("clear"), span)
     for step in (-3600.0, 3600.0):
         running.bears_it(f"rig's clock steps by {step:g} s", fault(f"clock {step}"), fault("clear"))
     running.finish()
