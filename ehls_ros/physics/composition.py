@@ -210,7 +210,7 @@ def effect_rates(value, t, y, w, z, p, plant, dz):
 
 parts = model.Parts(
     friction_model, {elements}, {late},
-    command, opening, supply_pressure, bulk_modulus, leakage, friction_level, force, effect_rates,
+    command, opening, supply_pressure, bulk_modulus, leakage, friction_level, force, piston_velocity, effect_rates,
 )
 evaluate, switch = model.system(parts)
 run = integration.integrator(evaluate, switch, size=model.FRICTION + {elements} + EFFECT_STATES)
@@ -222,6 +222,8 @@ def observe(cycle, t, y, plant, inputs, effects, state, noise, truth, measured):
     z = y[model.FRICTION + {elements}:]
     supply = supply_pressure(plant.supply_pressure, t, y, inputs, z, effects, plant)
     sensors.true_signals(y, inputs[model.TEMPERATURE], supply, plant, truth)
+    truth[sensors.POSITION] = piston_position(y[model.X], t, y, inputs, z, effects, plant)
+    truth[sensors.VELOCITY] = piston_velocity(y[model.V], t, y, inputs, z, effects, plant)
     sensors.measure(cycle, truth, noise, state, measured)
 
 

@@ -1,8 +1,8 @@
 """The plant: equations (1)-(4) and a friction model, as one switching system for the integrator.
 
-State ``y``: piston position, velocity, load pressure, spool displacement (x1..x4 of (24)), then the
-friction model's forces, then the effects' own states. Modes: the side the orifice is open to, then the
-friction model's.
+State ``y``: position and velocity of the moving mass (the piston's, unless an effect parts load and piston), load
+pressure, spool displacement (x1..x4 of (24)), then the friction model's forces, then the effects' own states.
+Modes: the side the orifice is open to, then the friction model's.
 
 :func:`system` builds it from a friction model and the effects' hooks; the compiler inlines them, so what no
 effect uses costs nothing.
@@ -91,6 +91,7 @@ class Parts(NamedTuple):
     leakage: Callable[..., float]
     friction_level: Callable[..., float]
     force: Callable[..., float]
+    piston_velocity: Callable[..., float]
     effect_rates: Callable[..., None]
 
 
@@ -105,7 +106,7 @@ def system(parts: Parts) -> tuple[Callable[..., float], Callable[..., None]]:
     friction_event, friction_switch = parts.friction.event, parts.friction.switch
     command, opening, supply_pressure = parts.command, parts.opening, parts.supply_pressure
     bulk_modulus, leakage, friction_level = parts.bulk_modulus, parts.leakage, parts.friction_level
-    extra_force, effect_rates = parts.force, parts.effect_rates
+    extra_force, piston_velocity, effect_rates = parts.force, parts.piston_velocity, parts.effect_rates
 
     @kernel
     def mechanics(t: float, y: Array, c: Coefficients) -> tuple[float, float]:
@@ -134,7 +135,8 @@ def system(parts: Parts) -> tuple[Callable[..., float], Callable[..., None]]:
 
         rate[X] = y[V]
         rate[V] = (applied - friction) / plant.moving_mass  # (3)
-        rate[PL] = load_pressure_rate(flow, y[V], y[PL], leak, modulus, plant)  # (2)
+        piston = piston_velocity(y[V], t, y, w, z, p, plant)
+        rate[PL] = load_pressure_rate(flow, piston, y[PL], leak, modulus, plant)  # (2)
         rate[XV] = spool_rate(y[XV], command(c.command, t, y, w, z, p, plant), plant)  # (4)
         friction_rates(y[V], level, y[FRICTION:end], mode[1:], c.friction, rate[FRICTION:end])  # (6), (8)
         effect_rates(c.command, t, y, w, z, p, plant, rate[end:])

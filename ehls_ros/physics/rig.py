@@ -17,6 +17,12 @@ class EffectUse(NamedTuple):
     name: str
     parameters: Any
 
+    @property
+    def piston_share(self) -> float:
+        """Part of the moving mass that this effect leaves with the piston, parted from the load; 0 where it parts none."""
+        share = getattr(EFFECTS.load(self.name), "piston_share", None)
+        return 0.0 if share is None else float(share(self.parameters))
+
 
 SENSED = ("position", "velocity", "load_pressure", "spool_position", "force", "supply_pressure", "oil_temperature")
 """What a loader_state holds, in its order."""
@@ -40,6 +46,14 @@ class Rig(NamedTuple):
             if shift is not None:
                 rig = shift(rig, use.parameters)
         return rig
+
+    def piston_mass(self) -> float:
+        """Return the mass that moves with the piston and not with the load; 0 where they are one [kg].
+
+        Of the effective rig, whose moving mass is the load's.
+        """
+        share = max((use.piston_share for use in self.effects), default=0.0)
+        return self.plant.moving_mass * share / (1.0 - share)
 
     def quiet(self) -> "Rig":
         """Return the rig with sensors that neither scatter nor round, for what is expected of it."""
@@ -114,6 +128,8 @@ def effects_from_list(data: Any, where: str) -> tuple[EffectUse, ...]:
         effect = EFFECTS.load(entry["name"], place)
         values = {key: value for key, value in entry.items() if key != "name"}
         uses.append(EffectUse(entry["name"], parse(effect.Parameters, values, f"{place}: {entry['name']}")))
+    if len(parting := [use.name for use in uses if use.piston_share > 0.0]) > 1:
+        raise BadInput(f"{' and '.join(parting)} both part the load from the piston", where, "at most one that does")
     return tuple(uses)
 
 

@@ -7,6 +7,7 @@ finder, the second-order spool as the state xv itself, the flexible mass by its 
 import math
 from typing import Any
 
+import numpy as np
 from reference_solver import Constants, Floats, Plant
 from scipy.optimize import brentq
 
@@ -31,6 +32,8 @@ class EffectsPlant(Plant):
     cubic, gap, stop, stop_stiffness, stop_damping = 0.0, 0.0, 10.0, 1e7, 0.0
     mass, taken, mode_frequency, mode_damping = 0.0, 0.0, 10.0, 0.0
     ripple, ripple_frequency, weight = 0.0, 1.0, 0.0
+    # A piston parted from the load: its mass, and the joint. It takes the flexible mass's place among the states.
+    piston, play, rounding, joint_stiffness, joint_damping = 0.0, 0.0, 0.0, 0.0, 0.0
 
     def __init__(self, c: Constants, law: str) -> None:
         super().__init__(c, law)
@@ -90,13 +93,25 @@ class EffectsPlant(Plant):
     def leakage(self, y: Floats) -> float:
         pL = float(y[2])
         scratch = math.copysign(self.scratch * math.sqrt(abs(pL)), pL)
-        return super().leakage(y) + self.outward * self.chambers(y)[0] / 2.0 + scratch
+        # What the piston sweeps beyond the load leaves the balance as a leakage does.
+        swept = self.c.Ac * float(y[self.first + 3] - y[1]) if self.piston else 0.0
+        return super().leakage(y) + swept + self.outward * self.chambers(y)[0] / 2.0 + scratch
 
     def spring_of_mode(self, y: Floats) -> float:
         """Return the force between piston and flexible mass [N]."""
         omega = 2.0 * math.pi * self.mode_frequency
         at, speed = y[self.first + 2 : self.first + 4].tolist()
         return float(self.mass * (omega**2 * (at - y[0]) + 2.0 * self.mode_damping * omega * (speed - y[1])))
+
+    def joint(self, y: Floats) -> float:
+        """Return the force by which a parted piston pushes the load [N]."""
+        stretch, rate = (y[self.first + 2 : self.first + 4] - y[:2]).tolist()
+        if self.play == 0.0:
+            return float(self.joint_stiffness * stretch + self.joint_damping * rate)
+        corner = self.rounding * self.play
+        ahead, behind = (corner * float(np.logaddexp(0.0, (d - self.play / 2.0) / corner)) for d in (stretch, -stretch))
+        bears = 1.0 - math.exp(-(ahead + behind) / corner)
+        return self.joint_stiffness * (ahead - behind) + self.joint_damping * bears * rate
 
     def extra_force(self, t: float, y: Floats) -> float:
         x, v = y[:2].tolist()
@@ -105,6 +120,8 @@ class EffectsPlant(Plant):
         stop = self.stop_stiffness * deep + self.stop_damping * max(v, 0.0) if deep > 0.0 else 0.0
         ripple = self.ripple * math.sin(2.0 * math.pi * self.ripple_frequency * t)
         mode = self.spring_of_mode(y) - self.taken * self.mass * self.c.g
+        if self.piston:
+            mode = self.joint(y) - self.c.Ac * float(y[2]) - self.piston * self.c.g
         return self.c.ks * play - self.cubic * x**3 - stop + ripple + self.weight + mode - self.viscous_one_way * abs(v)
 
     def own_rates(self, t: float, y: Floats) -> list[float]:
@@ -113,4 +130,7 @@ class EffectsPlant(Plant):
         spool = self.natural**2 * (self.c.Kv * self.u - y[3]) - 2.0 * self.damping * self.natural * rate
         settled = self.lost(self.flow_lost(y, self.c.ps - loss))
         losing = (settled - loss) / self.settling if self.settling else 0.0
-        return [spool if self.natural else 0.0, losing, speed, -self.spring_of_mode(y) / self.mass if self.mass else 0.0]
+        pulled = -self.spring_of_mode(y) / self.mass if self.mass else 0.0
+        if self.piston:
+            pulled = (self.c.Ac * float(y[2]) - self.joint(y)) / self.piston
+        return [spool if self.natural else 0.0, losing, speed, pulled]

@@ -112,6 +112,34 @@ CASES = {
         5e-4,
         replace(PAPER, m0=PAPER.m0 - 15.0),
     ),
+    "a load behind a play": Case(
+        stage_effects(
+            "mechanics",
+            {
+                "hinge_backlash": {
+                    "load_gap": 3e-4,
+                    "piston_share": 0.3,
+                    "stiffness": 2e7,
+                    "damping": 5e3,
+                    "rounding": 0.1,
+                },
+                "spring_hardening": {"cubic": 1e7},
+            },
+        ),
+        {"piston": 0.3 * PAPER.m0, "play": 3e-4, "rounding": 0.1, "joint_stiffness": 2e7, "joint_damping": 5e3, "cubic": 1e7},
+        5e-6,
+        replace(PAPER, m0=0.7 * PAPER.m0),
+    ),
+    "a load behind an elastic beam": Case(
+        stage_effects("mechanics", {"flexible_mode": {"piston_share": 0.25, "frequency": 25.0, "damping": 0.1}}),
+        {
+            "piston": 0.25 * PAPER.m0,
+            "joint_stiffness": 0.75 * PAPER.m0 * (50.0 * np.pi) ** 2,
+            "joint_damping": 0.75 * PAPER.m0 * 0.2 * 50.0 * np.pi,
+        },
+        5e-6,
+        replace(PAPER, m0=0.75 * PAPER.m0),
+    ),
     "one of each stage": Case(
         [
             {"name": "periodic_disturbance", "sine": 300.0, "frequency": 17.0},

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from rig_runs import PERIOD, run, stage_effects
 
+from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.plant import FRICTION, INPUTS, V, X
 from ehls_ros.physics.simulator import Simulator
@@ -73,7 +74,7 @@ def test_a_held_far_side_stays_where_it_is_until_the_play_is_taken_up():
     backlash = EFFECTS.load("hinge_backlash")
     p = np.array(backlash.Parameters(held_gap=0.01))
     plant = type("Plant", (), {"spring_stiffness": 4e4})
-    y, w, z, dz = np.zeros(7), np.zeros(INPUTS), np.zeros(1), np.zeros(1)
+    y, w, z, dz = np.zeros(7), np.zeros(INPUTS), np.zeros(backlash.STATES), np.zeros(backlash.STATES)
     path = np.concatenate([np.linspace(0.0, 0.05, 501), np.linspace(0.05, -0.05, 1001), np.linspace(-0.05, 0.05, 1001)])
     forces = []
     for x in path:
@@ -121,3 +122,43 @@ def test_a_mass_taken_over_changes_nothing_where_the_mode_is_stiff(loose):
     mode = {"mass": 30.0, "frequency": 300.0, "damping": 0.3, "taken": 1.0}
     split, whole = (run(loose({"flexible_mode": m}, spring_stiffness=4e4, gravity=9.81), inputs) for m in (mode, {}))
     assert np.max(np.abs(split[:, X] - whole[:, X])) < 1e-3 * np.max(np.abs(whole[:, X]))
+
+
+@pytest.mark.parametrize(("share", "frequency"), [(0.2, 15.0), (0.6, 40.0)])
+def test_a_load_on_an_elastic_beam_keeps_momentum_and_swings_against_the_piston(share, frequency, loose):
+    simulator = loose({"flexible_mode": {"piston_share": share, "frequency": frequency, "damping": 0.0}}, 1e-4)
+    simulator.y[V] = 0.3
+    states = run(simulator, np.zeros((6000, 3)))
+    momentum = 70.0 * ((1.0 - share) * states[:, V] + share * states[:, OWN + 1])
+    np.testing.assert_allclose(momentum, 70.0 * (1.0 - share) * 0.3, rtol=1e-9)
+    omega = 2.0 * math.pi * frequency / math.sqrt(share)
+    np.testing.assert_allclose(states[:, OWN], -0.3 / omega * np.sin(omega * np.arange(6001) * 1e-4), atol=1e-8)
+
+
+def test_a_loose_load_flies_through_the_play_and_is_thrown_back_by_the_piston(loose):
+    hinge = {"load_gap": 2e-3, "piston_share": 0.3, "stiffness": 1e7, "damping": 0.0, "rounding": 0.0}
+    simulator = loose({"hinge_backlash": hinge}, 1e-4)
+    simulator.y[V] = 0.1
+    states = run(simulator, np.zeros((400, 3)))
+    # The hinge's own states follow the flexible mode's two: where the spring was dragged to, then the piston.
+    ahead, piston = states[:, OWN + 3], states[:, OWN + 4]
+    np.testing.assert_allclose(0.7 * states[:, V] + 0.3 * piston, 0.07, rtol=1e-9)
+    # 1 mm at 0.1 m/s; then half a swing of both on the faces' spring.
+    assert np.ptp(states[:100, V]) < 1e-12
+    bounced = 100 + math.ceil(math.pi * math.sqrt(0.7 * 0.3 * 70.0 / 1e7) / 1e-4) + 1
+    np.testing.assert_allclose(states[bounced : bounced + 100, V] - piston[bounced : bounced + 100], -0.1, rtol=1e-5)
+    assert np.max(np.abs(ahead)) == pytest.approx(1e-3 + 0.1 * math.sqrt(0.7 * 0.3 * 70.0 / 1e7), rel=1e-3)
+
+
+def test_sensors_see_the_piston_and_not_the_load(loose):
+    simulator = loose({"flexible_mode": {"piston_share": 0.3}})
+    simulator.y[X], simulator.y[V], simulator.y[OWN], simulator.y[OWN + 1] = 0.01, 0.2, 0.003, -0.1
+    read = simulator.measure(np.zeros(7))
+    assert read[:2].tolist() == pytest.approx([0.013, -0.1])
+
+
+def test_a_rig_has_one_place_where_the_load_is_parted_from_the_piston(make_rig):
+    with pytest.raises(BadInput, match="hinge_backlash and flexible_mode"):
+        make_rig(effects=[{"name": "hinge_backlash", "load_gap": 1e-3}, {"name": "flexible_mode", "piston_share": 0.2}])
+    shut = make_rig(effects=[{"name": "hinge_backlash", "load_gap": 1e-3}, {"name": "flexible_mode", "mass": 5.0}])
+    assert shut.effective().piston_mass() == pytest.approx(0.2 * 70.0)

@@ -19,6 +19,8 @@ hook                value
 ``leakage``         leakage flow beyond Ctc pL [m^3/s]
 ``friction_level``  Stribeck level s(v) [N]
 ``force``           force on the mass along +x beyond (3) [N]
+``piston_position`` position of the piston, where it is not the mass's [m]
+``piston_velocity`` velocity of the piston, where it is not the mass's [m/s]
 ==================  =====================================================================
 
 Arguments: ``t`` time [s]; ``y`` the plant's state, ``w`` its inputs (indices in
@@ -34,6 +36,13 @@ An effect with own states says how many in ``STATES`` and has a compiled
 What ``received`` returns stands still but for jumps; it is asked when a cycle begins and after each jump. An
 effect with this hook says how far back it looks in ``REACH`` [s], and when the next jump comes with a
 compiled ``jump(t, w, p)``: the time after t [s], or infinity.
+
+An effect that parts the load from the piston (play or elasticity between them) leaves position and velocity of the
+state to the load, which everything of (3) but the pressure acts on; the piston's are states of its own, and what volume
+balance and sensors see. It has both ``piston`` hooks; its ``force`` puts what the piston hands on in the pressure's
+place; ``PISTON`` says which of its states is how far the piston is ahead of the load, the next being the piston's
+velocity; ``piston_share(parameters)`` returns the part of the moving mass that stays with the piston, zero where these
+parameters part none, and ``shift`` takes it off. A rig has at most one effect that parts them.
 
 ``NEEDS`` names the signals (:data:`ehls_ros.trajectory.SIGNALS`) without which data cannot tell the effect;
 absent, it needs none beyond those of its stage.
@@ -54,6 +63,8 @@ HOOKS = (
     "leakage",
     "friction_level",
     "force",
+    "piston_position",
+    "piston_velocity",
 )
 """The places in the model where an effect can act."""
 

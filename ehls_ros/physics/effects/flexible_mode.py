@@ -3,13 +3,15 @@
 States: how far the mass is ahead of the piston (from where its weight leaves it), and its velocity. Part of the mass may
 be counted already in the rig file's moving mass; that part is taken off there, and its weight, which the spring still
 carries, put back. What loads the piston, spring and disturbance, may act on that mass instead, as where a beam gives way
-between cylinder and load.
+between cylinder and load. With ``piston_share`` friction and damping do so as well: but for a part of the mass, all of
+the load is behind the elasticity, and the piston itself is what is ahead of it.
 """
 
 import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects._parted import contact, handed_on, piston_rates, without_piston
 from ehls_ros.physics.effects.base import Form, Peak, Stage
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V, X, disturbance_force
@@ -19,10 +21,12 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "mechanics"
 EQUATION = (
     "r' = v2 - v,  v2' = -(ω² r + 2 ζ ω r') - loaded (ks (x + r) + fd)/mass,  ω = 2π frequency;  m0 -> m0 - taken mass;  "
-    "F = mass (ω² r + 2 ζ ω r') + loaded (ks x + fd)"
+    "F = mass (ω² r + 2 ζ ω r') + loaded (ks x + fd);  with piston_share (3) holds for the load (x, v) of ml = m0 - mp, "
+    "with A pL -> F, mp vp' = A pL - F, mp = piston_share m0, F = ml (ω² r + 2 ζ ω r'), r = xp - x"
 )
 SOURCE = "Den Hartog, Mechanical Vibrations, 1956, ch. 3: two-mass systems"
 STATES = 2
+PISTON = 0
 
 LEAST_MASS = 0.1
 """Mass below which a load on it is not told from one on the piston [kg]."""
@@ -39,12 +43,22 @@ class Parameters(NamedTuple):
     damping: Annotated[float, quantity("1", "damping ratio on a piston held", minimum=0.0, maximum=1.0)] = 0.02
     loaded: Annotated[float, quantity("1", "part of spring and disturbance that act on it", minimum=0.0, maximum=1.0)] = 0.0
     taken: Annotated[float, quantity("1", "part of it that the moving mass counts already", minimum=0.0, maximum=1.0)] = 0.0
+    piston_share: Annotated[
+        float, quantity("1", "part of the moving mass that stays with the piston, all else behind", minimum=0.0, maximum=0.9)
+    ] = 0.0
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
-    """Return the rig without the mass it counts already."""
+    """Return the rig without the mass it counts already, or without the piston's."""
+    if parameters.piston_share > 0.0:
+        return without_piston(rig, parameters.piston_share)
     mass = max(rig.plant.moving_mass - parameters.taken * parameters.mass, SMALLEST * rig.plant.moving_mass)
     return rig._replace(plant=rig.plant._replace(moving_mass=mass))
+
+
+def piston_share(parameters: Parameters) -> float:
+    """Return the part of the moving mass that stays with the piston."""
+    return parameters.piston_share
 
 
 @kernel
@@ -55,23 +69,49 @@ def pull(velocity: float, z: Array, p: Array) -> float:
 
 
 @kernel
+def pushed(y: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Return the force by which the piston pushes the load [N]."""
+    omega = 2.0 * math.pi * p[1]
+    mass = plant.moving_mass
+    return contact(z[0], z[1] - y[V], 0.0, 0.0, mass * omega * omega, 2.0 * p[2] * omega * mass)
+
+
+@kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    """Pull the piston, carry the weight taken off the moving mass, and take off it what loads the far mass."""
+    """Pull the piston, carry the weight taken off the moving mass, take off it what loads the far mass; or push the load."""
+    if p[5] > 0.0:
+        return handed_on(value, pushed(y, z, p, plant), p[5], y, plant)
     far = p[3] * (plant.spring_stiffness * y[X] + disturbance_force(t, w))
     return value + p[0] * (pull(y[V], z, p) - p[4] * plant.gravity) + far
 
 
 @kernel
+def piston_position(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Return where the piston is."""
+    return value + z[0] if p[5] > 0.0 else value
+
+
+@kernel
+def piston_velocity(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    """Return how fast the piston moves."""
+    return z[1] if p[5] > 0.0 else value
+
+
+@kernel
 def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
-    """Move the mass."""
+    """Move the mass, or the piston."""
+    if p[5] > 0.0:
+        piston_rates(pushed(y, z, p, plant), p[5], y, z[1], y[V], plant, dz)
+        return
     dz[0] = z[1] - y[V]
     load = p[3] * (plant.spring_stiffness * (y[X] + z[0]) + disturbance_force(t, w))
     dz[1] = -pull(y[V], z, p) - load / max(p[0], LEAST_MASS)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A mass that the rig file does not know, one that it has with the piston, or the load behind an elastic beam."""
+    """A mass beside the rig file's, one that it has with the piston, or the load behind a beam, friction aside or with it."""
     free = {"mass": (), "frequency": (5.0, 10.0, 20.0, 40.0, Peak(1), Peak(2)), "damping": (0.05,) * 6}
     half = 0.5 * rig.plant.moving_mass
     behind = {"mass": (half, half, half), "frequency": (10.0, 20.0, 40.0), "damping": (0.05, 0.05, 0.05)}
-    return Form(free), Form(free, {"taken": 1.0}), Form(behind, {"taken": 1.0, "loaded": 1.0})
+    load = {"piston_share": (0.3, 0.3, 0.3), "frequency": (10.0, 20.0, 40.0), "damping": ()}
+    return Form(free), Form(free, {"taken": 1.0}), Form(behind, {"taken": 1.0, "loaded": 1.0}), Form(load)
