@@ -43,6 +43,11 @@ class Candidate(NamedTuple):
     units: tuple[str, ...]
     neutral: Array
 
+    @property
+    def parts_load(self) -> bool:
+        """Whether this parts the load from the piston; of such there can be but one."""
+        return self.use(self.starts[-1]).piston_share > 0.0
+
     def use(self, values: Array) -> EffectUse:
         """Return the effect switched on with values of the free parameters, held within their ranges."""
         inside = np.clip(values, self.lower, self.upper)

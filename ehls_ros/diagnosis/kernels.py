@@ -11,9 +11,12 @@ part            integrates                                     gives, a row a sa
                                                                supply pressure [Pa]
 ``friction``    the friction model's forces (6), (8)           friction force [N]
 ``force``       what the effects on the force remember         force beyond (3) [N]
+``load``        the load's motion (3) and its friction, where  position [m] and velocity [m/s] of the load, friction
+                an effect parts it from the piston             force and force beyond (3) on it [N]
 ==============  =============================================  ==========================================================
 
-Position, velocity, load pressure and spool come from the recording, straight between two samples.
+Position, velocity, load pressure and spool come from the recording, straight between two samples. A load parted from the
+piston is not measured: it moves as what the piston hands on to it and its own balance have it.
 """
 
 import hashlib
@@ -37,6 +40,7 @@ PARTS = {
     "flow": ("opening", "supply_pressure", "bulk_modulus", "leakage"),
     "friction": ("friction_level",),
     "force": ("force",),
+    "load": ("friction_level", "force"),
 }
 """The hooks that act in each part."""
 
@@ -56,10 +60,14 @@ class Motion(NamedTuple):
     temperature: Array
 
 
-class Switched(NamedTuple):
-    """Effects as a part's kernel takes them: a flag for each, and the parameters of all in one row."""
+PARTS_LOAD = 2
+"""Flag of an effect by which the load is parted from the piston."""
 
-    on: NDArray[np.bool_]
+
+class Switched(NamedTuple):
+    """Effects as a part's kernel takes them: a flag for each (0, 1, or :data:`PARTS_LOAD`), the parameters of all in a row."""
+
+    on: NDArray[np.int8]
     parameters: Array
 
 
@@ -77,14 +85,14 @@ def _neutral(part: str) -> tuple[float, ...]:
 def switched(part: str, effects: Sequence[EffectUse]) -> Switched:
     """Lay out the effects in use for a part's kernel; of an effect used twice, the last one counts."""
     names = effects_of(part)
-    on, parameters = np.zeros(len(names), dtype=np.bool_), np.array(_neutral(part), dtype=np.float64)
-    uses = {use.name: use.parameters for use in effects}
+    on, parameters = np.zeros(len(names), dtype=np.int8), np.array(_neutral(part), dtype=np.float64)
+    uses = {use.name: use for use in effects}
     offset = 0
     for index, name in enumerate(names):
         count = len(EFFECTS.load(name).Parameters._fields)
         if name in uses:
-            on[index] = True
-            parameters[offset : offset + count] = uses[name]
+            on[index] = PARTS_LOAD if uses[name].piston_share > 0.0 else 1
+            parameters[offset : offset + count] = uses[name].parameters
         offset += count
     return Switched(on, parameters)
 
@@ -99,16 +107,18 @@ def kernel(part: str, friction_model: str = "gms", elements: int = 1) -> ModuleT
 
     Args:
         part: one of :data:`PARTS`.
-        friction_model: for ``friction``, the model's name.
-        elements: for ``friction``, how many forces it integrates.
+        friction_model: for ``friction`` and ``load``, the model's name.
+        elements: for these, how many forces it integrates.
     """
-    return kernel_module(_source(part, friction_model, elements) if part == "friction" else _source(part, "", 0))
+    rubs = part in ("friction", "load")
+    return kernel_module(_source(part, friction_model, elements) if rubs else _source(part, "", 0))
 
 
 @cache
 def _source(part: str, friction_model: str, elements: int) -> str:
     imports, rates, jumps, states, offset = list[str](), list[str](), list[str](), 0, 0
     chains = {hook: list[str]() for hook in PARTS[part]}
+    handed, driven = list[str](), list[str]()
     for index, name in enumerate(effects_of(part)):
         effect: Any = EFFECTS.load(name)
         own, count = getattr(effect, "STATES", 0), len(effect.Parameters._fields)
@@ -118,7 +128,11 @@ def _source(part: str, friction_model: str, elements: int) -> str:
         view = f"t, y, w, z[{states}:{states + own}], {parameters}, plant"
         for hook in PARTS[part]:
             if hasattr(effect, hook):
-                chains[hook].append(f"    if on[{index}]:\n        value = effect_{index}.{hook}(value, {view})")
+                chains[hook].append(f"    if on[{index}] == 1:\n        value = effect_{index}.{hook}(value, {view})")
+        if part == "load" and hasattr(effect, "PISTON"):
+            handed.append(f"    if on[{index}] == PARTS_LOAD:\n        value = effect_{index}.force(value, {view})")
+            ahead = states + effect.PISTON
+            driven.append(f"    if on[{index}] == PARTS_LOAD:\n        z[{ahead}], z[{ahead + 1}] = position - y[X], velocity")
         if part == "spool" and hasattr(effect, "jump"):
             jumps.append(f"    if on[{index}]:\n        value = min(value, effect_{index}.jump(t, w, {parameters}))")
         if own:
@@ -131,10 +145,11 @@ def _source(part: str, friction_model: str, elements: int) -> str:
         "\n".join(["@plain", f"def {hook}(value, t, y, w, z, p, plant, on):", *chains[hook], "    return value", ""])
         for hook in PARTS[part]
     )
-    template = {"spool": _SPOOL, "flow": _FLOW, "friction": _FRICTION, "force": _FORCE}[part]
+    template = {"spool": _SPOOL, "flow": _FLOW, "friction": _FRICTION, "force": _FORCE, "load": _LOAD}[part]
     head = _HEAD.format(imports="\n".join(imports), hooks=hooks, rates="\n".join(rates), jumps="\n".join(jumps))
     own_sources = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]
-    return f"# {own_sources}\n" + head + template.format(states=states, model=friction_model, elements=elements)
+    form = {"states": states, "model": friction_model, "elements": elements}
+    return f"# {own_sources}\n" + head + template.format(**form, handed="\n".join(handed), driven="\n".join(driven))
 
 
 _HEAD = '''"""Part of the model along a recording, generated."""
@@ -424,4 +439,126 @@ def run(m, fresh, period, steps, weights, start, plant, friction, p, on, extra, 
                 t += taken
                 left -= taken
                 level = later
+"""
+
+_LOAD = """
+from ehls_ros.physics.friction import {model} as law
+from ehls_ros.diagnosis.kernels import PARTS_LOAD
+
+
+@plain
+def handed_on(value, t, y, w, z, p, plant, on):
+    \"\"\"Return the force on the load that the piston hands on, less the pressure's and the piston's weight [N].\"\"\"
+{handed}
+    return value
+
+
+@plain
+def drive(position, velocity, y, z, on):
+    \"\"\"Set the states of the effect that parts load and piston to where the piston is.\"\"\"
+{driven}
+
+
+@plain
+def balance(t, y, w, z, p, plant, friction, on):
+    \"\"\"Return Stribeck level and the forces on the load without friction [N].\"\"\"
+    level = friction_level(stribeck_level(y[V], friction), t, y, w, z, p, plant, on)  # (7)
+    extra = handed_on(force(0.0, t, y, w, z, p, plant, on), t, y, w, z, p, plant, on)
+    return level, applied_force(y[X], y[V], y[PL], model.disturbance_force(t, w), extra, plant)
+
+
+@plain
+def settle(k, m, t, y, w, z, p, plant, piston_weight, on):
+    \"\"\"Lay the load where what the piston hands on is what the pressure pushes with, both at the piston's velocity.\"\"\"
+    low, high, wide = 0.0, 0.0, 1e-6
+    while wide < 1.0:
+        y[X] = m.position[k] - wide
+        drive(m.position[k], y[V], y, z, on)
+        reaches = handed_on(0.0, t, y, w, z, p, plant, on) + piston_weight > 0.0
+        y[X] = m.position[k] + wide
+        drive(m.position[k], y[V], y, z, on)
+        low, high = -wide, wide
+        if reaches and handed_on(0.0, t, y, w, z, p, plant, on) + piston_weight < 0.0:
+            break
+        wide *= 4.0
+    for turn in range(40):
+        ahead = 0.5 * (low + high)
+        y[X] = m.position[k] - ahead
+        drive(m.position[k], y[V], y, z, on)
+        if handed_on(0.0, t, y, w, z, p, plant, on) + piston_weight > 0.0:
+            high = ahead
+        else:
+            low = ahead
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def run(m, fresh, period, steps, weights, piston_mass, guide, plant, friction, p, on, out):
+    \"\"\"Piston and load by the midpoint rule, the piston drawn to where it was measured as fast as guide [1/s].
+
+    Friction changes at the ends of steps; elements that break away start at their limits.
+    \"\"\"
+    y, mode, w, slope = np.zeros(FRICTION), np.zeros({elements}), np.zeros(INPUTS), np.zeros(FRICTION)
+    z, dz, forces = np.zeros({states}), np.zeros({states}), np.zeros({elements})
+    rate, middle, stage = np.zeros({elements}), np.zeros({elements}), np.zeros(FRICTION)
+    step = period / steps
+    both, weight = piston_mass + plant.moving_mass, piston_mass * plant.gravity
+    position, velocity = 0.0, 0.0
+    for k in range(m.time.size):
+        inputs(k, m, period, w)
+        slopes(k, m, period, slope)
+        if fresh[k]:
+            measured(k, m, y)
+            z[:] = 0.0
+            mode[:] = 0.0
+            settle(k, m, m.time[k], y, w, z, p, plant, weight, on)
+            position, velocity = m.position[k], m.velocity[k]
+            drive(position, velocity, y, z, on)
+            level, applied = balance(m.time[k], y, w, z, p, plant, friction, on)
+            applied -= friction.viscous_coefficient * y[V] + plant.moving_mass * slope[V]
+            for i in range({elements}):
+                forces[i] = min(max(applied, -level), level) * weights[i]
+        for part in range(steps):
+            passed = part * step
+            t = m.time[k] + passed
+            y[PL] = m.pressure[k] + passed * slope[PL]
+            drive(position, velocity, y, z, on)
+            pulled = guide * (2.0 * (m.velocity[k] + passed * slope[V] - velocity)
+                + guide * (m.position[k] + passed * slope[X] - position)) * both
+            pushed = handed_on(0.0, t, y, w, z, p, plant, on) + weight
+            there, speed = position + 0.5 * step * velocity, velocity + 0.5 * step * (pulled - pushed) / piston_mass
+            level, applied = balance(t, y, w, z, p, plant, friction, on)
+            if law.event(y[V], applied, level, forces, mode, friction) > 0.0:
+                for i in range({elements}):
+                    middle[i] = mode[i]
+                y[V] = law.switch(y[V], applied, level, forces, mode, friction)
+                for i in range({elements}):
+                    if middle[i] == 0.0 and mode[i] != 0.0:
+                        forces[i] = min(max(forces[i], -weights[i] * level), weights[i] * level)
+            resisting = law.force(y[V], applied, level, forces, mode, friction)
+            if part == 0:
+                out[k, 0], out[k, 1], out[k, 2] = y[X], y[V], resisting
+                out[k, 3] = force(0.0, t, y, w, z, p, plant, on)
+            effect_rates(w[U], t, y, w, z, p, plant, on, dz)
+            law.rates(y[V], level, forces, mode, friction, rate)
+            half = passed + 0.5 * step
+            stage[X] = y[X] + 0.5 * step * y[V]
+            stage[V] = y[V] + 0.5 * step * (applied - resisting) / plant.moving_mass
+            stage[PL] = m.pressure[k] + half * slope[PL]
+            for i in range({elements}):
+                middle[i] = forces[i] + 0.5 * step * rate[i]
+            for i in range({states}):
+                z[i] += step * dz[i]
+            drive(there, speed, stage, z, on)
+            pulled = guide * (2.0 * (m.velocity[k] + half * slope[V] - speed)
+                + guide * (m.position[k] + half * slope[X] - there)) * both
+            pushed = handed_on(0.0, t + 0.5 * step, stage, w, z, p, plant, on) + weight
+            position += step * speed
+            velocity += step * (pulled - pushed) / piston_mass
+            level, applied = balance(t + 0.5 * step, stage, w, z, p, plant, friction, on)
+            resisting = law.force(stage[V], applied, level, middle, mode, friction)
+            law.rates(stage[V], level, middle, mode, friction, rate)
+            y[X] += step * stage[V]
+            y[V] += step * (applied - resisting) / plant.moving_mass
+            for i in range({elements}):
+                forces[i] += step * rate[i]
 """

@@ -332,7 +332,7 @@ def _extensions(
     least = max(PROMISING, 0.5 * MENDED * sum(_excess(evidence, member, c) for c in member.held.gain))
     for other in [*screened, *_at_lines(evidence, pool, member, found)]:
         (cause,) = other.hypothesis
-        if cause.name in member.names:
+        if cause.name in member.names or (cause.parts_load and any(c.parts_load for c in member.hypothesis)):
             continue
         gain, begin = _promise(evidence, member.fit, other)
         if gain > max(least, promises[cause.name, cause.number][0] if (cause.name, cause.number) in promises else 0.0):

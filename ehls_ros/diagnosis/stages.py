@@ -88,6 +88,16 @@ SETTLING = 0.3
 MEMORY_STEP = 5e-4
 """Integration step where an effect has states of its own [s]."""
 
+GUIDE = 2.0 * math.pi / WINDOW
+"""How fast a piston parted from the load is drawn to where it was measured [rad/s].
+
+As fast as the balances tell anything. Set there outright, it would hand the position sensor's noise times a contact's
+stiffness on to the load; the pressure knows what it hands on far better.
+"""
+
+LOAD_STEP = 1e-4
+"""Integration step of a load parted from the piston [s]."""
+
 SENSED = {
     "position": POSITION,
     "velocity": VELOCITY,
@@ -206,6 +216,8 @@ class Comparison:
     def _force(self, rig: Rig) -> Array:
         window, plant = self.setup.window, rig.plant
         motion = self.motion(rig)
+        if rig.piston_mass() > 0.0:
+            return self._force_of_parted(rig, motion)
         given = self._driving(rig, motion) - self.friction(rig)[:, 0]
         if POSITION in self.record:
             x = self.corrected(rig, "position")
@@ -216,6 +228,19 @@ class Comparison:
         )
         # Where the motion began is not known, nor what the spring pulls there.
         return balance - float(np.mean(balance))
+
+    def _force_of_parted(self, rig: Rig, motion: kernels.Motion) -> Array:
+        """Return the sum of both balances where load and piston are parted, so that what is between them does not count."""
+        window, plant = self.setup.window, rig.plant
+        position, velocity, friction, extra = self.load(rig).T
+        piston = rig.piston_mass()
+        acceleration = (
+            window.acceleration(self.corrected(rig, "position")) if POSITION in self.record else window.rate(motion.velocity)
+        )
+        given = plant.piston_area * self.pressure(rig) - plant.spring_stiffness * position - motion.disturbance
+        given = given - (plant.moving_mass + piston) * plant.gravity + extra - friction - plant.viscous_damping * velocity
+        balance: Array = plant.moving_mass * window.acceleration(position) + piston * acceleration - window.mean(given)  # (3)
+        return balance if POSITION in self.record else balance - float(np.mean(balance))
 
     def _driving(self, rig: Rig, motion: kernels.Motion) -> Array:
         """Return the force on the mass but for friction, damping and inertia [N]."""
@@ -260,6 +285,23 @@ class Comparison:
             key = (*key, self.relevant_parts(rig, "force"), rig.plant)
         terms: Array = self._keep("friction", key, lambda: self._run("friction", rig, self.motion(rig)))
         return terms
+
+    def load(self, rig: Rig) -> Array:
+        """Return position [m] and velocity [m/s] of a load parted from the piston, friction and force of effects on it [N]."""
+        key = (self.relevant_parts(rig, "load"), rig.friction, rig.friction_model, rig.plant)
+        terms: Array = self._keep("load", key, lambda: self._run_load(rig, self.motion(rig)))
+        return terms
+
+    def _run_load(self, rig: Rig, motion: kernels.Motion) -> Array:
+        record, use, elements = self.record, kernels.switched("load", rig.effects), rig_elements(rig)
+        weights = np.array(rig.friction.element_weight)[:elements]
+        steps = max(math.ceil(record.period / LOAD_STEP), self._stiff_steps(rig, motion))
+        out = np.empty((len(record.time), 4))
+        kernels.kernel("load", rig.friction_model, elements).run(
+            motion, record.fresh, record.period, steps, weights / weights.sum(), rig.piston_mass(), GUIDE, rig.plant,
+            rig.friction, use.parameters, use.on, out,
+        )  # fmt: skip
+        return out
 
     def relevant_parts(self, rig: Rig, part: str) -> Any:
         """Return what a part's run depends on."""

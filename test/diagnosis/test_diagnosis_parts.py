@@ -20,8 +20,9 @@ from ehls_ros.diagnosis.windows import smooth_window
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Sensor
-from ehls_ros.physics.plant import FRICTION, PL, XV, V, X
+from ehls_ros.physics.plant import FRICTION, PL, XV, V
 from ehls_ros.physics.rig import EffectUse
+from ehls_ros.physics.sensors import POSITION, VELOCITY
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.trajectory import Trajectory
 
@@ -219,10 +220,9 @@ def simulated(rig, seconds=6.0):
     load = 2e3 * np.sin(2 * np.pi * 0.4 * t)
     rate = np.append(np.diff(load), 0.0) / PERIOD
     for k in range(cycles):
-        y = simulator.y
-        rows[k] = y[X], y[V], y[PL], y[XV], command[k], load[k]
+        y, read = simulator.y, simulator.measure(np.zeros(7))
+        rows[k] = read[POSITION], read[VELOCITY], y[PL], y[XV], command[k], load[k]
         friction[k] = y[FRICTION : FRICTION + elements].sum() + rig.friction.viscous_coefficient * y[V]
-        simulator.measure(np.zeros(7))
         simulator.advance(command[k], load[k], rate[k], 0.0, 0.0)
     names = ("position_m", "velocity_m_s", "load_pressure_pa", "spool_m", "valve_command_m", "disturbance_force_n")
     signals = {n: rows[:, i].copy() for i, n in enumerate(names)}
@@ -245,6 +245,21 @@ def test_friction_along_a_motion_is_the_simulators(rig, model):
     late = trajectory.time_s > 0.5
     assert np.ptp(friction[late]) > 1500.0
     assert np.sqrt(np.mean((found - friction)[late] ** 2)) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("mode", "hinge"), [({"piston_share": 0.25, "frequency": 20.0, "damping": 0.1}, {}), ({}, {"load_gap": 2e-4})]
+)
+def test_a_load_parted_from_the_piston_moves_as_in_the_simulator(rig, mode, hinge):
+    ours = perfect(rig).with_effects((use("flexible_mode", **mode), use("hinge_backlash", **hinge)))
+    trajectory, friction = simulated(ours, 4.0)
+    comparison, _ = compared(trajectory, ours)
+    late = trajectory.time_s > 0.5
+    assert np.ptp(friction[late]) > 1500.0
+    found = comparison.load(ours.effective())[:, 2]
+    assert np.sqrt(np.mean((found - friction)[late] ** 2)) < 1.0
+    left, as_one = (comparison.residuals(r, ("force",))["force"][40:-40] for r in (ours, perfect(rig)))
+    assert np.sqrt(np.mean(left**2)) < min(1.0, 0.02 * np.sqrt(np.mean(as_one**2)))
 
 
 @pytest.mark.parametrize(
