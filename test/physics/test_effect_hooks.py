@@ -28,6 +28,16 @@ WORKED = [
     ("valve_dead_zone", {"positive": 2e-5, "negative": 5e-5}, "opening", 1e-4, {}, 8e-5),
     ("valve_dead_zone", {"positive": 2e-5, "negative": 5e-5}, "opening", -1e-4, {}, -5e-5),
     ("valve_dead_zone", {"positive": 2e-5, "negative": 5e-5}, "opening", -3e-5, {}, 0.0),
+    # Mean overlap 40 um, corners of 4 um: ln 2 of one at the edge of the positive side.
+    (
+        "valve_dead_zone",
+        {"positive": 3e-5, "negative": 5e-5, "rounding": 0.1},
+        "opening",
+        3e-5,
+        {},
+        4e-6 * math.log(2.0) - 4e-6 * math.log1p(math.exp(-20.0)),
+    ),
+    ("valve_dead_zone", {"positive": 3e-5, "negative": 5e-5, "rounding": 0.1}, "opening", -1e-3, {}, -9.5e-4),
     # The air has its whole volume at 1 atm, and (1/32)^(1/1.4) of it at 32 atm; it is 1.4 p stiff.
     ("entrained_air", {"load": 0.01}, "bulk_modulus", 7e8, {"pL": 0.0}, 1.0 / (1.0 / 7e8 + 0.01 / (1.4 * ATMOSPHERE))),
     (

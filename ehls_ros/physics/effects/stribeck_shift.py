@@ -36,8 +36,10 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 def forms(rig: Rig) -> tuple[Form, ...]:
     """The height, the width, both."""
+    # A fall that is wider by far has its height fitted to the wrong speeds first: starts on either side of it.
+    factors = (0.4, 2.0, 5.0)
     return (
         Form({"static_offset": ()}),
-        Form({"velocity_factor": (0.5, 2.0)}),
-        Form({"static_offset": (), "velocity_factor": (0.5, 2.0)}),
+        Form({"velocity_factor": factors}),
+        Form({"static_offset": (), "velocity_factor": factors}),
     )

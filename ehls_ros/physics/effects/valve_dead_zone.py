@@ -3,14 +3,17 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects._play import dead_zone
+from ehls_ros.physics.effects._play import dead_zone, ramp
 from ehls_ros.physics.effects.base import Form, Share, Stage
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "valve"
-EQUATION = "xv,eff = xv - min(max(xv, -negative), positive)"
+EQUATION = (
+    "xv,eff = xv - min(max(xv, -negative), positive); corners as c ln(1 + exp(d/c)), d beyond them, "
+    "c = rounding (positive + negative)/2"
+)
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 5: overlapped (closed-centre) valve"
 
 
@@ -19,15 +22,22 @@ class Parameters(NamedTuple):
 
     positive: Annotated[float, quantity("m", "overlap on the positive side", minimum=0.0, maximum=5e-3)] = 0.0
     negative: Annotated[float, quantity("m", "overlap on the negative side", minimum=0.0, maximum=5e-3)] = 0.0
+    rounding: Annotated[
+        float, quantity("1", "part of the mean overlap over which the lands' worn edges open", minimum=0.0, maximum=1.0)
+    ] = 0.0
 
 
 @kernel
 def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
     """Take the overlap off."""
-    return dead_zone(value, -p[1], p[0])
+    corner = 0.5 * p[2] * (p[0] + p[1])
+    if corner <= 0.0:
+        return dead_zone(value, -p[1], p[0])
+    return ramp(value - p[0], corner) - ramp(-value - p[1], corner)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Both sides, narrow, middling and wide."""
+    """Both sides, narrow, middling and wide; with sharp edges, or worn ones."""
     starts = tuple(Share("spool_m", part) for part in (0.02, 0.1, 0.3))
-    return (Form({"positive": starts, "negative": starts}),)
+    sides = {"positive": starts, "negative": starts}
+    return Form(sides), Form({**sides, "rounding": (0.1, 0.1, 0.1)})
