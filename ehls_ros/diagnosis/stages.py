@@ -95,8 +95,11 @@ As fast as the balances tell anything. Set there outright, it would hand the pos
 stiffness on to the load; the pressure knows what it hands on far better.
 """
 
-LOAD_STEP = 1e-4
-"""Integration step of a load parted from the piston [s]."""
+SHORTEST_STEP = 1e-4
+"""Step below which none is taken for a lighter one: what then diverges is no rig's [s]."""
+
+LOAD_STEP, GUIDED_STEP = 2.5e-4, 0.6
+"""Longest integration step where load and piston are parted [s]; and as a part of how fast the lighter one is guided."""
 
 SENSED = {
     "position": POSITION,
@@ -295,10 +298,13 @@ class Comparison:
     def _run_load(self, rig: Rig, motion: kernels.Motion) -> Array:
         record, use, elements = self.record, kernels.switched("load", rig.effects), rig_elements(rig)
         weights = np.array(rig.friction.element_weight)[:elements]
-        steps = max(math.ceil(record.period / LOAD_STEP), self._stiff_steps(rig, motion))
+        lighter = min(piston := rig.piston_mass(), rig.plant.moving_mass)
+        longest = min(LOAD_STEP, GUIDED_STEP * lighter / (piston + rig.plant.moving_mass) / (2.0 * GUIDE))
+        longest = max(longest, SHORTEST_STEP)
+        steps = max(math.ceil(record.period / longest), self._stiff_steps(rig, motion))
         out = np.empty((len(record.time), 4))
         kernels.kernel("load", rig.friction_model, elements).run(
-            motion, record.fresh, record.period, steps, weights / weights.sum(), rig.piston_mass(), GUIDE, rig.plant,
+            motion, record.fresh, record.period, steps, weights / weights.sum(), piston, GUIDE, rig.plant,
             rig.friction, use.parameters, use.on, out,
         )  # fmt: skip
         return out
