@@ -1,17 +1,16 @@
 """Running a campaign: what is missing is handed out, what comes back is kept."""
 
 import itertools
-import json
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import yaml
 
 from ehls_ros.experiments.campaign.backends import Backend, Chunk, Place
 from ehls_ros.experiments.campaign.plan import Plan
 from ehls_ros.experiments.campaign.store import Folder, Index, digests_done, keep
-from ehls_ros.experiments.campaign.work import Row, code_version, run_digest, run_one
+from ehls_ros.experiments.campaign.work import Row, code_version, run_digest
 
 CHUNK_CYCLES = 400_000
 """Control cycles that go to a worker together at most: about a second of work."""
@@ -83,17 +82,10 @@ class _Work:
             first = next(chunks, None)
             if first is None:
                 return
-            for chunk, rows in backend.work(self._readied(first, chunks, backend.slots)):
+            for chunk, rows in backend.work(itertools.chain((first,), chunks)):
                 self._take(chunk, rows)
         finally:
             keep(self._folder, self._unkept)
-
-    def _readied(self, first: Chunk, others: Iterator[Chunk], slots: int) -> Iterator[Chunk]:
-        """Hand out the chunks once the kernels are made; workers start and import meanwhile, over chunks of nothing."""
-        yield from itertools.repeat(Chunk((), ()), slots)
-        compile_kernels(self._plan)
-        yield first
-        yield from others
 
     def _take(self, chunk: Chunk, rows: list[Row]) -> None:
         self._unkept += zip(chunk.digests, rows, strict=True)
@@ -124,10 +116,3 @@ class _Work:
                 digests, specs = [], []
         if specs:
             yield Chunk(tuple(digests), tuple(specs))
-
-
-def compile_kernels(plan: Plan) -> None:
-    """Compile, or load, every kernel of a campaign's grid here, so that workers find them made."""
-    for point in {point.kernel: point for point in plan.points}.values():
-        spec: dict[str, Any] = json.loads(point.spec)
-        run_one(json.dumps(spec | {"duration": 10.0 * spec["control_period"]}))

@@ -44,12 +44,10 @@ class Point(NamedTuple):
     Attributes:
         values: what stands in the table for each path of the grid.
         spec: the spec with everything it names written out, as JSON.
-        kernel: what its compiled loop is made of; points with equal ones share it.
     """
 
     values: dict[str, Any]
     spec: str
-    kernel: tuple[Any, ...]
 
 
 class Run(NamedTuple):
@@ -294,14 +292,7 @@ def _point(base: Mapping[str, Any], changes: Mapping[str, _Change], where: str, 
     for path, change in changes.items():
         if change.relative:
             values[path] = _get(mapping, path, place)
-    return Point(values, json.dumps(mapping), _kernel(spec)), spec
-
-
-def _kernel(spec: Spec) -> tuple[Any, ...]:
-    rig = spec.loader_rig()
-    effects = tuple(use.name for use in rig.effects)
-    elements = len(rig.friction.element_stiffness)
-    return spec.controller.name, spec.compensation.name, rig.friction_model, elements, effects, spec.disturbance.name
+    return Point(values, json.dumps(mapping)), spec
 
 
 def _check_draws(point: Point, drawn: Mapping[str, Distribution], where: str) -> None:
