@@ -22,8 +22,8 @@ STEP_TRIES = 5
 MOST_ITERATIONS = 8
 """Most Gauss-Newton steps."""
 
-SETTLED = 0.02
-"""Decrease of the loss at which a fit has settled [nats]."""
+SETTLED, SETTLED_PART = 0.02, 1e-4
+"""Decrease of the loss at which a fit has settled [nats], and as a part of it, one added to the other."""
 
 
 class Fit(NamedTuple):
@@ -53,28 +53,54 @@ class Fit(NamedTuple):
 class Worker:
     """What one thread needs to evaluate hypotheses."""
 
-    def __init__(self, evidence: Evidence) -> None:
-        """Give the thread a comparison of its own."""
+    def __init__(self, evidence: Evidence, few: Evidence | None = None) -> None:
+        """Give the thread comparisons of its own: with the recording, and with few parts of it, if that is worth while."""
         self.evidence = evidence
+        self.thin: Worker | None = None if few is None else Worker(few)
         self.comparison: Comparison = evidence.comparison()
         self.noisy = Comparison(evidence.noisy_record, evidence.setup)
 
-    def errors(self, rig: Rig) -> Errors:
-        """Return whitened residuals of a model."""
-        return self.evidence.errors(self.comparison, rig)
+    def errors(self, rig: Rig, known: Errors | None = None) -> Errors:
+        """Return whitened residuals of a model, those taken over that equal another's."""
+        return self.evidence.errors(self.comparison, rig, known)
 
     def start(self, hypothesis: Hypothesis, values: Array, steps: Array | None = None) -> Fit:
         """Evaluate a hypothesis and its derivatives without fitting it."""
         errors = self.errors(extended(self.evidence.rig, hypothesis, values))
         return self._linearised(hypothesis, values, errors, steps)
 
-    def _linearised(self, hypothesis: Hypothesis, values: Array, errors: Errors, steps: Array | None) -> Fit:
+    def again(self, begin: Fit, values: Array) -> Fit:
+        """Evaluate a hypothesis and its derivatives elsewhere, which only takes what changes on the way."""
+        errors = self.errors(extended(self.evidence.rig, begin.hypothesis, values), begin.errors)
+        return self._linearised(begin.hypothesis, values, errors, begin.steps, begin)
+
+    def nearer(self, begin: Fit, values: Array) -> Array:
+        """Return values from which a fit has a shorter way: of a cause added last that moves a load, which costs.
+
+        Few parts of the recording say them; what was there before has been fitted to all of it.
+        """
+        hypothesis, rig = begin.hypothesis, self.evidence.rig
+        if self.thin is None or not hypothesis[-1].parts_load:
+            return values
+        thin = self.thin.fit(self.thin.start(hypothesis, values, begin.steps)).values
+        channels = self.evidence.channels
+        there, here = (self.errors(extended(rig, hypothesis, v), begin.errors).together(channels) for v in (thin, values))
+        return thin if np.sum(loss(there)) < np.sum(loss(here)) else values
+
+    def _linearised(
+        self, hypothesis: Hypothesis, values: Array, errors: Errors, steps: Array | None, known: Fit | None = None
+    ) -> Fit:
         evidence, rig = self.evidence, self.evidence.rig
         lower, upper = bounds(hypothesis)
         steps = _first_steps(values, lower, upper) if steps is None else steps.copy()
         wanted = max(CHANGE, CHANGE_PART * float(np.sqrt(sum(np.sum(np.minimum(v * v, 1e6)) for v in errors.values.values()))))
         columns, touched = list[Errors](), set[Channel]()
         for i in range(len(values)):
+            same = None if known is None else self._kept_column(known, errors, i)
+            if same is not None:
+                columns.append(same)
+                touched.update(c for c in evidence.channels if np.any(same.values[c]))
+                continue
             step = steps[i]
             column: Errors | None = None
             for _ in range(STEP_TRIES):
@@ -101,6 +127,35 @@ class Worker:
         total = float(np.sum(loss(errors.together(channels))))
         return Fit(hypothesis, values, channels, errors, jacobian, total, steps)
 
+    def _kept_column(self, known: Fit, errors: Errors, index: int) -> Errors | None:
+        """Return the derivatives by a parameter as they were, if nothing has changed that the channels it moves depend on."""
+        here = sections(self.evidence.block, known.channels)
+        if known.jacobian.shape != (sum(len(self.evidence.block[c]) for c in known.channels), len(known.values)):
+            return None
+        column = {c: known.jacobian[rows, index] for c, rows in here.items()}
+        moved = [c for c, values in column.items() if np.any(values)]
+        if not moved or any(errors.depends[c] != known.errors.depends[c] for c in moved):
+            return None
+        return Errors({c: column.get(c, np.zeros(len(self.evidence.block[c]))) for c in self.evidence.channels})
+
+    def _worth(self, now: Fit, e: Array, step: Array) -> Array:
+        """Return a step without what promises nothing: parameters that share no channel with others settle by themselves."""
+        here = sections(self.evidence.block, now.channels)
+        moves = np.array([[bool(np.any(now.jacobian[rows, i])) for rows in here.values()] for i in range(len(step))])
+        out, left = step.copy(), set(range(len(step)))
+        while left:
+            group = {left.pop()}
+            while more := {i for i in left if np.any(moves[i] & np.any(moves[list(group)], axis=0))}:
+                group |= more
+                left -= more
+            members = sorted(group)
+            rows = np.repeat(np.any(moves[members], axis=0), [part.stop - part.start for part in here.values()])
+            before = float(np.sum(loss(e[rows])))
+            after = float(np.sum(loss(e[rows] + now.jacobian[np.ix_(rows, members)] @ step[members])))
+            if before - after < SETTLED + SETTLED_PART * before:
+                out[members] = 0.0
+        return out
+
     def step(self, begin: Fit) -> Fit:
         """Take one Gauss-Newton step, shortened until it helps; the derivatives stay those at its beginning."""
         lower, upper = bounds(begin.hypothesis)
@@ -108,7 +163,7 @@ class Worker:
         best = begin
         for part in (1.0, 0.3):
             values = np.clip(begin.values + part * full, lower, upper)
-            errors = self.errors(extended(self.evidence.rig, begin.hypothesis, values))
+            errors = self.errors(extended(self.evidence.rig, begin.hypothesis, values), begin.errors)
             total = float(np.sum(loss(errors.together(begin.channels))))
             if total < best.loss:
                 best = begin._replace(values=values, errors=errors, loss=total)
@@ -120,13 +175,18 @@ class Worker:
         evidence = self.evidence
         lower, upper = bounds(begin.hypothesis)
         now, damping = begin, 1e-6
-        for _ in range(iterations):
+        for iteration in range(iterations):
             e = now.errors.together(now.channels)
             gained = False
             for _ in range(6):
                 step = gauss_newton(now.jacobian, e, damping, now.values, lower, upper)
+                worth = self._worth(now, e, np.clip(now.values + step, lower, upper) - now.values)
+                if np.any(worth):
+                    step = worth
+                elif iteration:
+                    return now._replace(settled=True)
                 values = np.clip(now.values + step, lower, upper)
-                errors = self.errors(extended(evidence.rig, now.hypothesis, values))
+                errors = self.errors(extended(evidence.rig, now.hypothesis, values), now.errors)
                 total = float(np.sum(loss(errors.together(now.channels))))
                 if total < now.loss:
                     gained = True
@@ -136,8 +196,8 @@ class Worker:
                 return now._replace(settled=True)
             decrease = now.loss - total
             damping = max(damping / 10.0, 1e-9)
-            now = self._linearised(now.hypothesis, values, errors, now.steps)
-            if decrease < SETTLED + 1e-4 * total:
+            now = self._linearised(now.hypothesis, values, errors, now.steps, now)
+            if decrease < SETTLED + SETTLED_PART * total:
                 return now._replace(settled=True)
         return now
 

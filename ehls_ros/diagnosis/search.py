@@ -130,11 +130,11 @@ class Pool:
 
     def __init__(self, evidence: Evidence, threads: int) -> None:
         """Start the threads."""
-        self.evidence = evidence
-        self.threads = threads
+        ranges = _telling_parts(evidence)
+        few = None if ranges is None else Evidence(evidence.record.parts(ranges), evidence.rig, evidence.setup, seed=0)
         self._free: SimpleQueue[Worker] = SimpleQueue()
         for _ in range(threads):
-            self._free.put(Worker(evidence))
+            self._free.put(Worker(evidence, few))
         self._executor = ThreadPoolExecutor(threads)
 
     def map(self, work: Callable[[Worker, Item], Done], items: Sequence[Item]) -> list[Done]:
@@ -172,7 +172,7 @@ def search(evidence: Evidence, found: Sequence[Candidate], threads: int, progres
 
 def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress: Progress) -> Searched:
     progress("every cause by itself", 0.0)
-    begins = _begins(evidence, found, pool)
+    begins = [f for f in pool.map(_screen, found) if f is not None]
     progress("every cause by itself", 0.2)
     screened: list[Fit] = [f for f in pool.map(_start, begins) if f is not None]
     progress("every cause by itself", 0.35)
@@ -199,7 +199,7 @@ def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress
         begins = [b for member in beam for b in _extensions(evidence, pool, member, found, screened)]
         level = _fitted(evidence, pool, begins)
         progress("causes together", 0.55 + 0.1 * count)
-    best, rests, rivals = _settled(evidence, pool, best, found, screened, nothing, inflation)
+    best, rests, rivals = _settled(evidence, pool, best, found, screened, nothing, singles, inflation)
     inflation = _inflation(evidence, [best, *[j for js in rivals for j in js]])
     progress("causes together", 1.0)
     return Searched(best, rests, rivals, tuple(sorted(singles, key=lambda j: -j.score(inflation))), tuple(screened), inflation)
@@ -216,19 +216,6 @@ def _nothing(evidence: Evidence) -> Fit:
 
 def _base_loss(evidence: Evidence, fit: Fit) -> float:
     return float(np.sum(loss(evidence.base.together(fit.channels))))
-
-
-def _begins(evidence: Evidence, found: Sequence[Candidate], pool: Pool) -> list[Fit]:
-    """Return where the fit of each candidate starts best, from parts of the recording; none for one that changes nothing."""
-    ranges = _telling_parts(evidence)
-    if ranges is None:
-        return [f for f in pool.map(_screen, found) if f is not None]
-    few = Evidence(evidence.record.parts(ranges), evidence.rig, evidence.setup, seed=0)
-    thin = Pool(few, pool.threads)
-    try:
-        return [f for f in thin.map(_screen, found) if f is not None]
-    finally:
-        thin.close()
 
 
 def _telling_parts(evidence: Evidence) -> list[tuple[int, int]] | None:
@@ -255,17 +242,18 @@ def _start(worker: Worker, begin: Fit) -> Fit | None:
 
 
 def _screen(worker: Worker, candidate: Candidate) -> Fit | None:
-    """Return the start of a candidate from which one step promises most, or none where none changes anything."""
+    """Return where a candidate's fit starts best, from few parts of the recording; nothing where it changes nothing there."""
+    few = worker.thin or worker
     best: Fit | None = None
     promise = -np.inf
     steps = None
     for values in candidate.starts:
-        fit = worker.start((candidate,), values, steps)
+        fit = few.start((candidate,), values, steps)
         steps = fit.steps
         if not fit.channels or not np.any(fit.jacobian):
             continue
-        reached = worker.step(fit).loss if len(candidate.starts) > 1 else predicted_loss(fit)
-        gain = _base_loss(worker.evidence, fit) - reached
+        reached = few.step(fit).loss if len(candidate.starts) > 1 else predicted_loss(fit)
+        gain = _base_loss(few.evidence, fit) - reached
         if gain > promise:
             best, promise = fit, gain
     return best
@@ -288,16 +276,17 @@ def _fitted(
         rival: what they have to come near to be fitted on; the best of themselves where nothing is said.
     """
 
-    def go(worker: Worker, begin: Fit) -> Fit:
-        return worker.fit(worker.start(begin.hypothesis, begin.values, begin.steps))
+    def go(worker: Worker, pair: tuple[Fit, Fit]) -> Fit:
+        begin, after = pair
+        return worker.fit(worker.again(begin, worker.nearer(begin, after.values)))
 
     def finish(worker: Worker, begin: Fit) -> Judged:
         fit = begin if begin.settled else worker.fit(begin, POLISHED)
         return Judged(fit, held_out(evidence, fit, worker))
 
     stepped = pool.map(Worker.step, begins) if len(begins) > keep else list(begins)
-    stepped.sort(key=lambda f: -_gain(evidence, f))
-    gone = pool.map(go, stepped[:keep])
+    order = sorted(range(len(begins)), key=lambda i: -_gain(evidence, stepped[i]))
+    gone = pool.map(go, [(begins[i], stepped[i]) for i in order[:keep]])
     gone.sort(key=lambda f: -_gain(evidence, f))
     wanted = REACH * max([_gain(evidence, f) for f in [*gone[:1], *([rival.fit] if rival is not None else [])]], default=0.0)
 
@@ -384,13 +373,14 @@ def _settled(
     found: Sequence[Candidate],
     screened: Sequence[Fit],
     nothing: Judged,
+    singles: list[Judged],
     inflation: dict[Channel, float],
 ) -> tuple[Judged, tuple[Judged, ...], tuple[tuple[Judged, ...], ...]]:
     """Try another cause in the place of each, and do without each, until nothing better is found."""
     rests: list[Judged] = []
     rivals: tuple[tuple[Judged, ...], ...] = ()
     # What is left when one cause goes is the same for whatever had taken its place.
-    known = dict[frozenset[tuple[str, int]], tuple[Judged, list[Judged]]]()
+    known = dict[frozenset[tuple[str, int]], tuple[Judged, list[Judged]]]({frozenset(): (nothing, singles)})
     for _ in range(4):
         rests, others = [], list[list[Judged]]()
         for index in range(len(best.hypothesis)):

@@ -433,6 +433,28 @@ def test_gauss_newton_finds_a_kink(recorded, rig):
     assert np.all(best.values >= overlap.lower)
 
 
+def test_what_does_not_depend_on_a_change_is_taken_over(recorded, rig, monkeypatch):
+    worker, found = worker_of(recorded, rig, {"spring_rate_shift": {"factor": 1.2}, "valve_hysteresis": {"width": 2e-5}})
+    spring, valve = found["spring_rate_shift", 0], found["valve_hysteresis", 0]
+    alone = worker.fit(worker.start((spring,), spring.neutral))
+    both = np.concatenate([alone.values, valve.starts[-1]])
+    begin = worker.start((spring, valve), both)
+    moved = both * np.where(np.arange(len(both)) < len(alone.values), 1.0, 1.1)
+    fresh = worker.start((spring, valve), moved, begin.steps)
+
+    def unasked(self, rig):
+        raise AssertionError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Comparison, "_force", unasked)
+        again = worker.again(begin, moved)
+        done = worker.fit(again)
+    np.testing.assert_allclose(again.jacobian, fresh.jacobian, rtol=1e-6, atol=1e-6 * np.max(np.abs(fresh.jacobian)))
+    # What has settled stays, while the other goes its way.
+    np.testing.assert_array_equal(done.values[: len(alone.values)], alone.values)
+    assert done.values[-1] == pytest.approx(2e-5, rel=0.1)
+
+
 def test_a_step_stays_within_the_ranges():
     j, e = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]), np.array([1.0, -2.0, 0.0])
     lower, upper = np.zeros(2), np.full(2, 10.0)
