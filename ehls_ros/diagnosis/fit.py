@@ -151,7 +151,7 @@ class Worker:
             members = sorted(group)
             rows = np.repeat(np.any(moves[members], axis=0), [part.stop - part.start for part in here.values()])
             before = float(np.sum(loss(e[rows])))
-            after = float(np.sum(loss(e[rows] + now.jacobian[np.ix_(rows, members)] @ step[members])))
+            after = float(np.sum(loss(e[rows] + now.jacobian[rows][:, members] @ step[members])))
             if before - after < SETTLED + SETTLED_PART * before:
                 out[members] = 0.0
         return out
