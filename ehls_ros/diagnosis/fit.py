@@ -333,8 +333,10 @@ def _covariance(
     noise = inverse @ products(j, w * w * scale, scale)[0] @ inverse
     blocks = max(evidence.blocks - len(fit.values), 1)
     between = inverse @ (gradients.T @ gradients) @ inverse * evidence.blocks / blocks
-    larger = np.maximum(1.0, np.sqrt(np.maximum(np.diag(between), 0.0) / np.maximum(np.diag(noise), 1e-300)))
-    return noise * np.outer(larger, larger) / np.outer(unit, unit), larger**2
+    # Nothing is known of a parameter that the data do not tell; its errors are no numbers.
+    with np.errstate(over="ignore", invalid="ignore"):
+        larger = np.maximum(1.0, np.sqrt(np.maximum(np.diag(between), 0.0) / np.maximum(np.diag(noise), 1e-300)))
+        return noise * np.outer(larger, larger) / np.outer(unit, unit), larger**2
 
 
 def lines_of(e: Array, times: Array, count: int) -> Sequence[float]:

@@ -159,7 +159,9 @@ class Comparison:
         """
         whole = rig.effective()
         wanted = self.setup.channels if channels is None else channels
-        return {channel: getattr(self, f"_{channel}")(whole) for channel in wanted}
+        # A model that diverges leaves no finite residual, and its fit is refused.
+        with np.errstate(over="ignore", invalid="ignore"):
+            return {channel: getattr(self, f"_{channel}")(whole) for channel in wanted}
 
     def relevant(self, rig: Rig) -> dict[Channel, Any]:
         """Return what each channel's residual depends on: where it is equal, so are the residuals."""
