@@ -57,7 +57,7 @@ class Cause(NamedTuple):
 
     Attributes:
         name: of the effect.
-        probability: that it is this one rather than another single effect in its place.
+        probability: that it is this one rather than another single effect in its place, or one that no file describes.
         equivalent_to: effects that the data cannot tell from it.
         stage: the stage of the model it belongs to.
         group: what the effect's file calls its stage.

@@ -256,6 +256,12 @@ def caveats(found: Diagnosis, remarks: Sequence[str] = ()) -> list[str]:
             "All of this rests on one recording. Standard errors hold for it; another day, another temperature or another load"
             " may give other values. Repeat the recording before the extended rig file replaces the old one."
         )
+        stages = [cause.stage for cause in found.causes]
+        if len(set(stages)) < len(stages):
+            out.append(
+                "Two causes in one stage may also be one of a kind that the list of effects does not have: it then looks"
+                " like two that it has. That lowers their probability here; a recording of other motions tells."
+            )
         if any(cause.fixed for cause in found.causes):
             out.append("Parameters that were not fitted stand in the extended rig file at the values their form has for them.")
     if found.verdict == "consistent":

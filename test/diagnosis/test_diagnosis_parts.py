@@ -604,6 +604,23 @@ def test_what_explains_the_same_is_equivalent(noisy, rig):
     assert cause.rivals[0].behind == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.parametrize(("second", "sure"), [("viscous_shift", 0.7), ("valve_gain_shift", 1.0)])
+def test_two_causes_in_one_stage_may_be_one_that_nobody_described(noisy, rig, second, sure):
+    data, found = verdict_case(noisy, rig, 0.3)
+    (nothing,) = found.rests
+    columns = np.hstack(
+        [found.best.fit.jacobian, np.random.default_rng(6).standard_normal((len(data.base.values["force"]), 1))]
+    )
+    known, _ = candidates(noisy, rig, [])
+    both = tuple(next(c for c in known if c.name == name and len(c.free) == 1) for name in ("mass_shift", second))
+    fit = found.best.fit._replace(
+        hypothesis=both, values=np.append(found.best.fit.values, 0.0), jacobian=columns, steps=np.ones(2)
+    )
+    best = Judged(fit, held_out(data, fit))
+    named = verdict.causes(data, found._replace(best=best, rests=(nothing, nothing), rivals=((), ())), 0)
+    assert sure - 0.15 < next(cause.probability for cause in named if cause.name == "mass_shift") <= sure
+
+
 def test_what_explains_less_is_a_rival(noisy, rig):
     data, found = verdict_case(noisy, rig, 0.3)
     (cause,) = verdict.causes(data, found, 0)

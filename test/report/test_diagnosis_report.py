@@ -20,7 +20,7 @@ from ehls_ros.physics.rig import EffectUse
 from ehls_ros.report import diagnosis_figures as drawn
 from ehls_ros.report import diagnosis_units as units
 from ehls_ros.report.diagnosis import Beside, write_diagnosis_report
-from ehls_ros.report.diagnosis_findings import verdict_sentence, where_to_look, words
+from ehls_ros.report.diagnosis_findings import caveats, verdict_sentence, where_to_look, words
 
 RIG = load_rig(Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml")
 DEAD_ZONE = {"positive": Estimate(91.2e-6, 0.4e-6, "m"), "negative": Estimate(80.1e-6, 0.5e-6, "m")}
@@ -201,6 +201,12 @@ def test_the_verdict_of_two_causes_says_what_is_lacking_and_what_is_wrong():
     assert "lacks a dead zone of the valve" in sentence
     assert "has the Coulomb friction (offset −47.6 ± 0.3 N) wrong" in sentence
     assert "with them the force balance and the flow balance close to the noise" in sentence
+
+
+@pytest.mark.parametrize(("stage", "said"), [("valve", True), ("force_balance", False)])
+def test_two_causes_in_one_stage_are_doubted(stage, said):
+    second = CAUSE._replace(name="valve_null_bias", stage=stage)
+    assert any("may also be one of a kind" in text for text in caveats(make_found(causes=(CAUSE, second)))) == said
 
 
 def test_the_verdict_says_what_stays_open():
