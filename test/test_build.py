@@ -12,6 +12,7 @@ import sys
 import time
 import tomllib
 from collections.abc import Iterator
+from importlib.metadata import requires
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -328,6 +329,9 @@ ROSDEP_KEYS = {
 NO_ROSDEP_KEY = {"plotly", "pydantic", "shtab"}
 """Needed too, yet without a key, or with one for a version that is too old: package.xml says so."""
 
+WITH_ROSBAGS = {"backports", "compression", "lz4"}
+"""What rosbags needs itself, and brings; ``compression`` is Python's own from 3.14 on."""
+
 OPTIONAL = {"distributed", "fastapi", "foxglove", "nicegui", "orjson", "pyarrow", "pymoo", "pyswarms", "starlette", "uvicorn"}
 """What the extras bring."""
 
@@ -347,8 +351,13 @@ def imported() -> set[str]:
 def test_package_xml_asks_for_what_is_imported_and_nothing_else() -> None:
     manifest = ET.parse(ROOT / "package.xml").getroot()
     asked = {element.text for element in manifest.iter("exec_depend")}
-    needed = imported() - NO_ROSDEP_KEY - OPTIONAL
+    needed = imported() - NO_ROSDEP_KEY - WITH_ROSBAGS - OPTIONAL
     assert asked == {ROSDEP_KEYS.get(name, name) for name in needed}
+
+
+def test_rosbags_brings_what_expands_bags() -> None:
+    brought = " ".join(requires("rosbags") or [])
+    assert all(name in brought for name in WITH_ROSBAGS - {"compression"})
 
 
 def test_what_has_no_rosdep_key_comes_with_the_base_lock() -> None:

@@ -10,7 +10,7 @@ from ehls_ros.diagnosis.hypotheses import candidates, extended
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis, StageResult, Verdict
 from ehls_ros.diagnosis.search import LINES, Judged, Progress, main_channel, search
-from ehls_ros.diagnosis.stages import STAGES, UNITS, Channel, Comparison, Stage, setup
+from ehls_ros.diagnosis.stages import CHANNELS, STAGES, UNITS, Channel, Comparison, Stage, setup
 from ehls_ros.diagnosis.structure import signals_of, structure
 from ehls_ros.diagnosis.verdict import CLOSED, KEY, Left, causes, excited, gain, sensitivities, stage_left
 from ehls_ros.physics.rig import Rig
@@ -90,9 +90,7 @@ def diagnose(
         verdict = "unknown"
     elif named:
         verdict = "effect"
-    elif (
-        stages["force_balance"].judged or stages["flow"].judged or (stages["valve"].judged and "force" not in evidence.channels)
-    ):
+    elif _judged_enough(evidence, stages):
         verdict = "consistent"
     else:
         verdict = "insufficient"
@@ -114,6 +112,14 @@ def diagnose(
         seed=seed,
         wall_s=time.perf_counter() - began,
     )
+
+
+def _judged_enough(evidence: Evidence, stages: Mapping[Stage, StageResult]) -> bool:
+    """Tell whether enough of what could be wrong was excited to say that nothing is: half of the stages that were recorded."""
+    recorded = [stage for stage in KEY if any(CHANNELS[channel] == stage for channel in evidence.channels)]
+    judged = [stage for stage in recorded if stages[stage].judged]
+    balanced = stages["force_balance"].judged or stages["flow"].judged
+    return 2 * len(judged) >= len(recorded) and (balanced or (stages["valve"].judged and "force" not in evidence.channels))
 
 
 def _nothing(record: Record, rig: Rig, seed: int, began: float) -> Diagnosis:

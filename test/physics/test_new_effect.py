@@ -12,6 +12,8 @@ from rig_runs import PERIOD, run
 from ehls_ros.physics import effects
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS
+from ehls_ros.physics.plant import PL
+from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.simulator import Simulator
 
 PROBE = '''"""Every hook at once, each with a parameter of its own; and the position, found again by integration."""
@@ -43,6 +45,8 @@ class Parameters(NamedTuple):
     leakage: Annotated[float, quantity("m^5/(N s)", "more leakage", minimum=0.0, maximum=1e-10)] = 0.0
     friction_level: Annotated[float, quantity("1", "part of the friction", minimum=0.0, maximum=2.0)] = 1.0
     force: Annotated[float, quantity("N/m", "a spring", minimum=0.0, maximum=1e6)] = 0.0
+    piston_position: Annotated[float, quantity("1", "travel of the piston for one of the mass", minimum=0.0, maximum=2.0)] = 1.0
+    piston_velocity: Annotated[float, quantity("1", "the same of its velocity", minimum=0.0, maximum=2.0)] = 1.0
 
 
 @kernel
@@ -91,6 +95,16 @@ def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant:
 
 
 @kernel
+def piston_position(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    return value * p[8]
+
+
+@kernel
+def piston_velocity(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+    return value * p[9]
+
+
+@kernel
 def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
     dz[0] = y[V]
 
@@ -100,6 +114,7 @@ def forms(rig: Rig) -> tuple[Form, ...]:
 '''
 
 PAPER = Constants()
+SWEPT = 0.8
 # Each hook's parameter, and the constants of the paper that do the same.
 SAME = {
     "received": (0.6, replace(PAPER, Kv=0.6)),
@@ -110,7 +125,22 @@ SAME = {
     "leakage": (3e-11, replace(PAPER, Ctc=PAPER.Ctc + 3e-11)),
     "friction_level": (1.6, replace(PAPER, Fc=1.6 * PAPER.Fc, Fs=1.6 * PAPER.Fs)),
     "force": (6e4, replace(PAPER, ks=PAPER.ks + 6e4)),
+    # What the piston sweeps is 0.8 of what the area gives; so does an area of 0.8, with every pressure 1/0.8 of what it was.
+    "piston_velocity": (
+        0.8,
+        replace(
+            PAPER,
+            Ac=SWEPT * PAPER.Ac,
+            ps=PAPER.ps / SWEPT,
+            beta_e=PAPER.beta_e / SWEPT,
+            Ctc=SWEPT * PAPER.Ctc,
+            w=SWEPT**0.5 * PAPER.w,
+        ),
+    ),
 }
+PRESSURES = {"piston_velocity": SWEPT}
+"""What the pressures of those constants have to be multiplied with."""
+
 ADDED = ("leakage", "force")
 _numbers = itertools.count()
 
@@ -128,14 +158,20 @@ def probe(tmp_path_factory):
 
 
 def test_every_hook_is_tried():
-    assert set(SAME) == set(HOOKS)
+    assert {*SAME, "piston_position"} == set(HOOKS)
+
+
+def test_the_sensor_sees_where_the_piston_is(probe, make_rig):
+    simulator = Simulator(make_rig(effects=[{"name": probe, "piston_position": 0.5}]), PERIOD, 5e-5, position=0.02)
+    assert simulator.measure(np.zeros(len(SENSED)))[SENSED.index("position")] == pytest.approx(0.01)
+    assert simulator.y[0] == 0.02
 
 
 def test_the_file_is_found(probe):
     assert probe in EFFECTS.names()
 
 
-@pytest.mark.parametrize("hook", HOOKS)
+@pytest.mark.parametrize("hook", SAME)
 def test_a_hook_acts_where_it_says(hook, probe, make_rig):
     value, constants = SAME[hook]
     t = np.arange(150) * PERIOD
@@ -145,6 +181,7 @@ def test_a_hook_acts_where_it_says(hook, probe, make_rig):
     rig = make_rig(effects=[{"name": probe, hook: part}, {"name": probe, hook: part}])
     states = run(Simulator(rig, PERIOD, 5e-5), inputs)
     expected = solve(constants, "gms", inputs, PERIOD).y
+    expected[:, PL] *= PRESSURES.get(hook, 1.0)
     unchanged = solve(PAPER, "gms", inputs, PERIOD).y
     scale = np.abs(expected).max(axis=0)
     assert np.max(np.abs(states[:, :7] - expected) / scale) < 1e-6
