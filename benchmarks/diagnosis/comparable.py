@@ -143,7 +143,7 @@ COMPARE: dict[str, Callable[[Sizes, Values], list[Quantity]]] = {
     "mass_shift": beyond_one(factor="factor"),
     "spring_rate_shift": same(added="offset"),
     "spring_hardening": same(cubic="cubic"),
-    "hinge_backlash": _any_one("gap"),
+    "hinge_backlash": same(gap="gap", held_gap="gap", load_gap="gap"),
     "end_stop": _end_stop,
     "flexible_mode": _mode,
     "periodic_disturbance": _periodic,

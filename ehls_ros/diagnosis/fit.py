@@ -1,5 +1,6 @@
 """Fitting a hypothesis, and judging it on data that it was not fitted to."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -103,6 +104,7 @@ class Worker:
                 continue
             step = steps[i]
             column: Errors | None = None
+            change = 0.0
             for _ in range(STEP_TRIES):
                 # Away from the nearer end of the range.
                 signed = step if values[i] + step <= upper[i] else -step
@@ -110,7 +112,8 @@ class Worker:
                 moved[i] += signed
                 other = evidence.errors(self.comparison, extended(rig, hypothesis, moved), errors)
                 column = Errors({c: (other.values[c] - errors.values[c]) / signed for c in evidence.channels})
-                change = abs(signed) * float(np.sqrt(sum(np.sum(v * v) for v in column.values.values())))
+                with np.errstate(over="ignore", invalid="ignore"):
+                    change = abs(signed) * float(np.sqrt(sum(np.sum(v * v) for v in column.values.values())))
                 if change < 0.1 * wanted and step < 0.2 * (upper[i] - lower[i]):
                     step = min(step * (1e3 if change == 0.0 else min(1e3, wanted / change)), 0.25 * (upper[i] - lower[i]))
                 elif change > 5.0 * wanted:
@@ -120,6 +123,9 @@ class Worker:
             steps[i] = step
             if column is None:
                 raise AssertionError
+            if not math.isfinite(change):
+                # The model diverges a step from here: in that direction nothing is known.
+                column = Errors({c: np.zeros_like(v) for c, v in column.values.items()})
             columns.append(column)
             touched.update(c for c in evidence.channels if np.any(column.values[c]))
         channels = tuple(c for c in evidence.channels if c in touched or np.any(errors.values[c] != evidence.base.values[c]))
@@ -208,13 +214,15 @@ def _first_steps(values: Array, lower: Array, upper: Array) -> Array:
 
 
 def gauss_newton(jacobian: Array, e: Array, damping: float, values: Array, lower: Array, upper: Array) -> Array:
-    """Return a damped Gauss-Newton step that stays within the ranges."""
+    """Return a damped Gauss-Newton step that stays within the ranges; none where the model has diverged."""
     free = np.ones(len(values), dtype=np.bool_)
     step = np.zeros(len(values))
     w = weights(e)
     for _ in range(len(values)):
         j = jacobian[:, free]
         normal, gradient = products(j, w, e)
+        if not (np.all(np.isfinite(normal)) and np.all(np.isfinite(gradient))):
+            return np.zeros(len(values))
         scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
         scaled = normal / np.outer(scale, scale) + damping * np.eye(len(scale))
         step[:] = 0.0

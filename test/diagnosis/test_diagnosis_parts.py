@@ -479,6 +479,16 @@ def linear_case(seed=3, blocks=6, rows=20):
     return data, fit, base
 
 
+
+@pytest.mark.parametrize("spoilt", [np.nan, np.inf, 1e200])
+def test_a_model_that_has_diverged_has_no_way_on(spoilt):
+    rng = np.random.default_rng(3)
+    j, e = rng.standard_normal((50, 2)), rng.standard_normal(50)
+    j[7, 1] = spoilt
+    wide = np.full(2, 1e6)
+    np.testing.assert_array_equal(fits.gauss_newton(j, e, 0.0, np.zeros(2), -wide, wide), [0.0, 0.0])
+
+
 def test_held_out_blocks_are_those_of_fits_without_them():
     data, fit, base = linear_case()
     held = held_out(data, fit)
