@@ -194,6 +194,7 @@ def node_parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, st
         "bag": str(folder.bag.resolve()),
         "storage": storage,
         "expected": ",".join(expected_topics(spec, plant)),
+        "cycles": spec.cycles,
     }
     if timing == LOCKSTEP:
         # Nothing is late in lockstep; waiting keeps a run the same whatever else the machine does.

@@ -15,7 +15,7 @@ from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos, message_class
 from ehls_ros.recording.bag_writer import BagWriter, Storage
 from ehls_ros.recording.topics import CYCLE_TOPICS, TOPICS
-from ehls_ros.schema import text
+from ehls_ros.schema import quantity, text
 
 REST = 0.02
 """How long messages gather before they are taken in bulk [s]; the middleware keeps them meanwhile."""
@@ -29,8 +29,11 @@ DISCOVERY = 30.0
 QUIET = 0.3
 """At the end: nothing more comes once it was quiet for so long [s]."""
 
+SLOW = 3.0
+"""The same while something is known to be missing: a busy computer may have it under way [s]."""
+
 LAST = 1.0
-"""At the end, of a graph that goes on: what comes later than this is left out [s]."""
+"""At the end, of a graph that goes on: what is sent later than this is left out [s]."""
 
 
 class Parameters(NamedTuple):
@@ -39,6 +42,7 @@ class Parameters(NamedTuple):
     bag: Annotated[str, text("folder of the bag; empty: bags/<time>")] = ""
     storage: Annotated[str, text("mcap or sqlite3")] = "mcap"
     expected: Annotated[str, text("topics, separated by commas, whose publisher has to be there before recording starts")] = ""
+    cycles: Annotated[int, quantity("1", "cycles that are waited for on these topics at the end; 0: not known", minimum=0)] = 0
 
 
 class RecorderNode(ControlNode):
@@ -54,6 +58,8 @@ class RecorderNode(ControlNode):
         if storage not in get_args(Storage):
             raise BadInput(f"storage is '{storage}'", self.get_name(), f"one of {', '.join(get_args(Storage))}")
         self.storage = cast(Storage, storage)
+        self.expected = tuple(filter(None, self.text_parameter("expected").split(",")))
+        self.cycles = int(self.get_parameter("cycles").value)
 
     def prepare(self) -> None:
         """Open the bag and subscribe."""
@@ -62,6 +68,8 @@ class RecorderNode(ControlNode):
         self.written = 0
         self.lost = 0
         self.newest: dict[str, int] = {}
+        self.newest_ns = 0
+        self.taken = dict.fromkeys((topic.name for topic in TOPICS), 0)
         self.inboxes = {
             topic.name: Inbox(
                 self,
@@ -77,7 +85,7 @@ class RecorderNode(ControlNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start once the expected publishers are there, so that a run shorter than discovery is recorded whole."""
         deadline = time.monotonic() + DISCOVERY
-        for name in filter(None, self.text_parameter("expected").split(",")):
+        for name in self.expected:
             while self.inboxes[name].handle.get_publisher_count() == 0:
                 if time.monotonic() > deadline:
                     self.get_logger().error(f"nobody publishes {name}")
@@ -119,6 +127,8 @@ class RecorderNode(ControlNode):
             numbered = inbox.handle.get_publisher_count() == 1
             while (taken := inbox.take_raw()) is not None:
                 message, info = taken
+                self.taken[name] += 1
+                self.newest_ns = max(self.newest_ns, info["source_timestamp"])
                 if numbered:
                     self._count_lost(name, info["publication_sequence_number"])
                 self._write(name, info["source_timestamp"], message)
@@ -148,10 +158,13 @@ class RecorderNode(ControlNode):
 
     def stop(self) -> None:
         """Take what is still under way and close the bag."""
-        quiet_since = asked_at = time.perf_counter()
-        while (now := time.perf_counter()) - quiet_since < QUIET and now - asked_at < LAST:
+        quiet_since, last_ns = time.perf_counter(), time.time_ns() + int(LAST * 1e9)
+        while self.newest_ns < last_ns:
             if self._drain():
                 quiet_since = time.perf_counter()
+            missing = any(self.taken[name] < self.cycles for name in self.expected)
+            if time.perf_counter() - quiet_since > (SLOW if missing else QUIET):
+                break
             time.sleep(REST)
         if self.writer is not None:
             try:
