@@ -479,7 +479,6 @@ def linear_case(seed=3, blocks=6, rows=20):
     return data, fit, base
 
 
-
 @pytest.mark.parametrize("spoilt", [np.nan, np.inf, 1e200])
 def test_a_model_that_has_diverged_has_no_way_on(spoilt):
     rng = np.random.default_rng(3)
