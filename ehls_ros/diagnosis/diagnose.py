@@ -12,7 +12,7 @@ from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis, StageResult, Verd
 from ehls_ros.diagnosis.search import LINES, Judged, Progress, main_channel, search
 from ehls_ros.diagnosis.stages import CHANNELS, STAGES, UNITS, Channel, Comparison, Stage, setup
 from ehls_ros.diagnosis.structure import signals_of, structure
-from ehls_ros.diagnosis.verdict import CLOSED, KEY, Left, causes, excited, gain, sensitivities, stage_left
+from ehls_ros.diagnosis.verdict import CLOSED, KEY, Left, causes, excited, gain, left_in_stages, sensitivities
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
@@ -75,7 +75,7 @@ def diagnose(
     sizes = sensitivities(evidence, found.screened)
     comparison = evidence.comparison()
     model = extended(rig, best.hypothesis, best.fit.values)
-    lefts = {stage: stage_left(evidence, found, stage) for stage in STAGES}
+    lefts = left_in_stages(evidence, found)
     stages = {
         stage: _stage(evidence, comparison, model, best, stage, lefts[stage], excited(evidence, sizes, stage))
         for stage in STAGES

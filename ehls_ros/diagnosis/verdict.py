@@ -12,7 +12,7 @@ from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.hypotheses import Candidate, parts
 from ehls_ros.diagnosis.result import Cause, Gain, Rival, Sensitivity
 from ehls_ros.diagnosis.search import MATTERS, NEEDED, PENALTY, RELEVANT, SURE, Judged, Searched
-from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
+from ehls_ros.diagnosis.stages import CHANNELS, STAGES, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 
@@ -153,7 +153,8 @@ def _more_than_noise(evidence: Evidence, channel: Channel, e: Array, noise: floa
 def causes(evidence: Evidence, found: Searched, seed: int) -> tuple[Cause, ...]:
     """Describe the causes of the best hypothesis, those that explain most first."""
     out = []
-    stages = [STAGE_OF_GROUP[EFFECTS.load(candidate.name).STAGE] for candidate in found.best.hypothesis]
+    groups = [EFFECTS.load(candidate.name).STAGE for candidate in found.best.hypothesis]
+    stages = [STAGE_OF_GROUP[group] for group in groups]
     for index, candidate in enumerate(found.best.hypothesis):
         rest = found.rests[index]
         whole = found.best.score(found.inflation) - rest.score(found.inflation)
@@ -167,14 +168,13 @@ def causes(evidence: Evidence, found: Searched, seed: int) -> tuple[Cause, ...]:
             if found.best.score(found.inflation) - j.score(found.inflation) < max(EQUAL, EQUAL_PART * whole)
             and len(j.fit.values) <= len(found.best.fit.values)
         )
-        group = EFFECTS.load(candidate.name).STAGE
         out.append(
             Cause(
                 name=candidate.name,
                 probability=probability,
                 equivalent_to=equivalent,
                 stage=stages[index],
-                group=group,
+                group=groups[index],
                 parameters=_estimates(found.best, index),
                 fixed=dict(candidate.fixed),
                 gain=whole,
@@ -311,8 +311,11 @@ def excited(evidence: Evidence, found: Sequence[Sensitivity], stage: Stage) -> b
     return any(s.smallest < TELLING * nominal for s in found if (s.name, s.parameter) == (name, parameter))
 
 
-def stage_left(evidence: Evidence, found: Searched, stage: Stage) -> dict[Channel, Left]:
-    """Return what is left in each channel of a stage."""
-    lefts = {c: left(evidence, found.best, c) for c in evidence.channels if CHANNELS[c] == stage}
+def left_in_stages(evidence: Evidence, found: Searched) -> dict[Stage, dict[Channel, Left]]:
+    """Return what is left in each channel of each stage."""
     amiss = patched(evidence, found)
-    return {c: item._replace(mended=item.mended and c not in amiss) for c, item in lefts.items()}
+    out: dict[Stage, dict[Channel, Left]] = {stage: {} for stage in STAGES}
+    for channel in evidence.channels:
+        item = left(evidence, found.best, channel)
+        out[CHANNELS[channel]][channel] = item._replace(mended=item.mended and channel not in amiss)
+    return out
