@@ -136,7 +136,10 @@ def _source(part: str, friction_model: str, elements: int) -> str:
         if part == "spool" and hasattr(effect, "jump"):
             jumps.append(f"    if on[{index}]:\n        value = min(value, effect_{index}.jump(t, w, {parameters}))")
         if own:
-            rates.append(f"    if on[{index}]:\n        effect_{index}.derivatives(value, {view}, dz[{states}:{states + own}])")
+            # What parts load and piston has no states of its own here: it is where both are.
+            rates.append(
+                f"    if on[{index}] == 1:\n        effect_{index}.derivatives(value, {view}, dz[{states}:{states + own}])"
+            )
         if part == "spool" and hasattr(effect, "command"):
             rates.append(chains["command"][-1])
         states += own
@@ -163,7 +166,7 @@ from ehls_ros.physics.valve import load_flow, spool_rate
 {imports}
 
 # They allocate nothing: counting who holds a view of an array would cost ten times what they do.
-plain = njit(error_model="numpy", _nrt=False)
+plain = njit(error_model="numpy", _nrt=False, forceinline=True)
 
 
 {hooks}
@@ -460,10 +463,10 @@ def drive(position, velocity, y, z, on):
 
 
 @plain
-def balance(t, y, w, z, p, plant, friction, on):
-    \"\"\"Return Stribeck level and the forces on the load without friction [N].\"\"\"
+def balance(pushed, t, y, w, z, p, plant, friction, on):
+    \"\"\"Return Stribeck level and the forces on the load without friction, pushed of them handed on [N].\"\"\"
     level = friction_level(stribeck_level(y[V], friction), t, y, w, z, p, plant, on)  # (7)
-    extra = handed_on(force(0.0, t, y, w, z, p, plant, on), t, y, w, z, p, plant, on)
+    extra = pushed + force(0.0, t, y, w, z, p, plant, on)
     return level, applied_force(y[X], y[V], y[PL], model.disturbance_force(t, w), extra, plant)
 
 
@@ -513,7 +516,8 @@ def run(m, fresh, period, steps, weights, piston_mass, guide, plant, friction, p
             settle(k, m, m.time[k], y, w, z, p, plant, weight, on)
             position, velocity = m.position[k], m.velocity[k]
             drive(position, velocity, y, z, on)
-            level, applied = balance(m.time[k], y, w, z, p, plant, friction, on)
+            pushed = handed_on(0.0, m.time[k], y, w, z, p, plant, on)
+            level, applied = balance(pushed, m.time[k], y, w, z, p, plant, friction, on)
             applied -= friction.viscous_coefficient * y[V] + plant.moving_mass * slope[V]
             for i in range({elements}):
                 forces[i] = min(max(applied, -level), level) * weights[i]
@@ -524,9 +528,9 @@ def run(m, fresh, period, steps, weights, piston_mass, guide, plant, friction, p
             drive(position, velocity, y, z, on)
             pulled = guide * (2.0 * (m.velocity[k] + passed * slope[V] - velocity)
                 + guide * (m.position[k] + passed * slope[X] - position)) * both
-            pushed = handed_on(0.0, t, y, w, z, p, plant, on) + weight
-            there, speed = position + 0.5 * step * velocity, velocity + 0.5 * step * (pulled - pushed) / piston_mass
-            level, applied = balance(t, y, w, z, p, plant, friction, on)
+            pushed = handed_on(0.0, t, y, w, z, p, plant, on)
+            there, speed = position + 0.5 * step * velocity, velocity + 0.5 * step * (pulled - pushed - weight) / piston_mass
+            level, applied = balance(pushed, t, y, w, z, p, plant, friction, on)
             if law.event(y[V], applied, level, forces, mode, friction) > 0.0:
                 for i in range({elements}):
                     middle[i] = mode[i]
@@ -551,10 +555,10 @@ def run(m, fresh, period, steps, weights, piston_mass, guide, plant, friction, p
             drive(there, speed, stage, z, on)
             pulled = guide * (2.0 * (m.velocity[k] + half * slope[V] - speed)
                 + guide * (m.position[k] + half * slope[X] - there)) * both
-            pushed = handed_on(0.0, t + 0.5 * step, stage, w, z, p, plant, on) + weight
+            pushed = handed_on(0.0, t + 0.5 * step, stage, w, z, p, plant, on)
             position += step * speed
-            velocity += step * (pulled - pushed) / piston_mass
-            level, applied = balance(t + 0.5 * step, stage, w, z, p, plant, friction, on)
+            velocity += step * (pulled - pushed - weight) / piston_mass
+            level, applied = balance(pushed, t + 0.5 * step, stage, w, z, p, plant, friction, on)
             resisting = law.force(stage[V], applied, level, middle, mode, friction)
             law.rates(stage[V], level, middle, mode, friction, rate)
             y[X] += step * stage[V]

@@ -175,14 +175,13 @@ class Comparison:
             p = sensors.get("force")
         valve = (plant.supply_pressure, plant.oil_density, plant.discharge_coefficient, plant.valve_area_gradient)
         flow = (*valve, plant.bulk_modulus, plant.total_volume, plant.piston_area, plant.leakage_coefficient)
-        beam = (plant.moving_mass, plant.piston_area, plant.viscous_damping, plant.spring_stiffness, plant.gravity)
         spool_sensor = sensors.get("spool_position")
         moved = (x, v, p, spool_sensor)
         return {
             "spool": (spool, spool_sensor, moved if any(kernels.switched("spool", whole.effects).on) else None),
             "volume": (flow, hooks["flow"], seen, moved),
             "supply": (valve, hooks["flow"], seen, moved, sensors.get("supply_pressure")),
-            "force": (beam, whole.friction_model, whole.friction, hooks["friction"], hooks["force"], plant.arm_length, moved),
+            "force": (_beam(whole), whole.friction_model, whole.friction, hooks["friction"], hooks["force"], moved),
             "cell": (plant.piston_area, p, sensors.get("force")),
             "velocity": (x, v),
         }
@@ -283,11 +282,9 @@ class Comparison:
 
     def friction(self, rig: Rig) -> Array:
         """Return the friction force along the recorded motion, shape (n, 1) [N]."""
-        key: tuple[Any, ...] = (self.relevant_parts(rig, "friction"), rig.friction, rig.friction_model)
-        static = rig.friction_model == "stribeck"
-        if static:
-            # A static model's sticking force is whatever the others add up to.
-            key = (*key, self.relevant_parts(rig, "force"), rig.plant)
+        # What the other forces are says where the elements start, and what a static model balances while it sticks.
+        others = (_beam(rig), self.relevant_parts(rig, "force"))
+        key = (self.relevant_parts(rig, "friction"), rig.friction, rig.friction_model, others)
         terms: Array = self._keep("friction", key, lambda: self._run("friction", rig, self.motion(rig)))
         return terms
 
@@ -443,6 +440,12 @@ class Comparison:
                 kept.pop(next(iter(kept)), None)
             kept[key] = value
         return kept[key]
+
+
+def _beam(rig: Rig) -> tuple[float, ...]:
+    """Return the coefficients of (3)."""
+    plant = rig.plant
+    return (plant.moving_mass, plant.piston_area, plant.viscous_damping, plant.spring_stiffness, plant.gravity)
 
 
 def setup(record: Record, rig: Rig) -> Setup:
