@@ -28,7 +28,10 @@ def filled(values: Array) -> Array:
 
 
 def inliers(values: Array) -> Mask:
-    """Tell which samples are finite and agree with their neighbours, shape (n,)."""
+    """Tell which samples are finite and agree with their neighbours, shape (n,).
+
+    Where a signal moves fast, so do its neighbours: a few that jump together with it do not make that usual.
+    """
     finite = np.isfinite(values)
     whole = filled(values)
     off = np.abs(whole - median_filter(whole, NEIGHBOURS, mode="nearest"))
@@ -38,7 +41,8 @@ def inliers(values: Array) -> Mask:
     moved = off[off > 0.0]
     if moved.size:
         usual = max(usual, float(np.quantile(moved, 0.25)))
-    good: Mask = finite & (off <= OUTLIER * usual)
+    nearby = median_filter(np.abs(np.diff(whole, prepend=whole[:1])), NEIGHBOURS, mode="nearest")
+    good: Mask = finite & (off <= OUTLIER * np.maximum(usual, nearby))
     return good
 
 

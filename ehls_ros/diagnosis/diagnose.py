@@ -9,10 +9,10 @@ from ehls_ros.diagnosis.fit import lines_of
 from ehls_ros.diagnosis.hypotheses import candidates, extended
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis, StageResult, Verdict
-from ehls_ros.diagnosis.search import LINES, Judged, Progress, main_channel, search
+from ehls_ros.diagnosis.search import CLOSED, LINES, Judged, Progress, main_channel, search
 from ehls_ros.diagnosis.stages import CHANNELS, STAGES, UNITS, Channel, Comparison, Stage, setup
 from ehls_ros.diagnosis.structure import signals_of, structure
-from ehls_ros.diagnosis.verdict import CLOSED, KEY, Left, causes, excited, gain, left_in_stages, sensitivities
+from ehls_ros.diagnosis.verdict import KEY, Left, causes, excited, gain, left_in_stages, sensitivities
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 

@@ -33,6 +33,9 @@ WIDER = 0.2
 HUBER = 3.0
 """Whitened residual from which on the loss grows linearly, so that a few windows do not decide."""
 
+FLOOR = 0.8
+"""Power of a whitened residual that the floor, noise and tolerance together, makes at least."""
+
 FARTHEST = 1e6
 """Whitened residual that stands for any larger one, and for none where a hypothesis diverges."""
 
@@ -187,6 +190,16 @@ def sections(block: Mapping[Channel, NDArray[np.intp]], channels: Sequence[Chann
 def noise_of(evidence: Evidence, channel: Channel) -> Array:
     """Return what noise like the sensors' adds to a channel's whitened residuals of the given model."""
     return evidence.noisy_base.values[channel] - evidence.base.values[channel]
+
+
+def power(e: Array) -> float:
+    """Return the mean square of whitened residuals."""
+    return float(np.mean(e * e))
+
+
+def noise_power(evidence: Evidence, channel: Channel) -> float:
+    """Return the power of what noise makes of a channel's whitened residual."""
+    return max(power(noise_of(evidence, channel)), FLOOR)
 
 
 def loss(e: Array) -> Array:

@@ -15,7 +15,7 @@ from ehls_ros.physics.effects.base import Form, Peak, Quantile, Share
 from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.schema import Declaration, declarations
 
-OUTER = 0.7
+OUTER = 0.5
 """Part of a signal's samples that lie below what counts as the upper end of its range."""
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ehls_ros.diagnosis.evidence import Evidence, loss, noise_of, sections
+from ehls_ros.diagnosis.evidence import Evidence, loss, noise_of, noise_power, power, sections
 from ehls_ros.diagnosis.fit import Fit, Held, Worker, gauss_newton, held_out, inflation_of, lines_of, predicted_loss
 from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, at_lines, bounds, parts
 from ehls_ros.diagnosis.stages import Channel
@@ -29,6 +29,12 @@ MENDED = 0.1
 
 MATTERS = 1e-3
 """The same where another cause acts in the balance already, whose form need not be quite that of the effect's file."""
+
+CLOSED = 0.95
+"""Part of the removable error that a named cause has to close; what closes less is named by nobody."""
+
+ALL_BUT_FORM = 0.999
+"""Part of the removable error that causes close which lack nothing but the form an effect has: 3 % of its size."""
 
 SIMPLER = 5e-3
 """Part of a cause's gain that it may lose for another, or another form of it, with fewer parameters."""
@@ -430,9 +436,27 @@ def _needed(evidence: Evidence, more: Judged, less: Judged, inflation: dict[Chan
         return False
     # A cause that mends little of what is left beside it mends the form of another, not the model.
     left = sum(_excess(evidence, more, c) / inflation[c] for c in more.held.gain)
+    if mends_form(evidence, more, less):
+        return False
     # What averages the noise away more than it explains is an average, and no cause.
     quieted = more.held.quieted - less.held.quieted
     return gain >= MENDED * left and gain >= quieted and _surest(more, less) >= SURE
+
+
+def mends_form(evidence: Evidence, more: Judged, less: Judged) -> bool:
+    """Tell whether a cause finds little but what the form of the others leaves over, and does not close that either."""
+    main = mostly_in(more, less)
+    if main not in less.fit.channels:
+        return False
+    noise, before, after = noise_power(evidence, main), *(power(j.held.errors.values[main]) for j in (less, more))
+    little = before - noise < (1.0 - ALL_BUT_FORM) * (power(evidence.base.values[main]) - noise)
+    return little and before - after < CLOSED * (before - noise)
+
+
+def mostly_in(more: Judged, less: Judged) -> Channel:
+    """Return the channel in which a hypothesis explains most beyond another."""
+    before, after = less.held.errors.values, more.held.errors.values
+    return max(after, key=lambda c: float(np.sum(before[c] ** 2 - after[c] ** 2)))
 
 
 def _excess(evidence: Evidence, judged: Judged, channel: Channel) -> float:

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 from ehls_ros.diagnosis.evidence import TOLERANCE
 from ehls_ros.diagnosis.free_run import FreeRun
 from ehls_ros.diagnosis.result import Cause, Diagnosis
+from ehls_ros.diagnosis.search import CLOSED
 from ehls_ros.diagnosis.stages import CHANNELS
-from ehls_ros.diagnosis.verdict import CLOSED
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import diagnosis_figures as drawn
 from ehls_ros.report import diagnosis_findings as findings

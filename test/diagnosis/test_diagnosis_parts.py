@@ -14,7 +14,7 @@ from ehls_ros.diagnosis.evidence import Errors, Evidence, loss, weights
 from ehls_ros.diagnosis.fit import Fit, Worker, held_out, lines_of
 from ehls_ros.diagnosis.hypotheses import at_lines, candidates, extended
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.search import RELEVANT, SHOWN, Judged, Searched, shows
+from ehls_ros.diagnosis.search import RELEVANT, SHOWN, Judged, Searched, mends_form, shows
 from ehls_ros.diagnosis.stages import CHANNELS, Comparison, setup
 from ehls_ros.diagnosis.windows import smooth_window
 from ehls_ros.errors import BadInput
@@ -141,6 +141,18 @@ def test_nan_and_outliers_are_left_out(rig):
     assert all(np.isfinite(a).all() for a in r.signals.values())
     assert not r.good["load_pressure_pa"][503:527].any()
     np.testing.assert_allclose(r.signals["position_m"], 0.02 * np.sin(3.0 * t), atol=2e-5)
+
+
+def test_a_short_oscillation_is_no_outlier(rig):
+    t, signals = plain()
+    spool = 1e-7 * np.random.default_rng(3).standard_normal(len(t))
+    ringing = slice(2000, 2060)
+    # As fast as a valve turns round: every sample is far from its neighbours' median.
+    spool[ringing] += 8e-4 * np.sin(2.0 * np.pi * 60.0 * (t[ringing] - t[2000]))
+    spool[[800, 2030]] += (4e-4, 5e-3)
+    r = prepare(Trajectory(t, signals | {"spool_m": spool}), rig, "it")
+    out = np.flatnonzero(np.abs(r.signals["spool_m"] - spool) > 1e-6)
+    np.testing.assert_array_equal(out, [800, 2030])
 
 
 def test_lone_spikes_of_a_command_go_and_its_steps_stay(rig):
@@ -633,6 +645,23 @@ def test_two_causes_in_one_stage_may_be_one_that_nobody_described(noisy, rig, se
     assert sure - 0.15 < next(cause.probability for cause in named if cause.name == "mass_shift") <= sure
 
 
+@pytest.mark.parametrize(("leaves", "most"), [(0.02, 1.0), (0.2, 0.5)])
+def test_a_cause_that_leaves_much_is_less_sure(noisy, rig, leaves, most):
+    data, found = verdict_case(noisy, rig, 0.3)
+    # What is left has the size of a part of what was there, and no noise would make as much.
+    column = 100.0 * found.best.fit.jacobian
+    form = 300.0 * leaves * np.random.default_rng(8).standard_normal(len(column))
+    data.base = Errors({"force": data.base.values["force"] + 297.0 * found.best.fit.jacobian[:, 0] + form})
+    data.noisy_base = Errors({"force": data.base.values["force"] + np.random.default_rng(9).standard_normal(len(column))})
+    value = -np.linalg.lstsq(column, data.base.values["force"], rcond=None)[0]
+    after = Errors({"force": data.base.values["force"] + column @ value})
+    best = judged(data, "mass_shift", Fit((), value, ("force",), after, column, 0.0, np.ones(1)), noisy, rig)
+    nothing = Fit((), np.empty(0), (), data.base, np.empty((0, 0)), 0.0, np.empty(0))
+    alone = found._replace(best=best, rests=(Judged(nothing, held_out(data, nothing)),), rivals=((),))
+    (cause,) = verdict.causes(data, alone, 0)
+    assert cause.probability == pytest.approx(most, abs=0.01)
+
+
 def test_what_explains_less_is_a_rival(noisy, rig):
     data, found = verdict_case(noisy, rig, 0.3)
     (cause,) = verdict.causes(data, found, 0)
@@ -670,12 +699,12 @@ def test_what_is_left_is_told_from_noise(noisy, rig):
     assert still.closed == pytest.approx(0.0, abs=1e-9)
 
 
-def two_causes(noisy, rig, closes, values=(3.0, 3.0)):
+def two_causes(noisy, rig, closes, values=(3.0, 3.0), first=40.0):
     """Return data, and a search's two causes, of which the second closes a part of the amplitude that the first leaves."""
     rng = np.random.default_rng(6)
     n = 2000
     noise, second = rng.standard_normal(n), 4.0 * rng.standard_normal(n)
-    base = noise + second + 40.0 * rng.standard_normal(n)
+    base = noise + second + first * rng.standard_normal(n)
     data = SimpleNamespace(
         base=Errors({"force": base}), noisy_base=Errors({"force": base + rng.standard_normal(n)}), channels=("force",)
     )
@@ -684,7 +713,7 @@ def two_causes(noisy, rig, closes, values=(3.0, 3.0)):
 
     def left(e):
         errors = Errors({"force": e})
-        fit = SimpleNamespace(hypothesis=hypothesis, values=np.array(values), errors=errors)
+        fit = SimpleNamespace(hypothesis=hypothesis, values=np.array(values), errors=errors, channels=("force",))
         return Judged(fit, SimpleNamespace(errors=errors))
 
     without_first, without_second = left(base - closes * second), left(noise + second)
@@ -697,6 +726,13 @@ def test_a_cause_has_to_close_most_of_what_the_others_leave(noisy, rig, closes, 
     data, found = two_causes(noisy, rig, closes)
     # Together they close more than 99 % either way.
     assert verdict.patched(data, found) == (frozenset() if believed else {"force"})
+
+
+@pytest.mark.parametrize(("first", "closes", "form"), [(400.0, 0.6, True), (400.0, 1.0, False), (40.0, 0.6, False)])
+def test_what_mends_the_form_of_another_is_no_cause(noisy, rig, first, closes, form):
+    data, found = two_causes(noisy, rig, closes, first=first)
+    # The first leaves the ten-thousandth part of what there was, or the hundredth.
+    assert mends_form(data, found.best, found.rests[1]) is form
 
 
 def test_a_difference_below_the_noise_is_not_shown(noisy, rig):

@@ -49,6 +49,22 @@ def test_a_stop_pushes_back_and_never_pulls_and_takes_energy(loose):
     assert np.ptp(states[outside & (states[:, V] > 0.0), V]) < 1e-9
 
 
+def test_a_stop_with_hunt_and_crossleys_loss_gives_back_what_they_say(loose):
+    """m v dv = -k d (1 + c v) dd: the depths on the way in and out have (v/c - ln(1 + c v)/c²) in common at either end."""
+    loss, speed = 0.8, 0.5
+    simulator = loose({"end_stop": {"upper": 0.01, "stiffness": 1e6, "damping": 0.0, "loss": loss}}, 1e-4)
+    simulator.y[V] = speed
+    states = run(simulator, np.zeros((1500, 3)))
+    assert states[-1, X] < 0.01
+
+    def taken(v):
+        return v / loss - math.log1p(loss * v) / loss**2
+
+    assert taken(states[-1, V]) == pytest.approx(taken(speed), rel=2e-3)
+    deepest = math.sqrt(2.0 * 70.0 / 1e6 * taken(speed))
+    assert np.max(states[:, X]) - 0.01 == pytest.approx(deepest, rel=2e-3)
+
+
 def test_a_piston_pressed_against_a_stop_stands_as_deep_as_the_stop_gives(loose):
     simulator = loose({"end_stop": {"lower": -0.01, "stiffness": 1e6, "damping": 1e4}})
     for _ in range(3000):

@@ -95,6 +95,16 @@ def test_hysteresis_loses_its_width_at_each_reversal(spool):
     np.testing.assert_allclose(found[150::150], expected, rtol=1e-6)
 
 
+def test_plays_in_parallel_round_the_corners_of_the_loop_and_leave_its_width(spool):
+    """Narrow plays turn round at once, wide ones late; each is by itself what one play of its width is."""
+    t = np.arange(3000) * PERIOD
+    commands = 4e-4 * np.sin(2.0 * math.pi * 0.7 * t)
+    together = spool(commands, valve_hysteresis={"width": 1e-4, "spread": 0.8})
+    single = [spool(commands, valve_hysteresis={"width": width}) for width in (0.4e-4, 0.8e-4, 1.2e-4, 1.6e-4)]
+    np.testing.assert_allclose(together, np.mean(single, axis=0), atol=1e-9)
+    assert np.max(np.abs(together - spool(commands, valve_hysteresis={"width": 1e-4}))) > 1e-5
+
+
 def test_the_loop_of_a_sampled_sine_is_as_wide_as_the_hysteresis(spool):
     """On the way up and on the way down the spool, slow in the sine, is half a width behind the command."""
     t = np.arange(4000) * PERIOD

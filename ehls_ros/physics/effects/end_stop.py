@@ -10,8 +10,11 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "mechanics"
-EQUATION = "F = -(stiffness d + damping max(d', 0)), d > 0 the depth beyond upper; mirrored below lower"
-SOURCE = "Gilardi, Sharf, Literature survey of contact dynamics modelling, Mechanism and Machine Theory 37, 2002: Kelvin-Voigt"
+EQUATION = "F = -(stiffness d max(1 + loss d', 0) + damping max(d', 0)), d > 0 the depth beyond upper; mirrored below lower"
+SOURCE = (
+    "Gilardi, Sharf, Literature survey of contact dynamics modelling, Mechanism and Machine Theory 37, 2002: Kelvin-Voigt, "
+    "and Hunt-Crossley, whose loss grows with the depth"
+)
 
 
 class Parameters(NamedTuple):
@@ -21,12 +24,13 @@ class Parameters(NamedTuple):
     lower: Annotated[float, quantity("m", "position of the lower stop", minimum=-10.0, maximum=10.0)] = -10.0
     stiffness: Annotated[float, quantity("N/m", "stiffness of a stop", minimum=1e3, maximum=1e9)] = 1e7
     damping: Annotated[float, quantity("N s/m", "damping on the way into a stop", minimum=0.0, maximum=1e6)] = 1e4
+    loss: Annotated[float, quantity("s/m", "part of the stiffness by speed, in and out", minimum=0.0, maximum=100.0)] = 0.0
 
 
 @kernel
 def push(depth: float, speed: float, p: Array) -> float:
     """Return what a stop pushes with, ``depth`` behind its face, at a speed into it [N]."""
-    return p[2] * depth + p[3] * max(speed, 0.0) if depth > 0.0 else 0.0
+    return p[2] * depth * max(1.0 + p[4] * speed, 0.0) + p[3] * max(speed, 0.0) if depth > 0.0 else 0.0
 
 
 @kernel
@@ -39,7 +43,7 @@ def forms(rig: Rig) -> tuple[Form, ...]:
     """The upper stop, the lower, both: seldom, at times and often reached."""
     upper = tuple(Quantile("position_m", part) for part in (0.995, 0.95, 0.85))
     lower = tuple(Quantile("position_m", part) for part in (0.005, 0.05, 0.15))
-    contact = {"stiffness": (1e6, 1e6, 1e6), "damping": (1e3, 1e3, 1e3)}
+    contact = {"stiffness": (1e6, 1e6, 1e6), "damping": (1e3, 1e3, 1e3), "loss": (0.0, 0.0, 0.0)}
     return (
         Form({"upper": upper, **contact}),
         Form({"lower": lower, **contact}),

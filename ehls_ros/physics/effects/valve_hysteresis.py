@@ -10,29 +10,49 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "valve"
-EQUATION = "play: u -> r, which stands still while |u - r| < width/2 and else is dragged along at that distance"
-SOURCE = "Visintin, Differential Models of Hysteresis, 1994: play; Merritt, Hydraulic Control Systems, 1967, ch. 7: hysteresis"
-STATES = 1
+EQUATION = (
+    "u -> mean of ri, plays in parallel: ri stands still while |u - ri| < wi/2 and else is dragged along at that distance; "
+    "wi = width (1 - 3/4 spread), (1 - 1/4 spread), (1 + 1/4 spread), (1 + 3/4 spread)"
+)
+SOURCE = (
+    "Visintin, Differential Models of Hysteresis, 1994: play, and plays in parallel after Prandtl and Ishlinskii; "
+    "Merritt, Hydraulic Control Systems, 1967, ch. 7: hysteresis"
+)
+STATES = 4
 
 
 class Parameters(NamedTuple):
-    """Width of the loop of spool over command."""
+    """Width of the loop of spool over command, and how round its corners are: one play where nothing is spread."""
 
-    width: Annotated[float, quantity("m", "command that a reversal takes to move the spool", minimum=0.0, maximum=1e-2)] = 0.0
+    width: Annotated[float, quantity("m", "command that a reversal loses", minimum=0.0, maximum=1e-2)] = 0.0
+    spread: Annotated[
+        float, quantity("1", "how far the plays' widths reach to either side of it", minimum=0.0, maximum=1.0)
+    ] = 0.0
+
+
+@kernel
+def width_of(play: int, p: Array) -> float:
+    """Return the width of one of the plays [m]."""
+    return p[0] * (1.0 + p[1] * (0.5 * play - 0.75))
 
 
 @kernel
 def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
     """Drag the command after itself."""
-    return dragged(z[0], value, p[0])
+    total = 0.0
+    for play in range(STATES):
+        total += dragged(z[play], value, width_of(play, p))
+    return total / STATES
 
 
 @kernel
 def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
     """Remember where it was dragged to."""
-    dz[0] = RATE * (dragged(z[0], u, p[0]) - z[0])
+    for play in range(STATES):
+        dz[play] = RATE * (dragged(z[play], u, width_of(play, p)) - z[play])
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Narrow, middling, wide."""
-    return (Form({"width": tuple(Share("valve_command_m", part) for part in (0.02, 0.1, 0.3))}),)
+    """Narrow, middling, wide; with sharp corners, or round ones."""
+    widths = tuple(Share("valve_command_m", part) for part in (0.02, 0.1, 0.3))
+    return Form({"width": widths}), Form({"width": widths, "spread": (0.5, 0.5, 0.5)})
