@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
@@ -31,6 +31,9 @@ HELD = (COMMAND,)
 
 SPIKE, SPIKE_NEIGHBOURS = 20.0, 41
 """How often the usual change from sample to sample a lone spike of a command is, and the samples that tell it."""
+
+ANSWERED, ANSWERED_WITHIN = 0.3, 0.015
+"""Part of the valve's answer to a command of one sample that tells it from a spike, and how late it may come [s]."""
 
 LONGEST_FILLED = 3
 """Samples in a row that may be missing and are filled in by a straight line."""
@@ -139,6 +142,8 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
             remarks.append(f"{signal} has no finite sample and is left out")
             continue
         right = _not_spikes(values) if signal in HELD else inliers(values)
+        if signal == COMMAND and SPOOL in trajectory:
+            right |= _answered(values, np.asarray(trajectory[SPOOL], dtype=np.float64)[chosen], rig, period)
         bad = 1.0 - float(np.mean(right))
         if bad > MOST_BAD:
             what = f"{100 * bad:.0f} % of signal '{signal}' are missing or outliers"
@@ -189,6 +194,22 @@ def _not_spikes(values: Array) -> Mask:
     around = median_filter(np.abs(whole - before), SPIKE_NEIGHBOURS, mode="nearest") + np.abs(after - before)
     good: Mask = np.isfinite(values) & ~(alone & (off > SPIKE * around) & (off > 1e-6 * np.max(np.abs(whole))))
     return good
+
+
+def _answered(command: Array, spool: Array, rig: Rig, period: float) -> Mask:
+    """Tell which samples of a command the spool answers: those were sent, and a switching controller sends lone ones."""
+    if not np.any(np.isfinite(spool)) or not np.any(np.isfinite(command)):
+        return np.zeros(len(command), dtype=np.bool_)
+    moves = np.diff(filled(np.where(inliers(spool), spool, np.nan)), prepend=spool[:1])
+    turns = np.abs(np.diff(moves, prepend=moves[:1]))
+    window = max(3, round(ANSWERED_WITHIN / period))
+    # The strongest from each sample on.
+    strongest = maximum_filter1d(np.nan_to_num(turns), window, origin=-(window // 2), mode="nearest")
+    whole = filled(command)
+    height = np.minimum(np.abs(np.diff(whole, prepend=whole[:1])), np.abs(np.diff(whole, append=whole[-1:])))
+    follows = abs(rig.plant.valve_gain) * (1.0 - math.exp(-rig.plant.valve_bandwidth * period))
+    answered: Mask = np.isfinite(command) & (strongest > ANSWERED * follows * height)
+    return answered
 
 
 def _noise(values: Array) -> float:

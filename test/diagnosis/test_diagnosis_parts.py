@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from scipy.signal import lfilter
 
 from ehls_ros.diagnosis import fit as fits
 from ehls_ros.diagnosis import record as records
@@ -162,6 +163,21 @@ def test_lone_spikes_of_a_command_go_and_its_steps_stay(rig):
     spiked[[150, 950, 2550]] += 5e-3
     r = prepare(Trajectory(t, signals | {"valve_command_m": spiked}), rig, "it")
     np.testing.assert_array_equal(r.signals["valve_command_m"], command)
+
+
+def test_a_lone_command_that_the_spool_answers_was_sent(rig):
+    t, signals = plain()
+    command = 1e-6 * np.sin(20.0 * t)
+    command[[900, 1900, 2900]] = 1e-3
+    # The last two were not sent: the spool stands, or was read wrong together with the command.
+    sent = np.where(np.isin(np.arange(len(t)), [1900, 2900]), 0.0, command)
+    keeps = math.exp(-rig.plant.valve_bandwidth * PERIOD)
+    spool = lfilter([0.0, rig.plant.valve_gain * (1.0 - keeps)], [1.0, -keeps], sent)
+    spool += 5e-7 * np.random.default_rng(4).standard_normal(len(t))
+    spool[2900] += 1e-3
+    r = prepare(Trajectory(t, signals | {"valve_command_m": command, "spool_m": spool}), rig, "it")
+    left = r.signals["valve_command_m"]
+    np.testing.assert_array_equal(np.flatnonzero(left > 1e-4), [900])
 
 
 def test_a_signal_without_a_finite_sample_is_left_out(rig):
