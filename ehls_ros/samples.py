@@ -6,8 +6,8 @@ from scipy.ndimage import median_filter
 
 from ehls_ros.arrays import Array
 
-NEIGHBOURS = 11
-"""Samples a sample is compared with to tell whether it is an outlier."""
+NEIGHBOURS, SIDE = 11, 5
+"""Samples around a sample, and on either side of it, that it is compared with to tell whether it is an outlier."""
 
 OUTLIER = 6.0
 """Standard deviations from its neighbours at which a sample is an outlier."""
@@ -28,10 +28,7 @@ def filled(values: Array) -> Array:
 
 
 def inliers(values: Array) -> Mask:
-    """Tell which samples are finite and agree with their neighbours, shape (n,).
-
-    Where a signal moves fast, so do its neighbours: a few that jump together with it do not make that usual.
-    """
+    """Tell which samples are finite and agree with their neighbours, or where the signal moves fast with those of one side."""
     finite = np.isfinite(values)
     whole = filled(values)
     off = np.abs(whole - median_filter(whole, NEIGHBOURS, mode="nearest"))
@@ -41,9 +38,18 @@ def inliers(values: Array) -> Mask:
     moved = off[off > 0.0]
     if moved.size:
         usual = max(usual, float(np.quantile(moved, 0.25)))
-    nearby = median_filter(np.abs(np.diff(whole, prepend=whole[:1])), NEIGHBOURS, mode="nearest")
-    good: Mask = finite & (off <= OUTLIER * np.maximum(usual, nearby))
+    smooth = median_filter(whole, SIDE, mode="nearest")
+    before, after = _sides(smooth)
+    beside = np.minimum(np.abs(whole - before), np.abs(whole - after))
+    nearby = np.maximum(*_sides(median_filter(np.abs(np.diff(smooth, prepend=smooth[:1])), SIDE, mode="nearest")))
+    good: Mask = finite & ((off <= OUTLIER * usual) | (beside <= OUTLIER * np.maximum(usual, nearby)))
     return good
+
+
+def _sides(medians: Array) -> tuple[Array, Array]:
+    """Return, of medians over :data:`SIDE` samples, those just before and just after each sample."""
+    wide = np.pad(medians, SIDE // 2 + 1, mode="edge")
+    return wide[: len(medians)], wide[-len(medians) :]
 
 
 def noise(values: Array) -> float:

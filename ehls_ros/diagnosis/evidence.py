@@ -27,6 +27,9 @@ TOLERANCE = 1e-4
 RESOLVED = 1e-3
 """Sampling period from which on the motion between two samples counts [s]."""
 
+SLOWER = 1.2
+"""Periods in that from which on commands may have changed between two samples."""
+
 WIDER = 0.2
 """Part of its length by which the local fit of the motion is made wider at either end, to see what it leaves out."""
 
@@ -255,6 +258,11 @@ def _scatter(
         again = Comparison(_noisy(record, rng), comparison.setup).residuals(rig, tuple(channels))
         for c in channels:
             squares[c] += (again[c] - raw[c]) ** 2
+    led: Mapping[Channel, Array] = raw
+    if record.period > SLOWER * RESOLVED and COMMAND in record:
+        # What was commanded between two samples is not known: as much as a sample's lead.
+        early = dict(record.signals) | {COMMAND: np.append(record.signals[COMMAND][1:], record.signals[COMMAND][-1])}
+        led = Comparison(record._replace(signals=early), comparison.setup).residuals(rig, tuple(channels))
     fit = comparison.setup.fit
     wider = comparison.setup._replace(fit=fit + 2 * max(1, round(WIDER * fit)))
     smeared = Comparison(record, wider).residuals(rig, tuple(channels))
@@ -265,5 +273,7 @@ def _scatter(
         local = uniform_filter1d(variance, 9, mode="nearest")
         # Where a wider fit of the motion says something else, the fit is as uncertain as that.
         unresolved = uniform_filter1d((smeared[c] - raw[c]) ** 2, 3, mode="nearest")
+        # A spool that lags remembers it for a while.
+        unresolved += uniform_filter1d((led[c] - raw[c]) ** 2, 9, mode="nearest")
         out[c] = np.sqrt(np.maximum(local, 0.5 * typical) + unresolved)
     return out

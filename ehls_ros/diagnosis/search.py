@@ -429,7 +429,7 @@ def _simpler(
 def _needed(evidence: Evidence, more: Judged, less: Judged, inflation: dict[Channel, float]) -> bool:
     """Tell whether a hypothesis with a cause more is surer than chance allows, and different enough to matter."""
     gain = more.score(inflation) - less.score(inflation)
-    further = any(c in less.fit.channels for c in more.fit.channels if _differ(evidence, more, less, c))
+    further = mostly_in(more, less) in less.fit.channels
     if gain < NEEDED or relevance(evidence, more, less) < (MATTERS if further else RELEVANT):
         return False
     if not further and not shows(evidence, more, less):
@@ -469,10 +469,6 @@ def _excess(evidence: Evidence, judged: Judged, channel: Channel) -> float:
 def _surest(more: Judged, less: Judged) -> float:
     """Return how many standard errors a cause's surest parameter is from its neutral value, by the blocks' disagreement."""
     return max((more.sigmas(i) for i, name in enumerate(more.names) if name not in less.names), default=0.0)
-
-
-def _differ(evidence: Evidence, more: Judged, less: Judged, channel: Channel) -> bool:
-    return bool(np.any(more.fit.errors.values[channel] != less.fit.errors.values[channel]))
 
 
 def relevance(evidence: Evidence, more: Judged, less: Judged) -> float:
