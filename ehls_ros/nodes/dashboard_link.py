@@ -20,6 +20,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.time import Time
 from rclpy.validate_namespace import validate_namespace
 from std_srvs.srv import SetBool, Trigger
 
@@ -138,6 +139,7 @@ class Link:
             self._node = rclpy.create_node("dashboard", namespace=f"/{self.namespace}")
         self._lock = threading.Lock()
         self._heard: dict[str, _Heard] = {}
+        self._forgotten: dict[str, int] = {}
         self._clients: dict[str, Any] = {}
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._sources = [_Source(self._node, topic) for topic in TOPICS]
@@ -197,8 +199,9 @@ class Link:
         )
 
     def forget(self, nodes: Collection[str]) -> None:
-        """Expect to hear no more of some nodes."""
+        """Expect to hear no more of some nodes, but for what is on its way from them."""
         with self._lock:
+            self._forgotten |= dict.fromkeys(nodes, time.time_ns())
             self._heard = {name: heard for name, heard in self._heard.items() if name not in nodes}
 
     def tunable_nodes(self) -> tuple[str, ...]:
@@ -303,12 +306,12 @@ class Link:
             self._executor.spin_once(timeout_sec=0.2)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
-        now = time.monotonic()
+        now, sent_ns = time.monotonic(), Time.from_msg(array.header.stamp).nanoseconds
         with self._lock:
             for status in array.status:
-                if status.hardware_id != self.namespace:
-                    continue
                 name = status.name.removeprefix(f"{self.namespace}/")
+                if status.hardware_id != self.namespace or sent_ns < self._forgotten.get(name, 0):
+                    continue
                 figures = {pair.key: pair.value for pair in status.values}
                 level = int.from_bytes(status.level, "little")
                 self._heard[name] = _Heard(now, Health(name, min(level, SILENT), status.message, figures))
