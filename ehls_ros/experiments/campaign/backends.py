@@ -4,6 +4,7 @@ Both take chunks of runs as they need them, a few ahead of the work, and give ea
 """
 
 import itertools
+import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, contextmanager
@@ -66,7 +67,8 @@ def local(jobs: int) -> Iterator[Backend]:
     Raises:
         WorkFailed: a process was killed.
     """
-    with joblib.parallel_config("loky" if jobs > 1 else "sequential", **({"inner_max_num_threads": 1} if jobs > 1 else {})):
+    processes: dict[str, Any] = {"inner_max_num_threads": 1, "initializer": _leave_interrupts_to_the_parent}
+    with joblib.parallel_config("loky" if jobs > 1 else "sequential", **(processes if jobs > 1 else {})):
         parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch=AHEAD * jobs)
 
     def work(chunks: Iterator[Chunk]) -> Iterator[Done]:
@@ -80,6 +82,11 @@ def local(jobs: int) -> Iterator[Backend]:
     finally:
         if jobs > 1:
             get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
+
+
+def _leave_interrupts_to_the_parent() -> None:
+    # A terminal's Ctrl-C reaches all processes; a worker interrupted amid handing a result over would keep the queue locked.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _done(chunk: Chunk, version: str) -> Done:
