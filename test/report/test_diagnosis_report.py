@@ -209,6 +209,14 @@ def test_two_causes_in_one_stage_are_doubted(stage, said):
     assert any("may also be one of a kind" in text for text in caveats(make_found(causes=(CAUSE, second)))) == said
 
 
+@pytest.mark.parametrize(("after", "doubted"), [(0.004, False), (0.02, True)])
+def test_a_cause_that_leaves_much_is_doubted(after, doubted):
+    left = QUIET._replace(nrmse_before=0.1, nrmse_after=after, noise_floor=0.001, exceeds=True)
+    (said,) = (text for text in caveats(make_found(stages={"flow": left})) if "times the noise is left" in text)
+    assert ("the list does not have" in said) == doubted
+    assert ("right in the main" in said) != doubted
+
+
 def test_the_verdict_says_what_stays_open():
     open_cause = CAUSE._replace(probability=0.6, equivalent_to=("valve_hysteresis",), rivals=(TWIN, RIVAL))
     sentence, _ = verdict_sentence(make_found(causes=(open_cause,)))
