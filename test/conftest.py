@@ -4,6 +4,7 @@ import contextlib
 import fcntl
 import itertools
 import random
+import signal
 import tempfile
 import time
 import uuid
@@ -36,6 +37,13 @@ def test_session() -> str:
 def domains_used() -> set[int]:
     """ROS domains of the tests run so far."""
     return set()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def heard() -> None:
+    """Let Ctrl-C reach what the tests start: a job that a script puts in the background inherits that SIGINT is ignored."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session", autouse=True)

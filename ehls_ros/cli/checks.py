@@ -18,7 +18,7 @@ import numpy as np
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.hardware.realtime import sleep_until
-from ehls_ros.nodes.shared_memory import leftovers
+from ehls_ros.nodes.shared_memory import leftovers, used_by
 from ehls_ros.physics.composition import cache_folder
 
 Level = Literal["ok", "note", "problem"]
@@ -31,6 +31,9 @@ PERIOD = 1e-3
 
 DISCOVERY_TIME = 20.0
 """Longest time two processes are given to find each other [s]."""
+
+STARTING, ENDING = 20.0, 10.0
+"""Longest time a process is given beyond that to start in, and one that is asked to end [s]."""
 
 LEAST_SPACE = 4.0
 """Room for about an hour of recording at 1 kHz [GB]."""
@@ -62,7 +65,7 @@ deadline = time.monotonic() + float(sys.argv[1])
 while len(trips) < 100 and time.monotonic() < deadline:
     publisher.publish(Float64(data=time.perf_counter()))
     rclpy.spin_once(node, timeout_sec=0.05)
-print(sorted(trips)[len(trips) // 2] if trips else "")
+print(sorted(trips)[len(trips) // 2] if trips else "", flush=True)
 """
 
 
@@ -139,20 +142,39 @@ def discovery() -> Finding:
     except ImportError:
         return Finding("DDS", "note", "not looked at without ROS 2")
     environment = graph_environment()
-    echo = subprocess.Popen([sys.executable, "-c", ECHO], env=environment, stderr=subprocess.DEVNULL)
+    echo = subprocess.Popen([sys.executable, "-c", ECHO], env=environment, stderr=subprocess.DEVNULL, text=True)
+    asker = subprocess.Popen(
+        [sys.executable, "-c", ASKER, str(DISCOVERY_TIME)],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     try:
-        asker = [sys.executable, "-c", ASKER, str(DISCOVERY_TIME)]
-        done = subprocess.run(asker, env=environment, capture_output=True, text=True, check=False)
+        found, complaints = _said(asker, DISCOVERY_TIME + STARTING)
     finally:
         echo.terminate()
-        echo.wait()
-    if not done.stdout.strip():
-        reason = (done.stderr.strip().splitlines() or ["nothing came back"])[-1]
+        _said(echo, ENDING)
+    if not found.strip():
+        reason = (complaints.strip().splitlines() or ["nothing came back"])[-1]
         advice = (
             "look at firewall rules for the loopback interface, and at ROS_DISCOVERY_SERVER and FASTRTPS_DEFAULT_PROFILES_FILE"
         )
         return Finding("DDS", "problem", f"two processes did not find each other in {DISCOVERY_TIME:.0f} s ({reason})", advice)
-    return Finding("DDS", "ok", f"a message there and back takes {1e6 * float(done.stdout):.0f} us")
+    return Finding("DDS", "ok", f"a message there and back takes {1e6 * float(found):.0f} us")
+
+
+def _said(process: "subprocess.Popen[str]", patience: float) -> tuple[str, str]:
+    """Return what a process has said when it ends; it is ended where DDS keeps it from that, and its shared memory cleared."""
+    try:
+        out, complaints = process.communicate(timeout=patience)
+    except subprocess.TimeoutExpired:
+        own = used_by(process.pid)
+        process.kill()
+        out, complaints = process.communicate()
+        for file in own.intersection(leftovers()):
+            file.unlink(missing_ok=True)
+    return out or "", complaints or ""
 
 
 def shared_memory() -> Finding:

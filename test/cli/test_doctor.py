@@ -29,6 +29,16 @@ def test_two_processes_find_each_other():
     assert "us" in found.found
 
 
+def test_a_process_that_does_not_end_is_ended(monkeypatch):
+    pytest.importorskip("rclpy", reason="needs ROS 2 Jazzy or its wheels")
+    deaf = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+    monkeypatch.setattr(
+        checks, "ECHO", checks.ECHO.replace("rclpy.spin(node)", f"{deaf}while True:\n    rclpy.spin_once(node)")
+    )
+    monkeypatch.setattr(checks, "ENDING", 0.5)
+    assert checks.discovery().level == "ok"
+
+
 @pytest.mark.usefixtures("without_dds")
 def test_every_finding_that_is_not_fine_says_what_to_do(capsys):
     code, found = findings(capsys)
