@@ -165,7 +165,7 @@ def discovery() -> Finding:
 
 
 def _said(process: "subprocess.Popen[str]", patience: float) -> tuple[str, str]:
-    """Return what a process has said when it ends; it is ended where DDS keeps it from that, and its shared memory cleared."""
+    """Return what a process has said when it ends; one that does not is killed, and its shared memory cleared."""
     try:
         out, complaints = process.communicate(timeout=patience)
     except subprocess.TimeoutExpired:
