@@ -189,11 +189,17 @@ def _not_spikes(values: Array) -> Mask:
     """Tell which samples of a command are finite and no lone spikes; a command may jump, and come back later."""
     whole = filled(values) if np.any(np.isfinite(values)) else values
     before, after = np.concatenate([whole[:1], whole[:-1]]), np.concatenate([whole[1:], whole[-1:]])
-    off = np.minimum(np.abs(whole - before), np.abs(whole - after))
+    off = _stands_off(whole)
     alone = (whole - before) * (whole - after) > 0.0
     around = median_filter(np.abs(whole - before), SPIKE_NEIGHBOURS, mode="nearest") + np.abs(after - before)
     good: Mask = np.isfinite(values) & ~(alone & (off > SPIKE * around) & (off > 1e-6 * np.max(np.abs(whole))))
     return good
+
+
+def _stands_off(values: Array) -> Array:
+    """Return how far each sample is from the nearer of its two neighbours."""
+    off: Array = np.minimum(np.abs(np.diff(values, prepend=values[:1])), np.abs(np.diff(values, append=values[-1:])))
+    return off
 
 
 def _answered(command: Array, spool: Array, rig: Rig, period: float) -> Mask:
@@ -205,10 +211,8 @@ def _answered(command: Array, spool: Array, rig: Rig, period: float) -> Mask:
     window = max(3, round(ANSWERED_WITHIN / period))
     # The strongest from each sample on.
     strongest = maximum_filter1d(np.nan_to_num(turns), window, origin=-(window // 2), mode="nearest")
-    whole = filled(command)
-    height = np.minimum(np.abs(np.diff(whole, prepend=whole[:1])), np.abs(np.diff(whole, append=whole[-1:])))
     follows = abs(rig.plant.valve_gain) * (1.0 - math.exp(-rig.plant.valve_bandwidth * period))
-    answered: Mask = np.isfinite(command) & (strongest > ANSWERED * follows * height)
+    answered: Mask = np.isfinite(command) & (strongest > ANSWERED * follows * _stands_off(filled(command)))
     return answered
 
 
