@@ -27,6 +27,16 @@ SETTLED, SETTLED_PART = 0.02, 1e-4
 """Decrease of the loss at which a fit has settled [nats], and as a part of it, one added to the other."""
 
 
+DAMPED, MOST_TRIES = 0.1, 4
+"""Damping of the first step that is tried where an all but undamped one does not help, and how many are tried.
+
+A step is damped ten times as much as the last; less than this leaves it as it is."""
+
+KEPT, KEPT_PART = 0.05, 5e-3
+"""Part of what a step promised, and part of the loss, below both of which a decrease says that the loss is too rough here
+for its derivatives to lead further."""
+
+
 class Fit(NamedTuple):
     """A hypothesis fitted to a recording.
 
@@ -49,6 +59,18 @@ class Fit(NamedTuple):
     loss: float
     steps: Array
     settled: bool = False
+
+
+class Begin(NamedTuple):
+    """Where a fit may start.
+
+    Attributes:
+        fit: a hypothesis with its derivatives.
+        ways: values to try, the best of which the fit starts from.
+    """
+
+    fit: Fit
+    ways: tuple[Array, ...] = ()
 
 
 class Worker:
@@ -162,18 +184,14 @@ class Worker:
                 out[members] = 0.0
         return out
 
-    def step(self, begin: Fit) -> Fit:
-        """Take one Gauss-Newton step, shortened until it helps; the derivatives stay those at its beginning."""
-        lower, upper = bounds(begin.hypothesis)
-        full = gauss_newton(begin.jacobian, begin.errors.together(begin.channels), 1e-6, begin.values, lower, upper)
-        best = begin
-        for part in (1.0, 0.3):
-            values = np.clip(begin.values + part * full, lower, upper)
-            errors = self.errors(extended(self.evidence.rig, begin.hypothesis, values), begin.errors)
-            total = float(np.sum(loss(errors.together(begin.channels))))
+    def first(self, begin: Begin) -> Fit:
+        """Return the best of the values to try before a fit; the derivatives stay those at its beginning."""
+        now = best = begin.fit
+        for values in begin.ways:
+            errors = self.errors(extended(self.evidence.rig, now.hypothesis, values), now.errors)
+            total = float(np.sum(loss(errors.together(now.channels))))
             if total < best.loss:
-                best = begin._replace(values=values, errors=errors, loss=total)
-                break
+                best = now._replace(values=values, errors=errors, loss=total)
         return best
 
     def fit(self, begin: Fit, iterations: int = MOST_ITERATIONS) -> Fit:
@@ -184,7 +202,8 @@ class Worker:
         for iteration in range(iterations):
             e = now.errors.together(now.channels)
             gained = False
-            for _ in range(6):
+            promised = -math.inf
+            for _ in range(MOST_TRIES):
                 step = gauss_newton(now.jacobian, e, damping, now.values, lower, upper)
                 worth = self._worth(now, e, np.clip(now.values + step, lower, upper) - now.values)
                 if np.any(worth):
@@ -192,18 +211,19 @@ class Worker:
                 elif iteration:
                     return now._replace(settled=True)
                 values = np.clip(now.values + step, lower, upper)
+                promised = max(promised, now.loss - float(np.sum(loss(e + now.jacobian @ (values - now.values)))))
                 errors = self.errors(extended(evidence.rig, now.hypothesis, values), now.errors)
                 total = float(np.sum(loss(errors.together(now.channels))))
                 if total < now.loss:
                     gained = True
                     break
-                damping = max(damping, 1e-4) * 10.0
+                damping = max(10.0 * damping, DAMPED)
             if not gained:
                 return now._replace(settled=True)
             decrease = now.loss - total
             damping = max(damping / 10.0, 1e-9)
             now = self._linearised(now.hypothesis, values, errors, now.steps, now)
-            if decrease < SETTLED + SETTLED_PART * total:
+            if decrease < SETTLED + SETTLED_PART * total or decrease < min(KEPT * promised, KEPT_PART * total):
                 return now._replace(settled=True)
         return now
 
@@ -241,6 +261,13 @@ def gauss_newton(jacobian: Array, e: Array, damping: float, values: Array, lower
 def products(j: Array, w: Array, e: Array) -> tuple[Array, Array]:
     """Return jᵀ w j and jᵀ w e. Long and thin: threads of a matrix library would wait for each other."""
     return np.einsum("ni,n,nj->ij", j, w, j), np.einsum("ni,n,n->i", j, w, e)
+
+
+def begin_of(fit: Fit) -> Begin:
+    """Return the beginning of a fit that first tries a Gauss-Newton step, whole and shortened."""
+    lower, upper = bounds(fit.hypothesis)
+    step = gauss_newton(fit.jacobian, fit.errors.together(fit.channels), 1e-6, fit.values, lower, upper)
+    return Begin(fit, tuple(np.clip(fit.values + part * step, lower, upper) for part in (1.0, 0.3)))
 
 
 def predicted_loss(fit: Fit) -> float:

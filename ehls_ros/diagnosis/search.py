@@ -2,14 +2,26 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from queue import SimpleQueue
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ehls_ros.diagnosis.evidence import Evidence, loss, noise_of, noise_power, power, sections
-from ehls_ros.diagnosis.fit import Fit, Held, Worker, gauss_newton, held_out, inflation_of, lines_of, predicted_loss
-from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, at_lines, bounds, parts
+from ehls_ros.diagnosis.evidence import Errors, Evidence, loss, noise_of, noise_power, power, sections
+from ehls_ros.diagnosis.fit import (
+    Begin,
+    Fit,
+    Held,
+    Worker,
+    begin_of,
+    gauss_newton,
+    held_out,
+    inflation_of,
+    lines_of,
+    predicted_loss,
+)
+from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, at_lines, bounds, extended, parts
 from ehls_ros.diagnosis.stages import Channel
 
 NEEDED = 20.0
@@ -44,6 +56,9 @@ PENALTY = 3.0
 
 PROMISING = 5.0
 """Predicted gain from which on a hypothesis is fitted [nats]."""
+
+MORE_PROMISING = 1.5
+"""How much more another start has to promise than the one that is best by itself."""
 
 BEAM = 3
 """Hypotheses that are carried on to the next number of causes."""
@@ -138,10 +153,11 @@ class Pool:
         """Start the threads."""
         ranges = _telling_parts(evidence)
         few = None if ranges is None else Evidence(evidence.record.parts(ranges), evidence.rig, evidence.setup, seed=0)
+        self.few = few or evidence
         self._free: SimpleQueue[Worker] = SimpleQueue()
         for _ in range(threads):
             self._free.put(Worker(evidence, few))
-        self._executor = ThreadPoolExecutor(threads)
+        self._executor, self._leaders = ThreadPoolExecutor(threads), ThreadPoolExecutor(threads)
 
     def map(self, work: Callable[[Worker, Item], Done], items: Sequence[Item]) -> list[Done]:
         """Do the work on every item, in their order."""
@@ -155,9 +171,74 @@ class Pool:
 
         return list(self._executor.map(one, items))
 
+    def lead(self, work: Callable[[Item], Done], items: Sequence[Item]) -> list[Done]:
+        """Do work that has parts of it mapped on the items side by side, in their order."""
+        return list(self._leaders.map(work, items))
+
     def close(self) -> None:
         """Stop the threads."""
+        self._leaders.shutdown()
         self._executor.shutdown()
+
+
+class Starts:
+    """Where the fits of every cause start, by itself and beside others.
+
+    Attributes:
+        found: the causes.
+        alone: each where its fit starts best by itself, with its derivatives.
+    """
+
+    def __init__(self, pool: Pool, found: Sequence[Candidate], progress: Progress) -> None:
+        """Find the best starts of every cause by itself."""
+        self.found = found
+        self._pool = pool
+        progress("every cause by itself", 0.0)
+        # Of each cause all its starts in few parts of the recording, the best by itself first.
+        self._few = [fits for fits in pool.map(_screen, found) if fits]
+        progress("every cause by itself", 0.2)
+        self._whole = dict[tuple[int, int], Fit | None]()
+        self.alone = self._taken([0] * len(self._few))
+        progress("every cause by itself", 0.35)
+
+    def beside(self, member: Judged) -> list[Fit]:
+        """Return every cause where its fit starts best beside a hypothesis: what that explains may have hidden where."""
+        if not member.names:
+            return self.alone
+        few = self._pool.few
+
+        def without(worker: Worker, judged: Judged) -> Errors:
+            model = extended(few.rig, judged.hypothesis, judged.fit.values)
+            return (worker.thin or worker).errors(model)
+
+        (left,) = self._pool.map(without, [member])
+        chosen = []
+        for fits in self._few:
+            gains = [_thin_gain(few, left, f) for f in fits] if len(fits) > 1 else [0.0]
+            best = int(np.argmax(gains))
+            chosen.append(best if gains[best] > MORE_PROMISING * max(gains[0], PROMISING) else 0)
+        return self._taken(chosen)
+
+    def _taken(self, chosen: Sequence[int]) -> list[Fit]:
+        """Return the chosen starts of the causes with their derivatives on the whole recording."""
+        keys = list(enumerate(chosen))
+        missing = [key for key in keys if key not in self._whole]
+        self._whole.update(zip(missing, self._pool.map(_start, [self._few[i][j] for i, j in missing]), strict=True))
+        return [fit for key in keys if (fit := self._whole[key]) is not None]
+
+
+def _thin_gain(few: Evidence, left: Errors, other: Fit) -> float:
+    """Predict what a cause gains beside a hypothesis that stays as it is, both taken as linear [nats].
+
+    Args:
+        few: some parts of the recording.
+        left: whitened residuals of the hypothesis there.
+        other: the cause at one of its starts there.
+    """
+    before = left.together(other.channels)
+    e = before + other.errors.together(other.channels) - few.base.together(other.channels)
+    step = gauss_newton(other.jacobian, e, 1e-9, other.values, *bounds(other.hypothesis))
+    return float(np.sum(loss(before)) - np.sum(loss(e + other.jacobian @ step)))
 
 
 def search(evidence: Evidence, found: Sequence[Candidate], threads: int, progress: Progress) -> Searched:
@@ -177,16 +258,13 @@ def search(evidence: Evidence, found: Sequence[Candidate], threads: int, progres
 
 
 def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress: Progress) -> Searched:
-    progress("every cause by itself", 0.0)
-    begins = [f for f in pool.map(_screen, found) if f is not None]
-    progress("every cause by itself", 0.2)
-    screened: list[Fit] = [f for f in pool.map(_start, begins) if f is not None]
-    progress("every cause by itself", 0.35)
+    starts = Starts(pool, found, progress)
+    screened = starts.alone
     fit = _nothing(evidence)
     nothing = Judged(fit, held_out(evidence, fit))
     gains = np.array([_base_loss(evidence, f) - predicted_loss(f) for f in screened])
     order = [int(i) for i in np.argsort(-gains) if gains[i] > PROMISING][:REFINED_SINGLES]
-    singles = _fitted(evidence, pool, [screened[i] for i in order], FITTED_SINGLES)
+    singles = _fitted(evidence, pool, [begin_of(screened[i]) for i in order], FITTED_SINGLES)
     progress("causes together", 0.55)
 
     best = nothing
@@ -202,10 +280,10 @@ def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress
         beam = _distinct(ranked)[:BEAM]
         if count == MOST_CAUSES:
             break
-        begins = [b for member in beam for b in _extensions(evidence, pool, member, found, screened)]
+        begins = [b for member in beam for b in _extensions(evidence, pool, member, starts)]
         level = _fitted(evidence, pool, begins)
         progress("causes together", 0.55 + 0.1 * count)
-    best, rests, rivals = _settled(evidence, pool, best, found, screened, nothing, singles, inflation)
+    best, rests, rivals = _settled(evidence, pool, best, starts, nothing, singles, inflation)
     inflation = _inflation(evidence, [best, *[j for js in rivals for j in js]])
     progress("causes together", 1.0)
     return Searched(best, rests, rivals, tuple(sorted(singles, key=lambda j: -j.score(inflation))), tuple(screened), inflation)
@@ -247,22 +325,19 @@ def _start(worker: Worker, begin: Fit) -> Fit | None:
     return fit if fit.channels and np.any(fit.jacobian) else None
 
 
-def _screen(worker: Worker, candidate: Candidate) -> Fit | None:
-    """Return where a candidate's fit starts best, from few parts of the recording; nothing where it changes nothing there."""
+def _screen(worker: Worker, candidate: Candidate) -> list[Fit]:
+    """Return the starts of a candidate in few parts of the recording, best first; none where it changes nothing there."""
     few = worker.thin or worker
-    best: Fit | None = None
-    promise = -np.inf
+    found = list[tuple[float, Fit]]()
     steps = None
     for values in candidate.starts:
         fit = few.start((candidate,), values, steps)
         steps = fit.steps
         if not fit.channels or not np.any(fit.jacobian):
             continue
-        reached = few.step(fit).loss if len(candidate.starts) > 1 else predicted_loss(fit)
-        gain = _base_loss(few.evidence, fit) - reached
-        if gain > promise:
-            best, promise = fit, gain
-    return best
+        reached = few.first(begin_of(fit)).loss if len(candidate.starts) > 1 else predicted_loss(fit)
+        found.append((_base_loss(few.evidence, fit) - reached, fit))
+    return [fit for _, fit in sorted(found, key=lambda item: -item[0])]
 
 
 def _gain(evidence: Evidence, fit: Fit) -> float:
@@ -270,9 +345,9 @@ def _gain(evidence: Evidence, fit: Fit) -> float:
 
 
 def _fitted(
-    evidence: Evidence, pool: Pool, begins: Sequence[Fit], keep: int = FITTED, rival: Judged | None = None
+    evidence: Evidence, pool: Pool, begins: Sequence[Begin], keep: int = FITTED, rival: Judged | None = None
 ) -> list[Judged]:
-    """Fit hypotheses: one step each, and to the end those that are best after it.
+    """Fit hypotheses: the first step of each, and to the end those that are best after it.
 
     Args:
         evidence: the recording beside the model as it was given.
@@ -282,15 +357,15 @@ def _fitted(
         rival: what they have to come near to be fitted on; the best of themselves where nothing is said.
     """
 
-    def go(worker: Worker, pair: tuple[Fit, Fit]) -> Fit:
+    def go(worker: Worker, pair: tuple[Begin, Fit]) -> Fit:
         begin, after = pair
-        return worker.fit(worker.again(begin, worker.nearer(begin, after.values)))
+        return worker.fit(worker.again(begin.fit, worker.nearer(begin.fit, after.values)))
 
     def finish(worker: Worker, begin: Fit) -> Judged:
         fit = begin if begin.settled else worker.fit(begin, POLISHED)
         return Judged(fit, held_out(evidence, fit, worker))
 
-    stepped = pool.map(Worker.step, begins) if len(begins) > keep else list(begins)
+    stepped = pool.map(Worker.first, begins)
     order = sorted(range(len(begins)), key=lambda i: -_gain(evidence, stepped[i]))
     gone = pool.map(go, [(begins[i], stepped[i]) for i in order[:keep]])
     gone.sort(key=lambda f: -_gain(evidence, f))
@@ -319,13 +394,13 @@ def _distinct(ranked: Sequence[Judged]) -> list[Judged]:
     return out
 
 
-def _extensions(
-    evidence: Evidence, pool: Pool, member: Judged, found: Sequence[Candidate], screened: Sequence[Fit]
-) -> list[Fit]:
+def _extensions(evidence: Evidence, pool: Pool, member: Judged, starts: Starts) -> list[Begin]:
     """Return the starts of a hypothesis with one more cause that promise most beyond it."""
-    promises = dict[tuple[str, int], tuple[float, Fit]]()
+    promises = dict[tuple[str, int], tuple[float, Begin]]()
     least = max(PROMISING, 0.5 * MENDED * sum(_excess(evidence, member, c) for c in member.held.gain))
-    for other in [*screened, *_at_lines(evidence, pool, member, found)]:
+    # What the hypothesis still promises by itself is not the added cause's.
+    least += member.fit.loss - predicted_loss(member.fit)
+    for other in [*starts.beside(member), *_at_lines(evidence, pool, member, starts.found)]:
         (cause,) = other.hypothesis
         if cause.name in member.names or (cause.parts_load and any(c.parts_load for c in member.hypothesis)):
             continue
@@ -346,7 +421,7 @@ def _at_lines(evidence: Evidence, pool: Pool, member: Judged, found: Sequence[Ca
     return [f for f in fits if f.channels and np.any(f.jacobian)]
 
 
-def _promise(evidence: Evidence, fit: Fit, other: Fit) -> tuple[float, Fit]:
+def _promise(evidence: Evidence, fit: Fit, other: Fit) -> tuple[float, Begin]:
     """Predict what one more cause gains, both taken as linear, and where their fit together starts."""
     channels = tuple(c for c in evidence.channels if c in fit.channels or c in other.channels)
     together = sections(evidence.block, channels)
@@ -366,18 +441,18 @@ def _promise(evidence: Evidence, fit: Fit, other: Fit) -> tuple[float, Fit]:
     moved = np.clip(values + gauss_newton(j, e, 1e-9, values, lower, upper), lower, upper)
     after = float(np.sum(loss(e + j @ (moved - values))))
     before = float(np.sum(loss(fit.errors.together(channels))))
-    # The added cause at its start, the others as they were: what is linear starts where the step would take it.
-    start = np.concatenate([fit.values, moved[p:]])
     steps = np.concatenate([fit.steps, other.steps])
-    return before - after, Fit(hypothesis, start, channels, fit.errors, j, before, steps)
+    # What is linear starts where the step takes both; else the one or the other may have to stay where it was.
+    added = np.concatenate([fit.values, moved[p:]])
+    begin = Fit(hypothesis, added, channels, fit.errors, j, before, steps)
+    return before - after, Begin(begin, (moved, added, values))
 
 
 def _settled(
     evidence: Evidence,
     pool: Pool,
     best: Judged,
-    found: Sequence[Candidate],
-    screened: Sequence[Fit],
+    starts: Starts,
     nothing: Judged,
     singles: list[Judged],
     inflation: dict[Channel, float],
@@ -387,16 +462,17 @@ def _settled(
     rivals: tuple[tuple[Judged, ...], ...] = ()
     # What is left when one cause goes is the same for whatever had taken its place.
     known = dict[frozenset[tuple[str, int]], tuple[Judged, list[Judged]]]({frozenset(): (nothing, singles)})
+
+    def other_places(best: Judged, index: int) -> tuple[Judged, list[Judged]]:
+        rest = _without(evidence, pool, best, index, nothing)
+        return rest, _fitted(evidence, pool, _extensions(evidence, pool, rest, starts), rival=best)
+
     for _ in range(4):
-        rests, others = [], list[list[Judged]]()
-        for index in range(len(best.hypothesis)):
-            key = frozenset((c.name, c.number) for i, c in enumerate(best.hypothesis) if i != index)
-            if key not in known:
-                rest = _without(evidence, pool, best, index, nothing)
-                begins = _extensions(evidence, pool, rest, found, screened)
-                known[key] = (rest, _fitted(evidence, pool, begins, rival=best))
-            rests.append(known[key][0])
-            others.append(known[key][1])
+        keys = [frozenset((c.name, c.number) for c in best.hypothesis if c is not gone) for gone in best.hypothesis]
+        missing = [i for i, key in enumerate(keys) if key not in known]
+        known.update(zip([keys[i] for i in missing], pool.lead(partial(other_places, best), missing), strict=True))
+        rests = [known[key][0] for key in keys]
+        others = [known[key][1] for key in keys]
         rivals = tuple(tuple(sorted(js, key=lambda j: -j.score(inflation))) for js in others)
         inflation = _inflation(evidence, [best, *[j for js in rivals for j in js]])
         simple = _simpler(best, rests, rivals, inflation)
@@ -495,4 +571,4 @@ def _without(evidence: Evidence, pool: Pool, best: Judged, index: int, nothing: 
     keep = np.ones(len(best.fit.values), dtype=np.bool_)
     keep[parts(best.hypothesis)[index]] = False
     begin = Fit(hypothesis, best.fit.values[keep], (), best.fit.errors, np.empty((0, 0)), 0.0, best.fit.steps[keep])
-    return _fitted(evidence, pool, [begin])[0]
+    return _fitted(evidence, pool, [Begin(begin)])[0]
