@@ -12,7 +12,7 @@ from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis, StageResult, Verd
 from ehls_ros.diagnosis.search import CLOSED, LINES, Judged, Progress, main_channel, search
 from ehls_ros.diagnosis.stages import CHANNELS, STAGES, UNITS, Channel, Comparison, Stage, setup
 from ehls_ros.diagnosis.structure import signals_of, structure
-from ehls_ros.diagnosis.verdict import KEY, Left, causes, excited, gain, left_in_stages, sensitivities
+from ehls_ros.diagnosis.verdict import KEY, Left, causes, excited, gain, leaves_much, left_in_stages, sensitivities
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
@@ -171,6 +171,7 @@ def _stage(
         noise_floor=evidence.nrmse(worst, noise_of(evidence, worst)),
         exceeds=any(item.exceeded for item in lefts.values()),
         unexplained=any(not item.mended or (item.remains and item.closed < CLOSED) for item in lefts.values()),
+        leaves_much=any(item.exceeded and leaves_much(item) for item in lefts.values()),
         depends_on=depends,
     )
 

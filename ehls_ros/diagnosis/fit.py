@@ -23,14 +23,19 @@ STEP_TRIES = 5
 MOST_ITERATIONS = 8
 """Most Gauss-Newton steps."""
 
-SETTLED, SETTLED_PART = 0.02, 1e-4
-"""Decrease of the loss at which a fit has settled [nats], and as a part of it, one added to the other."""
+SETTLED, SETTLED_PART, SETTLED_EXCESS = 0.02, 1e-4, 3e-3
+"""Decrease of the loss at which a fit has settled [nats], as a part of it, and as a part of what of it is not noise, all added.
+
+While much is left that the fit cannot explain, its details say nothing."""
 
 
 DAMPED, MOST_TRIES = 0.1, 4
 """Damping of the first step that is tried where an all but undamped one does not help, and how many are tried.
 
 A step is damped ten times as much as the last; less than this leaves it as it is."""
+
+TRUSTED = 0.5
+"""Part of what a step promised that has to come for its derivatives to be taken on."""
 
 KEPT, KEPT_PART = 0.05, 5e-3
 """Part of what a step promised, and part of the loss, below both of which a decrease says that the loss is too rough here
@@ -180,7 +185,7 @@ class Worker:
             rows = np.repeat(np.any(moves[members], axis=0), [part.stop - part.start for part in here.values()])
             before = float(np.sum(loss(e[rows])))
             after = float(np.sum(loss(e[rows] + now.jacobian[rows][:, members] @ step[members])))
-            if before - after < SETTLED + SETTLED_PART * before:
+            if before - after < _little(before, int(np.sum(rows))):
                 out[members] = 0.0
         return out
 
@@ -199,6 +204,8 @@ class Worker:
         evidence = self.evidence
         lower, upper = bounds(begin.hypothesis)
         now, damping = begin, 1e-6
+        # Derivatives of what moves a load cost a run of it each: they are worked out where the last do not lead further.
+        costly, fresh = any(c.parts_load for c in begin.hypothesis), begin
         for iteration in range(iterations):
             e = now.errors.together(now.channels)
             gained = False
@@ -209,7 +216,7 @@ class Worker:
                 if np.any(worth):
                     step = worth
                 elif iteration:
-                    return now._replace(settled=True)
+                    break
                 values = np.clip(now.values + step, lower, upper)
                 promised = max(promised, now.loss - float(np.sum(loss(e + now.jacobian @ (values - now.values)))))
                 errors = self.errors(extended(evidence.rig, now.hypothesis, values), now.errors)
@@ -219,13 +226,48 @@ class Worker:
                     break
                 damping = max(10.0 * damping, DAMPED)
             if not gained:
-                return now._replace(settled=True)
+                if now is fresh:
+                    return now._replace(settled=True)
+                now, damping = self._refreshed(now, fresh), 1e-6
+                fresh = now
+                continue
             decrease = now.loss - total
             damping = max(damping / 10.0, 1e-9)
-            now = self._linearised(now.hypothesis, values, errors, now.steps, now)
-            if decrease < SETTLED + SETTLED_PART * total or decrease < min(KEPT * promised, KEPT_PART * total):
+            settled = decrease < _little(total, len(e)) or decrease < min(KEPT * promised, KEPT_PART * total)
+            if costly and not settled and decrease > TRUSTED * promised:
+                now = self._secant(now, values, errors, total)
+                continue
+            settled &= now is fresh
+            now = fresh = self._refreshed(now._replace(values=values, errors=errors), fresh)
+            if settled:
                 return now._replace(settled=True)
-        return now
+        return now if now is fresh else self._refreshed(now, fresh)
+
+    def _refreshed(self, now: Fit, fresh: Fit) -> Fit:
+        """Return a fit with its derivatives worked out anew, but for those that hold since they last were."""
+        return self._linearised(now.hypothesis, now.values, now.errors, fresh.steps, fresh)
+
+    def _secant(self, now: Fit, values: Array, errors: Errors, total: float) -> Fit:
+        """Return a fit a step on, with derivatives that agree with what the step changed and else stay as they were.
+
+        Broyden's update, channel by channel (Madsen, Nielsen, Tingleff, Methods for Non-Linear Least Squares Problems, 2004,
+        3.5): parameters that a channel does not depend on keep out of it.
+        """
+        step = values - now.values
+        jacobian = now.jacobian.copy()
+        for c, rows in sections(self.evidence.block, now.channels).items():
+            size = np.einsum("ni,ni->i", jacobian[rows], jacobian[rows])
+            along = size * step
+            length = float(along @ step)
+            if length > 0.0:
+                missed = errors.values[c] - now.errors.values[c] - jacobian[rows] @ step
+                jacobian[rows] += np.outer(missed, along / length)
+        return now._replace(values=values, errors=errors, jacobian=jacobian, loss=total)
+
+
+def _little(total: float, windows: int) -> float:
+    """Return the decrease of a loss at which a fit has settled [nats]; noise makes half a nat a window, or somewhat more."""
+    return SETTLED + SETTLED_PART * total + SETTLED_EXCESS * max(0.0, total - windows)
 
 
 def _first_steps(values: Array, lower: Array, upper: Array) -> Array:

@@ -134,16 +134,15 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     lost = 1.0 - len(chosen) / len(grid)
     if lost > 1e-3:
         remarks.append(f"{100 * lost:.2g} % of the samples are missing")
-    for signal in USED:
-        if signal not in trajectory:
-            continue
-        values = np.asarray(trajectory[signal], dtype=np.float64)[chosen]
-        if not np.any(np.isfinite(values)):
-            remarks.append(f"{signal} has no finite sample and is left out")
-            continue
-        right = _not_spikes(values) if signal in HELD else inliers(values)
-        if signal == COMMAND and SPOOL in trajectory:
-            right |= _answered(values, np.asarray(trajectory[SPOOL], dtype=np.float64)[chosen], rig, period)
+    recorded = {s: np.asarray(trajectory[s], dtype=np.float64)[chosen] for s in USED if s in trajectory}
+    empty = [s for s, values in recorded.items() if not np.any(np.isfinite(values))]
+    remarks += [f"{s} has no finite sample and is left out" for s in empty]
+    recorded = {s: values for s, values in recorded.items() if s not in empty}
+    trusted = {s: _not_spikes(values) if s in HELD else inliers(values) for s, values in recorded.items()}
+    if COMMAND in recorded and SPOOL in recorded:
+        trusted[COMMAND] |= _answered(recorded[COMMAND], np.where(trusted[SPOOL], recorded[SPOOL], np.nan), rig, period)
+    for signal, values in recorded.items():
+        right = trusted[signal]
         bad = 1.0 - float(np.mean(right))
         if bad > MOST_BAD:
             what = f"{100 * bad:.0f} % of signal '{signal}' are missing or outliers"
@@ -187,7 +186,7 @@ def _on_grid(time: Array, values: Array, right: Mask, grid: Array, period: float
 
 def _not_spikes(values: Array) -> Mask:
     """Tell which samples of a command are finite and no lone spikes; a command may jump, and come back later."""
-    whole = filled(values) if np.any(np.isfinite(values)) else values
+    whole = filled(values)
     before, after = np.concatenate([whole[:1], whole[:-1]]), np.concatenate([whole[1:], whole[-1:]])
     off = _stands_off(whole)
     alone = (whole - before) * (whole - after) > 0.0
@@ -203,14 +202,20 @@ def _stands_off(values: Array) -> Array:
 
 
 def _answered(command: Array, spool: Array, rig: Rig, period: float) -> Mask:
-    """Tell which samples of a command the spool answers: those were sent, and a switching controller sends lone ones."""
-    if not np.any(np.isfinite(spool)) or not np.any(np.isfinite(command)):
-        return np.zeros(len(command), dtype=np.bool_)
-    moves = np.diff(filled(np.where(inliers(spool), spool, np.nan)), prepend=spool[:1])
+    """Tell which samples of a command the spool answers: those were sent, and a switching controller sends lone ones.
+
+    Args:
+        command: the command [m], not a number where it is missing.
+        spool: the spool's position [m], not a number where it is missing or an outlier.
+        rig: the valve's gain and bandwidth.
+        period: sampling period [s].
+    """
+    spool = filled(spool)
+    moves = np.diff(spool, prepend=spool[:1])
     turns = np.abs(np.diff(moves, prepend=moves[:1]))
     window = max(3, round(ANSWERED_WITHIN / period))
     # The strongest from each sample on.
-    strongest = maximum_filter1d(np.nan_to_num(turns), window, origin=-(window // 2), mode="nearest")
+    strongest = maximum_filter1d(turns, window, origin=-(window // 2), mode="nearest")
     follows = abs(rig.plant.valve_gain) * (1.0 - math.exp(-rig.plant.valve_bandwidth * period))
     answered: Mask = np.isfinite(command) & (strongest > ANSWERED * follows * _stands_off(filled(command)))
     return answered

@@ -23,6 +23,7 @@ class StageResult(NamedTuple):
         noise_floor: what the sensors' noise alone makes of it.
         exceeds: whether the residual before is more than noise, surely and by enough to matter.
         unexplained: whether the residual after still is.
+        leaves_much: whether the causes leave more of it than right ones do as a rule.
         depends_on: the signals that the residual after depends on, strongest first.
     """
 
@@ -33,6 +34,7 @@ class StageResult(NamedTuple):
     noise_floor: float | None = None
     exceeds: bool = False
     unexplained: bool = False
+    leaves_much: bool = False
     depends_on: tuple[str, ...] = ()
 
 

@@ -127,9 +127,8 @@ def patched(evidence: Evidence, found: Searched) -> frozenset[Channel]:
     return frozenset(out)
 
 
-def _leaves_much(evidence: Evidence, best: Judged, rest: Judged) -> bool:
-    """Tell whether more is left where a cause acts than the form of a right one leaves as a rule."""
-    item = left(evidence, best, mostly_in(best, rest))
+def leaves_much(item: Left) -> bool:
+    """Tell whether more is left in a channel than the form of a right cause leaves as a rule."""
     return item.closed < 1.0 - LEAVES and item.after > STANDS_OUT * item.noise
 
 
@@ -162,7 +161,7 @@ def causes(evidence: Evidence, found: Searched, seed: int) -> tuple[Cause, ...]:
         probability = _probability(found, [found.best, *others], rest, seed)
         if stages.count(stages[index]) > 1:
             probability *= BOTH_RIGHT
-        if _leaves_much(evidence, found.best, rest):
+        if leaves_much(left(evidence, found.best, mostly_in(found.best, rest))):
             probability *= FORM_RIGHT
         equivalent = tuple(
             j.hypothesis[-1].name

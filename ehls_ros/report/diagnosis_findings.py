@@ -8,7 +8,6 @@ import numpy as np
 from ehls_ros.diagnosis.diagnose import MISSING, WANTED
 from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival, Sensitivity, StageResult
 from ehls_ros.diagnosis.stages import Channel, Stage
-from ehls_ros.diagnosis.verdict import LEAVES, STANDS_OUT
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report.diagnosis_units import change, estimate, part, quantity
@@ -248,13 +247,12 @@ def caveats(found: Diagnosis, remarks: Sequence[str] = ()) -> list[str]:
             continue
         ratio = result.nrmse_after / result.noise_floor
         if result.exceeds and ratio > LEAKY:
-            much = ratio > STANDS_OUT and _left_part(result) > LEAVES
             out.append(
                 f"In the {STAGE_NAMES[stage]} {number(ratio, 2)} times the noise is left. "
                 + (
                     "That is more than a right cause leaves as a rule: it may be an effect that the list does not have, which"
                     " lowers the probability here."
-                    if much
+                    if result.leaves_much
                     else "The cause is right in the main; the form the model gives it may differ from the rig's, so take its"
                     " parameters as the best of that form."
                 )
@@ -278,12 +276,6 @@ def caveats(found: Diagnosis, remarks: Sequence[str] = ()) -> list[str]:
             " 'What would have been noticed' acts in what this recording does."
         )
     return [*out, *(f"{_capital(remark)}." for remark in (*found.remarks, *remarks))]
-
-
-def _left_part(result: StageResult) -> float:
-    """Return the part of a stage's removable error that is left."""
-    before, after, noise = ((value or 0.0) ** 2 for value in (result.nrmse_before, result.nrmse_after, result.noise_floor))
-    return (after - noise) / (before - noise) if before > noise else 0.0
 
 
 def _capital(text: str) -> str:

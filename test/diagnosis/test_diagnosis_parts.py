@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from ehls_ros.diagnosis import fit as fits
 from ehls_ros.diagnosis import record as records
-from ehls_ros.diagnosis import verdict
+from ehls_ros.diagnosis import search, verdict
 from ehls_ros.diagnosis.evidence import Errors, Evidence, loss, weights
 from ehls_ros.diagnosis.fit import Fit, Worker, held_out, lines_of
 from ehls_ros.diagnosis.hypotheses import at_lines, candidates, extended
@@ -486,6 +486,45 @@ def test_what_does_not_depend_on_a_change_is_taken_over(recorded, rig, monkeypat
     # What has settled stays, while the other goes its way.
     np.testing.assert_array_equal(done.values[: len(alone.values)], alone.values)
     assert done.values[-1] == pytest.approx(2e-5, rel=0.1)
+
+
+def test_causes_that_all_but_cancel_are_fitted_from_where_they_do(recorded, rig):
+    worker, found = worker_of(recorded, rig, {"mass_shift": {"factor": 0.94}, "constant_load": {"force": -45.0}})
+    load, mass = found["constant_load", 0], found["mass_shift", 0]
+    alone = worker.fit(worker.start((load,), load.neutral))
+    gain, begin = search._promise(worker.evidence, alone, worker.start((mass,), mass.neutral))
+    assert gain > 100.0
+    # What is promised is there at the first step, not only after the fit.
+    assert alone.loss - worker.first(begin).loss > 0.8 * gain
+
+
+def test_a_cause_starts_otherwise_beside_what_hid_it(recorded, rig):
+    hidden = {"presliding_stiffness_shift": {"factor": 4.7}, "pressure_sensor_lag": {"time_constant": 0.012}}
+    worker, found = worker_of(recorded, rig, hidden)
+    few = [found["presliding_stiffness_shift", 0], found["pressure_sensor_lag", 0]]
+    pool = search.Pool(worker.evidence, 1)
+    try:
+        starts = search.Starts(pool, few, lambda what, part: None)
+        lag = worker.fit(next(f for f in starts.alone if f.hypothesis == (few[1],)))
+        beside = starts.beside(Judged(lag, held_out(worker.evidence, lag)))
+    finally:
+        pool.close()
+    alone, after = (next(f.values[0] for f in fits if f.hypothesis == (few[0],)) for fits in (starts.alone, beside))
+    # The start nearest to the truth, which the lag's error had covered.
+    assert after == max(few[0].starts) == 3.0
+    assert alone < after
+
+
+def test_derivatives_follow_steps_without_being_worked_out_anew(recorded, rig):
+    worker, found = worker_of(recorded, rig, {"hinge_backlash": {"gap": 3e-4}})
+    play = next(c for c in found.values() if c.name == "hinge_backlash" and c.parts_load)
+    begin = worker.start((play,), play.starts[-1])
+    moved = np.clip(begin.values * 1.02, play.lower, play.upper)
+    errors = worker.errors(extended(worker.evidence.rig, (play,), moved), begin.errors)
+    after = worker._secant(begin, moved, errors, 0.0)
+    change = errors.together(begin.channels) - begin.errors.together(begin.channels)
+    assert np.linalg.norm(change - begin.jacobian @ (moved - begin.values)) > 0.05 * np.linalg.norm(change)
+    np.testing.assert_allclose(after.jacobian @ (moved - begin.values), change, rtol=1e-6, atol=1e-6)
 
 
 def test_a_step_stays_within_the_ranges():
