@@ -24,9 +24,8 @@ MOST_ITERATIONS = 8
 """Most Gauss-Newton steps."""
 
 SETTLED, SETTLED_PART, SETTLED_EXCESS = 0.02, 1e-4, 3e-3
-"""Decrease of the loss at which a fit has settled [nats], as a part of it, and as a part of what of it is not noise, all added.
-
-While much is left that the fit cannot explain, its details say nothing."""
+"""Decrease of the loss at which a fit has settled [nats], as a part of it, and of a fit that costs as a part of what is not
+noise, all added. While much is left that the fit cannot explain, its details say little."""
 
 
 DAMPED, MOST_TRIES = 0.1, 4
@@ -65,6 +64,16 @@ class Fit(NamedTuple):
     steps: Array
     settled: bool = False
 
+    @property
+    def costly(self) -> bool:
+        """Whether every derivative takes a run of a moved load."""
+        return any(c.parts_load for c in self.hypothesis)
+
+    def little(self, total: float, windows: int) -> float:
+        """Return the decrease of a loss at which the fit has settled [nats]; noise makes half a nat a window, or some more."""
+        excess = max(0.0, total - windows) if self.costly else 0.0
+        return SETTLED + SETTLED_PART * total + SETTLED_EXCESS * excess
+
 
 class Begin(NamedTuple):
     """Where a fit may start.
@@ -72,10 +81,12 @@ class Begin(NamedTuple):
     Attributes:
         fit: a hypothesis with its derivatives.
         ways: values to try, the best of which the fit starts from.
+        promise: decrease of the loss that the first of them promises [nats].
     """
 
     fit: Fit
     ways: tuple[Array, ...] = ()
+    promise: float = 0.0
 
 
 class Worker:
@@ -185,27 +196,38 @@ class Worker:
             rows = np.repeat(np.any(moves[members], axis=0), [part.stop - part.start for part in here.values()])
             before = float(np.sum(loss(e[rows])))
             after = float(np.sum(loss(e[rows] + now.jacobian[rows][:, members] @ step[members])))
-            if before - after < _little(before, int(np.sum(rows))):
+            if before - after < now.little(before, int(np.sum(rows))):
                 out[members] = 0.0
         return out
 
     def first(self, begin: Begin) -> Fit:
-        """Return the best of the values to try before a fit; the derivatives stay those at its beginning."""
+        """Return the first of the values to try before a fit that keep what was promised, or else the best of them.
+
+        The derivatives stay those at its beginning.
+        """
         now = best = begin.fit
         for values in begin.ways:
             errors = self.errors(extended(self.evidence.rig, now.hypothesis, values), now.errors)
             total = float(np.sum(loss(errors.together(now.channels))))
             if total < best.loss:
                 best = now._replace(values=values, errors=errors, loss=total)
+            if now.loss - total > TRUSTED * begin.promise:
+                break
         return best
 
-    def fit(self, begin: Fit, iterations: int = MOST_ITERATIONS) -> Fit:
-        """Minimise the loss by Gauss-Newton steps with Levenberg's damping, within the parameters' ranges."""
+    def fit(self, begin: Fit, iterations: int = MOST_ITERATIONS, fresh: Fit | None = None) -> Fit:
+        """Minimise the loss by Gauss-Newton steps with Levenberg's damping, within the parameters' ranges.
+
+        Args:
+            begin: where the fit starts.
+            iterations: most steps it takes.
+            fresh: where the derivatives are from, if not from there.
+        """
         evidence = self.evidence
         lower, upper = bounds(begin.hypothesis)
         now, damping = begin, 1e-6
-        # Derivatives of what moves a load cost a run of it each: they are worked out where the last do not lead further.
-        costly, fresh = any(c.parts_load for c in begin.hypothesis), begin
+        # What costs is worked out anew where the last derivatives do not lead further.
+        fresh = fresh or begin
         for iteration in range(iterations):
             e = now.errors.together(now.channels)
             gained = False
@@ -233,8 +255,8 @@ class Worker:
                 continue
             decrease = now.loss - total
             damping = max(damping / 10.0, 1e-9)
-            settled = decrease < _little(total, len(e)) or decrease < min(KEPT * promised, KEPT_PART * total)
-            if costly and not settled and decrease > TRUSTED * promised:
+            settled = decrease < now.little(total, len(e)) or decrease < min(KEPT * promised, KEPT_PART * total)
+            if now.costly and not settled and decrease > TRUSTED * promised:
                 now = self._secant(now, values, errors, total)
                 continue
             settled &= now is fresh
@@ -263,11 +285,6 @@ class Worker:
                 missed = errors.values[c] - now.errors.values[c] - jacobian[rows] @ step
                 jacobian[rows] += np.outer(missed, along / length)
         return now._replace(values=values, errors=errors, jacobian=jacobian, loss=total)
-
-
-def _little(total: float, windows: int) -> float:
-    """Return the decrease of a loss at which a fit has settled [nats]; noise makes half a nat a window, or somewhat more."""
-    return SETTLED + SETTLED_PART * total + SETTLED_EXCESS * max(0.0, total - windows)
 
 
 def _first_steps(values: Array, lower: Array, upper: Array) -> Array:
@@ -308,8 +325,10 @@ def products(j: Array, w: Array, e: Array) -> tuple[Array, Array]:
 def begin_of(fit: Fit) -> Begin:
     """Return the beginning of a fit that first tries a Gauss-Newton step, whole and shortened."""
     lower, upper = bounds(fit.hypothesis)
-    step = gauss_newton(fit.jacobian, fit.errors.together(fit.channels), 1e-6, fit.values, lower, upper)
-    return Begin(fit, tuple(np.clip(fit.values + part * step, lower, upper) for part in (1.0, 0.3)))
+    e = fit.errors.together(fit.channels)
+    step = gauss_newton(fit.jacobian, e, 1e-6, fit.values, lower, upper)
+    ways = tuple(np.clip(fit.values + part * step, lower, upper) for part in (1.0, 0.3))
+    return Begin(fit, ways, fit.loss - float(np.sum(loss(e + fit.jacobian @ (ways[0] - fit.values)))))
 
 
 def predicted_loss(fit: Fit) -> float:

@@ -359,6 +359,8 @@ def _fitted(
 
     def go(worker: Worker, pair: tuple[Begin, Fit]) -> Fit:
         begin, after = pair
+        if after is not begin.fit and after.costly and not after.hypothesis[-1].parts_load:
+            return worker.fit(after, fresh=begin.fit)
         return worker.fit(worker.again(begin.fit, worker.nearer(begin.fit, after.values)))
 
     def finish(worker: Worker, begin: Fit) -> Judged:
@@ -445,7 +447,7 @@ def _promise(evidence: Evidence, fit: Fit, other: Fit) -> tuple[float, Begin]:
     # What is linear starts where the step takes both; else the one or the other may have to stay where it was.
     added = np.concatenate([fit.values, moved[p:]])
     begin = Fit(hypothesis, added, channels, fit.errors, j, before, steps)
-    return before - after, Begin(begin, (moved, added, values))
+    return before - after, Begin(begin, (moved, added, values), before - after)
 
 
 def _settled(
