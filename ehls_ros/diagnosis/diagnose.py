@@ -5,12 +5,13 @@ import time
 from collections.abc import Mapping
 
 from ehls_ros.diagnosis.evidence import Evidence, noise_of
-from ehls_ros.diagnosis.fit import lines_of
 from ehls_ros.diagnosis.hypotheses import candidates, extended
+from ehls_ros.diagnosis.judged import Judged
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis, StageResult, Verdict
-from ehls_ros.diagnosis.search import CLOSED, LINES, Judged, Progress, main_channel, search
+from ehls_ros.diagnosis.search import CLOSED, search
 from ehls_ros.diagnosis.stages import CHANNELS, STAGES, UNITS, Channel, Comparison, Stage, setup
+from ehls_ros.diagnosis.starts import LINES, Progress, lines_of, main_channel
 from ehls_ros.diagnosis.structure import signals_of, structure
 from ehls_ros.diagnosis.verdict import KEY, Left, causes, excited, gain, leaves_much, left_in_stages, sensitivities
 from ehls_ros.physics.rig import Rig

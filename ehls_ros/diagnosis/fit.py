@@ -1,7 +1,6 @@
-"""Fitting a hypothesis, and judging it on data that it was not fitted to."""
+"""Fitting a hypothesis to a recording."""
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -331,6 +330,11 @@ def begin_of(fit: Fit) -> Begin:
     return Begin(fit, ways, fit.loss - float(np.sum(loss(e + fit.jacobian @ (ways[0] - fit.values)))))
 
 
+def base_loss(evidence: Evidence, fit: Fit) -> float:
+    """Return the loss of the model as it was given over the channels that a hypothesis changes [nats]."""
+    return float(np.sum(loss(evidence.base.together(fit.channels))))
+
+
 def predicted_loss(fit: Fit) -> float:
     """Return the loss that one Gauss-Newton step is expected to reach."""
     if not fit.values.size:
@@ -340,115 +344,3 @@ def predicted_loss(fit: Fit) -> float:
     step = gauss_newton(fit.jacobian, e, 1e-9, fit.values, lower, upper)
     step = np.clip(fit.values + step, lower, upper) - fit.values
     return float(np.sum(loss(e + fit.jacobian @ step)))
-
-
-class Held(NamedTuple):
-    """How a fit does on blocks that it was not fitted to.
-
-    Attributes:
-        gain: decrease of the loss against the model as it was given, by channel and block [nats], not yet scaled.
-        errors: whitened residuals of the channels it changes, each block's with the parameters fitted to the others.
-        inflation: by channel, how much more the remaining residuals scatter than noise would.
-        covariance: of the parameters, shape (p, p).
-        quieted: of the channels together, the loss that was taken off the gain because it comes of averaging noise [nats].
-        disagreement: of each parameter, how much more its variance is by what the blocks say than by noise: at least 1.
-    """
-
-    gain: dict[Channel, Array]
-    errors: Errors
-    inflation: dict[Channel, float]
-    covariance: Array
-    quieted: float
-    disagreement: Array
-
-
-def held_out(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Held:
-    """Judge a fit on each block with the parameters fitted to the others.
-
-    A block's influence on the parameters is taken off to first order, which needs no further evaluation. What a model
-    gains by averaging the sensors' noise does not count.
-    """
-    e = fit.errors.together(fit.channels)
-    block = np.concatenate([evidence.block[c] for c in fit.channels]) if fit.channels else np.empty(0, dtype=np.intp)
-    p = len(fit.values)
-    inflation = {c: inflation_of(fit.errors.values[c]) for c in fit.channels}
-    w, normal = weights(e), np.zeros((p, p))
-    # In units of what each parameter alone changes, so that newtons per metre and metres can be solved for together.
-    scale = np.sqrt(np.maximum(np.sum(fit.jacobian**2, axis=0), 1e-300)) if p else np.ones(0)
-    j = fit.jacobian / scale if p else fit.jacobian
-    gradients, normals = np.zeros((evidence.blocks, p)), np.zeros((evidence.blocks, p, p))
-    without = e.copy()
-    for b in range(evidence.blocks):
-        inside = block == b
-        if not np.any(inside):
-            continue
-        jb, wb = j[inside], w[inside]
-        normals[b], gradients[b] = products(jb, wb, e[inside])
-    normal = normals.sum(axis=0)
-    for b in range(evidence.blocks):
-        inside = block == b
-        if p and np.any(inside):
-            shift = np.linalg.lstsq(normal - normals[b], gradients[b], rcond=1e-10)[0]
-            without[inside] = e[inside] + j[inside] @ shift
-    base = evidence.base.together(fit.channels)
-    difference = loss(base) - loss(without)
-    quieted = dict.fromkeys(fit.channels, 0.0)
-    if worker is not None and fit.channels:
-        model = extended(evidence.rig, fit.hypothesis, fit.values)
-        quieted = evidence.quieted(worker.noisy, model, fit.errors, fit.channels)
-    gain, errors = dict[Channel, Array](), dict(evidence.base.values)
-    for c, section in sections(evidence.block, fit.channels).items():
-        quieter = max(quieted[c], 0.0) / evidence.blocks
-        per_block = np.bincount(evidence.block[c], weights=difference[section], minlength=evidence.blocks)
-        gain[c] = np.asarray(per_block - quieter, dtype=np.float64)
-        errors[c] = without[section]
-    covariance, disagreement = _covariance(normal, gradients, fit, j, scale, inflation, evidence)
-    saved = sum(max(value, 0.0) for value in quieted.values())
-    return Held(gain, Errors(errors), inflation, covariance, saved, disagreement)
-
-
-def inflation_of(e: Array) -> float:
-    """Return by how much residuals scatter more than noise would: at least 1."""
-    return max(1.0, float(np.mean(np.minimum(e * e, HUBER_SQUARE))))
-
-
-HUBER_SQUARE = 9.0
-"""Square at which a whitened residual counts no further for the scatter."""
-
-
-def _covariance(
-    normal: Array, gradients: Array, fit: Fit, j: Array, unit: Array, inflation: dict[Channel, float], evidence: Evidence
-) -> tuple[Array, Array]:
-    """Return the parameters' covariance, the larger of what noise and what the blocks' disagreement says; and the ratio."""
-    if not fit.values.size:
-        return np.empty((0, 0)), np.empty(0)
-    inverse = np.linalg.pinv(normal)
-    lengths = [len(evidence.block[c]) for c in fit.channels]
-    scale = np.repeat([inflation[c] for c in fit.channels], lengths)
-    w = weights(fit.errors.together(fit.channels))
-    noise = inverse @ products(j, w * w * scale, scale)[0] @ inverse
-    blocks = max(evidence.blocks - len(fit.values), 1)
-    between = inverse @ (gradients.T @ gradients) @ inverse * evidence.blocks / blocks
-    # Nothing is known of a parameter that the data do not tell; its errors are no numbers.
-    with np.errstate(over="ignore", invalid="ignore"):
-        larger = np.maximum(1.0, np.sqrt(np.maximum(np.diag(between), 0.0) / np.maximum(np.diag(noise), 1e-300)))
-        return noise * np.outer(larger, larger) / np.outer(unit, unit), larger**2
-
-
-def lines_of(e: Array, times: Array, count: int) -> Sequence[float]:
-    """Return the frequencies of the strongest lines in a residual's spectrum [Hz]."""
-    if len(e) < 16:
-        return []
-    step = float(np.median(np.diff(times)))
-    even = np.interp(np.arange(times[0], times[-1], step), times, np.clip(e, -20.0, 20.0))
-    even = (even - even.mean()) * np.hanning(len(even))
-    padded = 4 * len(even)
-    spectrum = np.abs(np.fft.rfft(even, padded)) ** 2
-    frequency = np.fft.rfftfreq(padded, step)
-    spectrum[frequency < 2.0 / (len(even) * step)] = 0.0
-    found = []
-    for _ in range(count):
-        peak = int(np.argmax(spectrum))
-        found.append(float(frequency[peak]))
-        spectrum[np.abs(frequency - frequency[peak]) < 3.0 / (len(even) * step)] = 0.0
-    return found

@@ -10,8 +10,9 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.evidence import Errors, Evidence, noise_of, noise_power, power, sections
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.hypotheses import Candidate, parts
+from ehls_ros.diagnosis.judged import PENALTY, Judged
 from ehls_ros.diagnosis.result import Cause, Gain, Rival, Sensitivity
-from ehls_ros.diagnosis.search import CLOSED, MATTERS, NEEDED, PENALTY, RELEVANT, SURE, Judged, Searched, mostly_in
+from ehls_ros.diagnosis.search import CLOSED, MATTERS, NEEDED, RELEVANT, SURE, Searched, mostly_in
 from ehls_ros.diagnosis.stages import CHANNELS, STAGES, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS

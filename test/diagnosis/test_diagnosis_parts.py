@@ -10,13 +10,16 @@ from scipy.signal import lfilter
 
 from ehls_ros.diagnosis import fit as fits
 from ehls_ros.diagnosis import record as records
-from ehls_ros.diagnosis import search, verdict
+from ehls_ros.diagnosis import verdict
 from ehls_ros.diagnosis.evidence import Errors, Evidence, loss, weights
-from ehls_ros.diagnosis.fit import Fit, Worker, held_out, lines_of
+from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.hypotheses import at_lines, candidates, extended
+from ehls_ros.diagnosis.judged import Judged, held_out
+from ehls_ros.diagnosis.pool import Pool
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.search import RELEVANT, SHOWN, Judged, Searched, mends_form, shows
+from ehls_ros.diagnosis.search import RELEVANT, SHOWN, Searched, mends_form, shows
 from ehls_ros.diagnosis.stages import CHANNELS, Comparison, setup
+from ehls_ros.diagnosis.starts import Starts, _promise, lines_of
 from ehls_ros.diagnosis.windows import smooth_window
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
@@ -492,7 +495,7 @@ def test_causes_that_all_but_cancel_are_fitted_from_where_they_do(recorded, rig)
     worker, found = worker_of(recorded, rig, {"mass_shift": {"factor": 0.94}, "constant_load": {"force": -45.0}})
     load, mass = found["constant_load", 0], found["mass_shift", 0]
     alone = worker.fit(worker.start((load,), load.neutral))
-    gain, begin = search._promise(worker.evidence, alone, worker.start((mass,), mass.neutral))
+    gain, begin = _promise(worker.evidence, alone, worker.start((mass,), mass.neutral))
     assert gain > 100.0
     # What is promised is there at the first step, not only after the fit.
     assert alone.loss - worker.first(begin).loss > 0.8 * gain
@@ -502,9 +505,9 @@ def test_a_cause_starts_otherwise_beside_what_hid_it(recorded, rig):
     hidden = {"presliding_stiffness_shift": {"factor": 4.7}, "pressure_sensor_lag": {"time_constant": 0.012}}
     worker, found = worker_of(recorded, rig, hidden)
     few = [found["presliding_stiffness_shift", 0], found["pressure_sensor_lag", 0]]
-    pool = search.Pool(worker.evidence, 1)
+    pool = Pool(worker.evidence, 1)
     try:
-        starts = search.Starts(pool, few, lambda what, part: None)
+        starts = Starts(worker.evidence, pool, few, lambda what, part: None)
         lag = worker.fit(next(f for f in starts.alone if f.hypothesis == (few[1],)))
         beside = starts.beside(Judged(lag, held_out(worker.evidence, lag)))
     finally:

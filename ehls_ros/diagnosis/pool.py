@@ -1,0 +1,69 @@
+"""Threads that evaluate hypotheses side by side."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from queue import SimpleQueue
+from typing import TypeVar
+
+import numpy as np
+
+from ehls_ros.diagnosis.evidence import Evidence, loss
+from ehls_ros.diagnosis.fit import Worker
+
+SCREENED_BLOCKS = 8
+"""Blocks of the recording from which it is told where fits start."""
+
+Item = TypeVar("Item")
+Done = TypeVar("Done")
+
+
+class Pool:
+    """Threads, each with its own worker; the kernels run without Python's lock."""
+
+    def __init__(self, evidence: Evidence, threads: int) -> None:
+        """Start the threads."""
+        ranges = _telling_parts(evidence)
+        few = None if ranges is None else Evidence(evidence.record.parts(ranges), evidence.rig, evidence.setup, seed=0)
+        self.few = few or evidence
+        self._free: SimpleQueue[Worker] = SimpleQueue()
+        for _ in range(threads):
+            self._free.put(Worker(evidence, few))
+        self._executor, self._leaders = ThreadPoolExecutor(threads), ThreadPoolExecutor(threads)
+
+    def map(self, work: Callable[[Worker, Item], Done], items: Sequence[Item]) -> list[Done]:
+        """Do the work on every item, in their order."""
+
+        def one(item: Item) -> Done:
+            worker = self._free.get()
+            try:
+                return work(worker, item)
+            finally:
+                self._free.put(worker)
+
+        return list(self._executor.map(one, items))
+
+    def lead(self, work: Callable[[Item], Done], items: Sequence[Item]) -> list[Done]:
+        """Do work that has parts of it mapped on the items side by side, in their order."""
+        return list(self._leaders.map(work, items))
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self._leaders.shutdown()
+        self._executor.shutdown()
+
+
+def _telling_parts(evidence: Evidence) -> list[tuple[int, int]] | None:
+    """Return the blocks in which the given model does worst, and as many spread evenly over the recording."""
+    samples, blocks = len(evidence.record.time), evidence.blocks
+    if blocks <= 3 * SCREENED_BLOCKS // 2:
+        return None
+    worst = np.zeros(blocks)
+    for c in evidence.channels:
+        total = np.bincount(evidence.block[c], weights=loss(evidence.base.values[c]), minlength=blocks)
+        worst = np.maximum(worst, total / max(float(total.mean()), 1e-300))
+    chosen = {int(b) for b in np.linspace(0, blocks - 1, SCREENED_BLOCKS // 2).round()}
+    for b in np.argsort(-worst):
+        if len(chosen) >= SCREENED_BLOCKS:
+            break
+        chosen.add(int(b))
+    return [(-(-b * samples // blocks), -(-(b + 1) * samples // blocks)) for b in sorted(chosen)]
