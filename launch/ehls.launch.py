@@ -45,9 +45,6 @@ def nodes(context: LaunchContext) -> list[Node]:
         f"{chosen['controller']}_node": {},
         PLANTS[chosen["plant"]]: {},
     }
-    if chosen["timing"] == "lockstep":
-        # Nothing is late in lockstep.
-        own[f"{chosen['controller']}_node"]["friction_patience"] = 10.0
     if chosen["plant"] == "bridge":
         own[PLANTS["bridge"]]["bridge"] = chosen["bridge"]
     if chosen["plant"] == "sim":

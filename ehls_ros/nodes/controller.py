@@ -36,12 +36,16 @@ KEPT = 4000
 """References and estimates kept ahead of their cycle."""
 
 
+LOCKSTEP_PATIENCE = 10.0
+"""What friction_patience is in lockstep [s]: nothing is late there, and a run stays the same whatever else the machine does."""
+
+
 class Parameters(NamedTuple):
     """What every controller node has besides its law's parameters."""
 
     friction_patience: Annotated[
         float,
-        quantity("s", "how long a friction estimate that has been coming is waited for", minimum=0.0, maximum=60.0),
+        quantity("s", "in realtime, how long a friction estimate that was coming is waited for", minimum=0.0, maximum=60.0),
     ] = 0.005
 
 
@@ -60,7 +64,7 @@ class ControllerNode(ControlNode):
         """
         super().__init__(f"{law}_node")
         declare(self, Parameters, live=False)
-        self.friction_patience = float(self.get_parameter("friction_patience").value)
+        self.friction_patience = LOCKSTEP_PATIENCE if self.lockstep else float(self.get_parameter("friction_patience").value)
         self.law = law
         self.kind = CONTROLLERS.load(law)
         given = self.spec.controller

@@ -196,9 +196,6 @@ def node_parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, st
         "expected": ",".join(expected_topics(spec, plant)),
         "cycles": spec.cycles,
     }
-    if timing == LOCKSTEP:
-        # Nothing is late in lockstep; waiting keeps a run the same whatever else the machine does.
-        parameters[f"{spec.controller.name}_node"]["friction_patience"] = 10.0
     return parameters
 
 
