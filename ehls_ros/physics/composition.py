@@ -15,7 +15,6 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
@@ -29,8 +28,7 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.rig import EffectUse, Rig
-
-PACKAGE = Path(__file__).resolve().parent.parent
+from ehls_ros.sources import sources_digest
 
 
 def cache_folder() -> Path:
@@ -39,17 +37,6 @@ def cache_folder() -> Path:
     if chosen:
         return Path(chosen)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ehls_ros"
-
-
-@cache
-def _sources_digest() -> str:
-    """Return a digest of everything a kernel's machine code is made from."""
-    digest = hashlib.sha256(f"{sys.version} {numba.__version__} {np.__version__}".encode())
-    for folder in ("physics", "control"):
-        for path in sorted((PACKAGE / folder).rglob("*.py")):
-            digest.update(str(path.relative_to(PACKAGE)).encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 def kernel_module(source: str) -> ModuleType:
@@ -62,7 +49,9 @@ def kernel_module(source: str) -> ModuleType:
         The module. Its entry functions compile at their first call ever, and load at later ones. Of several processes
         that call one for the first time at once, one compiles and the others wait and load.
     """
-    digest = hashlib.sha256((_sources_digest() + source).encode()).hexdigest()[:16]
+    # Everything machine code is made from.
+    made_from = (sys.version, numba.__version__, np.__version__, sources_digest("physics", "control"), source)
+    digest = hashlib.sha256(" ".join(made_from).encode()).hexdigest()[:16]
     name = f"ehls_kernel_{digest}"
     if name in sys.modules:
         return sys.modules[name]

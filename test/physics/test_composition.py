@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from ehls_ros import sources
 from ehls_ros.physics import composition
 from ehls_ros.physics.composition import kernel_module, plant_source
 
@@ -66,15 +67,15 @@ def test_changed_package_sources_make_another_module(folder, tmp_path, monkeypat
     for part in ("physics", "control"):
         (tmp_path / "package" / part).mkdir(parents=True)
     law = tmp_path / "package" / "physics" / "law.py"
-    monkeypatch.setattr(composition, "PACKAGE", tmp_path / "package")
+    monkeypatch.setattr(sources, "PACKAGE", tmp_path / "package")
     names = []
     try:
         for text in ("a = 1", "a = 2", "a = 1"):
             law.write_text(text, encoding="utf-8")
-            composition._sources_digest.cache_clear()
+            sources.sources_digest.cache_clear()
             names.append(kernel_module(SOURCE.format(factor=5.0)).__name__)
     finally:
-        composition._sources_digest.cache_clear()
+        sources.sources_digest.cache_clear()
     assert names[0] != names[1]
     assert names[0] == names[2]
 

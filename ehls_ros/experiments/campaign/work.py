@@ -5,7 +5,6 @@ import json
 import threading
 import time
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,27 +16,21 @@ from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.spec import spec_from_mapping
 from ehls_ros.recording.reason import reason
+from ehls_ros.sources import sources_digest
 
 METRICS = ("max_error_n", "rms_error_n", "convergence_s", "cycles", "missed_cycles", "duration_s", "wall_s")
 """Columns of a row, as ``metrics.json`` names them; ``error`` follows."""
 
 Row = dict[str, Any]
 
-PACKAGE = Path(__file__).resolve().parents[2]
-
 _ONE_AT_A_TIME = threading.Lock()
 """Threads of one worker would import the same new kernel at once; the kernels hold the interpreter anyway."""
 
 
-@cache
 def code_version() -> str:
     """Return the package's version with a digest of the sources a run's numbers come from."""
-    digest = hashlib.sha256()
-    for folder in ("physics", "control", "experiments"):
-        for path in sorted((PACKAGE / folder).rglob("*.py")):
-            digest.update(str(path.relative_to(PACKAGE)).encode())
-            digest.update(path.read_bytes())
-    return f"{__version__}+{digest.hexdigest()[:12]}"
+    digest = sources_digest("physics", "control", "experiments")
+    return f"{__version__}+{digest[:12]}"
 
 
 def run_digest(spec: str) -> str:
