@@ -109,10 +109,21 @@ def diagnose(
         traces={c: _trace(evidence, comparison, model, best, c) for c in evidence.channels},
         sensitivities=sizes,
         not_judged=not_judged,
-        remarks=record.remarks,
+        remarks=(*record.remarks, *_incidents(lefts)),
         seed=seed,
         wall_s=time.perf_counter() - began,
     )
+
+
+def _incidents(lefts: Mapping[Stage, Mapping[Channel, Left]]) -> list[str]:
+    """Say where a stage stands out of the noise once."""
+    return [
+        f"between {item.incident[0]:.1f} and {item.incident[1]:.1f} s more than noise is left in the {stage.replace('_', ' ')},"
+        " and at no other time: nothing is concluded from that, look at what happened there"
+        for stage, channels in lefts.items()
+        for item in channels.values()
+        if item.incident is not None
+    ]
 
 
 def _judged_enough(evidence: Evidence, stages: Mapping[Stage, StageResult]) -> bool:

@@ -205,6 +205,21 @@ def noise_power(evidence: Evidence, channel: Channel) -> float:
     return max(power(noise_of(evidence, channel)), FLOOR)
 
 
+def worst_block(evidence: Evidence, channel: Channel, e: Array) -> int:
+    """Return the block in which whitened residuals are largest."""
+    return int(np.argmax(np.bincount(evidence.block[channel], e * e, evidence.blocks)))
+
+
+def elsewhere(evidence: Evidence, channel: Channel, e: Array) -> Array:
+    """Return whitened residuals without the block in which they are largest, if that is not most of them.
+
+    An error of the model shows again. What shows once may be an incident, or a reversal that noise hides, after which the
+    friction's elements stand otherwise than the rig's until the next.
+    """
+    others: Array = e[evidence.block[channel] != worst_block(evidence, channel, e)]
+    return others if 2 * len(others) >= len(e) else e
+
+
 def loss(e: Array) -> Array:
     """Return Huber's loss of whitened residuals, a negative log-likelihood up to a constant."""
     size = np.abs(e)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.evidence import Errors, Evidence, noise_of, noise_power, power, sections
+from ehls_ros.diagnosis.evidence import Errors, Evidence, elsewhere, noise_of, noise_power, power, sections, worst_block
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.hypotheses import Candidate, parts
 from ehls_ros.diagnosis.judged import PENALTY, Judged
@@ -81,6 +81,7 @@ class Left(NamedTuple):
         closed: part of the removable power that is gone; 1 where there was none.
         exceeded: whether there was more than noise, by enough to matter.
         remains: whether there still is.
+        incident: the stretch that alone stands out of the noise, if there is one [s].
         mended: whether the causes that act in the channel leave it no more than noise, or close most of it, each of them most
             of what the others leave.
     """
@@ -91,6 +92,7 @@ class Left(NamedTuple):
     closed: float
     exceeded: bool
     remains: bool
+    incident: tuple[float, float] | None
     mended: bool
 
 
@@ -100,14 +102,21 @@ def left(evidence: Evidence, best: Judged, channel: Channel) -> Left:
     before, after = power(evidence.base.values[channel]), power(best.held.errors.values[channel])
     removable = before - own
     closed = (before - after) / removable if removable > 0.0 else 1.0
+    rest = best.held.errors.values[channel]
+    remains = _more_than_noise(evidence, channel, elsewhere(evidence, channel, rest), own)
+    alone = not remains and _more_than_noise(evidence, channel, rest, own)
     return Left(
         math.sqrt(before),
         math.sqrt(after),
         math.sqrt(own),
         closed,
-        _more_than_noise(evidence, channel, evidence.base.values[channel], own),
-        _more_than_noise(evidence, channel, best.held.errors.values[channel], own),
-        channel not in best.held.gain or before < LITTLE * own or closed >= CLOSED or after < LITTLE * own,
+        _more_than_noise(evidence, channel, elsewhere(evidence, channel, evidence.base.values[channel]), own),
+        remains,
+        _times_of(evidence, channel, worst_block(evidence, channel, rest)) if alone else None,
+        channel not in best.held.gain
+        or before < LITTLE * own
+        or closed >= CLOSED
+        or power(elsewhere(evidence, channel, rest)) < LITTLE * own,
     )
 
 
@@ -123,9 +132,15 @@ def patched(evidence: Evidence, found: Searched) -> frozenset[Channel]:
         main = mostly_in(found.best, rest)
         own, without, after = noise_power(evidence, main), power(rest.held.errors.values[main]), power(best[main])
         little = without - after < CLOSED * (without - own)
-        if after >= LITTLE * own and (little or _at_an_end(found.best, index)):
+        if power(elsewhere(evidence, main, best[main])) >= LITTLE * own and (little or _at_an_end(found.best, index)):
             out.add(main)
     return frozenset(out)
+
+
+def _times_of(evidence: Evidence, channel: Channel, block: int) -> tuple[float, float]:
+    """Return between when the windows of a block lie [s]."""
+    times = evidence.times(channel)[evidence.block[channel] == block]
+    return float(times[0]), float(times[-1])
 
 
 def leaves_much(item: Left) -> bool:

@@ -759,6 +759,18 @@ def test_what_is_left_is_told_from_noise(noisy, rig):
     assert still.closed == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize(("times", "remains"), [(1, False), (2, True)])
+def test_what_shows_once_is_an_incident(noisy, rig, times, remains):
+    data, found = verdict_case(noisy, rig, 0.3)
+    data.times = lambda channel: 2.5 * data.block[channel]
+    spoilt = found.best.held.errors.values["force"] + np.where(np.isin(data.block["force"], [4, 9][:times]), 20.0, 0.0)
+    best = found.best._replace(held=found.best.held._replace(errors=Errors({"force": spoilt})))
+    left = verdict.left(data, best, "force")
+    assert left.remains is remains
+    assert left.mended is not remains
+    assert left.incident == (None if remains else (10.0, 10.0))
+
+
 def two_causes(noisy, rig, closes, values=(3.0, 3.0), first=40.0):
     """Return data, and a search's two causes, of which the second closes a part of the amplitude that the first leaves."""
     rng = np.random.default_rng(6)
@@ -766,7 +778,11 @@ def two_causes(noisy, rig, closes, values=(3.0, 3.0), first=40.0):
     noise, second = rng.standard_normal(n), 4.0 * rng.standard_normal(n)
     base = noise + second + first * rng.standard_normal(n)
     data = SimpleNamespace(
-        base=Errors({"force": base}), noisy_base=Errors({"force": base + rng.standard_normal(n)}), channels=("force",)
+        base=Errors({"force": base}),
+        noisy_base=Errors({"force": base + rng.standard_normal(n)}),
+        channels=("force",),
+        block={"force": np.repeat(np.arange(20), n // 20)},
+        blocks=20,
     )
     found, _ = candidates(noisy, rig, [])
     hypothesis = tuple(next(c for c in found if c.name == name) for name in ("stribeck_shift", "pressure_sensor_lag"))
