@@ -26,7 +26,6 @@ SETTLED, SETTLED_PART, SETTLED_EXCESS = 0.02, 1e-4, 3e-3
 """Decrease of the loss at which a fit has settled [nats], as a part of it, and of a fit that costs as a part of what is not
 noise, all added. While much is left that the fit cannot explain, its details say little."""
 
-
 DAMPED, MOST_TRIES = 0.1, 4
 """Damping of the first step that is tried where an all but undamped one does not help, and how many are tried.
 
@@ -184,7 +183,7 @@ class Worker:
     def _worth(self, now: Fit, e: Array, step: Array) -> Array:
         """Return a step without what promises nothing: parameters that share no channel with others settle by themselves."""
         here = sections(self.evidence.block, now.channels)
-        moves = np.array([[bool(np.any(now.jacobian[rows, i])) for rows in here.values()] for i in range(len(step))])
+        moves = np.array([[np.any(now.jacobian[rows, i]) for rows in here.values()] for i in range(len(step))], dtype=np.bool_)
         out, left = step.copy(), set(range(len(step)))
         while left:
             group = {left.pop()}

@@ -491,6 +491,17 @@ def test_what_does_not_depend_on_a_change_is_taken_over(recorded, rig, monkeypat
     assert done.values[-1] == pytest.approx(2e-5, rel=0.1)
 
 
+def test_a_fit_that_starts_where_its_causes_do_nothing_stays_there(recorded, rig):
+    worker, found = worker_of(recorded, rig, {"spring_hardening": {"cubic": -2e5}})
+    never = next(c for c in found.values() if c.name == "end_stop" and len(c.free) > 1)
+    begin = worker.start((never,), never.neutral)
+    assert begin.channels == ()
+    done = worker.fit(begin)
+    assert done.settled
+    np.testing.assert_array_equal(done.values, never.neutral)
+    assert sum(gain.sum() for gain in held_out(worker.evidence, done, worker).gain.values()) == 0.0
+
+
 def test_causes_that_all_but_cancel_are_fitted_from_where_they_do(recorded, rig):
     worker, found = worker_of(recorded, rig, {"mass_shift": {"factor": 0.94}, "constant_load": {"force": -45.0}})
     load, mass = found["constant_load", 0], found["mass_shift", 0]
