@@ -193,7 +193,7 @@ class Worker:
             members = sorted(group)
             rows = np.repeat(np.any(moves[members], axis=0), [part.stop - part.start for part in here.values()])
             before = float(np.sum(loss(e[rows])))
-            after = float(np.sum(loss(e[rows] + now.jacobian[rows][:, members] @ step[members])))
+            after = linear_loss(e[rows], now.jacobian[rows][:, members], step[members])
             if before - after < now.little(before, int(np.sum(rows))):
                 out[members] = 0.0
         return out
@@ -238,7 +238,7 @@ class Worker:
                 elif iteration:
                     break
                 values = np.clip(now.values + step, lower, upper)
-                promised = max(promised, now.loss - float(np.sum(loss(e + now.jacobian @ (values - now.values)))))
+                promised = max(promised, now.loss - linear_loss(e, now.jacobian, values - now.values))
                 errors = self.errors(extended(evidence.rig, now.hypothesis, values), now.errors)
                 total = float(np.sum(loss(errors.together(now.channels))))
                 if total < now.loss:
@@ -326,7 +326,7 @@ def begin_of(fit: Fit) -> Begin:
     e = fit.errors.together(fit.channels)
     step = gauss_newton(fit.jacobian, e, 1e-6, fit.values, lower, upper)
     ways = tuple(np.clip(fit.values + part * step, lower, upper) for part in (1.0, 0.3))
-    return Begin(fit, ways, fit.loss - float(np.sum(loss(e + fit.jacobian @ (ways[0] - fit.values)))))
+    return Begin(fit, ways, fit.loss - linear_loss(e, fit.jacobian, ways[0] - fit.values))
 
 
 def base_loss(evidence: Evidence, fit: Fit) -> float:
@@ -342,4 +342,9 @@ def predicted_loss(fit: Fit) -> float:
     lower, upper = bounds(fit.hypothesis)
     step = gauss_newton(fit.jacobian, e, 1e-9, fit.values, lower, upper)
     step = np.clip(fit.values + step, lower, upper) - fit.values
-    return float(np.sum(loss(e + fit.jacobian @ step)))
+    return linear_loss(e, fit.jacobian, step)
+
+
+def linear_loss(e: Array, jacobian: Array, step: Array) -> float:
+    """Return the loss that a step reaches where whitened residuals follow their derivatives [nats]."""
+    return float(np.sum(loss(e + jacobian @ step)))

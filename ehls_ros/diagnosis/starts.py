@@ -6,7 +6,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.evidence import Errors, Evidence, loss, sections
-from ehls_ros.diagnosis.fit import Begin, Fit, Worker, base_loss, begin_of, gauss_newton, predicted_loss
+from ehls_ros.diagnosis.fit import Begin, Fit, Worker, base_loss, begin_of, gauss_newton, linear_loss, predicted_loss
 from ehls_ros.diagnosis.hypotheses import Candidate, at_lines, bounds, extended
 from ehls_ros.diagnosis.judged import Judged
 from ehls_ros.diagnosis.pool import Pool
@@ -120,7 +120,7 @@ def _thin_gain(few: Evidence, left: Errors, other: Fit) -> float:
     before = left.together(other.channels)
     e = before + other.errors.together(other.channels) - few.base.together(other.channels)
     step = gauss_newton(other.jacobian, e, 1e-9, other.values, *bounds(other.hypothesis))
-    return float(np.sum(loss(before)) - np.sum(loss(e + other.jacobian @ step)))
+    return float(np.sum(loss(before))) - linear_loss(e, other.jacobian, step)
 
 
 def _start(worker: Worker, begin: Fit) -> Fit | None:
@@ -162,7 +162,7 @@ def _promise(evidence: Evidence, fit: Fit, other: Fit) -> tuple[float, Begin]:
     lower, upper = bounds(hypothesis)
     values = np.concatenate([fit.values, other.values])
     moved = np.clip(values + gauss_newton(j, e, 1e-9, values, lower, upper), lower, upper)
-    after = float(np.sum(loss(e + j @ (moved - values))))
+    after = linear_loss(e, j, moved - values)
     before = float(np.sum(loss(fit.errors.together(channels))))
     steps = np.concatenate([fit.steps, other.steps])
     # What is linear starts where the step takes both; else the one or the other may have to stay where it was.

@@ -99,24 +99,22 @@ class Left(NamedTuple):
 def left(evidence: Evidence, best: Judged, channel: Channel) -> Left:
     """Tell what is left of a channel's residual."""
     own = noise_power(evidence, channel)
-    before, after = power(evidence.base.values[channel]), power(best.held.errors.values[channel])
+    e, held = evidence.base.values[channel], best.held.errors.values[channel]
+    before, after = power(e), power(held)
     removable = before - own
     closed = (before - after) / removable if removable > 0.0 else 1.0
-    rest = best.held.errors.values[channel]
-    remains = _more_than_noise(evidence, channel, elsewhere(evidence, channel, rest), own)
-    alone = not remains and _more_than_noise(evidence, channel, rest, own)
+    others = elsewhere(evidence, channel, held)
+    remains = _more_than_noise(evidence, channel, others, own)
+    once = not remains and _more_than_noise(evidence, channel, held, own)
     return Left(
         math.sqrt(before),
         math.sqrt(after),
         math.sqrt(own),
         closed,
-        _more_than_noise(evidence, channel, elsewhere(evidence, channel, evidence.base.values[channel]), own),
+        _more_than_noise(evidence, channel, elsewhere(evidence, channel, e), own),
         remains,
-        _times_of(evidence, channel, worst_block(evidence, channel, rest)) if alone else None,
-        channel not in best.held.gain
-        or before < LITTLE * own
-        or closed >= CLOSED
-        or power(elsewhere(evidence, channel, rest)) < LITTLE * own,
+        _times_of(evidence, channel, worst_block(evidence, channel, held)) if once else None,
+        channel not in best.held.gain or before < LITTLE * own or closed >= CLOSED or power(others) < LITTLE * own,
     )
 
 

@@ -35,7 +35,6 @@ TURN = 0.005
 KEPT = 4000
 """References and estimates kept ahead of their cycle."""
 
-
 LOCKSTEP_PATIENCE = 10.0
 """What friction_patience is in lockstep [s]: nothing is late there, and a run stays the same whatever else the machine does."""
 
