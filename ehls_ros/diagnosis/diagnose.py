@@ -184,6 +184,7 @@ def _stage(
         exceeds=any(item.exceeded for item in lefts.values()),
         unexplained=any(not item.mended or (item.remains and item.closed < CLOSED) for item in lefts.values()),
         leaves_much=any(item.exceeded and leaves_much(item) for item in lefts.values()),
+        incident=next((item.incident for item in lefts.values() if item.incident is not None), None),
         depends_on=depends,
     )
 

@@ -24,6 +24,7 @@ class StageResult(NamedTuple):
         exceeds: whether the residual before is more than noise, surely and by enough to matter.
         unexplained: whether the residual after still is.
         leaves_much: whether the causes leave more of it than right ones do as a rule.
+        incident: the stretch in which alone more than noise is left, if there is one [s].
         depends_on: the signals that the residual after depends on, strongest first.
     """
 
@@ -35,6 +36,7 @@ class StageResult(NamedTuple):
     exceeds: bool = False
     unexplained: bool = False
     leaves_much: bool = False
+    incident: tuple[float, float] | None = None
     depends_on: tuple[str, ...] = ()
 
 

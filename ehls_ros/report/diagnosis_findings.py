@@ -236,6 +236,8 @@ def left_over(result: StageResult) -> str:
         return "something is left that no effect explains"
     if result.exceeds:
         return "wrong before, explained now"
+    if result.incident is not None:
+        return f"nothing but noise, except between {result.incident[0]:.1f} and {result.incident[1]:.1f} s"
     return "nothing but noise"
 
 

@@ -20,7 +20,7 @@ from ehls_ros.physics.rig import EffectUse
 from ehls_ros.report import diagnosis_figures as drawn
 from ehls_ros.report import diagnosis_units as units
 from ehls_ros.report.diagnosis import Beside, write_diagnosis_report
-from ehls_ros.report.diagnosis_findings import caveats, verdict_sentence, where_to_look, words
+from ehls_ros.report.diagnosis_findings import caveats, left_over, verdict_sentence, where_to_look, words
 
 RIG = load_rig(Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml")
 DEAD_ZONE = {"positive": Estimate(91.2e-6, 0.4e-6, "m"), "negative": Estimate(80.1e-6, 0.5e-6, "m")}
@@ -215,6 +215,11 @@ def test_a_cause_that_leaves_much_is_doubted(doubted):
     (said,) = (text for text in caveats(make_found(stages={"flow": left})) if "times the noise is left" in text)
     assert ("the list does not have" in said) == doubted
     assert ("right in the main" in said) != doubted
+
+
+def test_an_incident_is_told_beside_the_stage():
+    assert left_over(QUIET) == "nothing but noise"
+    assert left_over(QUIET._replace(incident=(40.0, 42.49))) == "nothing but noise, except between 40.0 and 42.5 s"
 
 
 def test_the_verdict_says_what_stays_open():
