@@ -14,11 +14,17 @@ SPEED_TIME = 0.005
 DRIFT_TIME = 0.1
 """Time over which travel is compared with integrated velocity [s]."""
 
+MODEL_MARGIN = 1.25
+"""The load pressure may move so many times as fast as valve, oil and cylinder of the rig file make it."""
+
 SPREAD = 8.0
 """A reading may scatter by so many standard deviations of its noise."""
 
 OIL_RANGE = (200.0, 450.0)
 """Temperatures oil can have [K]."""
+
+UNITS = ("m", "m/s", "Pa", "m", "N", "Pa", "K")
+"""Of the readings, in the order of ``SENSED``."""
 
 OIL_RATE = 1e3
 """Largest rate of the oil's temperature [K/s]."""
@@ -29,7 +35,7 @@ class Detector:
 
     Attributes:
         name: what it is called in diagnostics.
-        parameter: name of the parameter that says its reaction.
+        parameter: name of the parameter that says its reaction; empty: it cuts, whatever is wanted.
         unit: of value and limit.
         reaction: index into ``REACTIONS``.
         raised: whether the fault is there.
@@ -42,12 +48,12 @@ class Detector:
 
     __slots__ = ("count", "lasted", "limit", "name", "parameter", "raised", "reaction", "seen", "subject", "unit", "value")
 
-    def __init__(self, name: str, unit: str, parameter: str = "") -> None:
-        """Start without a fault; the reaction is set by :meth:`retune`."""
+    def __init__(self, name: str, unit: str, parameter: str | None = None) -> None:
+        """Start without a fault; the reaction is set by :meth:`retune`, and a cut where no parameter names one."""
         self.name = name
-        self.parameter = parameter or f"on_{name}"
+        self.parameter = f"on_{name}" if parameter is None else parameter
         self.unit = unit
-        self.reaction = 0
+        self.reaction = len(REACTIONS) - 1
         self.raised = False
         self.lasted = 0.0
         self.value = 0.0
@@ -58,7 +64,8 @@ class Detector:
 
     def retune(self, parameters: Parameters) -> None:
         """Take the reaction from a parameter set."""
-        self.reaction = REACTIONS.index(getattr(parameters, self.parameter))
+        if self.parameter:
+            self.reaction = REACTIONS.index(getattr(parameters, self.parameter))
 
     def look(self, wrong: bool, value: float, limit: float, elapsed: float = 0.0, lasting: float = 0.0) -> None:
         """Take one more observation.
@@ -100,7 +107,7 @@ def sensor_detectors() -> tuple[Detector, ...]:
         Detector("sensor_not_finite", ""),
         Detector("sensor_range", ""),
         Detector("sensor_jump", ""),
-        Detector("sensor_frozen", ""),
+        Detector("sensor_frozen", "m"),
         Detector("force_mismatch", "N", "on_sensor_mismatch"),
         Detector("position_mismatch", "m", "on_sensor_mismatch"),
         Detector("supply_mismatch", "Pa", "on_sensor_mismatch"),
@@ -113,6 +120,7 @@ class Signal:
     Attributes:
         name: as in ``SENSED``.
         index: its place there.
+        unit: of its readings.
         low: smallest true reading.
         high: largest true reading.
         rate: fastest true change, per second.
@@ -127,13 +135,14 @@ class Signal:
     """
 
     __slots__ = (
-        "gap", "good", "high", "highest", "index", "last", "low", "lowest", "moves", "name", "rate", "scatter", "still",
+        "gap", "good", "high", "highest", "index", "last", "low", "lowest", "moves", "name", "rate", "scatter", "still", "unit",
     )  # fmt: skip
 
     def __init__(self, index: int, sensor: Sensor) -> None:
         """Start without a reading; range and rate are set by :meth:`Readings.retune`."""
         self.name = SENSED[index]
         self.index = index
+        self.unit = UNITS[index]
         self.low = self.high = self.rate = math.nan
         self.scatter = 2.0 * SPREAD * sensor.noise_std + 2.0 * sensor.resolution
         self.moves = index not in {SUPPLY_PRESSURE, OIL_TEMPERATURE}
@@ -161,10 +170,20 @@ class Readings:
             self._not_finite, self._range, self._jump, self._frozen,
             self._force_mismatch, self._position_mismatch, self._supply_mismatch,
         ) = (detectors[detector.name] for detector in sensor_detectors())  # fmt: skip
-        self._drift = 0.0
-        self._speed = 0.0
-        self._last_position = self._last_velocity = math.nan
+        plant = rig.plant
+        self._stiffness = 4.0 * plant.bulk_modulus / plant.total_volume
+        self._flow = plant.discharge_coefficient * plant.valve_area_gradient / math.sqrt(plant.oil_density)
+        self._lag = 1.0 / plant.valve_bandwidth
+        self.begin()
         self.retune(parameters)
+
+    def begin(self) -> None:
+        """Forget the snapshots so far: the next one follows none."""
+        self._drift = self._speed = self._opening = 0.0
+        self._last_position = self._last_velocity = math.nan
+        for signal in self._signals:
+            signal.good = signal.last = math.nan
+            signal.gap = signal.still = signal.lowest = signal.highest = 0.0
 
     def retune(self, parameters: Parameters) -> None:
         """Put other limits in force."""
@@ -228,13 +247,35 @@ class Readings:
             written: the command last written [m].
             reference: what the force should be [N]; NaN where nobody knows.
         """
+        self._follow_flow(values, elapsed, written)
         self._look_at_signals(values, elapsed, written)
         self._look_at_limits(values, elapsed, written, reference)
         self._look_at_mismatches(values, elapsed)
 
+    def _follow_flow(self, values: Sequence[float], elapsed: float, written: float) -> None:
+        """Bound the rate of the load pressure by what valve and piston can move: equations (1) and (2)."""
+        plant = self._rig.plant
+        # The spool follows with its lag, so that it may stand open while the command is back at null.
+        self._opening = max(abs(plant.valve_gain * written), self._opening * math.exp(-elapsed / self._lag))
+        opening = max(self._opening, abs(self._known(SPOOL, values, 0.0)))
+        head = plant.supply_pressure + abs(self._known(LOAD_PRESSURE, values, plant.supply_pressure))
+        speed = abs(self._known(VELOCITY, values, self._speed))
+        flow = self._flow * opening * math.sqrt(head) + plant.piston_area * speed
+        rate = max(self._p.pressure_rate, MODEL_MARGIN * self._stiffness * flow)
+        for signal in self._signals:
+            if signal.index == LOAD_PRESSURE:
+                signal.rate = rate
+            elif signal.index == FORCE:
+                signal.rate = plant.piston_area * rate
+
+    def _known(self, index: int, values: Sequence[float], otherwise: float) -> float:
+        """Return a reading, or something else where it is not measured or no number."""
+        return values[index] if self._has[index] and math.isfinite(values[index]) else otherwise
+
     def _look_at_signals(self, values: Sequence[float], elapsed: float, written: float) -> None:
         p = self._p
         not_finite = impossible = jumped = frozen = None
+        jump = 0.0
         for signal in self._signals:
             value = values[signal.index]
             signal.gap += elapsed
@@ -244,7 +285,8 @@ class Readings:
             if not signal.low <= value <= signal.high:
                 impossible = impossible or signal
             elif abs(value - signal.good) > signal.rate * signal.gap + signal.scatter:
-                jumped = jumped or signal
+                if jumped is None:
+                    jumped, jump = signal, (value - signal.good) / signal.gap if signal.gap > 0.0 else math.inf
             else:
                 signal.good, signal.gap = value, 0.0
             if value != signal.last or not signal.moves:
@@ -255,10 +297,15 @@ class Readings:
             signal.lowest, signal.highest = min(signal.lowest, written), max(signal.highest, written)
             if signal.still >= p.frozen_time and signal.highest - signal.lowest >= p.frozen_command:
                 frozen = frozen or signal
-        _tell(self._not_finite, not_finite, values, math.inf)
-        _tell(self._range, impossible, values, impossible.high if impossible else math.inf)
-        _tell(self._jump, jumped, values, jumped.rate if jumped else math.inf)
-        _tell(self._frozen, frozen, values, p.frozen_command)
+        _tell(self._not_finite, not_finite, values[not_finite.index] if not_finite else 0.0, math.inf)
+        _tell(
+            self._range,
+            impossible,
+            values[impossible.index] if impossible else 0.0,
+            impossible.high if impossible else math.inf,
+        )
+        _tell(self._jump, jumped, jump, jumped.rate if jumped else math.inf, "/s")
+        _tell(self._frozen, frozen, frozen.highest - frozen.lowest if frozen else 0.0, p.frozen_command)
 
     def _look_at_limits(self, values: Sequence[float], elapsed: float, written: float, reference: float) -> None:
         p, has = self._p, self._has
@@ -307,9 +354,12 @@ class Readings:
             self._supply_mismatch.look(above > p.supply_mismatch, above, p.supply_mismatch, elapsed, p.mismatch_time)
 
 
-def _tell(detector: Detector, signal: Signal | None, values: Sequence[float], limit: float) -> None:
+def _tell(detector: Detector, signal: Signal | None, value: float, limit: float, per: str = "") -> None:
+    """Show a detector the first signal in which its fault is, if there is one; ``per`` is appended to the signal's unit."""
     if signal is not None:
-        detector.subject = signal.name
-        detector.look(True, values[signal.index], limit)
+        if not detector.raised:
+            detector.subject = signal.name
+            detector.unit = detector.unit if detector.name == "sensor_frozen" else f"{signal.unit}{per}"
+        detector.look(True, value, limit)
     elif detector.raised:
         detector.look(False, 0.0, limit)

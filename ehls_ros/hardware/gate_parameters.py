@@ -1,9 +1,11 @@
 """The safety gate's limits, times and reactions.
 
-No value the declarations accept can take the protection away: times have an upper bound, limits cannot be set beyond the
-rig's own, and a command that stays away is never put up with.
+The declarations bound what may be said at all. Before a real actuator :mod:`ehls_ros.hardware.gate_bounds` narrows that to what
+the rig stands. What protects the rig itself - force, pressure, position, velocity, a stale snapshot, a stale command - never
+only warns.
 """
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Final, NamedTuple
 
 from pydantic import Field
@@ -12,6 +14,9 @@ from ehls_ros.schema import quantity
 
 REACTIONS = WARN, HOLD, RAMP, CUT = ("warn", "hold", "ramp", "cut")
 """What may follow a fault, mildest first: say so; keep the last safe command for a while; ramp to null; null at once."""
+
+PROTECTS_WHEN_LARGER = frozenset({"enable_time", "position_margin"})
+"""Numbers of which more protects more; of all others, less does."""
 
 SIMULATED: Final[dict[str, float]] = {
     "enable_time": 0.0, "position_margin": -0.005, "command_timeout": 0.5, "sensor_timeout": 0.5,
@@ -60,7 +65,12 @@ class Parameters(NamedTuple):
         float, quantity("1", "multiple of the rig's limits beyond which no reading is true", minimum=1.0, maximum=10.0)
     ] = 1.5
     acceleration: Annotated[float, quantity("m/s^2", "largest true acceleration", above=0.0, maximum=1e5)] = 1e3
-    pressure_rate: Annotated[float, quantity("Pa/s", "largest true rate of a pressure", above=0.0, maximum=1e11)] = 2e9
+    pressure_rate: Annotated[
+        float,
+        quantity(
+            "Pa/s", "rate of a pressure that is never a jump; an open valve makes the load's faster", above=0.0, maximum=1e11
+        ),
+    ] = 2e9
     frozen_time: Annotated[
         float, quantity("s", "how long a reading that repeats itself is put up with", minimum=0.005, maximum=10.0)
     ] = 0.05
@@ -84,15 +94,44 @@ class Parameters(NamedTuple):
     on_command_stale: Annotated[str, reaction("no fresh command", least=HOLD)] = CUT
     on_command_order: Annotated[str, reaction("command for a cycle already answered, too old or to come; it is ignored")] = WARN
     on_second_sender: Annotated[str, reaction("command of another sender than the first; it is ignored")] = WARN
-    on_force: Annotated[str, reaction("force beyond its limit")] = CUT
-    on_load_pressure: Annotated[str, reaction("load pressure beyond its limit")] = CUT
-    on_velocity: Annotated[str, reaction("velocity beyond its limit")] = RAMP
-    on_position: Annotated[str, reaction("position beyond its limits while the command leads further out")] = CUT
+    on_force: Annotated[str, reaction("force beyond its limit", least=RAMP)] = CUT
+    on_load_pressure: Annotated[str, reaction("load pressure beyond its limit", least=RAMP)] = CUT
+    on_velocity: Annotated[str, reaction("velocity beyond its limit", least=RAMP)] = RAMP
+    on_position: Annotated[str, reaction("position beyond its limits while the command leads further out", least=RAMP)] = CUT
     on_force_error: Annotated[str, reaction("lasting error of the force")] = RAMP
-    on_sensor_not_finite: Annotated[str, reaction("reading that is no finite number")] = HOLD
+    on_sensor_not_finite: Annotated[str, reaction("reading that is no finite number", least=HOLD)] = HOLD
     on_sensor_range: Annotated[str, reaction("reading out of its physical range")] = RAMP
     on_sensor_jump: Annotated[str, reaction("reading that moves faster than the rig can")] = RAMP
     on_sensor_frozen: Annotated[str, reaction("reading that stands still while the command moves")] = RAMP
     on_sensor_mismatch: Annotated[str, reaction("readings that contradict each other")] = RAMP
-    on_sensor_stale: Annotated[str, reaction("no fresh snapshot")] = CUT
+    on_sensor_stale: Annotated[str, reaction("no fresh snapshot", least=RAMP)] = CUT
     on_clock: Annotated[str, reaction("time that is no number, stands still or goes back; a period is counted instead")] = WARN
+
+
+class Change(NamedTuple):
+    """One parameter that is other than before."""
+
+    name: str
+    before: float | str
+    after: float | str
+
+    @property
+    def weakens(self) -> bool:
+        """Whether the gate protects less with it."""
+        if isinstance(self.after, str):
+            return REACTIONS.index(self.after) < REACTIONS.index(str(self.before))
+        larger = self.after > float(self.before)
+        return larger != (self.name in PROTECTS_WHEN_LARGER)
+
+    def __str__(self) -> str:
+        """Return it in a few words."""
+        what = f"{self.before:g} -> {self.after:g}" if isinstance(self.after, float) else f"{self.before} -> {self.after}"
+        return f"{self.name} {what}{' (weaker)' if self.weakens else ''}"
+
+
+def changes(before: Parameters, after: Parameters) -> Iterator[Change]:
+    """Yield what differs between two parameter sets."""
+    old, new = before._asdict(), after._asdict()
+    for name in Parameters._fields:
+        if old[name] != new[name]:
+            yield Change(name, old[name], new[name])

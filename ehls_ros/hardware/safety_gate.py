@@ -3,55 +3,77 @@
 Nothing reaches the valve but what :meth:`Gate.step` returns: a finite number within the rig's spool limit, whatever came in.
 Faults are seen by detectors; each has a reaction. ``warn`` says so and goes on. ``hold`` keeps the last safe command and goes
 on once the fault is gone; holding that uses up ``hold_time`` becomes a ramp. ``ramp`` leads to null in ``ramp_time``, ``cut``
-is null at once. Ramp and cut are latched until :meth:`Gate.reset`, and after that the gate has to be enabled again.
+is null at once. Ramp and cut are latched until :meth:`Gate.reset`, and after that the gate has to be enabled again. An
+emergency stop has to be acknowledged by its name before that. docs/hardware.md has a table of all states and transitions.
 
 The calls, in each cycle's order::
 
     gate = Gate(rig, period)
+    gate.begin()                                        # the loop begins; gate.leave() ends it, at null
     gate.sense(cycle, readings, force_reference)        # a new snapshot, before it is sent out
     gate.take(cycle_answered, spool, sender)            # for each command that came in
     gate.enable()                                       # once, when asked to: None, or why not
     write(gate.step(monotonic_seconds))                 # every cycle, whether a command came or not
 
-Every call may come from any thread, and none of these raises, whatever it is given.
+Every call may come from any thread, and but for the making and :meth:`Gate.retune` none raises, whatever it is given.
 """
 
 import math
 import operator
 import threading
-from collections.abc import Collection, Sequence
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ehls_ros.errors import BadInput
+from ehls_ros.hardware.command_intake import HOLD_REACTION, ROUNDING, CommandIntake
 from ehls_ros.hardware.detectors import Detector, Readings, sensor_detectors
-from ehls_ros.hardware.gate_parameters import REACTIONS, Parameters
+from ehls_ros.hardware.gate_bounds import Bound, bounds_of, out_of_bounds, within
+from ehls_ros.hardware.gate_parameters import REACTIONS, Parameters, changes
 from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.schema import parse
 
-STATES = DISABLED, ENABLING, ACTIVE, HOLDING, RAMPING, CUT = ("disabled", "enabling", "active", "holding", "ramping", "cut")
-"""Disabled, ramping and cut end at null and stay there; ramping and cut are latched."""
+STATES = DISABLED, ENABLING, ACTIVE, HOLDING, RAMPING, CUT, STOPPED = (
+    "disabled", "enabling", "active", "holding", "ramping", "cut", "stopped",
+)  # fmt: skip
+"""Disabled, ramping, cut and stopped end at null and stay there; the last three are latched."""
+
+DRIVING = frozenset({ENABLING, ACTIVE, HOLDING})
+"""States in which commands reach the actuator."""
 
 OK, WARN, ERROR = range(3)
 """Levels of :meth:`Gate.health`."""
 
-WARN_REACTION, HOLD_REACTION, RAMP_REACTION, CUT_REACTION = range(len(REACTIONS))
+WARN_REACTION, _, RAMP_REACTION, CUT_REACTION = range(len(REACTIONS))
 
 STOP = "emergency_stop"
+LEFT = "left_active"
+"""Causes that no detector sees: somebody asked for a stop; the loop ended while commands reached the actuator."""
+
+STOP_TIME = 1.0
+"""An emergency stop lasts so long at least [s]."""
+
+DEAF = 1.0
+"""Time in which no service answers after which an emergency stop could not be heard [s]."""
+
+REACH = 3
+"""However much time has passed, the output moves and is blended in no further than it could in so many periods."""
 
 RECOVERY = 0.1
-"""While commands pass, the time that may be spent holding grows back at this part of time's pace."""
+"""While commands pass, the time that may be spent holding grows back at this fraction of time's pace."""
 
 NOTICE = 2.0
 """How long diagnostics speak of a fault that is over [s]."""
 
 LEAST_STEP = 0.01
-"""A clock that moves by less than this part of a period from step to step stands still."""
-
-ROUNDING = 1e-9
-"""Ages are sums of periods [s]."""
+"""A clock that moves by less than this fraction of a period from step to step stands still."""
 
 LARGEST_CYCLE = 2**63
 """Cycles are numbers of 64 bits."""
+
+CHANGES_KEPT = 20
+"""Changes of parameters that diagnostics tell."""
 
 NO_READINGS = (math.nan,) * len(SENSED)
 
@@ -79,9 +101,11 @@ class Cause(NamedTuple):
 
     def __str__(self) -> str:
         """Return it in a line."""
-        if self.detector == STOP:
-            return "emergency stop"
+        if self.detector in {STOP, LEFT}:
+            return self.detector.replace("_", " ")
         about = f" of {self.subject}" if self.subject else ""
+        if math.isnan(self.limit):
+            return f"{self.detector}{about}"
         unit = f" {self.unit}" if self.unit else ""
         return f"{self.detector}{about}: {self.value:.6g}{unit}, limit {self.limit:.6g}{unit}"
 
@@ -94,108 +118,178 @@ class Gate:
         state: one of :data:`STATES`.
         output: the command written last [m].
         causes: what tripped it, first cause first; empty while it is not tripped.
-        owner: whose commands are taken; None: whoever comes first.
         detectors: by name.
     """
 
     def __init__(
-        self, rig: Rig, period: float, parameters: Parameters | None = None, measured: Collection[str] = SENSED
+        self,
+        rig: Rig,
+        period: float,
+        parameters: Parameters | None = None,
+        measured: Collection[str] = SENSED,
+        *,
+        bounds: Mapping[str, Bound] | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Start disabled, at null.
+        """Start disabled, at null, not begun.
 
         Args:
             rig: the rig behind the actuator, for its limits.
             period: control period [s].
-            parameters: limits and reactions; None: the declared defaults.
+            parameters: limits and reactions; None: the declared defaults, put within the bounds.
             measured: signals of ``SENSED`` the rig measures; what the others hold is never looked at.
+            bounds: what the parameters may be; None: what the rig stands; empty before what cannot be harmed.
+            clock: of the emergency stop's time [s].
 
         Raises:
             BadInput: a parameter, the period, a signal or one of the rig's limits is wrong.
         """
-        chosen = _checked(Parameters() if parameters is None else parameters)
         _check_rig(rig, period, measured)
+        self._bounds = bounds_of(rig, float(period)) if bounds is None else bounds
+        chosen = _checked(within(Parameters(), self._bounds) if parameters is None else parameters)
+        for complaint in out_of_bounds(chosen, self._bounds):
+            raise complaint
         self._lock = threading.Lock()
+        self._clock = clock
         self._period = float(period)
         self._limit = float(rig.limits.spool)
-        order = (
-            Detector("command_not_finite", "m"),
-            Detector("command_range", "m"),
-            Detector("command_rate", "m/s"),
-            Detector("command_stale", "s"),
-            Detector("command_order", "cycles"),
-            Detector("second_sender", ""),
-            *sensor_detectors(),
-            Detector("sensor_stale", "s"),
-            Detector("clock", "s"),
-        )
-        self.detectors = {detector.name: detector for detector in order}
-        (
-            self._not_finite, self._range, self._rate, self._stale, self._order, self._stranger,
-        ) = order[:6]  # fmt: skip
-        self._blind, self._clock = order[-2:]
-        self._all = order
+        self._commands = CommandIntake(self._limit, self._period)
+        self._stale = Detector("command_stale", "s")
+        self._blind = Detector("sensor_stale", "s")
+        self._steady = Detector("clock", "s")
+        self._gap = Detector("gap", "s", "")
+        self._shut = Detector("device_null", "", "")
+        self._unheard = Detector("services_silent", "s", "")
+        # Of two faults that are as bad the first is named the first cause.
+        whole = (self._gap, self._shut, self._unheard)
+        self._all = (*whole, *self._commands.detectors, *sensor_detectors(), self._stale, self._blind, self._steady)
+        self.detectors = {detector.name: detector for detector in self._all}
         self._readings = Readings(rig, measured, chosen, self.detectors)
         self._put_in_force(chosen)
         self.state = DISABLED
         self.output = 0.0
         self.causes: list[Cause] = []
-        self.owner: str | None = None
-        self._stopped = False
-        self._time = math.nan
+        self._stops = 0
+        self._stopped_at = -math.inf
+        self._changes: deque[str] = deque(maxlen=CHANGES_KEPT)
         self._now = 0.0
-        self._newest = -1
-        self._sensed = False
-        self._snapshot_age = math.inf
-        self._command = 0.0
-        self._answered = -1
-        self._taken = False
-        self._command_age = math.inf
-        self._held = 0.0
-        self._blend = 0.0
-        self._start = 0.0
-        self._slope = math.inf
+        self._forget_cycles()
+        self._begun = False
 
     @property
     def driving(self) -> bool:
         """Whether commands reach the actuator."""
-        return self.state in {ENABLING, ACTIVE, HOLDING}
+        return self.state in DRIVING
+
+    @property
+    def owner(self) -> str | None:
+        """Whose commands are taken; None: whoever comes first."""
+        return self._commands.owner
+
+    @property
+    def stop(self) -> str:
+        """Name of the emergency stop that is engaged; empty where none is."""
+        return f"stop-{self._stops}" if self.state == STOPPED else ""
+
+    def begin(self) -> None:
+        """Let the loop begin: cycles and their ages are counted anew; what is latched stays so."""
+        with self._lock:
+            self._forget_cycles()
+            self._begun = True
+
+    def leave(self) -> None:
+        """End the loop, at null at once; a gate that was open has to be reset and enabled to go on."""
+        with self._lock:
+            self._begun = False
+            self.output = 0.0
+            if self.driving:
+                self.causes.append(Cause(LEFT, REACTIONS[CUT_REACTION], self._time, math.nan, math.nan, "", ""))
+            if self.driving or self.state == RAMPING:
+                self.state = CUT
+            self._commands.begin()
+
+    def _forget_cycles(self) -> None:
+        self._commands.begin()
+        self._readings.begin()
+        self._time = math.nan
+        self._newest = -1
+        self._sensed = False
+        self._lag = 0.0
+        self._snapshot_age = math.inf
+        self._held = 0.0
+        self._blend = 0.0
+        self._start = 0.0
+        self._slope = math.inf
+        for detector in self._all:
+            detector.look(False, 0.0, detector.limit)
 
     def retune(self, parameters: Parameters) -> None:
         """Put other limits and reactions in force from the next call on.
 
         Raises:
-            BadInput: one of them is out of its range; the old ones stay.
+            BadInput: one of them is out of its range, or :meth:`objection` has something against them; the old ones stay.
         """
         chosen = _checked(parameters)
         with self._lock:
+            wrong = self._objection(chosen)
+            if wrong is not None:
+                raise wrong
+            self._changes.extend(f"{change} at {self._time:.3f} s" for change in changes(self.parameters, chosen))
             self._readings.retune(chosen)
             self._put_in_force(chosen)
+
+    def objection(self, parameters: Parameters) -> BadInput | None:
+        """Return what speaks against other parameters now: the rig does not stand them, or they weaken an open gate."""
+        with self._lock:
+            return self._objection(parameters)
+
+    def _objection(self, parameters: Parameters) -> BadInput | None:
+        beyond = next(out_of_bounds(parameters, self._bounds), None)
+        if beyond is not None or not self.driving:
+            return beyond
+        weaker = next((change for change in changes(self.parameters, parameters) if change.weakens), None)
+        return None if weaker is None else BadInput(f"{weaker}", "safety gate", "a disabled gate for what protects less")
 
     def _put_in_force(self, chosen: Parameters) -> None:
         self.parameters = chosen
         for detector in self._all:
             detector.retune(chosen)
-        self._range.limit, self._rate.limit = self._limit, chosen.command_rate
+        self._commands.retune(chosen)
         self._stale.limit, self._blind.limit = chosen.command_timeout, chosen.sensor_timeout
+        self._gap.limit = min(chosen.command_timeout, chosen.sensor_timeout)
 
-    def sense(self, cycle: int, measured: Sequence[float], reference: float = math.nan) -> None:
+    def sense(
+        self,
+        cycle: int,
+        measured: Sequence[float],
+        reference: float = math.nan,
+        *,
+        elapsed: float | None = None,
+        lag: float = 0.0,
+        at_null: bool = False,
+    ) -> None:
         """Take a snapshot.
 
         Args:
             cycle: its number, counted up; one not above the last is no new snapshot.
             measured: readings in the order of ``SENSED``, shape (7,).
             reference: what the force should be in this cycle [N]; NaN where it is not known.
+            elapsed: time since the last one by the rig's own clock [s]; None: as many periods as cycles.
+            lag: how long it was on its way [s].
+            at_null: the device keeps the valve closed by itself.
         """
         number = _integer(cycle)
         with self._lock:
             if number is None or number <= self._newest:
                 return
-            elapsed = (number - self._newest) * self._period if self._newest >= 0 else 0.0
+            periods = (number - self._newest) * self._period if self._newest >= 0 else 0.0
             self._newest = number
             self._sensed = True
+            self._lag = max(_number(lag), 0.0)
+            self._shut.look(bool(at_null), math.nan, math.nan)
             # What is not driven owes no force.
             wanted = _number(reference) if self.state in {ACTIVE, HOLDING} else math.nan
-            self._readings.look(_readings(measured), elapsed, self.output, wanted)
+            self._readings.look(_readings(measured), periods if elapsed is None else elapsed, self.output, wanted)
 
     def take(self, cycle: int, spool: float, sender: str = "") -> bool:
         """Take a command that came in.
@@ -210,53 +304,13 @@ class Gate:
         """
         number, value = _integer(cycle), _number(spool)
         with self._lock:
-            if number is None:
-                self._order.again(math.nan, float(self._newest), "no cycle")
-                return False
-            return self._is_owner(str(sender)) and self._is_due(number) and self._is_sound(number, value)
+            followed = self.state in {ACTIVE, HOLDING}
+            return self._commands.take(number, value, str(sender), self._newest, followed=followed)
 
-    def _is_owner(self, sender: str) -> bool:
-        silent = not self._taken and self._command_age >= self.parameters.command_timeout - ROUNDING
-        if self.owner is None or silent:
-            self.owner = sender
-        elif sender != self.owner:
-            self._stranger.again(math.nan, math.nan, sender)
-            return False
-        return True
-
-    def _is_due(self, number: int) -> bool:
-        """Tell whether a command answers a cycle that is neither to come, nor answered, nor long past."""
-        if number > self._newest:
-            self._order.again(float(number - self._newest), 0.0, "to come")
-        elif number == self._answered:
-            self._order.again(0.0, 1.0, "duplicate")
-        elif number < self._answered:
-            self._order.again(float(number - self._answered), 1.0, "out of order")
-        elif (self._newest - number) * self._period >= self.parameters.command_timeout - ROUNDING:
-            self._order.again(float(self._newest - number), self.parameters.command_timeout / self._period, "too old")
-        else:
-            return True
-        return False
-
-    def _is_sound(self, number: int, value: float) -> bool:
-        """Tell whether a command's value may be followed, and keep it if so."""
-        finite = math.isfinite(value)
-        self._not_finite.look(not finite, value, math.inf)
-        if not finite:
-            return False
-        beyond = abs(value) > self._limit
-        self._range.look(beyond, value, self._limit)
-        if beyond and self._range.reaction >= HOLD_REACTION:
-            return False
-        value = min(max(value, -self._limit), self._limit)
-        rate = abs(value - self._command) / ((number - self._answered) * self._period)
-        # Where it does not act, and while it is blended in, a command may jump: the output does not.
-        fast = rate > self.parameters.command_rate and self._answered >= 0 and self.state in {ACTIVE, HOLDING}
-        self._rate.look(fast, rate, self.parameters.command_rate)
-        if fast and self._rate.reaction >= HOLD_REACTION:
-            return False
-        self._command, self._answered, self._taken = value, number, True
-        return True
+    def hear(self, silence: float) -> None:
+        """Tell for how long no service has been answered [s]: while none is, nobody could stop the rig."""
+        with self._lock:
+            self._unheard.look(not silence <= DEAF, silence, DEAF)
 
     def step(self, time: float) -> float:
         """Decide on the command to write; to be called once a cycle, whatever came in.
@@ -270,6 +324,7 @@ class Gate:
         moment = _number(time)
         with self._lock:
             elapsed = self._elapsed(moment)
+            self._gap.look(self.driving and elapsed > self._gap.limit + ROUNDING, elapsed, self._gap.limit)
             self._age(elapsed)
             worst = self._worst()
             self._react(worst, elapsed)
@@ -281,7 +336,7 @@ class Gate:
         elapsed = time - self._time
         sound = LEAST_STEP * self._period < elapsed < math.inf
         first = math.isnan(self._time) and math.isfinite(time)
-        self._clock.look(not (sound or first), elapsed, 0.0)
+        self._steady.look(not (sound or first), elapsed, 0.0)
         if math.isfinite(time):
             self._time = time
         if not sound:
@@ -292,9 +347,9 @@ class Gate:
     def _age(self, elapsed: float) -> None:
         """Let command and snapshot age, unless they are new, and look whether they are stale."""
         p = self.parameters
-        self._command_age = 0.0 if self._taken else self._command_age + elapsed
-        self._snapshot_age = 0.0 if self._sensed else self._snapshot_age + elapsed
-        self._taken = self._sensed = False
+        self._commands.grow_old(elapsed)
+        self._snapshot_age = self._lag if self._sensed else self._snapshot_age + elapsed
+        self._sensed = False
         age = self._age_of_command()
         # Before it is enabled, nobody need command.
         missed = self.state != DISABLED and age >= p.command_timeout - ROUNDING
@@ -302,8 +357,7 @@ class Gate:
         self._blind.look(self._snapshot_age >= p.sensor_timeout - ROUNDING, self._snapshot_age, p.sensor_timeout)
 
     def _age_of_command(self) -> float:
-        """Return the age of what the gate follows: since it came, or of the cycle it answers if that is more."""
-        return max(self._command_age, (self._newest - self._answered) * self._period)
+        return self._commands.age(self._newest, self._lag)
 
     def _worst(self) -> Detector | None:
         """Return the fault with the strongest reaction; None where nothing is to be done."""
@@ -316,9 +370,8 @@ class Gate:
         return worst
 
     def _react(self, worst: Detector | None, elapsed: float) -> None:
-        for detector in (self._order, self._stranger):
-            detector.raised = False
-        if worst is not None and self.state in {RAMPING, CUT}:
+        self._commands.messages_seen()
+        if worst is not None and self.state in {RAMPING, CUT, STOPPED}:
             self._trip(worst, worst.reaction)
         elif self.driving:
             if worst is None:
@@ -341,6 +394,8 @@ class Gate:
                 self.causes.append(
                     Cause(detector.name, named, self._time, detector.value, detector.limit, detector.unit, detector.subject)
                 )
+        if self.state == STOPPED:
+            return
         if reaction == CUT_REACTION:
             self.state = CUT
         elif self.state not in {RAMPING, CUT} and reaction == RAMP_REACTION:
@@ -353,19 +408,20 @@ class Gate:
 
     def _move(self, elapsed: float) -> None:
         """Bring the output where the state wants it."""
-        if self.state in {ENABLING, ACTIVE}:
-            wanted = self._command
+        if not self._begun or self.state in {CUT, STOPPED}:
+            self.output = 0.0
+        elif self.state in {ENABLING, ACTIVE}:
+            passed = min(elapsed, REACH * self._period)
+            wanted = self._commands.value
             if self.state == ENABLING:
-                self._blend = self._blended(elapsed)
-                wanted = self._start + self._blend * (self._command - self._start)
+                self._blend = self._blended(passed)
+                wanted = self._start + self._blend * (wanted - self._start)
                 if self._blend >= 1.0:
-                    self.state, wanted = ACTIVE, self._command
-            reach = self.parameters.command_rate * max(elapsed, self._period)
+                    self.state, wanted = ACTIVE, self._commands.value
+            reach = self.parameters.command_rate * max(passed, self._period)
             if abs(wanted - self.output) > reach:
                 wanted = self.output + math.copysign(reach, wanted - self.output)
             self.output = min(max(wanted, -self._limit), self._limit)
-        elif self.state == CUT:
-            self.output = 0.0
         elif self.state != HOLDING:
             left = abs(self.output) - self._slope * elapsed
             self.output = math.copysign(left, self.output) if left > 0.0 else 0.0
@@ -392,17 +448,18 @@ class Gate:
             return None
 
     def _why_not(self) -> str | None:
+        if not self._begun:
+            return "the node is not active"
+        if self.state == STOPPED:
+            return f"{self.stop} is engaged; acknowledge_stop first"
         if self.causes:
-            return f"tripped by {self.causes[0]}; reset first"
-        if self._stopped:
-            return "emergency stop is engaged"
+            return f"tripped by {self.causes[0]}; reset_trips first"
         fault = self._fault()
         if fault is not None:
             return f"{fault.name} persists"
         if not self._sensed and self._snapshot_age >= self.parameters.sensor_timeout - ROUNDING:
             return "no fresh snapshot"
-        age = (self._newest - self._answered) * self._period if self._taken else self._age_of_command()
-        return "no fresh command" if age >= self.parameters.command_timeout - ROUNDING else None
+        return "no fresh command" if self._age_of_command() >= self.parameters.command_timeout - ROUNDING else None
 
     def _fault(self) -> Detector | None:
         """Return a fault that is there now and would not be let pass."""
@@ -411,22 +468,43 @@ class Gate:
     def disable(self) -> None:
         """Lead the output to null and let the actuator's owner go."""
         with self._lock:
-            self.owner = None
+            self._commands.owner = None
             if self.driving:
                 self._ramp(DISABLED)
 
-    def emergency_stop(self, engaged: bool = True) -> None:
-        """Cut and latch.
+    def emergency_stop(self) -> str:
+        """Cut, and latch until it is acknowledged.
 
-        Args:
-            engaged: False lets go of the stop; the trip stays until it is reset.
+        Returns:
+            Its name; a stop on top of another has one of its own, and its own time.
         """
         with self._lock:
-            self._stopped = bool(engaged)
-            if engaged:
-                self.state = CUT
-                if all(cause.detector != STOP for cause in self.causes):
-                    self.causes.append(Cause(STOP, REACTIONS[CUT_REACTION], self._time, math.nan, math.nan, "", ""))
+            self._stops += 1
+            self._stopped_at = self._clock()
+            self.state = STOPPED
+            if all(cause.detector != STOP for cause in self.causes):
+                self.causes.append(Cause(STOP, REACTIONS[CUT_REACTION], self._time, math.nan, math.nan, "", ""))
+            return self.stop
+
+    def acknowledge(self, stop: str) -> str | None:
+        """Let go of an emergency stop; the trip stays until it is reset.
+
+        Args:
+            stop: its name.
+
+        Returns:
+            None, or why that cannot be: it is not the one that is engaged, or not yet :data:`STOP_TIME` old.
+        """
+        with self._lock:
+            if self.state != STOPPED:
+                return "no emergency stop is engaged"
+            if stop != self.stop:
+                return f"the stop that is engaged is {self.stop}, not {stop!r}"
+            lasted = self._clock() - self._stopped_at
+            if lasted < STOP_TIME:
+                return f"{self.stop} is {lasted:.1f} s old; it lasts {STOP_TIME:g} s at least"
+            self.state = CUT
+            return None
 
     def reset(self) -> str | None:
         """Clear the trip once its causes are gone; the gate is disabled then, at null.
@@ -437,29 +515,33 @@ class Gate:
         with self._lock:
             if not self.causes:
                 return None
-            if self._stopped:
-                return "emergency stop is engaged"
+            if self.state == STOPPED:
+                return f"{self.stop} is engaged; acknowledge_stop first"
             if self.output != 0.0:
                 return "not at null yet"
             fault = self._fault()
             if fault is not None:
                 return f"{fault.name} persists"
             self.causes.clear()
-            self.state, self.owner = DISABLED, None
+            self.state, self._commands.owner = DISABLED, None
             return None
 
     def health(self) -> tuple[int, str, dict[str, Any]]:
         """Return level, message and figures for diagnostics: every limit, reaction and count in force."""
         with self._lock:
             lately = [d for d in self._all if d.raised or self._now - d.seen < NOTICE]
-            if self.causes:
-                level, message = ERROR, f"{self.state}, tripped by {self.causes[0]}"
+            if self.causes and self.causes[0].detector == LEFT:
+                level, message = OK, f"{self.state}; reset_trips, then enable to go on"
+            elif self.causes:
+                first = f"acknowledge_stop {self.stop}, then " if self.stop else ""
+                level, message = ERROR, f"{self.state}, tripped by {self.causes[0]}; {first}reset_trips and enable to go on"
             elif lately:
                 level, message = WARN, f"{self.state}; {', '.join(d.name for d in lately)}"
             else:
                 level, message = OK, self.state
             figures: dict[str, Any] = {
                 "state": self.state,
+                "stop": self.stop,
                 "output_m": self.output,
                 "output_limit_m": self._limit,
                 "owner": self.owner if self.owner is not None else "nobody",
@@ -469,6 +551,8 @@ class Gate:
             }
             for number, cause in enumerate(self.causes, 1):
                 figures[f"cause_{number}"] = f"{cause} at {cause.time:.6f} s, {cause.reaction}"
+            for number, change in enumerate(self._changes, 1):
+                figures[f"change_{number}"] = change
             for detector in self._all:
                 figures[f"fault_{detector.name}"] = _line(detector)
             figures |= self.parameters._asdict()

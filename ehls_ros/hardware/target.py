@@ -19,6 +19,9 @@ newer than the last; it answers a measurement older than the watchdog's time; it
 class Target:
     """Sessions, the last command and the watchdog.
 
+    Once the watchdog has closed the valve, or another computer takes over, only a command of null opens the way for others:
+    who has not seen that the valve was closed would open it again in one step.
+
     Attributes:
         address: where measurements go; None before the first hello.
         answered: sequence number of the measurement that the last command answers; -1 before the first command.
@@ -44,6 +47,7 @@ class Target:
         self._commanded_at = 0.0
         self._watchdog = 0.0
         self._tripped = False
+        self._locked = False
         self.address: Any = None
         self.answered = -1
         self.commanded = 0
@@ -76,7 +80,8 @@ class Target:
             return self._null, Status.WAITING
         if now - self._commanded_at > self._watchdog:
             self._counts["watchdog"] += not self._tripped
-            self._tripped = True
+            self._tripped = self._locked = True
+        if self._locked:
             return self._null, Status.WATCHDOG
         return self._command, Status.COMMANDED
 
@@ -101,6 +106,7 @@ class Target:
         if packet.session != self._peer or sender != self.address:
             if self._peer and now - self._heard < SILENCE:
                 return "busy"
+            self._locked = self._peer != 0
             self._peer, self.address, self._heard = packet.session, sender, now
             self.answered, self.commanded = -1, 0
         self.greeted = True
@@ -112,6 +118,7 @@ class Target:
             return wrong
         self.commanded, self.answered = packet.sequence, packet.answered
         self._command = packet.values[0]
+        self._locked &= self._command != self._null
         self._watchdog = min(1e-6 * packet.watchdog_us, LONGEST_WATCHDOG)
         self._commanded_at = self._heard = now
         self._tripped = False

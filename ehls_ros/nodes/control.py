@@ -6,6 +6,8 @@ import os
 import signal
 import sys
 import threading
+import time
+import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import FrameType
@@ -13,15 +15,17 @@ from typing import Annotated, Any, NamedTuple, NoReturn
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, load_rig, load_spec
 from ehls_ros.hardware.realtime import claim, exact_wake_ups
-from ehls_ros.nodes.parameters import declare
+from ehls_ros.nodes.parameters import declare, refuse_unknown
 from ehls_ros.process import end
 from ehls_ros.schema import quantity, text
 
@@ -39,6 +43,12 @@ CLOSING = 10.0
 
 WAIT = 0.1
 """Longest time a loop waits before it looks whether it should stop [s]."""
+
+BEAT = 0.05
+"""Time between two signs of life of the thread that answers services [s]."""
+
+LONGEST_TURN = 0.1
+"""What a turn of the loop adds at most to the time without a sign of life: a process that slept has not been deaf [s]."""
 
 SWITCH_INTERVAL = 1e-4
 """Time after which a thread hands the interpreter over to one that waits for it [s]."""
@@ -88,8 +98,11 @@ class ControlNode(LifecycleNode):
         self._idle = threading.Event()
         self._idle.set()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._reported: tuple[bytes, str] | None = None
-        self.create_timer(1.0, self._report)
+        self.reported: tuple[bytes, str] | None = None
+        self._beaten = False
+        refuse_unknown(self)
+        self.create_timer(1.0, self.report)
+        self.create_timer(BEAT, self._beat)
 
     @property
     def clock_topic(self) -> str:
@@ -157,6 +170,22 @@ class ControlNode(LifecycleNode):
         self._idle.wait()
         return super().on_deactivate(state)
 
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the loop as deactivation does, and give everything back."""
+        return self._end_for_good(super().on_shutdown, state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Go back to the beginning: what failed half-way is not gone on with."""
+        return self._end_for_good(super().on_error, state)
+
+    def _end_for_good(
+        self, proceed: Callable[[LifecycleState], TransitionCallbackReturn], state: LifecycleState
+    ) -> TransitionCallbackReturn:
+        self._active.clear()
+        self._idle.wait()
+        self.give_back()
+        return proceed(state)
+
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Give everything back."""
         self.give_back()
@@ -183,12 +212,29 @@ class ControlNode(LifecycleNode):
                 continue
             # A collection in the middle of a cycle would be a late answer; the loops make no cyclic garbage.
             gc.disable()
-            self.start()
-            while self._active.is_set() and not stopping.is_set():
-                self.once()
-            gc.enable()
-            self.stop()
-            self._idle.set()
+            try:
+                self.start()
+                self._turn(stopping)
+            finally:
+                gc.enable()
+                self.stop()
+                self._idle.set()
+
+    def _turn(self, stopping: threading.Event) -> None:
+        """Turn the loop, and watch that the other thread answers: by it a rig is stopped."""
+        silence, turned = 0.0, time.monotonic()
+        while self._active.is_set() and not stopping.is_set():
+            self.once()
+            now = time.monotonic()
+            silence = 0.0 if self._beaten else silence + min(now - turned, LONGEST_TURN)
+            self._beaten, turned = False, now
+            self.unheard(silence)
+
+    def _beat(self) -> None:
+        self._beaten = True
+
+    def unheard(self, silence: float) -> None:
+        """Do what has to be done once services have not been answered for a time [s]; told after each turn of the loop."""
 
     def finish(self) -> None:
         """End the loop from inside: its task is done."""
@@ -200,7 +246,8 @@ class ControlNode(LifecycleNode):
         level, message, figures = self.health()
         return level, message, {**figures, **{f"not_permitted_{i}": text for i, text in enumerate(self.not_permitted, 1)}}
 
-    def _report(self) -> None:
+    def report(self) -> None:
+        """Publish diagnostics."""
         level, message, figures = self._health()
         status = DiagnosticStatus(
             level=level,
@@ -216,15 +263,48 @@ class ControlNode(LifecycleNode):
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
-        if (level, message) != self._reported and level != OK:
+        if (level, message) != self.reported and level != OK:
             self.get_logger().warning(message)
-        self._reported = (level, message)
+        self.reported = (level, message)
 
     def report_change(self) -> None:
         """Publish diagnostics at once when level or message are other than last time."""
         level, message, _ = self._health()
-        if (level, message) != self._reported:
-            self._report()
+        if (level, message) != self.reported:
+            self.report()
+
+
+def survive_requests(node: Node, service: Any) -> None:
+    """Let a request that a service cannot bear be refused and logged, where rclpy would let it end the thread of all services.
+
+    Args:
+        node: the service's, for its log.
+        service: of rclpy.
+    """
+    answer = service.callback
+
+    def answer_or_refuse(request: Any, response: Any) -> Any:
+        try:
+            return answer(request, response)
+        except Exception as error:  # noqa: BLE001
+            reason = f"{type(error).__name__}: {error}"
+            node.get_logger().error(f"{service.srv_name}: a request was refused: {reason}")
+            return _refusal(request, service.srv_type.Response(), reason)
+
+    service.callback = answer_or_refuse
+
+
+def _refusal(request: Any, response: Any, reason: str) -> Any:
+    """Fill in a response that says no: an untouched one does where it can, and has the reason where it has room for one."""
+    fields = response.get_fields_and_field_types()
+    no = SetParametersResult(successful=False, reason=reason)
+    if fields.get("results") == "sequence<rcl_interfaces/SetParametersResult>":
+        response.results = [no] * len(request.parameters)
+    if fields.get("result") == "rcl_interfaces/SetParametersResult":
+        response.result = no
+    if "message" in fields:
+        response.message = reason
+    return response
 
 
 def _made(make: Callable[[], ControlNode]) -> tuple[ControlNode | None, str]:
@@ -259,12 +339,21 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
         gc.collect()
         rclpy.try_shutdown()
         end(2)
+    for service in node.services:
+        survive_requests(node, service)
     executor = EventsExecutor()
     executor.add_node(node)
 
+    unserved: list[str] = []
+
     def serve(executor: Any) -> None:
-        while not stopping.is_set():
-            executor.spin_once(timeout_sec=WAIT)
+        try:
+            while not stopping.is_set():
+                executor.spin_once(timeout_sec=WAIT)
+        except BaseException:  # noqa: BLE001
+            # Whatever it was: a node that nobody can stop must not go on.
+            unserved.append(traceback.format_exc())
+            stopping.set()
 
     server = threading.Thread(target=serve, args=(executor,), name="services")
     server.start()
@@ -281,6 +370,9 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
         # that keeps the interpreter; only this ends the process then. What the node had to write, it has written.
         faulthandler.dump_traceback_later(CLOSING, exit=True)
         server.join()
+        if unserved:
+            node.get_logger().fatal(f"services are answered no more, so the node ends: {unserved[0]}")
+            code = 1
         executor.remove_node(node)
         executor.shutdown()
         node.give_back()

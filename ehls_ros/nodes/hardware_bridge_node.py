@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn
 
@@ -12,6 +12,7 @@ from ehls_ros.experiments.spec import read_yaml
 from ehls_ros.hardware.backends.base import Reading
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
 from ehls_ros.hardware.safety_gate import DISABLED
+from ehls_ros.hardware.sample_clock import SampleClock
 from ehls_ros.nodes.control import ERROR, OK, WARN, run_node
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.plant import PlantNode
@@ -23,6 +24,11 @@ LOCKSTEP_PATIENCE = 0.05
 
 SILENCE = 2.0
 """Periods without a sample after which the gate is stepped all the same."""
+
+
+def now() -> float:
+    """Return a monotonic time that goes on while the computer is suspended [s]."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 class Parameters(NamedTuple):
@@ -44,23 +50,28 @@ class HardwareBridgeNode(PlantNode):
         Raises:
             BadInput: the bridge file is wrong.
         """
-        super().__init__("hardware_bridge_node", {})
-        declare(self, Parameters, live=False)
-        chosen = self.text_parameter("bridge")
-        path = Path(chosen) if chosen else config_folder() / "bridge_udp.yaml"
-        self.bridge = bridge_from_mapping(read_yaml(path, "bridge file"), str(path))
+        super().__init__("hardware_bridge_node")
         part = float(self.get_parameter("answer_time").value)
         self.answer_time = LOCKSTEP_PATIENCE if self.lockstep else part * self.period
         self.sample_time = LOCKSTEP_PATIENCE if self.lockstep else SILENCE * self.period
 
+    def measured(self) -> Collection[str]:
+        """Read the bridge file and return the signals that have a channel."""
+        declare(self, Parameters, live=False)
+        chosen = self.text_parameter("bridge")
+        path = Path(chosen) if chosen else config_folder() / "bridge_udp.yaml"
+        self.bridge = bridge_from_mapping(read_yaml(path, "bridge file"), str(path))
+        self.calibration = self.bridge.calibration
+        return self.calibration.wired
+
     def prepare(self) -> None:
         """Open the device and the topics."""
-        self.calibration = self.bridge.calibration
         try:
             self.device = self.bridge.open(self.period)
         except WorkFailed as error:
             raise BadInput(str(error), self.get_name(), "a device that is there and free") from None
-        self.open_gate(self.calibration.wired)
+        self.open_topics()
+        self.samples = SampleClock(self.period)
         self.cycle = -1
         self.sequence = -1
         self.saturated: tuple[str, ...] = ()
@@ -79,10 +90,12 @@ class HardwareBridgeNode(PlantNode):
         """Begin with the next sample, disabled."""
         self.first = self.cycle + 1
         self.set_epoch(self.first)
+        self.samples.begin()
+        self.gate.begin()
 
     def stop(self) -> None:
         """Close the valve."""
-        self.gate.disable()
+        self.gate.leave()
         self._write(0.0)
 
     def once(self) -> None:
@@ -112,7 +125,7 @@ class HardwareBridgeNode(PlantNode):
     def _time(self) -> float:
         """Return the gate's time [s]: that of the wall, or of the cycles where the device waits for their answers."""
         if not self.lockstep:
-            return time.perf_counter()
+            return now()
         self.lockstep_time += self.elapsed * self.period
         return self.lockstep_time
 
@@ -129,7 +142,10 @@ class HardwareBridgeNode(PlantNode):
         if self.saturated:
             # What the converter cannot tell is no measurement.
             signals = tuple(math.nan if name in self.saturated else value for name, value in zip(SENSED, signals, strict=True))
-        self.publish(self.cycle, signals)
+        self.samples.take(reading.sequence, reading.time_ns, now())
+        # In lockstep the device waits, however long this computer takes.
+        lag = 0.0 if self.lockstep else self.samples.lag
+        self.publish(self.cycle, signals, elapsed=self.samples.elapsed, lag=lag, at_null=reading.at_null)
 
     def _bear_silence(self) -> None:
         """Step the gate, which sees the snapshots age, and keep telling the device what it says."""

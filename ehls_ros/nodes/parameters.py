@@ -43,6 +43,20 @@ def _descriptor(declared: Declaration, *, live: bool) -> ParameterDescriptor:
     return descriptor
 
 
+def refuse_unknown(node: Node) -> None:
+    """Refuse changes of parameters that the node does not have, and their removal, which rclpy lets pass now and then."""
+
+    def check(changes: Sequence[Parameter]) -> SetParametersResult:
+        for change in changes:
+            if not node.has_parameter(change.name):
+                return SetParametersResult(successful=False, reason=f"parameter {change.name!r} is unknown")
+            if change.type_ is Parameter.Type.NOT_SET:
+                return SetParametersResult(successful=False, reason=f"parameter {change.name!r} cannot be removed")
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(check)
+
+
 def values_of(node: Node, parameters: type[Parameters], where: str) -> Parameters:
     """Build a parameter set from a node's parameters.
 
@@ -53,7 +67,12 @@ def values_of(node: Node, parameters: type[Parameters], where: str) -> Parameter
     return parse(parameters, {name: node.get_parameter(name).value for name in names}, where)
 
 
-def follow(node: Node, parameters: type[Parameters], retune: Callable[[Parameters], None]) -> None:
+def follow(
+    node: Node,
+    parameters: type[Parameters],
+    retune: Callable[[Parameters], None],
+    objection: Callable[[Parameters], BadInput | None] = lambda _: None,
+) -> None:
     """Hand every accepted change of a parameter set on, and refuse what does not fit, with the reason.
 
     An integer given for a number with a fraction is taken as that number.
@@ -62,6 +81,7 @@ def follow(node: Node, parameters: type[Parameters], retune: Callable[[Parameter
         node: owner, on which the set was declared live.
         parameters: the ``NamedTuple`` class.
         retune: called with the whole set after a change.
+        objection: what speaks against a set that fits its declaration, if anything does.
     """
     kinds = {d.name: d.kind for d in declarations(parameters) if node.has_parameter(d.name)}
 
@@ -77,10 +97,10 @@ def follow(node: Node, parameters: type[Parameters], retune: Callable[[Parameter
         wanted = {name: node.get_parameter(name).value for name in kinds}
         wanted.update({change.name: change.value for change in changes if change.name in kinds})
         try:
-            parse(parameters, wanted, node.get_name())
+            against = objection(parse(parameters, wanted, node.get_name()))
         except BadInput as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
+            against = error
+        return SetParametersResult(successful=against is None, reason="" if against is None else str(against))
 
     def changed(changes: Sequence[Parameter]) -> None:
         if any(change.name in kinds for change in changes):

@@ -6,6 +6,7 @@
 import math
 import time
 from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 from rosgraph_msgs.msg import Clock
@@ -13,8 +14,11 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.msg import ForceReference, LoaderState, ValveCommand
+from ehls_msgs.srv import AcknowledgeStop
+from ehls_ros.hardware.gate_bounds import Bound
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
-from ehls_ros.hardware.safety_gate import Gate
+from ehls_ros.hardware.gate_parameters import changes
+from ehls_ros.hardware.safety_gate import STOP_TIME, Gate
 from ehls_ros.nodes.codec import NANOSECONDS, Decoder
 from ehls_ros.nodes.control import OK, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
@@ -49,32 +53,39 @@ class PlantNode(ControlNode):
     Subclasses implement :meth:`once` and run the rig behind the gate.
     """
 
-    def __init__(self, name: str, gate_defaults: Mapping[str, Any]) -> None:
-        """Declare the parameters and the services.
+    gate_defaults: Mapping[str, Any] = MappingProxyType({})
+    """Values of the gate's parameters in place of the declared ones."""
 
-        Args:
-            name: the node's.
-            gate_defaults: values of the gate's parameters in place of the declared defaults.
+    gate_bounds: Mapping[str, Bound] | None = None
+    """What the gate's parameters may be; None: what the rig stands."""
+
+    def __init__(self, name: str) -> None:
+        """Declare the parameters and the services; make the gate, which latches for as long as the node lives.
+
+        Raises:
+            BadInput: a parameter of the gate, or the rig's limits, are wrong.
         """
         super().__init__(name)
         declare(self, Parameters, live=False)
-        declare(self, GateParameters, dict(gate_defaults), live=True)
         self.cycles = int(self.get_parameter("cycles").value)
         self.period = self.spec.settings.control_period
-        self.gate = Gate(self.spec.rig, self.period, values_of(self, GateParameters, name))
-        follow(self, GateParameters, self._retune)
+        rig, measured = self.spec.rig, self.measured()
+        sound = Gate(rig, self.period, None, measured, bounds=self.gate_bounds).parameters
+        declare(self, GateParameters, {**sound._asdict(), **self.gate_defaults}, live=True)
+        self.gate = Gate(rig, self.period, values_of(self, GateParameters, name), measured, bounds=self.gate_bounds)
+        follow(self, GateParameters, self._retune, self.gate.objection)
         self._ending = self.create_timer(0.0, self._leave, autostart=False)
         self.create_service(Trigger, "emergency_stop", self._on_emergency_stop)
+        self.create_service(AcknowledgeStop, "acknowledge_stop", self._on_acknowledge)
         self.create_service(Trigger, "reset_trips", self._on_reset)
         self.create_service(SetBool, "enable", self._on_enable)
 
-    def open_gate(self, measured: Collection[str]) -> None:
-        """Open a gate, disabled, and the topics.
+    def measured(self) -> Collection[str]:
+        """Return the signals of ``SENSED`` that the rig measures; asked once, while the node is made."""
+        raise NotImplementedError
 
-        Args:
-            measured: signals of ``SENSED`` the rig measures.
-        """
-        self.gate = Gate(self.spec.rig, self.period, values_of(self, GateParameters, self.get_name()), measured)
+    def open_topics(self) -> None:
+        """Open the topics."""
         self.answered = -1
         self.missed = 0
         self.references: dict[int, float] = {}
@@ -107,18 +118,19 @@ class PlantNode(ControlNode):
         """
         self.epoch_ns = 0 if self.lockstep else time.time_ns() - cycle * round(self.period * NANOSECONDS)
 
-    def publish(self, cycle: int, signals: Sequence[float]) -> None:
+    def publish(self, cycle: int, signals: Sequence[float], **sample: Any) -> None:
         """Open a cycle: show the gate and the graph a snapshot.
 
         Args:
             cycle: its number.
             signals: readings in the order of ``SENSED``.
+            sample: what else :meth:`Gate.sense` is told of it.
         """
         while (message := self.reference.take()) is not None:
             self.references[message[1]] = message[2]
         if len(self.references) > KEPT:
             self.references = {k: force for k, force in self.references.items() if k >= cycle}
-        self.gate.sense(cycle, signals, self.references.pop(cycle, math.nan))
+        self.gate.sense(cycle, signals, self.references.pop(cycle, math.nan), **sample)
         stamp_ns = self.epoch_ns + round(cycle * self.period * NANOSECONDS)
         self.published = time.perf_counter()
         self.state.send(stamp_ns, cycle, *signals)
@@ -161,22 +173,31 @@ class PlantNode(ControlNode):
         self.trigger_deactivate()
 
     def _retune(self, parameters: GateParameters) -> None:
+        changed = list(changes(self.gate.parameters, parameters))
         self.gate.retune(parameters)
+        for change in changed:
+            self.get_logger().warning(f"safety gate: {change}")
+        self.report()
+
+    def unheard(self, silence: float) -> None:
+        """Show the gate that nobody could stop the rig."""
+        self.gate.hear(silence)
 
     def _on_emergency_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.gate.emergency_stop()
-        return self._answered(response, None, "stopped; reset_trips, then enable to go on")
+        stop = self.gate.emergency_stop()
+        return self._answered(response, None, f"{stop}; after {STOP_TIME:g} s acknowledge_stop {stop}, reset_trips and enable")
+
+    def _on_acknowledge(self, request: AcknowledgeStop.Request, response: AcknowledgeStop.Response) -> AcknowledgeStop.Response:
+        return self._answered(response, self.gate.acknowledge(request.stop), "acknowledged; reset_trips, then enable to go on")
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.gate.emergency_stop(engaged=False)
         return self._answered(response, self.gate.reset(), "reset; enable to go on")
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if not request.data:
             self.gate.disable()
             return self._answered(response, None, "disabled")
-        refusal = self.gate.enable() if self._active.is_set() else "the node is not active"
-        return self._answered(response, refusal, "enabled")
+        return self._answered(response, self.gate.enable(), "enabled")
 
     def _answered(self, response: Any, refusal: str | None, message: str) -> Any:
         """Fill a service's response, and tell diagnostics at once."""

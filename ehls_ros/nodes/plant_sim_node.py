@@ -1,13 +1,15 @@
 """`plant_sim_node`: the simulated rig. It opens each cycle with a loader_state and steps on with the answer."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from types import MappingProxyType
 from typing import Any, NoReturn
 
 import numpy as np
 
 from ehls_msgs.msg import Disturbance
 from ehls_ros.experiments.loop import simulator_of
+from ehls_ros.hardware.gate_bounds import Bound
 from ehls_ros.hardware.gate_parameters import SIMULATED
 from ehls_ros.nodes.control import ERROR, WAIT, run_node
 from ehls_ros.nodes.plant import PATIENCE, PlantNode
@@ -18,9 +20,16 @@ from ehls_ros.physics.rig import SENSED
 class PlantSimNode(PlantNode):
     """Steps the simulator, cycle by cycle."""
 
+    gate_defaults = SIMULATED
+    gate_bounds: Mapping[str, Bound] | None = MappingProxyType({})
+
     def __init__(self) -> None:
         """Declare the parameters."""
-        super().__init__("plant_sim_node", SIMULATED)
+        super().__init__("plant_sim_node")
+
+    def measured(self) -> Collection[str]:
+        """Return all signals."""
+        return SENSED
 
     def prepare(self) -> None:
         """Compile the plant and open the topics."""
@@ -31,7 +40,7 @@ class PlantSimNode(PlantNode):
         self.dense = 0
         self.disturbances: dict[int, tuple[float, float, float, float]] = {}
         self.last_disturbance = (0.0, 0.0, 0.0, 0.0)
-        self.open_gate(SENSED)
+        self.open_topics()
         self.enabled = False
         self.disturbance = Inbox(self, Disturbance, "disturbance")
         self.anything = Waiter([self.commands, self.disturbance])
@@ -46,8 +55,13 @@ class PlantSimNode(PlantNode):
         """Publish the first snapshot."""
         self.set_epoch(self.cycle)
         self.epoch = time.perf_counter() - self.cycle * self.period
-        self.tell_driving(self.gate.driving or not self.enabled)
+        self.gate.begin()
+        self._tell_driving()
         self._snapshot()
+
+    def stop(self) -> None:
+        """Leave the valve at null."""
+        self.gate.leave()
 
     def once(self) -> None:
         """Wait for what this cycle needs and finish it."""
@@ -105,8 +119,12 @@ class PlantSimNode(PlantNode):
         if not self.enabled and self.answered >= 0:
             self.enabled = self.gate.enable() is None
         command = self.gate.step(self.cycle * self.period)
-        self.tell_driving(self.gate.driving or not self.enabled)
+        self._tell_driving()
         return command
+
+    def _tell_driving(self) -> None:
+        """Tell the controllers; until the first command has opened the gate they may as well begin."""
+        self.tell_driving(self.gate.driving or not (self.enabled or self.gate.causes))
 
     def _snapshot(self) -> None:
         self.publish(self.cycle, self.simulator.measure(self.random.standard_normal(len(SENSED))).tolist())

@@ -21,10 +21,14 @@ class Bench:
         gate: under test.
         cycle: number of the next snapshot.
         time: of the next step [s].
+        wall: the wall's time, that emergency stops go by [s].
     """
 
     def __init__(self, measured=SENSED, **parameters):
-        self.gate = Gate(RIG, PERIOD, Parameters(**{"enable_time": 0.0, **parameters}), measured)
+        self.wall = 0.0
+        chosen = Parameters(**{"enable_time": 0.0, **parameters})
+        self.gate = Gate(RIG, PERIOD, chosen, measured, bounds={}, clock=lambda: self.wall)
+        self.gate.begin()
         self.cycle = 0
         self.time = 100.0
 

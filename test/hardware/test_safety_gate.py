@@ -8,9 +8,9 @@ import pytest
 from safety_gate_bench import PERIOD, RIG, Bench
 
 from ehls_ros.errors import BadInput
-from ehls_ros.hardware.gate_parameters import REACTIONS, Parameters
-from ehls_ros.hardware.safety_gate import ERROR, OK, STATES, WARN, Gate
-from ehls_ros.schema import declarations
+from ehls_ros.hardware.gate_parameters import PROTECTS_WHEN_LARGER, REACTIONS, Parameters
+from ehls_ros.hardware.safety_gate import ERROR, OK, STATES, STOP_TIME, WARN, Gate
+from ehls_ros.schema import declarations, parse
 
 LIMIT = RIG.limits.spool
 
@@ -257,7 +257,119 @@ def test_a_stop_of_the_whole_process_counts_as_silence():
     bench = Bench().run(1e-3)
     bench.sense()
     assert bench.step(elapsed=0.5) == 0.0
-    assert bench.causes_named() == ["command_stale"]
+    assert bench.causes_named() == ["gap", "command_stale"]
+
+
+@pytest.mark.parametrize("prepare", ["active", "enabling", "holding"])
+def test_a_loop_that_slept_longer_than_its_timeouts_trips_whatever_is_fresh_on_waking(prepare):
+    bench = Bench(enable_time=0.5 if prepare == "enabling" else 0.0)
+    bench.turn(1e-3)
+    bench.gate.enable()
+    bench.turns(5, 1e-3)
+    bench.turn(math.nan if prepare == "holding" else 1e-3)
+    assert bench.gate.state == prepare
+    bench.sense()
+    bench.gate.take(bench.cycle - 1, 1e-3, "controller")
+    assert bench.step(elapsed=0.021) == 0.0
+    assert bench.causes_named() == ["gap"]
+    assert bench.turns(100) == [0.0] * 100
+    assert bench.gate.reset() is None
+    assert bench.gate.enable() is None
+
+
+def test_a_short_gap_lets_the_output_reach_no_further():
+    bench = Bench(command_rate=1.0).run(0.0)
+    bench.sense()
+    bench.gate.take(bench.cycle - 1, 0.0, "controller")
+    bench.step(elapsed=0.019)
+    bench.turns(4, None)
+    for _ in range(10):
+        bench.sense()
+    bench.gate.take(bench.cycle - 1, 9e-3, "controller")
+    assert bench.step(elapsed=0.015) == pytest.approx(3e-3)
+
+
+def test_what_waited_on_its_way_is_not_fresh():
+    bench = Bench().run(1e-3)
+    for _ in range(3):
+        bench.gate.sense(bench.cycle, [1e-9] * 5 + [7e6, 313.0], lag=0.03)
+        bench.cycle += 1
+        bench.gate.take(bench.cycle - 1, 1e-3, "controller")
+        assert bench.step() == 0.0
+    assert {"sensor_stale", "command_stale"} == set(bench.causes_named())
+    bench.turns(3)
+    assert bench.gate.reset() is None
+
+
+@pytest.mark.parametrize("open_", [False, True])
+def test_a_device_that_closed_the_valve_by_itself_is_a_trip_and_keeps_the_gate_shut(open_):
+    bench = Bench().run(1e-3) if open_ else Bench()
+    bench.turn(1e-3)
+    bench.gate.sense(bench.cycle, [1e-9] * 5 + [7e6, 313.0], at_null=True)
+    bench.cycle += 1
+    bench.gate.take(bench.cycle - 1, 1e-3, "controller")
+    assert bench.step() == 0.0
+    assert bench.causes_named() == (["device_null"] if open_ else [])
+    assert (bench.gate.reset() if open_ else bench.gate.enable()) == "device_null persists"
+    bench.turns(3)
+    assert bench.gate.reset() is None
+    assert bench.gate.enable() is None
+
+
+def test_a_node_whose_services_are_silent_is_at_null():
+    bench = Bench().run(1e-3)
+    bench.gate.hear(0.99)
+    assert bench.turn(1e-3) == 1e-3
+    bench.gate.hear(1.01)
+    assert bench.turn(1e-3) == 0.0
+    assert bench.causes_named() == ["services_silent"]
+    assert bench.gate.reset() == "services_silent persists"
+    bench.gate.hear(0.0)
+    assert bench.gate.reset() is None
+
+
+# The end of the loop, and its beginning
+
+
+@pytest.mark.parametrize("left", [1, 7, 20])
+def test_the_end_of_the_loop_is_at_null_and_its_beginning_takes_reset_and_enable(left):
+    bench = Bench(ramp_time=0.1, enable_time=0.01)
+    bench.turn(5e-3)
+    bench.gate.enable()
+    bench.turns(left, 5e-3)
+    bench.gate.leave()
+    assert bench.gate.output == 0.0
+    assert bench.gate.enable() == "the node is not active"
+    assert [bench.turn(5e-3) for _ in range(10)] == [0.0] * 10
+    bench.gate.begin()
+    assert [bench.turn(5e-3) for _ in range(10)] == [0.0] * 10
+    assert "left active" in bench.gate.enable()
+    assert bench.gate.health()[0] == OK
+    assert bench.gate.reset() is None
+    assert bench.gate.enable() is None
+    assert bench.turn(5e-3) == pytest.approx(5e-4)
+
+
+def test_a_ramp_that_the_end_of_the_loop_cut_short_does_not_go_on():
+    bench = Bench(ramp_time=0.2).run(8e-3)
+    bench.gate.disable()
+    assert bench.turn(8e-3) > 7e-3
+    bench.gate.leave()
+    bench.gate.begin()
+    assert bench.turns(5, 8e-3) == [0.0] * 5
+
+
+@pytest.mark.parametrize("latch", ["trip", "stop"])
+def test_what_is_latched_outlives_the_loop(latch):
+    bench = tripped() if latch == "trip" else Bench().run()
+    if latch == "stop":
+        bench.gate.emergency_stop()
+    state, causes = bench.gate.state, bench.gate.causes[:1]
+    bench.gate.leave()
+    bench.gate.begin()
+    bench.turns(5)
+    assert (bench.gate.state, bench.gate.causes[:1]) == (state, causes)
+    assert bench.gate.enable() is not None
 
 
 def test_a_hold_of_a_dead_controller_ends_too():
@@ -437,14 +549,14 @@ def test_a_cut_overrides_a_ramp_and_not_the_other_way_round():
 @pytest.mark.parametrize("prepare", [Bench, lambda: Bench().run(), tripped])
 def test_emergency_stop_cuts_and_latches_in_any_state(prepare):
     bench = prepare()
-    bench.gate.emergency_stop()
+    stop = bench.gate.emergency_stop()
     assert bench.turn() == 0.0
-    assert bench.gate.state == "cut"
+    assert bench.gate.state == "stopped"
     assert "emergency_stop" in bench.causes_named()
-    assert bench.gate.enable() is not None
     bench.turns(50)
-    assert bench.gate.reset() == "emergency stop is engaged"
-    bench.gate.emergency_stop(engaged=False)
+    assert bench.gate.enable() == bench.gate.reset() == f"{stop} is engaged; acknowledge_stop first"
+    bench.wall += STOP_TIME
+    assert bench.gate.acknowledge(stop) is None
     assert bench.turns(50) == [0.0] * 50
     assert bench.gate.state == "cut"
     assert bench.gate.reset() is None
@@ -452,10 +564,36 @@ def test_emergency_stop_cuts_and_latches_in_any_state(prepare):
 
 def test_an_emergency_stop_shorter_than_a_cycle_counts():
     bench = Bench().run(5e-3)
-    bench.gate.emergency_stop()
-    bench.gate.emergency_stop(engaged=False)
+    stop = bench.gate.emergency_stop()
+    bench.wall += STOP_TIME
+    bench.gate.acknowledge(stop)
     assert bench.turn(5e-3) == 0.0
     assert bench.gate.state == "cut"
+
+
+def test_an_emergency_stop_is_left_by_its_own_name_only_and_not_at_once():
+    bench = Bench().run(5e-3)
+    assert bench.gate.acknowledge("stop-1") == "no emergency stop is engaged"
+    first = bench.gate.emergency_stop()
+    for name in ("", "stop", "stop-0", "stop-2", "emergency_stop"):
+        assert f"is {first}, not" in bench.gate.acknowledge(name)
+    bench.wall += 0.99 * STOP_TIME
+    assert "old; it lasts" in bench.gate.acknowledge(first)
+    second = bench.gate.emergency_stop()
+    bench.wall += 0.5 * STOP_TIME
+    assert f"is {second}, not '{first}'" in bench.gate.acknowledge(first)
+    assert "old; it lasts" in bench.gate.acknowledge(second)
+    bench.wall += 0.5 * STOP_TIME
+    assert bench.gate.acknowledge(second) is None
+    assert bench.causes_named() == ["emergency_stop"]
+
+
+def test_faults_add_to_a_stop_and_do_not_end_it():
+    bench = Bench().run(5e-3)
+    bench.gate.emergency_stop()
+    bench.turns(5, force=2e4)
+    assert bench.gate.state == "stopped"
+    assert bench.causes_named()[:2] == ["emergency_stop", "force"]
 
 
 # Parameters
@@ -493,10 +631,77 @@ def test_the_watchdog_cannot_be_made_to_warn_only():
         Bench(on_command_stale="warn")
 
 
+@pytest.mark.parametrize("name", ["on_force", "on_load_pressure", "on_velocity", "on_position", "on_sensor_stale"])
+def test_what_protects_the_rig_cannot_be_made_to_warn_or_hold_only(name):
+    for reaction in ("warn", "hold"):
+        with pytest.raises(BadInput, match=name):
+            Bench(**{name: reaction})
+
+
+def test_a_reading_that_is_no_number_cannot_be_waved_through():
+    with pytest.raises(BadInput, match="on_sensor_not_finite"):
+        Bench(on_sensor_not_finite="warn")
+
+
+@pytest.mark.parametrize("name", Parameters._fields)
+def test_an_open_gate_takes_what_protects_more_and_refuses_what_protects_less(name):
+    declared = {d.name: d for d in declarations(Parameters)}[name]
+    if declared.kind is str:
+        allowed = [word for word in REACTIONS if permitted(name, word)]
+        weak, strong = allowed[0], allowed[-1]
+    else:
+        weak, strong = 1.01 * declared.default, 0.99 * declared.default
+        if name in PROTECTS_WHEN_LARGER:
+            weak, strong = strong, weak
+    bench = Bench(enable_time=0.5, **({name: weak} if name != "enable_time" else {}))
+    bench.turn(1e-3)
+    bench.gate.enable()
+    bench.turns(3, 1e-3)
+    middle = bench.gate.parameters._replace(**{name: strong})
+    bench.gate.retune(middle)
+    with pytest.raises(BadInput, match=f"{name} .*weaker"):
+        bench.gate.retune(middle._replace(**{name: weak}))
+    assert bench.gate.parameters == middle
+    bench.gate.disable()
+    bench.gate.retune(middle._replace(**{name: weak}))
+    assert any(name in line and "weaker" in line for key, line in bench.gate.health()[2].items() if key.startswith("change_"))
+
+
+BOUND = {
+    "command_timeout": 0.031,
+    "sensor_timeout": 0.031,
+    "hold_time": 0.031,
+    "ramp_time": 0.031,
+    "limit_time": 0.031,
+    "command_rate": 4.01,
+    "enable_time": 0.08,
+    "position_margin": -0.001,
+}
+"""Beyond what this rig stands: 0.6 m of stroke, 2 m/s, 10 mm of spool, 111 rad/s, 1 ms."""
+
+
+@pytest.mark.parametrize(("name", "value"), [*BOUND.items(), ("command_rate", 1e-9), ("enable_time", 0.0)])
+def test_no_parameter_goes_beyond_what_the_rig_stands(name, value):
+    gate = Gate(RIG, PERIOD)
+    with pytest.raises(BadInput, match=f"{name}.*for this rig"):
+        gate.retune(gate.parameters._replace(**{name: value}))
+    with pytest.raises(BadInput, match=f"{name}.*for this rig"):
+        Gate(RIG, PERIOD, Parameters(**{name: value}))
+
+
+def test_the_defaults_fit_a_rig_that_is_quicker_and_shorter():
+    limits = RIG.limits._replace(velocity=5.0, position=(-0.1, 0.1), spool=1e-3)
+    gate = Gate(RIG._replace(limits=limits), PERIOD)
+    assert gate.parameters.command_timeout == pytest.approx(0.004)
+    assert gate.parameters.command_rate == pytest.approx(0.4)
+
+
 def test_another_limit_holds_from_the_next_cycle_on():
     bench = Bench().run(1e-3)
     bench.turns(3, force=1e3)
+    bench.gate.disable()
     bench.gate.retune(bench.gate.parameters._replace(trip_level=0.05, on_force="ramp"))
+    bench.gate.enable()
     bench.turns(3, force=1e3)
     assert bench.gate.causes[0][:2] == ("force", "ramp")
 
@@ -573,20 +778,31 @@ FAULTS = {
     "sensor_stale": lambda bench: [bench.step() for _ in range(20)],
     "clock": lambda bench: (bench.sense(), bench.gate.take(bench.cycle - 1, 1e-3, "controller"), bench.step(elapsed=-1.0)),
 }
-OWN_ONLY = {f"on_{name}": "warn" for name in FAULTS} | {"on_command_stale": "cut"}
+
+
+def permitted(name, reaction):
+    """Tell whether a reaction may be chosen for a fault."""
+    try:
+        parse(Parameters, {name: reaction}, "test")
+    except BadInput:
+        return False
+    return True
+
+
+OWN_ONLY = {f"on_{name}": next(word for word in REACTIONS if permitted(f"on_{name}", word)) for name in FAULTS}
+OWN_ONLY["on_command_stale"] = "cut"
 
 
 def test_every_reaction_has_a_fault_here():
     assert {f"on_{name}" for name in FAULTS} == set(TEXTS)
 
 
-# A command that stays away is never put up with.
-CHOICES = [(name, reaction) for name in FAULTS for reaction in REACTIONS if (name, reaction) != ("command_stale", "warn")]
+CHOICES = [(name, reaction) for name in FAULTS for reaction in REACTIONS if permitted(f"on_{name}", reaction)]
 
 
 @pytest.mark.parametrize(("name", "reaction"), CHOICES)
 def test_each_fault_has_the_reaction_that_was_chosen(name, reaction):
-    # What is under test must stand out: everything else only warns, but for the watchdog, which is put far off.
+    # What is under test must stand out: everything else is as mild as may be, and the watchdog is put far off.
     wide = {"command_timeout": 0.1} if name == "sensor_stale" else {}
     bench = Bench(**{**OWN_ONLY, f"on_{name}": reaction, "hold_time": 0.1, "ramp_time": 0.2, **wide}).run(1e-3)
     FAULTS[name](bench)

@@ -30,7 +30,8 @@ def through_the_gate(experiment, rig, parameters):
     readings = np.stack([run[name] for name in LOADER_STATE.signals.values()], axis=1).tolist()
     reference = run["force_reference_n"].tolist() if "force_reference_n" in run.signals else [np.nan] * len(readings)
     commands = run["valve_command_m"].tolist()
-    gate = Gate(rig, PERIOD, parameters)
+    gate = Gate(rig, PERIOD, parameters, bounds={})
+    gate.begin()
     written = []
     for k, command in enumerate(commands):
         gate.sense(k, readings[k], reference[k])
@@ -72,7 +73,8 @@ class Loop:
         self.friction = FrictionEstimator("gms", spec.controller_rig.friction, PERIOD)
         self.reference = sampled(spec.reference, PERIOD).rows(0, spec.cycles)
         self.disturbance = sampled(spec.disturbance.signal, PERIOD).rows(0, spec.cycles)
-        self.gate = Gate(spec.rig, PERIOD, parameters)
+        self.gate = Gate(spec.rig, PERIOD, parameters, bounds={})
+        self.gate.begin()
         self.cycle = 0
         self.written = []
 

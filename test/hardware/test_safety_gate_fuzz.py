@@ -8,7 +8,7 @@ from safety_gate_bench import PERIOD, REST, RIG
 
 from ehls_ros.errors import BadInput
 from ehls_ros.hardware.gate_parameters import REACTIONS, Parameters
-from ehls_ros.hardware.safety_gate import Gate
+from ehls_ros.hardware.safety_gate import STOP_TIME, Gate
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.schema import declarations
 
@@ -53,7 +53,11 @@ class Attack:
         elif chance < 0.105:
             gate.disable()
         elif chance < 0.107:
-            gate.emergency_stop(self.random.random() < 0.5)
+            gate.emergency_stop()
+        elif chance < 0.108:
+            gate.leave()
+            gate.begin()
+            self.cycle = 0
         elif chance < 0.12:
             self.retune(gate)
 
@@ -85,25 +89,28 @@ class Attack:
 def test_nothing_harmful_comes_out_and_no_trip_clears_by_itself(seed):
     print("seed", seed)
     attack = Attack(seed)
-    gate = Gate(RIG, PERIOD, Parameters(enable_time=0.01))
+    wall = 0.0
+    gate = Gate(RIG, PERIOD, Parameters(enable_time=0.01), bounds={}, clock=lambda: wall)
+    gate.begin()
     enabled = 0
     for _ in range(2000):
         attack.sense(gate)
         attack.take(gate)
         attack.operate(gate)
         causes = list(gate.causes)
-        was_cut = gate.state == "cut"
+        was_cut = gate.state in {"cut", "stopped"}
         written, _ = attack.step(gate)
         assert math.isfinite(written)
         assert abs(written) <= LIMIT
         assert gate.causes[: len(causes)] == causes
-        assert bool(gate.causes) == (gate.state in {"ramping", "cut"})
+        assert bool(gate.causes) == (gate.state in {"ramping", "cut", "stopped"})
         assert written == 0.0 or not was_cut
         names = [cause.detector for cause in gate.causes]
         assert len(names) == len(set(names)) <= len(gate.detectors) + 1
         enabled += gate.state in {"enabling", "active", "holding"}
         if gate.causes and attack.random.random() < 0.1:
-            gate.emergency_stop(engaged=False)
+            wall += STOP_TIME
+            gate.acknowledge(gate.stop)
             gate.reset()
     # The attack is worth something only against a gate that is open now and then.
     assert enabled > 0 or attack.sane < 0.98
@@ -121,7 +128,8 @@ def test_whatever_went_before_silence_ends_at_null_in_time(seed):
         enable_time=attack.random.choice([0.0, 0.05]),
         on_command_stale=attack.random.choice(["hold", "ramp", "cut"]),
     )
-    gate = Gate(RIG, PERIOD, chosen)
+    gate = Gate(RIG, PERIOD, chosen, bounds={})
+    gate.begin()
     for _ in range(attack.random.randrange(50, 300)):
         attack.sense(gate)
         gate.take(attack.cycle - 1, LIMIT * math.sin(0.01 * attack.cycle), "controller")

@@ -142,9 +142,9 @@ def test_a_reading_out_of_its_range_is_seen(signal, value):
 JUMPS = {
     "position": 0.05,
     "velocity": 1.2,
-    "load_pressure": 3e6,
+    "load_pressure": 4.5e6,
     "spool_position": 9e-3,
-    "force": 6e3,
+    "force": 1.2e4,
     "supply_pressure": 9.5e6,
 }
 
@@ -168,6 +168,7 @@ def test_a_step_is_held_against_the_time_since_the_last_good_reading():
 
 def test_noise_is_no_jump():
     gate = Gate(RIG._replace(sensors={"position": Sensor(noise_std=1e-3)}), PERIOD)
+    gate.begin()
     for k in range(100):
         gate.sense(k, [4e-3 * (-1) ** k, 0.0, 0.0, 0.0, 0.0, 7e6, 313.0])
     assert gate.detectors["sensor_jump"].count == 0

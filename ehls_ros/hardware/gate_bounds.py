@@ -1,0 +1,76 @@
+"""What a rig stands: the bounds that keep a gate's parameters from taking its protection away.
+
+All of them follow from the rig file's limits, the valve's bandwidth and the control period.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+from ehls_ros.errors import BadInput
+from ehls_ros.hardware.gate_parameters import Parameters
+from ehls_ros.physics.rig import Rig
+
+BLIND_TRAVEL = 0.1
+"""Fraction of its stroke that the piston may travel, at the velocity limit, while a fault is waited for."""
+
+FASTEST = 5
+"""Periods in which a command may cross the spool's whole range, at least."""
+
+VALVE_TIMES = 10.0
+"""Time constants of the valve that enabling takes, at least."""
+
+SMOOTH = 50
+"""Periods that enabling takes, at least."""
+
+
+class Bound(NamedTuple):
+    """What one parameter may be.
+
+    Attributes:
+        low: smallest value.
+        high: largest value.
+        reason: where the bound comes from.
+    """
+
+    low: float
+    high: float
+    reason: str
+
+
+def bounds_of(rig: Rig, period: float) -> dict[str, Bound]:
+    """Return the bounds of a gate's parameters before a real actuator, by name.
+
+    Args:
+        rig: with sound limits.
+        period: control period [s].
+    """
+    limits, endless = rig.limits, float("inf")
+    stroke = limits.position[1] - limits.position[0]
+    blind = max(BLIND_TRAVEL * stroke / limits.velocity, 3.0 * period)
+    travel = f"at the velocity limit the piston travels {100.0 * BLIND_TRAVEL:g} % of its stroke in {blind:.3g} s"
+    waits = Bound(0.0, blind, travel)
+    fastest, slowest = 2.0 * limits.spool / (FASTEST * period), limits.spool / blind
+    gentle = max(VALVE_TIMES / rig.plant.valve_bandwidth, SMOOTH * period)
+    return {
+        **dict.fromkeys(("command_timeout", "sensor_timeout", "hold_time", "ramp_time", "limit_time"), waits),
+        "command_rate": Bound(
+            slowest, fastest, f"the spool closes within {blind:.3g} s and crosses its range in {FASTEST} periods at least"
+        ),
+        "enable_time": Bound(gentle, endless, f"{VALVE_TIMES:g} time constants of the valve and {SMOOTH} periods"),
+        "position_margin": Bound(0.0, endless, "the ends of the rig's stroke"),
+    }
+
+
+def out_of_bounds(parameters: Parameters, bounds: Mapping[str, Bound]) -> Iterator[BadInput]:
+    """Yield a complaint for each parameter that is out of its bound."""
+    for name, (low, high, reason) in bounds.items():
+        value = getattr(parameters, name)
+        if not low <= value <= high:
+            expected = f"{low:.3g} to {high:.3g} for this rig: {reason}"
+            yield BadInput(f"{name} is {value:g}", "safety gate", expected)
+
+
+def within(parameters: Parameters, bounds: Mapping[str, Bound]) -> Parameters:
+    """Return the parameters with each that is out of its bound put onto it; for defaults, which know no rig."""
+    held = {name: min(max(getattr(parameters, name), low), high) for name, (low, high, _) in bounds.items()}
+    return parameters._replace(**held)
