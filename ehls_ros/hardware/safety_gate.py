@@ -160,9 +160,9 @@ class Gate:
         self._gap = Detector("gap", "s", "")
         self._shut = Detector("device_null", "", "")
         self._unheard = Detector("services_silent", "s", "")
-        # Of two faults that are as bad the first is named the first cause.
+        # Of two faults that are as bad the first is named the first cause: without snapshots there are no commands either.
         whole = (self._gap, self._shut, self._unheard)
-        self._all = (*whole, *self._commands.detectors, *sensor_detectors(), self._stale, self._blind, self._steady)
+        self._all = (*whole, *self._commands.detectors, *sensor_detectors(), self._blind, self._stale, self._steady)
         self.detectors = {detector.name: detector for detector in self._all}
         self._readings = Readings(rig, measured, chosen, self.detectors)
         self._put_in_force(chosen)

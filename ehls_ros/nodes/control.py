@@ -100,7 +100,6 @@ class ControlNode(LifecycleNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.reported: tuple[bytes, str] | None = None
         self._beaten = False
-        refuse_unknown(self)
         self.create_timer(1.0, self.report)
         self.create_timer(BEAT, self._beat)
 
@@ -339,6 +338,7 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
         gc.collect()
         rclpy.try_shutdown()
         end(2)
+    refuse_unknown(node)
     for service in node.services:
         survive_requests(node, service)
     executor = EventsExecutor()

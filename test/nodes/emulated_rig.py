@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 from std_srvs.srv import SetBool, Trigger
 
+from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.physics.rig import SENSED
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,6 +53,7 @@ class EmulatedRig:
         self.wired = [signal for signal in SENSED if signal in bridge["channels"]]
         self.emulator_arguments = emulator
         self.emulators = 0
+        self.stop = ""
         self.start_emulator()
         self.start("reference_node")
         self.start(f"{law}_node", remap="valve_command:=valve_command_unspoilt" if spoil else "")
@@ -88,11 +90,25 @@ class EmulatedRig:
         """Let the commands through, as soon as the gate agrees."""
         deadline = time.monotonic() + seconds
         while True:
+            if self.stop and self.acknowledge().success:
+                self.stop = ""
             reset = self.participant.call(Trigger, "reset_trips", Trigger.Request())
             answer = self.participant.call(SetBool, "enable", SetBool.Request(data=True))
             if answer.success:
                 return
             assert time.monotonic() < deadline, f"reset: {reset.message}; enable: {answer.message}"
+
+    def emergency_stop(self) -> float:
+        """Stop, and return when that was answered, of the monotonic clock [s]."""
+        answer = self.participant.call(Trigger, "emergency_stop", Trigger.Request())
+        assert answer.success
+        self.stop = answer.message.partition(";")[0]
+        return time.monotonic()
+
+    def acknowledge(self) -> Any:
+        """Let go of the last stop, if that may be already; return the answer."""
+        request = AcknowledgeStop.Request(stop=self.stop)
+        return self.participant.call(AcknowledgeStop, "acknowledge_stop", request)
 
     def fault(self, line: str) -> float:
         """Put a fault into the emulated rig and return when it was in, of the monotonic clock [s]."""

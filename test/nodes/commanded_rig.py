@@ -1,0 +1,234 @@
+"""The bridge on an emulated rig in real time, with a controller that does what a test wants; what the valve did is read back.
+
+Time is what these tests are about, so it runs; but at a pace that a slow computer keeps: by default a cycle takes 10 ms, and
+all of the gate's times are as much longer.
+"""
+
+import csv
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from emulated_rig import ROOT, free_port
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from std_srvs.srv import SetBool, Trigger
+
+from ehls_msgs.msg import LoaderState
+from ehls_msgs.srv import AcknowledgeStop
+from ehls_ros.hardware.safety_gate import STOP_TIME
+
+BRIDGE = "hardware_bridge_node"
+PATIENCE = 120.0
+"""Longest wait for anything, on a computer that is slow and busy [s]."""
+
+
+class Pace(NamedTuple):
+    """How fast a rig is, and what its gate is told accordingly; all in s, the velocity in m/s."""
+
+    period: float
+    velocity: float
+    timeout: float
+    watchdog: float
+    ramp: float
+    enable: float
+
+
+SLOW = Pace(period=0.01, velocity=0.2, timeout=0.3, watchdog=0.15, ramp=0.1, enable=0.6)
+"""Held back to a third by pauses of 70 ms it still keeps up."""
+
+FAST = Pace(period=0.001, velocity=2.0, timeout=0.03, watchdog=0.01, ramp=0.02, enable=0.1)
+"""The pace of a real rig."""
+
+AMPLITUDE, FREQUENCY = 1e-4, 0.7
+"""Of the command, gentle enough that nothing but what a test does trips the gate [m, Hz]."""
+
+
+class CommandedRig:
+    """Emulator, bridge and commander; the test itself is a participant beside them."""
+
+    def __init__(self, graph: Any, participant: Any, folder: Path, pace: Pace = SLOW, bridge: str = "", **gate: Any) -> None:
+        self.graph, self.participant, self.folder, self.pace = graph, participant, folder, pace
+        rig = yaml.safe_load((ROOT / "config" / "rig_paper_measured.yaml").read_text(encoding="utf-8"))
+        rig["limits"]["velocity"] = pace.velocity
+        self._write("measured.yaml", rig)
+        reference = {"name": "constant", "value": 0.0}
+        spec = {"title": "attacked", "rig": "measured.yaml", "control_period": pace.period, "reference": reference}
+        self.spec = self._write("attacked.yaml", {**spec, "controller": "fasmc_output_feedback"})
+        wiring = yaml.safe_load((ROOT / "config" / "bridge_udp.yaml").read_text(encoding="utf-8"))
+        self.port = wiring["backend"]["port"] = free_port()
+        wiring["backend"]["watchdog"] = pace.watchdog
+        self.wiring = self._write("wiring.yaml", wiring)
+        times = {"command_timeout": pace.timeout, "sensor_timeout": pace.timeout, "hold_time": pace.ramp}
+        self.gate = {**times, "ramp_time": pace.ramp, "limit_time": 2.0 * pace.period, "enable_time": pace.enable, **gate}
+        self.bridge_script = bridge
+        self.stop = ""
+        self.states: list[Any] = participant.collect(LoaderState, "loader_state")
+        self.diagnostics: list[Any] = participant.collect(DiagnosticArray, "/diagnostics")
+        self.start_emulator()
+        self.start_bridge()
+        self.graph.run("commander", [str(Path(__file__).with_name("commander.py")), str(pace.period)])
+        participant.until(lambda: "up" in graph.log("commander"), PATIENCE)
+        self.command(f"sine {AMPLITUDE} {FREQUENCY}")
+
+    def _write(self, name: str, content: Any) -> Path:
+        path = self.folder / name
+        path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        return path
+
+    def start_emulator(self) -> None:
+        self.log = self.folder / "truth.csv"
+        words = ["--spec", self.spec, "--bridge", self.wiring, "--log", self.log, "--json", "--faults-from-stdin"]
+        command = [sys.executable, "-m", "ehls_ros.cli.main", "rig-emulator", *map(str, words)]
+        with (self.folder / "emulator.err").open("ab") as errors:
+            self.emulator = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors)
+        assert b"listening" in self.emulator.stdout.readline(), (self.folder / "emulator.err").read_text()
+
+    def start_bridge(self) -> None:
+        parameters = {"spec": self.spec, "bridge": self.wiring, "timing": "realtime", **self.gate}
+        if not self.bridge_script:
+            self.bridge = self.graph.start(BRIDGE, **parameters)
+            return
+        words = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
+        self.bridge = self.graph.run(BRIDGE, [self.bridge_script, "--ros-args", *words])
+
+    def command(self, line: str) -> None:
+        """Tell the commander what to do."""
+        commander = self.graph.processes["commander"]
+        commander.stdin.write(f"{line}\n".encode())
+        commander.stdin.flush()
+
+    def fault(self, line: str) -> float:
+        """Put a fault into the emulated rig and return when it was in [s]."""
+        self.emulator.stdin.write(f"{line}\n".encode())
+        self.emulator.stdin.flush()
+        return float(self.emulator.stdout.readline().split()[1])
+
+    def ask(self, kind: Any, service: str, **fields: Any) -> Any:
+        """Call a service of the graph."""
+        return self.participant.call(kind, service, kind.Request(**fields))
+
+    def enable(self) -> Any:
+        """Ask the gate to open, and return its answer."""
+        return self.ask(SetBool, "enable", data=True)
+
+    def emergency_stop(self) -> float:
+        """Stop, and return when that was answered [s]."""
+        answer = self.ask(Trigger, "emergency_stop")
+        assert answer.success
+        self.stop = answer.message.partition(";")[0]
+        return time.monotonic()
+
+    def transition(self, label: str) -> bool:
+        """Ask the bridge for a transition and return whether it was made."""
+        return bool(self.ask(ChangeState, f"{BRIDGE}/change_state", transition=Transition(label=label)).success)
+
+    def state(self) -> str:
+        """Return the bridge's lifecycle state."""
+        return str(self.ask(GetState, f"{BRIDGE}/get_state").current_state.label)
+
+    def said(self) -> dict[str, str]:
+        """Return the figures of the bridge's next diagnostics, and its message."""
+        self.diagnostics.clear()
+        found: list[Any] = []
+
+        def bridge_spoke() -> bool:
+            found.extend(s for array in self.diagnostics for s in array.status if s.name == BRIDGE)
+            return bool(found)
+
+        self.participant.until(bridge_spoke, PATIENCE)
+        return {pair.key: pair.value for pair in found[-1].values} | {"message": found[-1].message}
+
+    def open(self) -> None:
+        """Acknowledge, reset and enable, and wait until the valve follows the commands."""
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            if self.stop and self.ask(AcknowledgeStop, "acknowledge_stop", stop=self.stop).success:
+                self.stop = ""
+            reset, answer = self.ask(Trigger, "reset_trips"), self.enable()
+            if answer.success:
+                self.participant.rest(self.pace.enable)
+                said = self.said()
+                if said["state"] == "active":
+                    return
+            assert time.monotonic() < deadline, f"reset: {reset.message}; enable: {answer.message}; {self.said()['message']}"
+            self.participant.rest(0.2 * STOP_TIME)
+
+    def tripped(self) -> str:
+        """Wait until the gate has tripped and return its message."""
+        deadline = time.monotonic() + PATIENCE
+        while (said := self.said())["state"] not in {"cut", "ramping", "stopped"}:
+            assert time.monotonic() < deadline, said["message"]
+        return said["message"]
+
+    def finish(self) -> "Truth":
+        """End the emulator and return what the valve did."""
+        self.emulator.send_signal(signal.SIGINT)
+        self.emulator.communicate(timeout=PATIENCE)
+        with self.log.open(encoding="utf-8", newline="") as file:
+            header, *rows = csv.reader(file)
+        columns = dict(zip(header, np.array(rows, dtype=float).T, strict=True))
+        return Truth(columns["monotonic_s"], columns["valve_command_m"], self.pace)
+
+    def close(self) -> None:
+        if self.emulator.poll() is None:
+            self.emulator.kill()
+            self.emulator.communicate()
+
+
+class Truth(NamedTuple):
+    """What the valve really did.
+
+    Attributes:
+        time: of each of the rig's cycles, of the monotonic clock [s].
+        command: that acted on the valve in it [m].
+        pace: of the rig.
+    """
+
+    time: np.ndarray
+    command: np.ndarray
+    pace: Pace
+
+    def between(self, since: float, until: float = np.inf) -> np.ndarray:
+        """Return the commands of a stretch of time."""
+        return self.command[(self.time >= since) & (self.time < until)]
+
+    def time_to_null(self, since: float, until: float = np.inf) -> float:
+        """Return how long the valve was open after a moment, up to another; infinite where it never closed for good [s]."""
+        rows = (self.time >= since) & (self.time < until)
+        times, commands = self.time[rows], self.command[rows]
+        assert len(times), "the rig's log has nothing of then"
+        moving = np.flatnonzero(commands)
+        if not moving.size:
+            return 0.0
+        return np.inf if moving[-1] == len(commands) - 1 else float(times[moving[-1] + 1] - since)
+
+    def openings(self) -> list[tuple[float, float]]:
+        """Return time and largest excess of each opening after a null that lasted: how far the command was beyond its ramp [m].
+
+        Blended in over the time of enabling, the command may be no larger than its part of the amplitude; what the gate may
+        catch up in one go is added.
+        """
+        lasting = max(20, round(0.05 / self.pace.period))
+        moving = np.flatnonzero(self.command)
+        starts = [first for before, first in zip([-lasting - 1, *moving[:-1]], moving, strict=True) if first - before > lasting]
+        found = []
+        for first in starts:
+            rows = slice(first, first + round(self.pace.enable / self.pace.period) + 1)
+            since = self.time[rows] - self.time[first]
+            blended = np.minimum(1.0, (since + 3.0 * self.pace.period + self.pace.timeout) / self.pace.enable)
+            found.append((float(self.time[first]), float(np.max(np.abs(self.command[rows]) - blended * AMPLITUDE))))
+        return found
+
+    def largest_step_after_null(self) -> float:
+        """Return the largest first command after a null that lasted [m]."""
+        lasting = max(20, round(0.05 / self.pace.period))
+        moving = np.flatnonzero(self.command)
+        firsts = [first for before, first in zip([-lasting - 1, *moving[:-1]], moving, strict=True) if first - before > lasting]
+        return float(np.max(np.abs(self.command[firsts]), initial=0.0))

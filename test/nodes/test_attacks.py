@@ -1,0 +1,315 @@
+"""An attacked rig comes to rest: running processes over DDS and UDP, held against the log of what the valve really did.
+
+``pytest -s test/nodes/test_attacks.py | grep '^|'`` prints the table: time to null, and the largest step after a null.
+"""
+
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+
+from commanded_rig import AMPLITUDE, BRIDGE, PATIENCE, SLOW, CommandedRig
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from std_srvs.srv import SetBool, Trigger
+
+from ehls_msgs.srv import AcknowledgeStop
+from ehls_ros.hardware.safety_gate import DEAF, STOP_TIME
+
+SETTLED = 4.0 * SLOW.period
+"""What the way to the valve and the log's own cycles take [s]."""
+
+RESOLUTION = 1e-6
+"""Of the converter, and what rounding of times makes of a ramp [m]."""
+
+
+@pytest.fixture
+def rig(graph, participant, tmp_path):
+    started = []
+
+    def start(**options):
+        started.append(CommandedRig(graph, participant, tmp_path, **options))
+        started[-1].open()
+        return started[-1]
+
+    yield start
+    for each in started:
+        each.close()
+
+
+def tell(attack, null, step):
+    print(f"| {attack} | {1e3 * null:.0f} ms | {1e6 * step:.1f} um |")
+
+
+def judge(attack, truth, since, limit, until=np.inf):
+    """Ask that the valve came to rest in time, stayed there, and opened no faster than its ramp whenever it did."""
+    assert np.any(truth.between(0.0, since)), "the valve was never open"
+    null = truth.time_to_null(since, until)
+    tell(attack, null, truth.largest_step_after_null())
+    assert null <= limit, f"{attack}: null after {null} s"
+    for when, excess in truth.openings():
+        assert excess <= RESOLUTION, f"{attack}: {excess} m beyond the ramp at {when}"
+    assert np.max(np.abs(truth.command)) <= AMPLITUDE + RESOLUTION
+
+
+# What a client can send
+
+
+INVALID = {
+    "configure while active": lambda rig: rig.transition("configure"),
+    "transition 77": lambda rig: rig.ask(ChangeState, f"{BRIDGE}/change_state", transition=Transition(id=77)).success,
+    "activate while active": lambda rig: rig.transition("activate"),
+    "parameter of type 255": lambda rig: set_raw(rig, "force_error", ParameterValue(type=255)),
+    "parameter without name": lambda rig: set_raw(rig, "", ParameterValue(type=3, double_value=1.0)),
+    "parameter removed": lambda rig: set_raw(rig, "force_error", ParameterValue(type=0)),
+    "parameter atomically of type 255": lambda rig: (
+        rig.ask(
+            SetParametersAtomically,
+            f"{BRIDGE}/set_parameters_atomically",
+            parameters=[Parameter(name="force_error", value=ParameterValue(type=255))],
+        ).result.successful
+    ),
+}
+
+
+def set_raw(rig, name, value):
+    [result] = rig.ask(SetParameters, f"{BRIDGE}/set_parameters", parameters=[Parameter(name=name, value=value)]).results
+    assert result.reason
+    return result.successful
+
+
+def test_requests_that_cannot_be_are_refused_and_the_stop_is_heard_all_the_same(rig):
+    running = rig()
+    for what, send in INVALID.items():
+        assert not send(running), what
+    assert running.said()["state"] == "active"
+    assert running.participant.set_parameter(BRIDGE, "force_error", 1000.0).successful
+    stopped = running.emergency_stop()
+    running.participant.rest(0.5)
+    judge("emergency stop after requests that cannot be", running.finish(), stopped, SETTLED)
+
+
+SABOTAGED = str(Path(__file__).with_name("sabotaged_bridge.py"))
+
+
+def test_services_that_hang_close_the_valve(rig, graph):
+    running = rig(bridge=SABOTAGED)
+    hung = time.monotonic()
+    client = running.participant.node.create_client(SetBool, "sabotage")
+    client.call_async(SetBool.Request(data=False))
+    running.participant.rest(DEAF + 3.0)
+    judge("services hang", running.finish(), hung, DEAF + 1.0)
+    assert graph.processes[BRIDGE].poll() is None
+
+
+def test_services_that_die_close_the_valve_and_end_the_process(rig, graph):
+    running = rig(bridge=SABOTAGED)
+    died = time.monotonic()
+    client = running.participant.node.create_client(SetBool, "sabotage")
+    client.call_async(SetBool.Request(data=True))
+    assert running.bridge.wait(60.0) == 1
+    ended = time.monotonic()
+    running.participant.rest(3 * SLOW.watchdog)
+    assert "answered no more" in graph.log(BRIDGE)
+    judge("services die", running.finish(), died, ended - died + SLOW.watchdog)
+
+
+# The lifecycle
+
+
+def test_out_of_active_the_valve_is_at_null_and_coming_back_takes_reset_and_enable(rig):
+    running = rig()
+    moments = []
+    for labels, state in (
+        (("deactivate",), "inactive"),
+        (("deactivate", "cleanup"), "unconfigured"),
+    ):
+        for label in labels:
+            assert running.transition(label)
+        left = time.monotonic()
+        assert running.state() == state
+        running.participant.rest(0.3)
+        for label in ("configure", "activate")[len(labels) == 1 :]:
+            assert running.transition(label)
+        running.participant.until(lambda: running.enable().message.startswith("tripped by left active"), PATIENCE)
+        moments.append((" and ".join(labels), left, time.monotonic()))
+        running.open()
+        running.participant.rest(0.3)
+    stopped = running.emergency_stop()
+    for label in ("deactivate", "cleanup", "configure", "activate"):
+        assert running.transition(label)
+    assert running.said()["state"] == "stopped"
+    moments.append(("stop through deactivate, cleanup, configure, activate", stopped, time.monotonic()))
+    running.open()
+    running.participant.rest(0.3)
+    assert running.transition("shutdown")
+    left = time.monotonic()
+    assert running.state() == "finalized"
+    running.states.clear()
+    running.participant.rest(0.5)
+    assert not running.states
+    assert not running.transition("activate")
+    truth = running.finish()
+    for labels, since, until in (*moments, ("shutdown", left, np.inf)):
+        judge(labels, truth, since, SETTLED, until)
+
+
+def test_the_end_of_the_process_closes_the_valve(rig, graph):
+    running = rig()
+    moments = []
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGKILL):
+        ended = graph.kill(BRIDGE) if number == signal.SIGKILL else time.monotonic()
+        if number != signal.SIGKILL:
+            graph.stop(BRIDGE, number)
+        gone = time.monotonic()
+        running.participant.rest(3 * SLOW.watchdog)
+        times_up = graph.log(BRIDGE).count(": up")
+        running.start_bridge()
+        # A service of the bridge that is gone may seem to be there for a while.
+        running.participant.until(lambda times_up=times_up: graph.log(BRIDGE).count(": up") > times_up, PATIENCE)
+        moments.append((number.name, ended, SLOW.watchdog + SETTLED + gone - ended, time.monotonic()))
+        running.open()
+        running.participant.rest(0.3)
+    truth = running.finish()
+    for name, since, limit, until in moments:
+        judge(name, truth, since, limit, until)
+
+
+# Gaps
+
+
+def test_what_slept_or_was_cut_off_stays_at_null_when_it_is_back(rig):
+    running = rig()
+    moments = []
+
+    def trial(what, put_in, end, seconds, causes):
+        since = put_in() or time.monotonic()
+        time.sleep(seconds)
+        end()
+        assert running.tripped().split("tripped by ")[1].startswith(causes), what
+        running.participant.rest(0.5)
+        moments.append((what, since, time.monotonic()))
+        running.open()
+        running.participant.rest(0.3)
+
+    def freeze(process):
+        return lambda: process.send_signal(signal.SIGSTOP), lambda: process.send_signal(signal.SIGCONT)
+
+    trial("bridge frozen for 2 s", *freeze(running.bridge), 2.0, ("gap", "device_null"))
+    trial("bridge frozen for 220 ms", *freeze(running.bridge), 0.22, ("gap", "device_null"))
+    trial(
+        "link to the target lost for 300 ms",
+        lambda: running.fault("deaf"),
+        lambda: running.fault("clear"),
+        0.3,
+        ("device_null",),
+    )
+    trial(
+        "link from the target lost for 500 ms",
+        lambda: running.fault("silent"),
+        lambda: running.fault("clear"),
+        0.5,
+        ("sensor_stale",),
+    )
+    running.emulator.send_signal(signal.SIGSTOP)
+    time.sleep(1.0)
+    running.emulator.send_signal(signal.SIGCONT)
+    woken = time.monotonic()
+    running.tripped()
+    running.participant.rest(0.5)
+    truth = running.finish()
+    for what, since, until in (*moments, ("target frozen for 1 s", woken, np.inf)):
+        judge(what, truth, since, max(SLOW.watchdog, SLOW.timeout) + SLOW.ramp + SETTLED, until)
+
+
+# Parameters
+
+
+def test_parameters_take_no_protection_away(rig):
+    running = rig()
+
+    def accepted(name, value):
+        return running.participant.set_parameter(BRIDGE, name, value).successful
+
+    never = [("on_force", "warn"), ("on_load_pressure", "warn"), ("on_velocity", "warn"), ("on_position", "warn")]
+    never += [("on_sensor_stale", "warn"), ("on_command_stale", "warn"), ("on_sensor_not_finite", "warn")]
+    never += [("command_rate", 20.0), ("command_rate", 1e-9), ("enable_time", 0.0), ("command_timeout", 0.5)]
+    weaker = [("on_sensor_jump", "warn"), ("on_command_rate", "warn"), ("force_error", 1e5), ("trip_level", 1.0)]
+    for name, value in never + weaker:
+        assert not accepted(name, value), name
+    assert running.ask(SetBool, "enable", data=False).success
+    closed = time.monotonic()
+    for name, value in never:
+        assert not accepted(name, value), name
+    for name, value in weaker:
+        assert accepted(name, value), name
+    said = running.said()
+    assert sum(line.endswith("s") and "(weaker)" in line for key, line in said.items() if key.startswith("change_")) == 4
+    judge("gate disabled for weaker parameters", running.finish(), closed, SLOW.ramp + SETTLED)
+
+
+# Emergency stop
+
+
+def test_an_emergency_stop_outlasts_spammed_resets_and_enables(rig):
+    running = rig()
+    stopped = running.emergency_stop()
+    node = running.participant.node
+    clients = [node.create_client(Trigger, "reset_trips"), node.create_client(SetBool, "enable")]
+    clients.append(node.create_client(AcknowledgeStop, "acknowledge_stop"))
+    requests = [Trigger.Request(), SetBool.Request(data=True), AcknowledgeStop.Request(stop="stop")]
+    for client in clients:
+        assert client.wait_for_service(60.0)
+    sent = 0
+    while time.monotonic() < stopped + 2.0:
+        for client, request in zip(clients, requests, strict=True):
+            client.call_async(request)
+        sent += 1
+        running.participant.rest(2e-3)
+    until = time.monotonic()
+    early = running.ask(AcknowledgeStop, "acknowledge_stop", stop="stop-0")
+    assert not early.success
+    assert sent > 100
+    running.open()
+    running.participant.rest(0.3)
+    truth = running.finish()
+    judge(f"{sent} resets and enables within {until - stopped:.1f} s of a stop", truth, stopped, SETTLED, until)
+    assert until - stopped > STOP_TIME
+    assert np.any(truth.between(until))
+
+
+# What is forged
+
+
+def test_forged_snapshots_and_measurements_move_nothing(rig, participant):
+    from ehls_msgs.msg import LoaderState
+    from ehls_ros.hardware.packet import Codec, Kind, Packet
+    from ehls_ros.nodes.transport import control_qos
+
+    running = rig()
+    forger = participant.node.create_publisher(LoaderState, "loader_state", control_qos(10))
+    import socket
+
+    codec = Codec()
+    begun = time.monotonic()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        for number in range(300):
+            newest = running.states[-1]
+            forged = LoaderState(cycle=newest.cycle + 5, force=1e5, position=0.29, header=newest.header)
+            forger.publish(forged)
+            packet = Packet(Kind.MEASUREMENT, 1 + number, 2, newest.cycle + 10**6, values=(9.9,) * 6)
+            stranger.sendto(codec.pack(packet), ("127.0.0.1", running.port))
+            running.participant.rest(5e-3)
+    said = running.said()
+    assert said["state"] == "active", said["message"]
+    stopped = running.emergency_stop()
+    running.participant.rest(0.3)
+    truth = running.finish()
+    assert np.any(truth.between(begun, stopped))
+    judge("forged snapshots and measurements, then a stop", truth, stopped, SETTLED)
