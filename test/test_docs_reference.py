@@ -56,4 +56,5 @@ def test_a_table_tells_what_is_required_and_what_ranges_are(reference: ModuleTyp
 
 
 def test_services_are_those_of_the_plants_node(reference: ModuleType) -> None:
-    assert {name for name, _, _ in reference.services()} == {"`/ehls/emergency_stop`", "`/ehls/reset_trips`", "`/ehls/enable`"}
+    names = ("emergency_stop", "acknowledge_stop", "reset_trips", "enable")
+    assert {name for name, _, _ in reference.services()} == {f"`/ehls/{name}`" for name in names}

@@ -90,8 +90,9 @@ API: Mapping[str, tuple[str, ...]] = {
 """What a script of one's own calls."""
 
 SERVICES: Mapping[str, str] = {
-    "emergency_stop": "closes the valve at once and latches; from anywhere on the graph",
-    "reset_trips": "forgets the first cause; refused while it persists",
+    "emergency_stop": "closes the valve at once and latches; from anywhere on the graph; answers with the stop's name",
+    "acknowledge_stop": "lets go of the emergency stop that it names, a second after it at the earliest; the trip stays",
+    "reset_trips": "forgets the causes of a trip; refused while one persists or an emergency stop is engaged",
     "enable": "lets commands through, blended in, or shuts them off",
 }
 
@@ -302,10 +303,12 @@ def all_topics() -> list[topics.Topic]:
 def services() -> Iterator[tuple[str, str, str]]:
     """Yield name, type and what it does of every service, from the calls that create them."""
     tree = ast.parse((ROOT / "ehls_ros" / "nodes" / "plant.py").read_text(encoding="utf-8"))
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and str(node.module).endswith(".srv")]
+    package_of = {name.name: str(node.module).removesuffix(".srv") for node in imports for name in node.names}
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "create_service":
             kind, name = ast.unparse(node.args[0]), str(ast.literal_eval(node.args[1]))
-            yield f"`{topics.NAMESPACE}/{name}`", f"`std_srvs/srv/{kind}`", SERVICES[name]
+            yield f"`{topics.NAMESPACE}/{name}`", f"`{package_of[kind]}/srv/{kind}`", SERVICES[name]
 
 
 # --- messages, signals, Python ----------------------------------------------------------------------------------------
