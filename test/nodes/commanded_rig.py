@@ -169,12 +169,16 @@ class CommandedRig:
 
     def finish(self) -> "Truth":
         """End the emulator and return what the valve did."""
+        columns = self.seen()
+        return Truth(columns["monotonic_s"], columns["valve_command_m"], self.pace)
+
+    def seen(self) -> dict[str, np.ndarray]:
+        """End the emulator and return its log, by column."""
         self.emulator.send_signal(signal.SIGINT)
         self.emulator.communicate(timeout=PATIENCE)
         with self.log.open(encoding="utf-8", newline="") as file:
             header, *rows = csv.reader(file)
-        columns = dict(zip(header, np.array(rows, dtype=float).T, strict=True))
-        return Truth(columns["monotonic_s"], columns["valve_command_m"], self.pace)
+        return dict(zip(header, np.array(rows, dtype=float).T, strict=True))
 
     def close(self) -> None:
         if self.emulator.poll() is None:
@@ -209,26 +213,26 @@ class Truth(NamedTuple):
             return 0.0
         return np.inf if moving[-1] == len(commands) - 1 else float(times[moving[-1] + 1] - since)
 
-    def openings(self) -> list[tuple[float, float]]:
+    def openings(self, amplitude: float = AMPLITUDE) -> list[tuple[float, float]]:
         """Return time and largest excess of each opening after a null that lasted: how far the command was beyond its ramp [m].
 
-        Blended in over the time of enabling, the command may be no larger than its part of the amplitude; what the gate may
-        catch up in one go is added.
+        Blended in over the time of enabling, the command may be no larger than its part of the amplitude [m]; what the gate may
+        catch up in one go, and what may be lost on the wire meanwhile, is added.
         """
-        lasting = max(20, round(0.05 / self.pace.period))
-        moving = np.flatnonzero(self.command)
-        starts = [first for before, first in zip([-lasting - 1, *moving[:-1]], moving, strict=True) if first - before > lasting]
         found = []
-        for first in starts:
+        for first in self._first_after_null():
             rows = slice(first, first + round(self.pace.enable / self.pace.period) + 1)
             since = self.time[rows] - self.time[first]
             blended = np.minimum(1.0, (since + 3.0 * self.pace.period + self.pace.timeout) / self.pace.enable)
-            found.append((float(self.time[first]), float(np.max(np.abs(self.command[rows]) - blended * AMPLITUDE))))
+            found.append((float(self.time[first]), float(np.max(np.abs(self.command[rows]) - blended * amplitude))))
         return found
+
+    def _first_after_null(self) -> np.ndarray:
+        """Return the rows in which the valve opens after having been closed for longer than a sine takes through null."""
+        moving = np.flatnonzero(self.command)
+        lasting = max(20, round(0.05 / self.pace.period))
+        return moving[np.diff(moving, prepend=-lasting - 1) > lasting]
 
     def largest_step_after_null(self) -> float:
         """Return the largest first command after a null that lasted [m]."""
-        lasting = max(20, round(0.05 / self.pace.period))
-        moving = np.flatnonzero(self.command)
-        firsts = [first for before, first in zip([-lasting - 1, *moving[:-1]], moving, strict=True) if first - before > lasting]
-        return float(np.max(np.abs(self.command[firsts]), initial=0.0))
+        return float(np.max(np.abs(self.command[self._first_after_null()]), initial=0.0))

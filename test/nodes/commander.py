@@ -1,7 +1,7 @@
 """A controller of the simplest kind, which answers each snapshot as the last line on stdin says.
 
-``sine A F`` commands A sin(2 pi F t) [m, Hz], ``constant U`` commands U [m], ``mute`` nothing. The one argument is the control
-period [s]. It says ``up`` once it is there.
+``sine A F`` commands A sin(2 pi F t) [m, Hz] and a little towards the middle of the stroke, ``constant U`` commands U [m],
+``mute`` nothing. The one argument is the control period [s]. It says ``up`` once it is there.
 """
 
 import math
@@ -14,6 +14,9 @@ from rclpy.signals import SignalHandlerOptions
 
 from ehls_msgs.msg import LoaderState, ValveCommand
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
+
+STIFFNESS, MOST = 1e-3, 1e-4
+"""By how much of the position the command leads back [m/m], and how far at most [m]."""
 
 
 def main() -> None:
@@ -33,7 +36,8 @@ def main() -> None:
             match wanted[-1].split():
                 case ["sine", amplitude, frequency]:
                     turn = (float(frequency) * period * cycle) % 1.0
-                    outbox.send(stamp, cycle, float(amplitude) * math.sin(2.0 * math.pi * turn))
+                    back = max(-MOST, min(MOST, -STIFFNESS * state[2]))
+                    outbox.send(stamp, cycle, float(amplitude) * math.sin(2.0 * math.pi * turn) + back)
                 case ["constant", value]:
                     outbox.send(stamp, cycle, float(value))
     for part in (waiter, inbox, outbox):

@@ -1,0 +1,286 @@
+"""Random sequences of everything that may befall a running bridge, and what has to hold of the valve whatever befell it.
+
+A sequence is some actions in a row: services, transitions, parameters, signals to processes, faults of net and sensors,
+commands of every kind. What a moment has to look like is noted as it goes by, and held against the rig's own log at the end.
+"""
+
+import signal
+import time
+from collections import Counter
+from collections.abc import Callable
+from random import Random
+from typing import Any, NamedTuple
+
+import numpy as np
+from commanded_rig import BRIDGE, PATIENCE, CommandedRig, Pace, Truth
+from std_srvs.srv import SetBool, Trigger
+
+from ehls_msgs.srv import AcknowledgeStop
+from ehls_ros.hardware.gate_parameters import REACTIONS, Parameters
+from ehls_ros.schema import declarations
+
+LARGEST = 5e-4
+"""Of what the commander commands and the gate may let through [m]."""
+
+ACTIONS = 8
+"""In a sequence."""
+
+DECLARED = {declared.name: declared for declared in declarations(Parameters)}
+
+ON_THE_WAY = 20e-3
+"""What an answer takes to get here, and the rig's log to have a cycle of then [s]."""
+
+
+class Closed(NamedTuple):
+    """A stretch of time in which the valve has to be at null.
+
+    Attributes:
+        why: what closed it.
+        since: when that was known, and what it had to do was done [s].
+        until: when it might first be opened again [s].
+    """
+
+    why: str
+    since: float
+    until: float
+
+
+class Worst(NamedTuple):
+    """The worst of what was seen; lengths in m, speeds in m/s, forces in N.
+
+    Attributes:
+        command: largest command that reached the valve.
+        open_when_closed: largest command in a stretch in which it had to be at null.
+        beyond_ramp: by how much an opening was beyond its ramp.
+        step: largest first command after a null that lasted.
+        speed: of the piston.
+        force: at the cylinder.
+        position: distance from the middle of the stroke.
+        opened: fraction of the time in which the valve was open.
+    """
+
+    command: float
+    open_when_closed: float
+    beyond_ramp: float
+    step: float
+    speed: float
+    force: float
+    position: float
+    opened: float
+
+
+class RandomAttacks:
+    """Does random things to a rig.
+
+    Attributes:
+        done: how often each action was taken.
+        closed: the stretches in which the valve had to be at null.
+    """
+
+    def __init__(self, rig: CommandedRig, random: Random) -> None:
+        self.rig, self.random = rig, random
+        self.done: Counter[str] = Counter()
+        self.closed: list[Closed] = []
+        self._shut: tuple[str, float] | None = None
+        self._stop = ""
+        self._lifecycle = "active"
+        self._changed: set[str] = set()
+        self._actions: dict[Callable[[], Any], int] = {
+            self.enable: 6,
+            self.reset: 4,
+            self.disable: 2,
+            self.emergency_stop: 1,
+            self.acknowledge: 2,
+            self.acknowledge_wrongly: 1,
+            self.transition: 4,
+            self.invalid_transition: 1,
+            self.parameter: 4,
+            self.freeze_bridge: 3,
+            self.freeze_emulator: 1,
+            self.freeze_commander: 1,
+            self.lose_packets: 2,
+            self.spoil_sensor: 2,
+            self.command: 4,
+            self.rest: 4,
+            self.kill_bridge: 1,
+        }
+
+    def sequence(self) -> None:
+        """Take some actions, then bring the rig back to where it is open."""
+        self.come_back()
+        for _ in range(ACTIONS):
+            [action] = self.random.choices(list(self._actions), list(self._actions.values()))
+            self.done[action.__name__] += 1
+            action()
+        self.rig.fault("clear")
+
+    def come_back(self) -> None:
+        """Open the gate, whatever went before."""
+        self.rig.fault("clear")
+        self.rig.command(f"sine {LARGEST / 2} 1.3")
+        for label in {"unconfigured": ("configure", "activate"), "inactive": ("activate",)}.get(self._lifecycle, ()):
+            assert self.rig.transition(label)
+        self._lifecycle = "active"
+        self.disable()
+        for name in self._changed:
+            self.rig.participant.set_parameter(BRIDGE, name, self.rig.gate.get(name, DECLARED[name].default))
+        self._changed.clear()
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            self.acknowledge()
+            self.reset()
+            if self.enable():
+                return
+            assert time.monotonic() < deadline, self.rig.said()["message"]
+            self.rig.participant.rest(0.05)
+
+    def end_of_null(self) -> None:
+        """Note that a stretch in which the valve had to be at null is over."""
+        if self._shut is not None:
+            self.closed.append(Closed(*self._shut, time.monotonic()))
+            self._shut = None
+
+    # What is done
+
+    def enable(self) -> bool:
+        latched = bool(self._stop) or self._lifecycle != "active"
+        if not latched:
+            self.end_of_null()
+        opened = bool(self.rig.enable().success)
+        assert not (opened and latched)
+        return opened
+
+    def reset(self) -> None:
+        self.rig.ask(Trigger, "reset_trips")
+
+    def disable(self) -> None:
+        assert self.rig.ask(SetBool, "enable", data=False).success
+        self._closed_by("disabled", self.rig.pace.ramp)
+
+    def emergency_stop(self) -> None:
+        self.rig.emergency_stop()
+        self._stop = self.rig.stop
+        self._closed_by("stopped")
+
+    def acknowledge(self) -> None:
+        if self._stop and self.rig.ask(AcknowledgeStop, "acknowledge_stop", stop=self._stop).success:
+            self._stop = ""
+
+    def acknowledge_wrongly(self) -> None:
+        name = self.random.choice(["", "stop", "stop-0", "stop-999", "emergency_stop"])
+        assert not self.rig.ask(AcknowledgeStop, "acknowledge_stop", stop=name).success
+
+    def transition(self) -> None:
+        following = {
+            "active": [("deactivate", "inactive")],
+            "inactive": [("activate", "active"), ("cleanup", "unconfigured")],
+            "unconfigured": [("configure", "inactive")],
+        }
+        label, state = self.random.choice(following[self._lifecycle])
+        assert self.rig.transition(label)
+        self._lifecycle = state
+        if label == "deactivate":
+            self._closed_by(label)
+
+    def invalid_transition(self) -> None:
+        wrong = {"active": "configure", "inactive": "configure", "unconfigured": "activate"}
+        assert not self.rig.transition(wrong[self._lifecycle])
+
+    def parameter(self) -> None:
+        declared = self.random.choice(list(DECLARED.values()))
+        self._changed.add(declared.name)
+        if declared.kind is str:
+            value: Any = self.random.choice([*REACTIONS, "", "off"])
+        else:
+            low, high = declared.minimum or 0.0, declared.maximum or 1.0
+            value = self.random.choice([low, high, self.random.uniform(low, high), float("nan"), -1.0, 1e30, 1, True])
+        self.rig.participant.set_parameter(BRIDGE, declared.name, value)
+
+    def freeze_bridge(self) -> None:
+        asleep = self._freeze(self.rig.bridge, self.random.choice([0.005, 0.02, 0.05, 0.09, 0.3]))
+        if asleep > self.rig.pace.timeout + self.rig.pace.period:
+            # The bridge may have been at the end of a cycle when it fell asleep.
+            self._closed_by("frozen", 3.0 * self.rig.pace.period)
+
+    def freeze_emulator(self) -> None:
+        self._freeze(self.rig.emulator, self.random.choice([0.005, 0.02, 0.09]))
+
+    def freeze_commander(self) -> None:
+        self._freeze(self.rig.graph.processes["commander"], self.random.choice([0.005, 0.02, 0.09]))
+
+    def lose_packets(self) -> None:
+        self.rig.fault(self.random.choice(["deaf", "silent"]))
+        self.rig.participant.rest(self.random.choice([0.003, 0.012, 0.03, 0.1]))
+        self.rig.fault("clear")
+
+    def spoil_sensor(self) -> None:
+        lines = ("stick force", "stick position", "bias force 3000", "bias load_pressure 1.5e6", "bias position 0.05")
+        self.rig.fault(self.random.choice([*lines, "jump force 2e4", "nan force", "nan position", "clock 3600", "clock -3600"]))
+        self.rest()
+        self.rig.fault("clear")
+
+    def command(self) -> None:
+        constant = self.random.uniform(-LARGEST / 5, LARGEST / 5)
+        sines = (f"sine {self.random.uniform(0.0, LARGEST / 2)} {self.random.uniform(0.5, 3.0)}", f"constant {constant}")
+        self.rig.command(
+            self.random.choice([*sines, "mute", "constant nan", "constant inf", "constant 1e30", "constant 0.011"])
+        )
+        self.rest()
+
+    def rest(self) -> None:
+        self.rig.participant.rest(self.random.choice([1.0, 5.0, 20.0, 60.0]) * self.rig.pace.period)
+
+    def kill_bridge(self) -> None:
+        if self.random.random() < 0.8:
+            return
+        name = self.random.choice([signal.SIGKILL, signal.SIGTERM])
+        if name == signal.SIGKILL:
+            self.rig.graph.kill(BRIDGE)
+        else:
+            assert self.rig.graph.stop(BRIDGE, name) == 0
+        self._closed_by(name.name, self.rig.pace.watchdog)
+        up = self.rig.graph.log(BRIDGE).count(": up")
+        self.rig.start_bridge()
+        self.rig.participant.until(lambda: self.rig.graph.log(BRIDGE).count(": up") > up, PATIENCE)
+        self._lifecycle, self._stop, self.rig.stop = "active", "", ""
+
+    def _freeze(self, process: Any, seconds: float) -> float:
+        """Freeze a process and return for how long it was at least [s]."""
+        process.send_signal(signal.SIGSTOP)
+        begun = time.monotonic()
+        time.sleep(seconds)
+        asleep = time.monotonic() - begun
+        process.send_signal(signal.SIGCONT)
+        return asleep
+
+    def _closed_by(self, why: str, takes: float = 0.0) -> None:
+        if self._shut is None:
+            self._shut = why, time.monotonic() + takes + ON_THE_WAY + 3.0 * self.rig.pace.period
+
+
+def judge(columns: dict[str, np.ndarray], pace: Pace, closed: list[Closed]) -> Worst:
+    """Return the worst of what the rig's log shows.
+
+    Args:
+        columns: the whole log, by name.
+        pace: of the rig.
+        closed: stretches in which the valve had to be at null.
+    """
+    truth = Truth(columns["monotonic_s"], columns["valve_command_m"], pace)
+    open_when_closed = 0.0
+    for why, since, until in closed:
+        within = np.abs(truth.between(since, until))
+        if within.size and within.max() > open_when_closed:
+            open_when_closed = float(within.max())
+            print(f"open while {why}: {open_when_closed} m, {since} to {until}")
+    beyond = [excess for _, excess in truth.openings(LARGEST)]
+    return Worst(
+        command=float(np.max(np.abs(truth.command))),
+        open_when_closed=open_when_closed,
+        beyond_ramp=max([0.0, *beyond]),
+        step=truth.largest_step_after_null(),
+        speed=float(np.max(np.abs(columns["velocity_m_s"]))),
+        force=float(np.max(np.abs(columns["force_n"]))),
+        position=float(np.max(np.abs(columns["position_m"]))),
+        opened=float(np.mean(truth.command != 0.0)),
+    )

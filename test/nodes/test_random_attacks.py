@@ -1,0 +1,36 @@
+"""Some random sequences against a running bridge; benchmarks/attacks.py runs thousands."""
+
+import random
+
+import pytest
+
+pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+
+from commanded_rig import CommandedRig
+from random_attacks import LARGEST, RandomAttacks, judge
+
+SEQUENCES = 8
+RESOLUTION = 1e-6
+
+
+@pytest.mark.timeout(1500)
+def test_whatever_befalls_the_rig_the_valve_does_what_it_may(graph, participant, tmp_path):
+    seed = random.SystemRandom().randrange(2**32)
+    print("seed", seed)
+    rig = CommandedRig(graph, participant, tmp_path)
+    try:
+        rig.open()
+        attacks = RandomAttacks(rig, random.Random(seed))
+        for _ in range(SEQUENCES):
+            attacks.sequence()
+        attacks.emergency_stop()
+        rig.participant.rest(0.2)
+        attacks.end_of_null()
+        worst = judge(rig.seen(), rig.pace, attacks.closed)
+    finally:
+        rig.close()
+    assert worst.opened > 0.0
+    assert worst.open_when_closed == 0.0
+    assert worst.beyond_ramp <= RESOLUTION
+    assert worst.command <= LARGEST
+    assert worst.speed <= rig.pace.velocity
