@@ -5,10 +5,12 @@ all of the gate's times are as much longer.
 """
 
 import csv
+import json
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,13 +49,18 @@ FAST = Pace(period=0.001, velocity=2.0, timeout=0.03, watchdog=0.01, ramp=0.02, 
 """The pace of a real rig."""
 
 AMPLITUDE, FREQUENCY = 1e-4, 0.7
-"""Of the command, gentle enough that nothing but what a test does trips the gate [m, Hz]."""
+"""Of the sine that is commanded, gentle enough that nothing but what a test does trips the gate [m, Hz]."""
+
+COMMANDED = 2.0 * AMPLITUDE
+"""Largest command: the commander adds a little towards the middle of the stroke [m]."""
 
 
 class CommandedRig:
     """Emulator, bridge and commander; the test itself is a participant beside them."""
 
-    def __init__(self, graph: Any, participant: Any, folder: Path, pace: Pace = SLOW, bridge: str = "", **gate: Any) -> None:
+    def __init__(
+        self, graph: Any, participant: Any, folder: Path, pace: Pace = SLOW, bridge: str = "", net: Sequence[str] = ()
+    ) -> None:
         self.graph, self.participant, self.folder, self.pace = graph, participant, folder, pace
         rig = yaml.safe_load((ROOT / "config" / "rig_paper_measured.yaml").read_text(encoding="utf-8"))
         rig["limits"]["velocity"] = pace.velocity
@@ -66,8 +73,8 @@ class CommandedRig:
         wiring["backend"]["watchdog"] = pace.watchdog
         self.wiring = self._write("wiring.yaml", wiring)
         times = {"command_timeout": pace.timeout, "sensor_timeout": pace.timeout, "hold_time": pace.ramp}
-        self.gate = {**times, "ramp_time": pace.ramp, "limit_time": 2.0 * pace.period, "enable_time": pace.enable, **gate}
-        self.bridge_script = bridge
+        self.gate = {**times, "ramp_time": pace.ramp, "limit_time": 2.0 * pace.period, "enable_time": pace.enable}
+        self.bridge_script, self.net = bridge, net
         self.stop = ""
         self.states: list[Any] = participant.collect(LoaderState, "loader_state")
         self.diagnostics: list[Any] = participant.collect(DiagnosticArray, "/diagnostics")
@@ -85,7 +92,7 @@ class CommandedRig:
     def start_emulator(self) -> None:
         self.log = self.folder / "truth.csv"
         words = ["--spec", self.spec, "--bridge", self.wiring, "--log", self.log, "--json", "--faults-from-stdin"]
-        command = [sys.executable, "-m", "ehls_ros.cli.main", "rig-emulator", *map(str, words)]
+        command = [sys.executable, "-m", "ehls_ros.cli.main", "rig-emulator", *map(str, words), *self.net]
         with (self.folder / "emulator.err").open("ab") as errors:
             self.emulator = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors)
         assert b"listening" in self.emulator.stdout.readline(), (self.folder / "emulator.err").read_text()
@@ -175,7 +182,8 @@ class CommandedRig:
     def seen(self) -> dict[str, np.ndarray]:
         """End the emulator and return its log, by column."""
         self.emulator.send_signal(signal.SIGINT)
-        self.emulator.communicate(timeout=PATIENCE)
+        output, _ = self.emulator.communicate(timeout=PATIENCE)
+        self.counts = json.loads(output.splitlines()[-1])
         with self.log.open(encoding="utf-8", newline="") as file:
             header, *rows = csv.reader(file)
         return dict(zip(header, np.array(rows, dtype=float).T, strict=True))
@@ -213,7 +221,7 @@ class Truth(NamedTuple):
             return 0.0
         return np.inf if moving[-1] == len(commands) - 1 else float(times[moving[-1] + 1] - since)
 
-    def openings(self, amplitude: float = AMPLITUDE) -> list[tuple[float, float]]:
+    def openings(self, amplitude: float = COMMANDED) -> list[tuple[float, float]]:
         """Return time and largest excess of each opening after a null that lasted: how far the command was beyond its ramp [m].
 
         Blended in over the time of enabling, the command may be no larger than its part of the amplitude [m]; what the gate may

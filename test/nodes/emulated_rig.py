@@ -1,4 +1,4 @@
-"""The bridge's graph on an emulated rig, all of it processes, with faults put in and what the actuator saw read back."""
+"""The bridge's graph on an emulated rig in lockstep, with faults put in and what the actuator saw read back."""
 
 import csv
 import json
@@ -7,7 +7,6 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +39,8 @@ def free_port() -> int:
 class EmulatedRig:
     """Emulator, bridge, reference and controller; the test itself is a participant beside them."""
 
-    def __init__(
-        self, graph: Any, participant: Any, folder: Path, law: str, timing: str, emulator: Sequence[str], spoil: bool
-    ) -> None:
-        self.graph, self.participant, self.folder, self.law, self.timing = graph, participant, folder, law, timing
+    def __init__(self, graph: Any, participant: Any, folder: Path, law: str, spoil: bool) -> None:
+        self.graph, self.participant, self.folder, self.law = graph, participant, folder, law
         self.spec = folder / "rig.yaml"
         self.spec.write_text(yaml.safe_dump({**SPEC, "controller": {"name": law}}), encoding="utf-8")
         bridge = yaml.safe_load((ROOT / "config" / "bridge_udp.yaml").read_text(encoding="utf-8"))
@@ -51,7 +48,6 @@ class EmulatedRig:
         self.bridge = folder / "bridge.yaml"
         self.bridge.write_text(yaml.safe_dump(bridge), encoding="utf-8")
         self.wired = [signal for signal in SENSED if signal in bridge["channels"]]
-        self.emulator_arguments = emulator
         self.emulators = 0
         self.stop = ""
         self.start_emulator()
@@ -64,13 +60,11 @@ class EmulatedRig:
     def start(self, name: str, **options: Any) -> subprocess.Popen[bytes]:
         """Start one of the nodes, or start it anew."""
         own = {"bridge": self.bridge} if name == "hardware_bridge_node" else {}
-        priority = 10 if self.timing == "realtime" else 0
-        return self.graph.start(name, spec=self.spec, timing=self.timing, priority=priority, **own, **options)
+        return self.graph.start(name, spec=self.spec, timing="lockstep", **own, **options)
 
     def start_emulator(self) -> None:
         self.emulators += 1
         self.log = self.folder / f"truth{self.emulators}.csv"
-        lockstep = ["--lockstep"] if self.timing == "lockstep" else []
         command = [
             sys.executable,
             "-m",
@@ -81,7 +75,7 @@ class EmulatedRig:
             "--bridge",
             str(self.bridge),
         ]
-        command += ["--log", str(self.log), "--json", "--faults-from-stdin", *lockstep, *self.emulator_arguments]
+        command += ["--log", str(self.log), "--json", "--faults-from-stdin", "--lockstep"]
         with (self.folder / "emulator.err").open("ab") as errors:
             self.emulator = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors)
         assert b"listening" in self.emulator.stdout.readline(), (self.folder / "emulator.err").read_text()

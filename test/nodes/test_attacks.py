@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
 
-from commanded_rig import AMPLITUDE, BRIDGE, PATIENCE, SLOW, CommandedRig
+from commanded_rig import BRIDGE, COMMANDED, PATIENCE, SLOW, CommandedRig
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter, ParameterValue
@@ -55,7 +55,7 @@ def judge(attack, truth, since, limit, until=np.inf):
     assert null <= limit, f"{attack}: null after {null} s"
     for when, excess in truth.openings():
         assert excess <= RESOLUTION, f"{attack}: {excess} m beyond the ramp at {when}"
-    assert np.max(np.abs(truth.command)) <= AMPLITUDE + RESOLUTION
+    assert np.max(np.abs(truth.command)) <= COMMANDED + RESOLUTION
 
 
 # What a client can send
@@ -203,6 +203,15 @@ def test_what_slept_or_was_cut_off_stays_at_null_when_it_is_back(rig):
 
     trial("bridge frozen for 2 s", *freeze(running.bridge), 2.0, ("gap", "device_null"))
     trial("bridge frozen for 220 ms", *freeze(running.bridge), 0.22, ("gap", "device_null"))
+    # A packet with a value that is no number is refused whole.
+    for line in ("nan force", "nan position"):
+        trial(
+            f"sensor: {line}",
+            lambda line=line: running.fault(line),
+            lambda: running.fault("clear"),
+            0.5,
+            ("sensor_not_finite",),
+        )
     trial(
         "link to the target lost for 300 ms",
         lambda: running.fault("deaf"),
@@ -226,6 +235,18 @@ def test_what_slept_or_was_cut_off_stays_at_null_when_it_is_back(rig):
     truth = running.finish()
     for what, since, until in (*moments, ("target frozen for 1 s", woken, np.inf)):
         judge(what, truth, since, max(SLOW.watchdog, SLOW.timeout) + SLOW.ramp + SETTLED, until)
+
+
+def test_packets_that_are_corrupted_lost_doubled_and_late_are_refused_and_counted(rig):
+    net = "--corrupt", "0.05", "--loss", "0.05", "--duplicate", "0.05", "--reorder", "0.05", "--jitter-ms", "3"
+    running = rig(net=net)
+    running.participant.rest(2.0)
+    stopped = running.emergency_stop()
+    running.participant.rest(0.3)
+    truth = running.finish()
+    assert running.counts["refused_tag"] > 0
+    assert running.counts["order"] > 0
+    judge("packets corrupted, lost, doubled, overtaken (5 % each), then a stop", truth, stopped, SETTLED + SLOW.watchdog)
 
 
 # Parameters
@@ -275,7 +296,7 @@ def test_an_emergency_stop_outlasts_spammed_resets_and_enables(rig):
     until = time.monotonic()
     early = running.ask(AcknowledgeStop, "acknowledge_stop", stop="stop-0")
     assert not early.success
-    assert sent > 100
+    assert sent > 20
     running.open()
     running.participant.rest(0.3)
     truth = running.finish()

@@ -1,0 +1,39 @@
+"""A node that is shut down as the lifecycle knows it: finalized, silent, and not to be woken."""
+
+import pytest
+
+pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+
+from ehls_msgs.msg import ControllerStatus
+
+TOPICS = {
+    "fasmc_node": "valve_command",
+    "plant_sim_node": "loader_state",
+    "reference_node": "force_reference",
+    "disturbance_node": "disturbance",
+    "friction_estimator_node": "friction_estimate",
+}
+
+
+def test_a_node_that_is_shut_down_while_active_publishes_no_more(graph, participant, spec_file):
+    spec = spec_file(duration=1000.0)
+    for name in TOPICS:
+        graph.start(name, spec=spec, timing="lockstep")
+    statuses = participant.collect(ControllerStatus, "controller_status")
+    participant.until(lambda: len(statuses) > 200, 240.0)
+
+    def transition(name, label):
+        request = ChangeState.Request(transition=Transition(label=label))
+        return participant.call(ChangeState, f"{name}/change_state", request).success
+
+    for name, topic in TOPICS.items():
+        assert transition(name, "shutdown"), name
+        assert participant.call(GetState, f"{name}/get_state", GetState.Request()).current_state.label == "finalized"
+        participant.until(lambda topic=topic: participant.node.count_publishers(topic) == 0, 60.0)
+        assert not transition(name, "configure")
+    for name in TOPICS:
+        assert graph.stop(name) == 0, graph.log(name)
+        assert "Traceback" not in graph.log(name)
