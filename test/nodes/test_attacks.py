@@ -259,7 +259,7 @@ def test_parameters_take_no_protection_away(rig):
         return running.participant.set_parameter(BRIDGE, name, value).successful
 
     never = [("on_force", "warn"), ("on_load_pressure", "warn"), ("on_velocity", "warn"), ("on_position", "warn")]
-    never += [("on_sensor_stale", "warn"), ("on_command_stale", "warn"), ("on_sensor_stale", "warn")]
+    never += [("on_sensor_stale", "warn"), ("on_command_stale", "warn"), ("on_sensor_not_finite", "warn")]
     never += [("command_rate", 20.0), ("command_rate", 1e-9), ("enable_time", 0.0), ("command_timeout", 0.5)]
     weaker = [("on_sensor_jump", "warn"), ("on_command_rate", "warn"), ("force_error", 1e5), ("trip_level", 1.0)]
     for name, value in never + weaker:
