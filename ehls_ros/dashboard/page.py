@@ -31,8 +31,8 @@ GATE_STATE = "state"
 TRIPPED = 2
 """Level of that node from when the gate tripped until its trips are reset."""
 
-TOO_SLOW = "machine too slow"
-"""What a node says, among other things, that cannot keep its cycles on this machine."""
+TOO_SLOW = "too slow"
+"""What a node says, among other things, whose cycles this machine cannot keep."""
 
 REMEDY = "To go on: Reset trips, then Enable."
 
