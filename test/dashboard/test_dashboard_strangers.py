@@ -142,6 +142,7 @@ def test_whatever_strangers_publish_the_dashboard_goes_on_and_stays_small(strang
     broken = serialize_message(report(status("broken", "m" * 50)))
     with dashboard(tmp_path) as server:
         here = f"http://127.0.0.1:{server.port}/"
+        names = set()
         until(lambda: publisher.get_subscription_count() == 1, "the dashboard does not listen")
 
         def shown():
