@@ -31,6 +31,9 @@ GATE_STATE = "state"
 TRIPPED = 2
 """Level of that node from when the gate tripped until its trips are reset."""
 
+PAUSE = '<input type="checkbox" onchange="ehlsLive.pause(this.checked)"> pause'
+"""The browser's own affair: a page that may not write is not heard."""
+
 TOO_SLOW = "too slow"
 """What a node says, among other things, whose cycles this machine cannot keep."""
 
@@ -81,8 +84,7 @@ class Page:
             ui.element("div").classes("grow")
             if not writes:
                 ui.label("read only: controls need the address with the token").classes("said").props('data-name="read-only"')
-            # Pausing is the browser's own affair.
-            ui.switch("pause").props("dense").on("update:model-value", js_handler="(value) => ehlsLive.pause(value)")
+            ui.html(PAUSE, sanitize=False, tag="label").classes("pause")
             if writes:
                 button("Reset trips", graph.reset_trips, "flat dense")
                 button("Enable", graph.enable, "outline dense")

@@ -18,7 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from headless_browser import CHROMIUM, browser
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
-from served import PATIENCE, Served, answer, served, until
+from served import PATIENCE, Served, answer, own_address, served, until
 
 from ehls_msgs.msg import FrictionEstimate
 from ehls_ros.dashboard.words import FIGURES, NAME, SENTENCE, figures, line
@@ -79,6 +79,31 @@ def test_a_machine_that_is_too_slow_is_named_before_what_comes_of_it(tmp_path):
         server.tell([["fasmc_node", 0, "well", {}]])
         tab.until("document.querySelector('[data-name=state]').innerText.startsWith('running, ')")
         assert not tab.text("trouble")
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_a_page_that_only_reads_is_whole_although_nobody_hears_it(tmp_path):
+    with served() as server, browser(tmp_path) as chromium, chromium.tab(f"http://127.0.0.1:{server.port}/") as tab:
+        tab.until("ehlsLive.last() > 0")
+        tab.click(".pause input")
+        tab.until("document.querySelector('.pause input').checked")
+        tab.click("summary")
+        tab.until("document.querySelector('details').open")
+        # What is said now comes after the page's events: it was not cut off for them.
+        server.tell([["fasmc_node", 1, "still there", {}]])
+        tab.until("document.querySelector('.trouble').innerText.includes('still there')")
+        assert tab.complaints == []
+        assert server.wishes() == []
+
+
+@pytest.mark.skipif(CHROMIUM is None or own_address() is None, reason="needs Chromium and an address besides the loopback's")
+def test_a_browser_on_another_machine_shows_the_page_and_its_buttons_work(tmp_path):
+    with served("0.0.0.0") as server, browser(tmp_path) as chromium:
+        with chromium.tab(f"http://{own_address()}:{server.port}/?token={server.token}") as tab:
+            tab.until("ehlsLive.last() > 0")
+            tab.click("[data-name='emergency stop']")
+            until(lambda: server.wishes() == ["emergency stop"], "the button does nothing")
+            assert tab.complaints == []
 
 
 def test_texts_are_cut_to_what_a_page_can_show():
