@@ -98,12 +98,14 @@ def test_a_page_that_only_reads_is_whole_although_nobody_hears_it(tmp_path):
 
 @pytest.mark.skipif(CHROMIUM is None or own_address() is None, reason="needs Chromium and an address besides the loopback's")
 def test_a_browser_on_another_machine_shows_the_page_and_its_buttons_work(tmp_path):
-    with served("0.0.0.0") as server, browser(tmp_path) as chromium:
-        with chromium.tab(f"http://{own_address()}:{server.port}/?token={server.token}") as tab:
-            tab.until("ehlsLive.last() > 0")
-            tab.click("[data-name='emergency stop']")
-            until(lambda: server.wishes() == ["emergency stop"], "the button does nothing")
-            assert tab.complaints == []
+    with contextlib.ExitStack() as stack:
+        server = stack.enter_context(served("0.0.0.0"))
+        chromium = stack.enter_context(browser(tmp_path))
+        tab = stack.enter_context(chromium.tab(f"http://{own_address()}:{server.port}/?token={server.token}"))
+        tab.until("ehlsLive.last() > 0")
+        tab.click("[data-name='emergency stop']")
+        until(lambda: server.wishes() == ["emergency stop"], "the button does nothing")
+        assert tab.complaints == []
 
 
 def test_texts_are_cut_to_what_a_page_can_show():
