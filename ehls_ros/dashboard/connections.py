@@ -131,11 +131,13 @@ class _Connection:
         self._before = State.ASKING
 
     def state(self) -> State:
-        if self.transport.is_closing():
+        # What was written is not yet taken: a slow reader's connection is neither idle nor, if it is to close then, closed.
+        unsent = self.transport.get_write_buffer_size() > 0
+        if self.transport.is_closing() and (self.page or not unsent):
             return State.CLOSING
         if self.page:
             return State.OF_PAGE
-        return State.ANSWERED if self.answered else State.ASKING
+        return State.ANSWERED if self.answered or unsent else State.ASKING
 
     def takes_too_long(self) -> bool:
         """Count a pass; tell whether the state has lasted for too many."""

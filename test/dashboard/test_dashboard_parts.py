@@ -152,6 +152,7 @@ class Transport:
     def __init__(self, port):
         self.peer = ("192.0.2.7", port)
         self.closing = self.cut = False
+        self.unsent = 0
 
     def get_extra_info(self, _):
         return self.peer
@@ -159,13 +160,17 @@ class Transport:
     def is_closing(self):
         return self.closing or self.cut
 
+    def get_write_buffer_size(self):
+        return self.unsent
+
     def abort(self):
         self.cut = True
 
 
-@pytest.mark.parametrize("state", list(State))
-def test_a_connection_has_as_many_passes_as_its_state_allows(state, monkeypatch):
+@pytest.mark.parametrize(("state", "unsent"), [*((state, 0) for state in State), (State.ANSWERED, 100)])
+def test_a_connection_has_as_many_passes_as_its_state_allows(state, unsent, monkeypatch):
     connections, transport, lived = Connections(), Transport(5), []
+    transport.unsent = unsent
 
     async def count(_):
         # Stands for the time between two passes.
@@ -178,7 +183,8 @@ def test_a_connection_has_as_many_passes_as_its_state_allows(state, monkeypatch)
     transport.closing = state is State.CLOSING
     if state is State.OF_PAGE:
         connections.belongs(transport.peer, "page")
-    answered = connections.answered(transport.peer) if state is State.ANSWERED else contextlib.nullcontext()
+    answers = state is State.ANSWERED and not unsent
+    answered = connections.answered(transport.peer) if answers else contextlib.nullcontext()
     with answered, pytest.raises(asyncio.CancelledError):
         asyncio.run(connections.watch())
     assert lived.count(False) == PASSES.get(state, 200) + 1
