@@ -76,9 +76,9 @@ def take(tab: Tab) -> None:
     save(tab, "dashboard_dark")
     tab.prefer("light")
     tab.click("[data-name=tab-experiment]")
-    tab.type_into("[data-name=effect]", "dead zone", "ArrowDown", "Enter")
+    tab.choose("[data-name=effect]", "dead zone")
     tab.click("[data-name='add effect']")
-    tab.type_into("[data-name=effect]", "entrained", "ArrowDown", "Enter")
+    tab.choose("[data-name=effect]", "entrained")
     save(tab, "dashboard_experiment")
 
 

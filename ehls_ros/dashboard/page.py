@@ -31,6 +31,12 @@ GATE_STATE = "state"
 TRIPPED = 2
 """Level of that node from when the gate tripped until its trips are reset."""
 
+PAUSE = '<input type="checkbox" onchange="ehlsLive.pause(this.checked)"> pause'
+"""The browser's own affair: a page that may not write is not heard."""
+
+TOO_SLOW = "too slow"
+"""What a node says, among other things, whose cycles this machine cannot keep."""
+
 REMEDY = "To go on: Reset trips, then Enable."
 
 LEVELS = ("well", "warning", "error", "silent")
@@ -78,15 +84,15 @@ class Page:
             ui.element("div").classes("grow")
             if not writes:
                 ui.label("read only: controls need the address with the token").classes("said").props('data-name="read-only"')
-            # Pausing is the browser's own affair.
-            ui.switch("pause").props("dense").on("update:model-value", js_handler="(value) => ehlsLive.pause(value)")
+            ui.html(PAUSE, sanitize=False, tag="label").classes("pause")
             if writes:
                 button("Reset trips", graph.reset_trips, "flat dense")
                 button("Enable", graph.enable, "outline dense")
                 button("Emergency stop", graph.emergency_stop, "dense color=negative")
         self._trouble = ui.label("").classes("trouble").props('data-name="trouble"')
         self._trouble.set_visibility(False)
-        ui.label("The dashboard's server does not answer: it was ended, or the connection is lost.").classes("trouble lost")
+        lost = "Nothing comes from the dashboard's server: it was ended, the connection is lost, or the machine is too busy."
+        ui.label(lost).classes("trouble lost")
 
     def _side(self, spec: Path | None, *, writes: bool) -> None:
         names = ("Tune", "Experiment", "Nodes") if writes else ("Nodes",)
@@ -121,20 +127,21 @@ class Page:
     def _show_words(self) -> None:
         rate, health, beginning = self._graph.rate(), self._graph.health(), self._graph.beginning()
         self._was_there |= rate > 0.0
-        self._show_state(rate, beginning)
+        slow = next((f"{node.node}: {node.message}" for node in health if TOO_SLOW in node.message), "")
+        self._show_state(rate, beginning, slow=bool(slow))
         gate = next((node for node in health if GATE_STATE in node.figures), None)
         self._gate.set_text(f"gate {gate.figures[GATE_STATE]}" if gate else "")
         self._gate.set_visibility(gate is not None)
         _set_level(self._gate, gate.level if gate else 0)
         self._beginning.show(beginning, was_there=self._was_there)
-        self._show_trouble(health, there=rate > 0.0 or beginning is not None)
+        self._show_trouble(health, slow, there=rate > 0.0 or beginning is not None)
         self._nodes.show(health)
         if self._experiment is not None:
             self._experiment.show()
 
-    def _show_state(self, rate: float, beginning: Beginning | None) -> None:
+    def _show_state(self, rate: float, beginning: Beginning | None, *, slow: bool) -> None:
         if rate:
-            text, level = f"running, {rate:.0f} cycles/s", 0
+            text, level = f"{TOO_SLOW if slow else 'running'}, {rate:.0f} cycles/s", int(slow)
         elif beginning:
             text, level = f"starting, {beginning.seconds:.0f} s", 1
         else:
@@ -142,7 +149,7 @@ class Page:
         self._state.set_text(text)
         _set_level(self._state, level)
 
-    def _show_trouble(self, health: tuple[Health, ...], *, there: bool) -> None:
+    def _show_trouble(self, health: tuple[Health, ...], slow: str, *, there: bool) -> None:
         worst = max(health, key=lambda node: node.level, default=None)
         text = self._graph.complaint()
         if not text and self._was_there and not there:
@@ -151,6 +158,9 @@ class Page:
             text = f"{worst.node}: {worst.message}"
             if worst.level == TRIPPED and GATE_STATE in worst.figures:
                 text = f"{text}. {REMEDY}"
+            if slow and slow != text:
+                # The cause before what came of it.
+                text = f"{slow}. {text}"
         self._trouble.set_text(text)
         self._trouble.set_visibility(bool(text))
 
@@ -179,7 +189,9 @@ class _Row:
     """One node."""
 
     def __init__(self, name: str) -> None:
-        with ui.element("details").props(f'data-name="node-{name}"'):
+        with ui.element("details") as row:
+            # Set as it is: what stands in a text of properties is parsed, and some properties are run.
+            row.props["data-name"] = f"node-{name}"
             with ui.element("summary"):
                 ui.html(escape(name), sanitize=False, tag="b")
                 self._level = ui.label("").classes("badge")

@@ -1,5 +1,7 @@
 """The web server of the dashboard."""
 
+import asyncio
+import logging
 import signal
 import socket
 from collections.abc import AsyncIterator, Callable
@@ -8,15 +10,19 @@ from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI, Request
+from nicegui import app as library
 from nicegui import ui
+from starlette.responses import PlainTextResponse
 
-from ehls_ros.dashboard.access import TOKEN, Access, AccessMiddleware
+from ehls_ros.dashboard.access import AWAY, TOKEN, WRITES, Access, AccessMiddleware
+from ehls_ros.dashboard.connections import Connections
 from ehls_ros.dashboard.graph import Graph
+from ehls_ros.dashboard.messages import LARGEST
 from ehls_ros.dashboard.page import Page
 from ehls_ros.errors import BadInput
 
-AWAY = 30.0
-"""Time after which a page whose browser does not answer is given up, and built anew when it does [s]."""
+LONGEST_HEAD = 16 * 1024
+"""Size of the largest request [B]: line and headers."""
 
 FAREWELL = 1
 """Time open pages are given to go when the server ends [s]."""
@@ -49,24 +55,42 @@ def serve(graph: Graph, opened: socket.socket, spec: Path | None, up: Callable[[
         up: called with the page's address, token included, once it can be opened.
     """
     host, port = opened.getsockname()[:2]
-    access = Access(host)
+    access, connections = Access(host), Connections()
     shown = f"[{host}]" if ":" in host else host
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        watch = asyncio.create_task(connections.watch())
         up(f"http://{shown}:{port}/?{TOKEN}={access.token}")
         yield
+        watch.cancel()
         graph.give_up()
 
     app = FastAPI(openapi_url=None, lifespan=lifespan)
 
     @ui.page("/", title="EHLS dashboard", dark=None)
     def _index(request: Request) -> None:
-        Page(graph, spec, writes=access.may_write(request))
+        client, writes = ui.context.client, getattr(request.state, WRITES)
+        access.give(client.id, writes=writes)
+        client.on_delete(lambda: access.end(client.id))
+        Page(graph, spec, writes=writes)
 
+    _quieten()
     ui.run_with(app, tailwind=False, show_welcome_message=False, binding_refresh_interval=None, reconnect_timeout=AWAY)
-    app.add_middleware(AccessMiddleware, access=access)
-    config = uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=FAREWELL)
+    app.add_middleware(AccessMiddleware, access=access, connections=connections)
+    config = uvicorn.Config(
+        app,
+        http=connections.protocol(),
+        h11_max_incomplete_event_size=LONGEST_HEAD,
+        ws_max_size=LARGEST,
+        # A small message may not become a large one; and the state of a compression costs more than it saves here.
+        ws_per_message_deflate=False,
+        # Whose connection it is, only the connection says.
+        proxy_headers=False,
+        log_level="error",
+        access_log=False,
+        timeout_graceful_shutdown=FAREWELL,
+    )
     # uvicorn hands a signal on, once it has ended, to whoever had it before.
     before = {number: signal.signal(number, lambda *_: None) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -74,3 +98,10 @@ def serve(graph: Graph, opened: socket.socket, spec: Path | None, up: Callable[[
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _quieten() -> None:
+    """Keep strangers from writing on this terminal, and from having a page built for every address that is none."""
+    library.add_exception_handler(404, lambda *_: PlainTextResponse("there is no such file\n", 404))
+    for name in ("engineio.server", "socketio.server"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -81,7 +81,9 @@ class _Tuner:
             if isinstance(tunable.value, float):
                 self._slider(tunable.value)
             ui.label(explanation).classes("help")
-            self._refused = ui.label("").classes("refused").props(f'data-name="refused-{tunable.name}"')
+            self._refused = ui.label("").classes("refused")
+            # Set as it is, here and below: what stands in a text of properties is parsed, and some properties are run.
+            self._refused.props["data-name"] = f"refused-{tunable.name}"
             self._refused.set_visibility(False)
 
     def _field(self) -> Any:
@@ -93,7 +95,8 @@ class _Tuner:
             entry = ui.input(value=value)
         else:
             entry = ui.number(value=value)
-        entry.props(f'dense outlined step=any data-name="value-{self._tunable.name}"')
+        entry.props("dense outlined step=any")
+        entry.props["data-name"] = f"value-{self._tunable.name}"
         for event in () if isinstance(value, bool) else ("keydown.enter", "blur"):
             entry.on(event, self._typed)
         return entry
@@ -102,7 +105,7 @@ class _Tuner:
         """Make a slider that fills the field and tells the node when it is let go."""
         low, high = reach(value, self._tunable.minimum, self._tunable.maximum)
         slider = ui.slider(min=0, max=STEPS, value=round(STEPS * place_of(value, low, high)))
-        slider.props(f'data-name="slider-{self._tunable.name}"')
+        slider.props["data-name"] = f"slider-{self._tunable.name}"
         slider.on_value_change(lambda: self._entry.set_value(value_at(slider.value / STEPS, low, high)))
         slider.on("change", self._typed)
 

@@ -1,10 +1,12 @@
 """The dashboard's view of a running graph: signals taken in bulk, diagnostics, parameters and services."""
 
+import contextlib
 import gc
 import os
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
+from pkgutil import iter_modules
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,15 +21,18 @@ from rclpy.exceptions import InvalidNamespaceException
 from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 from rclpy.validate_namespace import validate_namespace
 from std_srvs.srv import SetBool, Trigger
 
+import ehls_ros.nodes
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.dashboard.graph import Answer, Health, Tunable, Value
 from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, RESPONSE, SIGNALS
 from ehls_ros.dashboard.window import Window
+from ehls_ros.dashboard.words import NAME, figures, line
 from ehls_ros.errors import BadInput
 from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes import codec
@@ -49,8 +54,11 @@ from ehls_ros.recording.typestore import typestore
 REST = 0.05
 """How long messages gather before they are taken in bulk [s]."""
 
-PATIENCE = 5.0
-"""Longest time for a service to be found and to answer [s]."""
+FOUND = 5.0
+"""Longest time for a service to be found [s]."""
+
+ANSWERED = 30.0
+"""Longest time for a service that was found to answer [s]; nodes that have to run in real time leave little to the others."""
 
 SILENCE = 3.0
 """A node that has not spoken for so long, three of its diagnostics, is silent [s]."""
@@ -59,7 +67,25 @@ FORGOTTEN = 15.0
 """A node that has been silent for so long is shown no more [s]."""
 
 GONE = 1.0
-"""Without a snapshot for so long, there is no graph [s]."""
+"""Without a snapshot for so long, there is no graph [s].
+
+These three are counted in passes of the thread that takes the messages: one that was kept from looking has missed nothing.
+"""
+
+REPORTS = 16
+"""Messages of diagnostics that wait to be taken; others' may be large."""
+
+STRANGERS = 32
+"""Nodes shown that are not this project's."""
+
+LONGEST_REPORT = 64 * 1024
+"""Size of the largest message of diagnostics that is read [B]; a node's has some 3 kB."""
+
+TUNABLES = 200
+"""Parameters of a node that are shown."""
+
+OWN = {module.name for module in iter_modules(ehls_ros.nodes.__path__)} | {f"{law}_node" for law in CONTROLLERS.names()}
+"""This project's nodes are among these names; there is always room for them."""
 
 SILENT = 3
 """Level of a silent node, above those of diagnostics."""
@@ -83,6 +109,7 @@ def looking_on() -> QoSProfile:
 
 class _Heard(NamedTuple):
     when: float
+    at_pass: int
     health: Health
 
 
@@ -141,7 +168,7 @@ class Link:
         self._heard: dict[str, _Heard] = {}
         self._forgotten: dict[str, int] = {}
         self._clients: dict[str, Any] = {}
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self._reports = Inbox(self._node, DiagnosticArray, "/diagnostics", QoSProfile(depth=REPORTS), bytes)
         self._sources = [_Source(self._node, topic) for topic in TOPICS]
         self._origin_ns: int | None = None
         self._newest = -1
@@ -149,6 +176,7 @@ class Link:
         self._sent_cycle = np.full(KEPT, -1, dtype=np.int64)
         self._force = np.full(KEPT, np.nan)
         self._arrivals: list[tuple[float, int]] = []
+        self._passes = self._last_arrival = 0
         self._closing = threading.Event()
         self._executor = EventsExecutor()
         self._executor.add_node(self._node)
@@ -172,9 +200,10 @@ class Link:
         self._executor.shutdown()
         for source in self._sources:
             source.destroy()
+        self._reports.destroy()
         self._node.destroy_node()
         # What still refers to the middleware has to go before the middleware does.
-        del self._executor, self._sources, self._clients, self._node
+        del self._executor, self._sources, self._reports, self._clients, self._node
         gc.collect()
         rclpy.try_shutdown()
 
@@ -182,7 +211,7 @@ class Link:
         """Return the snapshots that came in over the last second or so [1/s]; 0 where there is no graph."""
         with self._lock:
             arrivals = list(self._arrivals)
-        if len(arrivals) < 2 or time.monotonic() - arrivals[-1][0] > GONE:
+        if len(arrivals) < 2 or self._passed(self._last_arrival) > GONE:
             return 0.0
         (begin, _), (end, _) = arrivals[0], arrivals[-1]
         return sum(count for _, count in arrivals[1:]) / (end - begin)
@@ -191,11 +220,11 @@ class Link:
         """Return what the nodes say, sorted by name."""
         now = time.monotonic()
         with self._lock:
-            self._heard = {name: heard for name, heard in self._heard.items() if now - heard.when < FORGOTTEN}
+            self._heard = {name: heard for name, heard in self._heard.items() if self._passed(heard.at_pass) < FORGOTTEN}
             heard = sorted(self._heard.items())
         return tuple(
-            health._replace(level=SILENT, message=f"silent for {now - when:.0f} s") if now - when > SILENCE else health
-            for _, (when, health) in heard
+            health._replace(level=SILENT, message=f"silent for {now - when:.0f} s") if self._passed(at) > SILENCE else health
+            for _, (when, at, health) in heard
         )
 
     def forget(self, nodes: Collection[str]) -> None:
@@ -214,7 +243,7 @@ class Link:
         listed = self.call(ListParameters, f"{node}/list_parameters", ListParameters.Request())
         if listed is None:
             return ()
-        names = listed.result.names
+        names = [name for name in listed.result.names[:TUNABLES] if name == line(name, NAME)]
         described = self.call(DescribeParameters, f"{node}/describe_parameters", DescribeParameters.Request(names=names))
         got = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=names))
         if described is None or got is None:
@@ -222,7 +251,8 @@ class Link:
         values = map(parameter_value_to_python, got.values)
         return tuple(
             _tunable(descriptor, value)
-            for descriptor, value in zip(described.descriptors, values, strict=True)
+            # A stranger under the node's name may answer with fewer.
+            for descriptor, value in zip(described.descriptors, values, strict=False)
             # rclpy's own have no description.
             if descriptor.description and not descriptor.read_only and isinstance(value, float | int | str)
         )
@@ -231,11 +261,11 @@ class Link:
         """Ask a node to take a value; it says why if it does not."""
         request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
         response = self.call(SetParameters, f"{node}/set_parameters", request)
-        if response is None:
+        if response is None or not response.results:
             return Answer(done=False, message=f"{node} does not answer")
-        [result] = response.results
-        message = f"{name} is {value} now" if result.successful else result.reason or f"{node} refused {name} without a reason"
-        return Answer(result.successful, message)
+        result = response.results[0]
+        reason = line(result.reason) or f"{node} refused {name} without a reason"
+        return Answer(result.successful, f"{name} is {value} now" if result.successful else reason)
 
     def emergency_stop(self) -> Answer:
         """Cut the command."""
@@ -256,7 +286,7 @@ class Link:
     def change_state(self, node: str, transition: int, patience: float, hopeless: Callable[[], bool]) -> Answer:
         """Ask a lifecycle node for a transition, for as long as there is hope of an answer."""
         request = ChangeState.Request(transition=Transition(id=transition))
-        response = self.call(ChangeState, f"{node}/change_state", request, patience, hopeless)
+        response = self.call(ChangeState, f"{node}/change_state", request, patience, patience, hopeless)
         if response is None:
             return Answer(done=False, message=f"{node} did not answer in {patience:.0f} s")
         return Answer(response.success, "" if response.success else f"{node} refused to go on")
@@ -267,11 +297,26 @@ class Link:
         return str(response.values[0].string_value) if response is not None and response.values else ""
 
     def call(
-        self, kind: Any, service: str, request: Any, patience: float = PATIENCE, hopeless: Callable[[], bool] = lambda: False
+        self,
+        kind: Any,
+        service: str,
+        request: Any,
+        found: float = FOUND,
+        answered: float = ANSWERED,
+        hopeless: Callable[[], bool] = lambda: False,
     ) -> Any:
-        """Call a service and wait for the answer; None if none comes in time, the link is closed or there is no hope of one."""
+        """Call a service and wait for the answer; None if none comes in time, the link is closed or there is no hope of one.
+
+        Args:
+            kind: type of the service.
+            service: its name.
+            request: what is asked.
+            found: longest time for it to be found [s].
+            answered: longest time from then to its answer [s]; one that is gone is not waited for.
+            hopeless: tells whether there is nothing to wait for any more.
+        """
         client = self._client(kind, service)
-        deadline = time.monotonic() + patience
+        deadline = time.monotonic() + found
 
         def in_vain() -> bool:
             return time.monotonic() > deadline or self._closing.is_set() or hopeless()
@@ -280,11 +325,12 @@ class Link:
             if in_vain():
                 return None
             self._closing.wait(REST)
-        answered = threading.Event()
+        deadline = time.monotonic() + answered
+        came = threading.Event()
         future = client.call_async(request)
-        future.add_done_callback(lambda _: answered.set())
-        while not answered.wait(REST):
-            if in_vain():
+        future.add_done_callback(lambda _: came.set())
+        while not came.wait(REST):
+            if in_vain() or not client.service_is_ready():
                 client.remove_pending_request(future)
                 return None
         return future.result()
@@ -293,7 +339,7 @@ class Link:
         response = self.call(kind, service, request)
         if response is None:
             return Answer(done=False, message=f"{service}: nothing that stands for the rig answers")
-        return Answer(response.success, response.message)
+        return Answer(response.success, line(response.message))
 
     def _client(self, kind: Any, service: str) -> Any:
         with self._lock:
@@ -303,18 +349,37 @@ class Link:
 
     def _serve(self) -> None:
         while not self._closing.is_set():
-            self._executor.spin_once(timeout_sec=0.2)
+            # A stranger's answer: its texts are none.
+            with contextlib.suppress(UnicodeDecodeError):
+                self._executor.spin_once(timeout_sec=0.2)
 
-    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+    def _passed(self, since: int) -> float:
+        """Return the time the thread that takes the messages has looked since a pass of it [s]."""
+        return REST * (self._passes - since)
+
+    def _take_reports(self) -> None:
+        """Take what the nodes say of themselves."""
+        while (taken := self._reports.take_raw()) is not None:
+            report = taken[0]
+            if len(report) > LONGEST_REPORT:
+                continue
+            # A stranger's: its texts are none.
+            with contextlib.suppress(UnicodeDecodeError):
+                self._note(deserialize_message(report, DiagnosticArray))
+
+    def _note(self, array: DiagnosticArray) -> None:
         now, sent_ns = time.monotonic(), Time.from_msg(array.header.stamp).nanoseconds
         with self._lock:
             for status in array.status:
-                name = status.name.removeprefix(f"{self.namespace}/")
+                name = line(status.name.removeprefix(f"{self.namespace}/"), NAME)
                 if status.hardware_id != self.namespace or sent_ns < self._forgotten.get(name, 0):
                     continue
-                figures = {pair.key: pair.value for pair in status.values}
+                if name not in OWN and name not in self._heard and len(self._heard.keys() - OWN) == STRANGERS:
+                    continue
+                said = figures((pair.key, pair.value) for pair in status.values)
                 level = int.from_bytes(status.level, "little")
-                self._heard[name] = _Heard(now, Health(name, min(level, SILENT), status.message, figures))
+                health = Health(name, min(level, SILENT), line(status.message), said)
+                self._heard[name] = _Heard(now, self._passes, health)
 
     def _take(self) -> None:
         """Take what gathers, until the link is closed."""
@@ -323,6 +388,8 @@ class Link:
                 taken = source.take()
                 if taken is not None:
                     self._take_in(source.topic, *taken)
+            self._take_reports()
+            self._passes += 1
 
     def _take_in(self, topic: Topic, columns: Mapping[str, NDArray[Any]], sent_ns: NDArray[np.int64]) -> None:
         cycle = columns[CYCLE].astype(np.int64)
@@ -348,7 +415,9 @@ class Link:
         now = time.monotonic()
         with self._lock:
             self._arrivals.append((now, len(cycle)))
-            self._arrivals = [arrival for arrival in self._arrivals if now - arrival[0] < GONE]
+            recent = [arrival for arrival in self._arrivals if now - arrival[0] < GONE]
+            self._arrivals = recent if len(recent) > 1 else self._arrivals[-2:]
+            self._last_arrival = self._passes
         if cycle[-1] < self._newest or self._origin_ns is None:
             # The graph began anew: cycle 0 is where its time starts.
             apart = cycle[-1] - cycle[0]
@@ -371,7 +440,8 @@ def _tunable(descriptor: ParameterDescriptor, value: Any) -> Tunable:
     for ranges in (descriptor.floating_point_range, descriptor.integer_range):
         if ranges:
             limits = [ranges[0].from_value, ranges[0].to_value]
-    return Tunable(descriptor.name, value, descriptor.description, *limits)
+    shown = line(value) if isinstance(value, str) else value
+    return Tunable(descriptor.name, shown, line(descriptor.description), *limits)
 
 
 def _by_signal(topic: Topic, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.float64]]:

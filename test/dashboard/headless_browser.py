@@ -27,7 +27,18 @@ ARGUMENTS = (
     "--remote-debugging-port=0",
 )
 
-KEYS = {"Enter": 13, "ArrowRight": 39, "ArrowDown": 40}
+KEYS = {"Enter": 13, "ArrowRight": 39}
+
+PATIENCE = 120.0
+"""For what has to come [s]: on a slow or busy machine everything comes late."""
+
+TOLD = """
+window.told = [];
+new MutationObserver(() => {
+  for (const one of document.querySelectorAll(".q-notification")) window.told.push(one.innerText);
+}).observe(document, { childList: true, subtree: true });
+"""
+"""Notes what a page tells for a few seconds only, during which nobody may come to look."""
 
 
 class Tab:
@@ -40,12 +51,13 @@ class Tab:
         self.complaints: list[str] = []
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.command(f"{domain}.enable")
+        self.command("Page.addScriptToEvaluateOnNewDocument", source=TOLD)
 
     def command(self, method: str, **parameters: Any) -> dict[str, Any]:
         self._number += 1
         self._socket.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
         while True:
-            message = json.loads(self._socket.recv(timeout=30.0))
+            message = json.loads(self._socket.recv(timeout=PATIENCE))
             if message.get("id") == self._number:
                 assert "error" not in message, message["error"]
                 return message["result"]
@@ -68,7 +80,7 @@ class Tab:
         assert "exceptionDetails" not in done, done["exceptionDetails"]
         return done["result"].get("value")
 
-    def until(self, expression: str, seconds: float = 30.0) -> Any:
+    def until(self, expression: str, seconds: float = PATIENCE) -> Any:
         """Wait until an expression is true, and return what it is."""
         deadline = time.monotonic() + seconds
         while not (value := self.evaluate(expression)):
@@ -85,15 +97,21 @@ class Tab:
         self.until(f"!!document.querySelector({json.dumps(selector)})")
         self.evaluate(f"document.querySelector({json.dumps(selector)}).click()")
 
-    def type_into(self, selector: str, text: str, *keys: str) -> None:
-        """Replace the text of a field, as a hand would, and press keys, Enter by default."""
+    def type_into(self, selector: str, text: str) -> None:
+        """Replace the text of a field, as a hand would, and press Enter."""
+        self._write(selector, text)
+        self._press("Enter")
+
+    def choose(self, selector: str, text: str) -> None:
+        """Type into a field with a list, and take what the list then has."""
+        self._write(selector, text)
+        entry = f"[...document.querySelectorAll('.q-menu .q-item')].find(i => i.innerText.includes({json.dumps(text)}))"
+        self.until(f"({entry}?.click(), !!{entry})")
+
+    def _write(self, selector: str, text: str) -> None:
         self.until(f"!!document.querySelector({json.dumps(selector)})")
         self.evaluate(f"(f => {{ f.focus(); f.select(); }})(document.querySelector({json.dumps(selector)}))")
         self.command("Input.insertText", text=text)
-        for key in keys or ("Enter",):
-            # What the keys before have set off is there only a moment later.
-            self.evaluate("new Promise(done => setTimeout(done, 300))")
-            self._press(key)
 
     def press(self, selector: str, key: str) -> None:
         """Press a key with the focus on an element."""
@@ -128,9 +146,9 @@ class Browser:
     @contextlib.contextmanager
     def tab(self, address: str) -> Iterator[Tab]:
         request = urllib.request.Request(f"http://127.0.0.1:{self.port}/json/new?about:blank", method="PUT")
-        with urllib.request.urlopen(request, timeout=20.0) as answer:
+        with urllib.request.urlopen(request, timeout=PATIENCE) as answer:
             made = json.load(answer)
-        with connect(made["webSocketDebuggerUrl"], max_size=None, open_timeout=20.0, ping_interval=None) as socket:
+        with connect(made["webSocketDebuggerUrl"], max_size=None, open_timeout=PATIENCE, ping_interval=None) as socket:
             tab = Tab(socket)
             tab.go(address)
             yield tab
@@ -145,7 +163,7 @@ def browser(profile: Path) -> Iterator[Browser]:
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         file = profile / "DevToolsActivePort"
-        deadline = time.monotonic() + 40.0
+        deadline = time.monotonic() + PATIENCE
         while not file.exists() or len(file.read_text(encoding="utf-8").splitlines()) < 2:
             assert process.poll() is None, "Chromium ended"
             assert time.monotonic() < deadline, "Chromium did not come up"

@@ -22,7 +22,7 @@ pytest.importorskip("websockets", reason="needs websockets to drive a browser")
 
 import rclpy
 import websockets.exceptions
-from headless_browser import CHROMIUM, browser
+from headless_browser import CHROMIUM, PATIENCE, browser
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
@@ -31,13 +31,15 @@ from websockets.sync.client import connect
 from ehls_ros.experiments.spec import load_spec
 from ehls_ros.recording.bag_reader import read_bag
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+pytestmark = [pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium"), pytest.mark.timeout(900)]
 
 RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
 
 SPEC = f"""
 title: gentle
 rig: {RIG}
+# Few cycles: what is shown here does not depend on their number, and a slow machine has time for the browser.
+control_period: 5.0e-3
 reference: {{name: sine, amplitude: 1.0e+3, frequency: 0.5}}
 controller: fasmc
 """
@@ -71,7 +73,7 @@ def dashboard(folder: Path, domain: int, *arguments: str, **variables: str) -> I
     finally:
         process.send_signal(signal.SIGINT)
         try:
-            code = process.wait(30.0)
+            code = process.wait(PATIENCE)
         finally:
             process.kill()
     reader.join()
@@ -107,7 +109,7 @@ def tab(shown, chromium):
     """Return a page that may write, on a running graph."""
     with chromium.tab(shown.address) as page:
         page.resize(1366, 768)
-        page.until("document.querySelector('[data-name=state]')?.innerText.startsWith('running')", 120.0)
+        page.until("document.querySelector('[data-name=state]')?.innerText.includes('cycles/s')")
         page.until("!!document.querySelector('[data-name=value-k]')")
         yield page
 
@@ -123,9 +125,9 @@ def parameter(domain):
     client = node.create_client(GetParameters, "fasmc_node/get_parameters")
 
     def ask(name: str) -> float:
-        assert client.wait_for_service(20.0)
+        assert client.wait_for_service(PATIENCE)
         future = client.call_async(GetParameters.Request(names=[name]))
-        executor.spin_until_future_complete(future, 20.0)
+        executor.spin_until_future_complete(future, PATIENCE)
         return future.result().values[0].double_value
 
     yield ask
@@ -146,7 +148,7 @@ GATE = "document.querySelector('[data-name=gate]').innerText"
 
 
 def is_told(page, words):
-    page.until(f"[...document.querySelectorAll('.q-notification')].some(n => n.innerText.includes('{words}'))")
+    page.until(f"window.told.some(text => text.includes('{words}'))")
 
 
 def test_the_page_moves_and_asks_no_other_server(tab, shown):
@@ -181,7 +183,7 @@ def test_a_page_says_how_far_the_nodes_are_and_why_one_ended(tab, shown, chromiu
         chromium.tab(started.address) as page,
     ):
         said = "document.querySelector('[data-name=beginning]').innerText.replace(/\\s+/g, ' ')"
-        page.until(f"{said}.includes('fasmc_node ready')", 120.0)
+        page.until(f"{said}.includes('fasmc_node ready')")
         assert page.evaluate(said).startswith("Starting the graph: ")
         assert "plant_sim_node starting" in page.evaluate(said)
         assert page.text("state").startswith("starting, ")
@@ -195,14 +197,14 @@ def test_a_page_says_how_far_the_nodes_are_and_why_one_ended(tab, shown, chromiu
         page.until(f"{said}.startsWith('No graph runs here')")
         assert page.text("state") == "no graph"
         page.click("[data-name=tab-nodes]")
-        page.until("document.querySelector('.side').innerText.includes('No node speaks.')", 5.0)
+        page.until("document.querySelector('.side').innerText.includes('No node speaks.')")
         page.click("[data-name=tab-experiment]")
         page.until("document.querySelector('[data-name=start]')?.disabled === false")
 
 
 def test_a_namespace_that_ros_does_not_allow_is_refused(domain, tmp_path):
     command = [sys.executable, "-m", "ehls_ros.cli.main", "dashboard", "--port", "0", "--namespace", "rig 2"]
-    refused = subprocess.run(command, cwd=tmp_path, text=True, capture_output=True, timeout=60.0, check=False)
+    refused = subprocess.run(command, cwd=tmp_path, text=True, capture_output=True, timeout=PATIENCE, check=False)
     assert refused.returncode == 2
     assert "'rig 2'" in refused.stderr
     assert "such as rig2" in refused.stderr
@@ -255,7 +257,7 @@ def test_the_emergency_stop_cuts_until_it_is_reset_and_enabled(tab):
 
 def test_a_page_without_the_token_shows_but_cannot_write(tab, shown, chromium):
     with chromium.tab(shown.server) as reader:
-        reader.until("document.querySelector('[data-name=state]')?.innerText.startsWith('running')")
+        reader.until("document.querySelector('[data-name=state]')?.innerText.includes('cycles/s')")
         goes_on(reader)
         assert reader.text("read-only")
         assert reader.evaluate("document.querySelectorAll('button, .side input').length") == 0
@@ -271,7 +273,7 @@ def test_a_page_without_the_token_shows_but_cannot_write(tab, shown, chromium):
 
 def refused(address, **headers):
     with pytest.raises(urllib.error.HTTPError) as caught:
-        urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=10.0)
+        urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=PATIENCE)
     assert caught.value.code == 403
     return caught.value.read().decode()
 
@@ -284,8 +286,8 @@ def test_wrong_tokens_hosts_and_origins_are_refused(shown):
     with pytest.raises(websockets.exceptions.InvalidStatus) as caught:
         connect(socket, origin="http://elsewhere.example")
     assert caught.value.response.status_code == 403
-    with connect(socket, origin=shown.server.rstrip("/")) as opened:
-        assert opened.recv(timeout=10.0).startswith("0")
+    with connect(socket, origin=shown.server.rstrip("/"), open_timeout=PATIENCE) as opened:
+        assert opened.recv(timeout=PATIENCE).startswith("0")
 
 
 def test_a_recording_holds_what_went_by(tab, shown):
@@ -312,13 +314,13 @@ def test_a_graph_is_stopped_and_started_again_with_a_hidden_effect(tab, shown):
     tab.click("[data-name=stop]")
     tab.until("document.querySelector('[data-name=state]').innerText === 'graph gone'")
     assert "No snapshots" in tab.text("trouble")
-    tab.type_into("[data-name=effect]", "dead zone", "ArrowDown", "Enter")
+    tab.choose("[data-name=effect]", "dead zone")
     tab.type_into("[data-name=effect-positive]", "2e-4")
     tab.click("[data-name='add effect']")
     tab.until("document.querySelector('.q-chip')?.innerText.includes('valve dead zone')")
     tab.until("document.querySelector('[data-name=start]').disabled === false")
     tab.click("[data-name=start]")
-    tab.until("document.querySelector('[data-name=state]').innerText.startsWith('running')", 120.0)
+    tab.until("document.querySelector('[data-name=state]').innerText.includes('cycles/s')")
     goes_on(tab)
     newest = max(shown.folder.glob("runs/gentle-*/spec.yaml"), key=lambda path: path.stat().st_mtime)
     spec = load_spec(newest)
@@ -334,7 +336,7 @@ def test_a_second_dashboard_joins_leaves_the_graph_alone_and_says_when_its_serve
     with contextlib.ExitStack() as stack:
         with dashboard(tmp_path, domain) as second:
             page = stack.enter_context(chromium.tab(second.address))
-            page.until("document.querySelector('[data-name=state]')?.innerText.startsWith('running')")
+            page.until("document.querySelector('[data-name=state]')?.innerText.includes('cycles/s')")
             goes_on(page)
             page.click("[data-name=tab-experiment]")
             page.until("document.querySelector('[data-name=stop]')?.disabled")

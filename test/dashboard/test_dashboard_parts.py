@@ -1,5 +1,8 @@
 """What the page is made of, without a browser and without ROS."""
 
+import asyncio
+import contextlib
+
 import numpy as np
 import pytest
 
@@ -7,7 +10,9 @@ pytest.importorskip("nicegui", reason="needs the extra `dashboard`")
 
 from starlette.requests import HTTPConnection
 
+from ehls_ros.dashboard import connections as module
 from ehls_ros.dashboard.access import Access
+from ehls_ros.dashboard.connections import PASSES, Connections, State
 from ehls_ros.dashboard.tuning import help_and_unit, place_of, reach, value_at
 from ehls_ros.dashboard.window import INTERVAL, INTERVALS, OPEN, Window
 
@@ -139,3 +144,57 @@ def test_from_another_machine_even_reading_needs_the_token():
     assert access.refusal(connection(**there, query=f"token={access.token}")) == ""
     assert access.refusal(connection(**there, path="/_nicegui/x.js")) == ""
     assert "Host" in access.refusal(connection("rebound.example:8765", client="192.0.2.7", query=f"token={access.token}"))
+
+
+class Transport:
+    """A connection of which nothing is known but whether it was cut."""
+
+    def __init__(self, port):
+        self.peer = ("192.0.2.7", port)
+        self.closing = self.cut = False
+        self.unsent = 0
+
+    def get_extra_info(self, _):
+        return self.peer
+
+    def is_closing(self):
+        return self.closing or self.cut
+
+    def get_write_buffer_size(self):
+        return self.unsent
+
+    def abort(self):
+        self.cut = True
+
+
+@pytest.mark.parametrize(("state", "unsent"), [*((state, 0) for state in State), (State.ANSWERED, 100)])
+def test_a_connection_has_as_many_passes_as_its_state_allows(state, unsent, monkeypatch):
+    connections, transport, lived = Connections(), Transport(5), []
+    transport.unsent = unsent
+
+    async def count(_):
+        # Stands for the time between two passes.
+        lived.append(transport.cut)
+        if len(lived) > 200:
+            raise asyncio.CancelledError
+
+    monkeypatch.setattr(module.asyncio, "sleep", count)
+    connections.opened(transport)
+    transport.closing = state is State.CLOSING
+    if state is State.OF_PAGE:
+        connections.belongs(transport.peer, "page")
+    answers = state is State.ANSWERED and not unsent
+    answered = connections.answered(transport.peer) if answers else contextlib.nullcontext()
+    with answered, pytest.raises(asyncio.CancelledError):
+        asyncio.run(connections.watch())
+    assert lived.count(False) == PASSES.get(state, 200) + 1
+
+
+def test_who_waits_for_an_answer_is_cut_after_who_has_asked_nothing():
+    connections = Connections()
+    busy, *idle = (Transport(port) for port in range(module.PER_PEER + 1))
+    connections.opened(busy)
+    with connections.answered(busy.peer):
+        for transport in idle:
+            connections.opened(transport)
+        assert [transport.cut for transport in (busy, *idle)] == [False, True] + [False] * (module.PER_PEER - 1)

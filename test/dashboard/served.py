@@ -1,0 +1,162 @@
+"""The dashboard's server on a made-up graph, in a process of its own, and ways to reach it."""
+
+import contextlib
+import html
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import psutil
+from websockets.sync.client import ClientConnection, connect
+
+STAND_IN = Path(__file__).with_name("stand_in.py")
+
+PATIENCE = 120.0
+"""For what has to come [s]: on a busy machine everything comes late."""
+
+
+class Served:
+    """A running server."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.process = process
+        self.address = process.stdout.readline().strip()
+        assert self.address.startswith("http://"), self.address + process.stdout.read()
+        self.port = int(self.address.split(":")[2].split("/")[0])
+        self.token = self.address.partition("?token=")[2]
+        self.lines: list[str] = []
+        self.reader = threading.Thread(target=lambda: self.lines.extend(process.stdout))
+        self.reader.start()
+
+    def wishes(self) -> list[str]:
+        return [line.strip().removeprefix("wish: ") for line in self.lines if line.startswith("wish: ")]
+
+    def said(self) -> str:
+        """Return what else it printed."""
+        return "".join(line for line in self.lines if not line.startswith("wish: "))
+
+    def tell(self, health: list[Any]) -> None:
+        """Let the nodes say something from now on: [node, level, message, figures] each."""
+        self.process.stdin.write(json.dumps(health) + "\n")
+        self.process.stdin.flush()
+
+    def memory(self) -> float:
+        """Return what it holds [MB]."""
+        return psutil.Process(self.process.pid).memory_info().rss / 1e6
+
+    def held(self) -> int:
+        """Return the connections it holds."""
+        connections = psutil.Process(self.process.pid).net_connections("tcp")
+        return sum(each.status == psutil.CONN_ESTABLISHED for each in connections)
+
+
+@contextlib.contextmanager
+def served(host: str = "127.0.0.1") -> Iterator[Served]:
+    """Run the server; it has to end well by itself after Ctrl-C."""
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(
+        [sys.executable, str(STAND_IN), host], text=True, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT
+    )
+    server = None
+    try:
+        server = Served(process)
+        yield server
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            code = process.wait(PATIENCE)
+        finally:
+            process.kill()
+            if server is not None:
+                server.reader.join()
+            process.stdin.close()
+            process.stdout.close()
+    assert code == 0
+
+
+def until(true: Callable[[], Any], what: str) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not true():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.05)
+
+
+def answer(address: str, **headers: str) -> tuple[int, str]:
+    """Return code and text of an answer."""
+    try:
+        with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=PATIENCE) as came:
+            return came.status, came.read().decode(errors="replace")
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode(errors="replace")
+
+
+def own_address() -> str | None:
+    """Return an address of this machine that is not the loopback's, if it has one; nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+        probe.connect(("192.0.2.1", 9))
+        name = str(probe.getsockname()[0])
+        return None if name.startswith("127.") else name
+    return None
+
+
+class Got(NamedTuple):
+    """A page as it came, and the number of it."""
+
+    number: str
+    text: str
+
+    def listeners(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield each element's name, and what an event on it sends."""
+        elements = json.loads(html.unescape(re.search(r"String\.raw`(\{.*?\})`", self.text, re.DOTALL)[1]))
+        for number, element in elements.items():
+            for event in element.get("events", []):
+                sent = {"id": int(number), "client_id": self.number, "listener_id": event["listener_id"], "args": ["{}"]}
+                yield element.get("props", {}).get("data-name", ""), sent
+
+    def click(self, name: str) -> dict[str, Any]:
+        """Return what a click on an element sends."""
+        return next(sent for element, sent in self.listeners() if element == name)
+
+
+def page(server: str, token: str = "") -> Got:
+    code, text = answer(f"{server}?token={token}" if token else server)
+    assert code == 200, text
+    return Got(re.search(r"'client_id': '([0-9a-f-]+)'", text)[1], text)
+
+
+def event(name: str, message: Any) -> str:
+    """Return an event as Socket.IO sends it."""
+    return f"42{json.dumps([name, message])}"
+
+
+def begin(socket: ClientConnection) -> ClientConnection:
+    """Have Socket.IO's part of a socket opened, and with it the page."""
+    assert socket.recv(timeout=PATIENCE).startswith("0")
+    socket.send("40")
+    hear(socket, "40")
+    return socket
+
+
+def hear(socket: ClientConnection, beginning: str) -> None:
+    """Take messages until one begins so; a page that is open says other things besides."""
+    while not (message := socket.recv(timeout=PATIENCE)).startswith(beginning):
+        assert not message.startswith("44"), message
+
+
+def open_socket(server: str, number: str, **more: str) -> ClientConnection:
+    """Open a page's socket as its browser does."""
+    query = {"EIO": "4", "transport": "websocket", "client_id": number, "implicit_handshake": "true"}
+    query |= {"tab_id": f"tab of {number}", "document_id": f"document of {number}", "next_message_id": "0"} | more
+    address = server.replace("http", "ws", 1) + "_nicegui_ws/socket.io/?" + urllib.parse.urlencode(query)
+    return connect(address, open_timeout=PATIENCE, ping_interval=None, max_size=None, max_queue=None)

@@ -1,0 +1,96 @@
+"""The dashboard's server on a graph that is made up: `python stand_in.py HOST` serves until SIGINT.
+
+It prints the page's address, then a line for every wish that reaches the graph. A line of JSON on its input is what the nodes
+say from then on: a list of [node, level, message, figures].
+"""
+
+import json
+import sys
+import threading
+from typing import Any
+
+import numpy as np
+
+from ehls_ros.dashboard.graph import Answer, Health, Tunable, Value
+from ehls_ros.dashboard.panels import SIGNALS
+from ehls_ros.dashboard.server import listening, serve
+from ehls_ros.dashboard.window import Window
+
+CYCLES = 20_000
+
+
+class StandIn:
+    """A graph that does nothing but say what it was asked for."""
+
+    def __init__(self) -> None:
+        self.window = Window(SIGNALS)
+        self.where = "made up"
+        cycle = np.arange(CYCLES)
+        self.window.add(1e-3 * cycle, dict.fromkeys(SIGNALS, np.sin(1e-3 * cycle)))
+        self._says = (Health("fasmc_node", 0, "well", {}),)
+
+    def listen(self) -> None:
+        for line in sys.stdin:
+            self._says = tuple(Health(*said) for said in json.loads(line))
+
+    def rate(self) -> float:
+        return 1000.0
+
+    def health(self) -> tuple[Health, ...]:
+        return self._says
+
+    def tunable_nodes(self) -> tuple[str, ...]:
+        return ("fasmc_node",)
+
+    def parameters(self, node: str) -> tuple[Tunable, ...]:
+        return (Tunable("k", 12.0, "slope [1]", 0.0, 100.0),)
+
+    def set_parameter(self, node: str, name: str, value: Value) -> Answer:
+        return self._wish(f"{name} = {value}")
+
+    def emergency_stop(self) -> Answer:
+        return self._wish("emergency stop")
+
+    def reset_trips(self) -> Answer:
+        return self._wish("reset trips")
+
+    def enable(self) -> Answer:
+        return self._wish("enable")
+
+    def start(self, spec: Any, name: str) -> Answer:
+        return self._wish("start")
+
+    def stop(self) -> Answer:
+        return self._wish("stop")
+
+    def record(self, *, on: bool) -> Answer:
+        return self._wish("record")
+
+    def beginning(self) -> None:
+        return None
+
+    def complaint(self) -> str:
+        return ""
+
+    def activity(self) -> str:
+        return ""
+
+    def started_here(self) -> bool:
+        return True
+
+    def recording(self) -> bool:
+        return False
+
+    def give_up(self) -> None:
+        pass
+
+    def _wish(self, wish: str) -> Answer:
+        print("wish:", wish, flush=True)
+        return Answer(done=True, message=wish)
+
+
+if __name__ == "__main__":
+    graph = StandIn()
+    threading.Thread(target=graph.listen, daemon=True).start()
+    with listening(sys.argv[1], 0) as opened:
+        serve(graph, opened, None, lambda address: print(address, flush=True))

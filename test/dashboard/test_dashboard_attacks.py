@@ -1,0 +1,311 @@
+"""The dashboard's server against who floods it, lies to it, or has no token: no graph, no browser."""
+
+import contextlib
+import select
+import socket
+import time
+
+import pytest
+
+pytest.importorskip("nicegui", reason="needs the extra `dashboard`")
+pytest.importorskip("websockets", reason="needs websockets to speak to the server")
+
+import websockets.exceptions
+from served import PATIENCE, answer, begin, event, hear, open_socket, own_address, page, served, until
+from websockets.protocol import State
+
+from ehls_ros.dashboard.access import PAGES
+from ehls_ros.dashboard.connections import PER_PEER
+from ehls_ros.dashboard.messages import LARGEST
+
+MANY = 200
+GROWTH = 60.0
+"""What an attack may cost [MB]; without limits those below cost more, or ever more."""
+
+pytestmark = pytest.mark.timeout(600)
+
+elsewhere = pytest.mark.skipif(own_address() is None, reason="needs an address that is not the loopback's")
+
+
+@pytest.fixture(scope="module")
+def shown(nothing_left_behind):
+    """Return a server of this machine only."""
+    with served() as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def everywhere(nothing_left_behind):
+    """Return a server on all interfaces."""
+    with served("0.0.0.0") as server:
+        yield server
+
+
+@pytest.fixture
+def here(shown):
+    return f"http://127.0.0.1:{shown.port}/"
+
+
+@pytest.fixture
+def there(everywhere):
+    """Return the server's address as other machines have it."""
+    return f"http://{own_address()}:{everywhere.port}/"
+
+
+def has_ended(connection):
+    """Tell whether the server has closed a connection; what it sent before is taken."""
+    while select.select([connection], [], [], 0.0)[0]:
+        try:
+            if not connection.recv(65536):
+                return True
+        except OSError:
+            return True
+    return False
+
+
+@contextlib.contextmanager
+def connections(host, port, begun):
+    """Open many connections and begin to say something in each."""
+    with contextlib.ExitStack() as stack:
+        opened = []
+        for _ in range(MANY):
+            one = stack.enter_context(socket.create_connection((host, port), timeout=PATIENCE))
+            with contextlib.suppress(OSError):
+                one.sendall(begun)
+            opened.append(one)
+        yield opened
+
+
+@elsewhere
+@pytest.mark.parametrize("begun", [b"", b"GET / HTTP/1.1\r\nHost: x\r\n"], ids=["nothing", "half a request"])
+def test_half_open_requests_take_a_few_places_and_end_after_seconds_while_others_are_served(everywhere, there, begun):
+    before = everywhere.memory()
+    with connections(own_address(), everywhere.port, begun) as opened:
+        until(lambda: everywhere.held() <= PER_PEER, "one address holds more than its places")
+        assert answer(f"{there}?token={everywhere.token}")[0] == 200
+        assert answer(f"http://127.0.0.1:{everywhere.port}/")[0] == 200
+        until(lambda: all(map(has_ended, opened)), "half-open requests are held for ever")
+    assert everywhere.memory() - before < GROWTH
+
+
+@elsewhere
+def test_a_request_that_trickles_in_ends_too(everywhere):
+    with socket.create_connection((own_address(), everywhere.port), timeout=PATIENCE) as one:
+        one.sendall(b"GET / HTTP/1.1\r\n")
+
+        def ended():
+            with contextlib.suppress(OSError):
+                one.sendall(b"a: b\r\n")
+            time.sleep(0.2)
+            return has_ended(one)
+
+        until(ended, "a request may take for ever")
+
+
+@elsewhere
+def test_a_socket_without_a_page_is_refused_before_it_is_one(everywhere, there):
+    for number in ("", "00000000-0000-0000-0000-000000000000"):
+        for _ in range(MANY // 2):
+            with pytest.raises(websockets.exceptions.InvalidStatus) as caught:
+                open_socket(there, number)
+            assert caught.value.response.status_code == 403
+    until(lambda: everywhere.held() == 0, "refused sockets are held")
+
+
+@elsewhere
+def test_from_elsewhere_who_has_the_token_has_a_page_that_works(everywhere, there):
+    assert answer(there)[0] == 403
+    got = page(there, everywhere.token)
+    with open_socket(there, got.number) as opened:
+        begin(opened).send(event("event", got.click("enable")))
+        until(lambda: "enable" in everywhere.wishes(), "the button does nothing")
+
+
+def test_on_this_machine_a_socket_without_a_page_is_there_for_seconds(shown, here):
+    with contextlib.ExitStack() as stack:
+        opened = [stack.enter_context(open_socket(here, "")) for _ in range(MANY)]
+        until(lambda: shown.held() <= PER_PEER, "one address holds more than its places")
+        until(lambda: shown.held() == 0, "sockets of no page are held for ever")
+        until(lambda: all(one.state is State.CLOSED for one in opened), "sockets of no page are held for ever")
+
+
+def test_a_page_stays_open_while_others_flood_the_server(shown, here):
+    got = page(here, shown.token)
+    with open_socket(here, got.number) as opened:
+        begin(opened)
+        with connections("127.0.0.1", shown.port, b"") as flood:
+            until(lambda: all(map(has_ended, flood)), "half-open requests are held for ever")
+        opened.send(event("event", got.click("reset trips")))
+        until(lambda: "reset trips" in shown.wishes(), "the open page was cut off")
+
+
+def test_a_page_has_two_sockets_at_most(shown, here):
+    number = page(here).number
+    with contextlib.ExitStack() as stack:
+        opened = [stack.enter_context(open_socket(here, number)) for _ in range(5)]
+        until(lambda: sum(one.state is State.CLOSED for one in opened) == 3, "a page may have any number of sockets")
+        assert opened[-1].state is State.OPEN
+
+
+def test_readers_have_a_number_of_pages_and_leave_room_for_who_may_write():
+    with served() as server:
+        here = f"http://127.0.0.1:{server.port}/"
+        before = server.memory()
+        codes = [answer(here)[0] for _ in range(MANY)]
+        assert (codes.count(200), codes.count(503)) == (PAGES, MANY - PAGES)
+        assert answer(f"{here}?token={server.token}")[0] == 200
+        assert server.memory() - before < GROWTH
+
+
+def heard(port, request, *more):
+    """Send a request and more of it until the server hangs up; return what it answered."""
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as one:
+        one.sendall(request)
+        with contextlib.suppress(OSError):
+            for part in more:
+                one.sendall(part)
+        answered = b""
+        with contextlib.suppress(OSError):
+            while part := one.recv(65536):
+                answered += part
+        return answered.partition(b"\r\n")[0]
+
+
+@pytest.mark.parametrize("begun", [b"GET /", b"GET / HTTP/1.1\r\nHost: x\r\nX: "], ids=["line", "header"])
+def test_a_request_without_end_is_cut_off(shown, begun):
+    before = shown.memory()
+    heard(shown.port, begun, *[b"a" * 1_000_000] * 100)
+    assert shown.memory() - before < GROWTH
+
+
+@pytest.mark.parametrize(
+    ("request_line", "code"),
+    [
+        (b"POST / HTTP/1.1\r\nContent-Length: 3", b"405"),
+        (b"GET / HTTP/1.1\r\nContent-Length: 4000000000", b"413"),
+        (b"GET / HTTP/1.1\r\nTransfer-Encoding: chunked", b"413"),
+        (b"GET /../../etc/passwd HTTP/1.1", b"404"),
+        (b"GET /_nicegui_ws/socket.io/?EIO=4&transport=polling HTTP/1.1", b"404"),
+    ],
+)
+def test_what_no_browser_asks_for_is_refused_and_the_connection_ends(shown, request_line, code):
+    head = request_line + b"\r\nHost: 127.0.0.1\r\n\r\n"
+    assert code in heard(shown.port, head, *[b"10000\r\n" + b"a" * 65536 + b"\r\n"] * 100)
+
+
+def test_the_token_is_printed_once_and_nothing_asked_for_is(here, shown):
+    token = shown.token
+    for path in ("nothing", "_nicegui/nothing", "_nicegui/auto/static/nothing", "\x1b[31m"):
+        assert answer(f"{here}{path.replace(chr(27), '%1b')}?token={token}")[0] == 404
+    assert answer(f"{here}?token={token}")[0] == 200
+    assert answer(f"{here}?token={token}x")[0] == 403
+    with pytest.raises(websockets.exceptions.InvalidStatus):
+        open_socket(here, "", transport="\x1b[31m", token=token)
+    page(here, token)
+    heard(shown.port, f"\x1b[31m?token={token}\r\n\r\n".encode())
+    assert shown.said() == ""
+
+
+WRONG = [
+    "42",
+    "42[",
+    '42["event"]',
+    '42["event",1]',
+    '42[["event"],{}]',
+    "42{}",
+    "49",
+    "2probe",
+    "4",
+    "\x1b[31m",
+    "40/other",
+    "43[]",
+    "5",
+]
+LIES = ["connect", "disconnect", "handshake", "event", "ack", "log", "javascript_response", "constructor"]
+
+
+def test_a_page_that_only_reads_has_no_say_whatever_it_sends(shown, here):
+    shown.lines.clear()
+    writer = page(here, shown.token)
+    reader = page(here)
+    forged = writer.click("emergency stop")
+    own = [sent for _, sent in reader.listeners()]
+    printed = {"level": "error", "message": "\x1b[31mforged"}
+    said = [
+        event("event", forged),
+        event("event", forged | {"client_id": reader.number}),
+        *(event("event", sent | changed) for sent in own for changed in ({}, {"args": ["["]}, {"args": 5}, {"id": "x"})),
+        *(event("log", printed | {"client_id": number}) for number in (reader.number, writer.number)),
+        event("log", {"client_id": reader.number, "level": "nonsense", "message": 5}),
+        event("ack", {"client_id": writer.number, "next_message_id": 10**9}),
+        event("ack", {"client_id": reader.number, "next_message_id": "x"}),
+        event("javascript_response", {"client_id": reader.number, "request_id": "x", "result": "x"}),
+        *(
+            event("handshake", {"client_id": writer.number, "tab_id": "t", "document_id": "d"} | more)
+            for more in ({}, {"next_message_id": "x"})
+        ),
+        *(
+            event(name, {"client_id": number, "QUERY_STRING": "client_id=x"})
+            for name in LIES
+            for number in (reader.number, "", 5)
+        ),
+        event("event", {"client_id": reader.number, "id": 1, "listener_id": "x", "args": ["[" * 30_000]}),
+        *WRONG,
+        b"\x00\x01",
+        '451-["event",{"_placeholder":true,"num":0}]',
+        "42" + "9" * 5000 + "[]",
+        "x" * (LARGEST + 1),
+    ]
+    with open_socket(here, writer.number) as writing:
+        begin(writing)
+        for message in said:
+            # Each has a socket of its own: most are the last thing it says.
+            with open_socket(here, reader.number) as reading, contextlib.suppress(websockets.exceptions.ConnectionClosed):
+                begin(reading).send(message)
+                # The answer to this says that the server has done with what came before.
+                again = {"client_id": reader.number, "tab_id": "other", "document_id": "other"}
+                reading.send(event("handshake", again).replace("42", "427", 1))
+                hear(reading, "437[false]")
+        writing.send(event("event", writer.click("enable")))
+        until(lambda: "enable" in shown.wishes(), "who may write is not heard any more")
+    assert shown.wishes() == ["enable"]
+    assert shown.said() == ""
+
+
+def test_without_a_page_a_socket_speaks_for_none(shown, here):
+    shown.lines.clear()
+    writer = page(here, shown.token)
+    with open_socket(here, "", implicit_handshake="false") as opened:
+        begin(opened).send(event("event", writer.click("emergency stop")))
+        with pytest.raises(websockets.exceptions.ConnectionClosed):
+            opened.recv(timeout=PATIENCE)
+    assert shown.wishes() == []
+
+
+def test_a_reader_that_never_stops_talking_costs_no_memory_and_leaves_others_heard(shown, here):
+    writer, reader = page(here, shown.token), page(here)
+    dropped = event("log", {"client_id": reader.number, "message": "x" * (LARGEST - 1000)})
+    with open_socket(here, writer.number) as writing, open_socket(here, reader.number) as reading:
+        begin(writing)
+        begin(reading)
+        before = shown.memory()
+        shown.lines.clear()
+        for number in range(2000):
+            reading.send(dropped)
+            if number == 1000:
+                writing.send(event("event", writer.click("emergency stop")))
+        until(lambda: shown.wishes() == ["emergency stop"], "who may write is not heard any more")
+        assert shown.memory() - before < GROWTH
+
+
+def test_parts_of_a_message_that_never_come_to_an_end_are_not_kept(shown, here):
+    reader = page(here)
+    with open_socket(here, reader.number) as reading:
+        begin(reading)
+        before = shown.memory()
+        # "A binary event of a million parts follows", and then parts.
+        with contextlib.suppress(websockets.exceptions.ConnectionClosed):
+            reading.send('451000000-["event",{"_placeholder":true,"num":0}]')
+            for _ in range(3000):
+                reading.send(b"x" * 60_000)
+        assert shown.memory() - before < GROWTH
