@@ -1,22 +1,26 @@
-"""The note beside a bag that is being written: what of it is safely on the disk.
+"""The note beside a bag that is being written: how much is safely on the disk.
 
-Closing the bag removes the note. With it :mod:`ehls_ros.recording.recovery` tells what a killed recorder left behind.
+Closing the bag removes the note. With it :mod:`ehls_ros.recording.recovery` tells how much is missing of what a killed
+recorder left behind.
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording.provenance import checksum_of
 from ehls_ros.recording.reason import reason
 
 NOTE = "being_recorded.json"
 """Name of the note in the bag's folder."""
 
-RECOVERABLE = "the folder of a bag that ehls_ros was recording"
+AS_WRITTEN = "a note as the recorder wrote it"
+
+LARGEST = 1 << 20
+"""Size of a note at most [B]."""
 
 
 class Flushed(NamedTuple):
@@ -24,27 +28,21 @@ class Flushed(NamedTuple):
 
     Attributes:
         messages: number of its messages.
-        checksum: sum of :func:`~ehls_ros.recording.provenance.message_checksum` over them.
+        newest_ns: latest time of sending [ns].
     """
 
-    messages: int
-    checksum: int
+    messages: Annotated[int, Field(strict=True, ge=0, le=1 << 53)]
+    newest_ns: Annotated[int, Field(strict=True, ge=0, lt=1 << 63)]
 
 
 class Note(NamedTuple):
     """What the note says.
 
     Attributes:
-        storage: rosbag2 storage plugin.
-        namespace: namespace of the topics.
-        configuration: what the run was made with, JSON values.
         flushed: by the topic's full name.
     """
 
-    storage: str
-    namespace: str
-    configuration: Mapping[str, Any]
-    flushed: Mapping[str, Flushed]
+    flushed: Annotated[Mapping[str, Flushed], Field(min_length=1)]
 
 
 _NOTE = TypeAdapter(Note)
@@ -61,7 +59,8 @@ def write_note(folder: Path, note: Note) -> None:
         OSError: the disk is full or fails.
     """
     fresh = folder / f"{NOTE}.new"
-    fresh.write_text(json.dumps(note._asdict()), encoding="utf-8")
+    content = _NOTE.dump_json(note)
+    fresh.write_bytes(content + b"\n" + _checksum(content) + b"\n")
     fresh.replace(folder / NOTE)
 
 
@@ -77,15 +76,20 @@ def read_note(folder: Path) -> Note:
         folder: the bag's folder.
 
     Raises:
-        BadInput: there is none, or it is damaged.
+        BadInput: there is none, or it is not as it was written.
     """
     path = folder / NOTE
     try:
-        return _NOTE.validate_json(path.read_bytes())
-    except (FileNotFoundError, NotADirectoryError):
-        what = "no recording was cut off here" if folder.exists() else "it does not exist"
-        raise BadInput(what, str(folder), RECOVERABLE) from None
+        with path.open("rb") as stream:
+            content, _, checksum = stream.read(LARGEST).partition(b"\n")
+        if checksum != _checksum(content) + b"\n":
+            raise BadInput("the note is damaged", str(path), AS_WRITTEN)
+        return _NOTE.validate_json(content)
     except OSError as error:
-        raise BadInput(f"the note cannot be read ({reason(error)})", str(path), RECOVERABLE) from None
+        raise BadInput(f"the note cannot be read ({reason(error)})", str(path), AS_WRITTEN) from None
     except ValidationError:
-        raise BadInput("the note is damaged", str(path), RECOVERABLE) from None
+        raise BadInput("the note is damaged", str(path), AS_WRITTEN) from None
+
+
+def _checksum(content: bytes) -> bytes:
+    return f"blake2b-{checksum_of(content):016x}".encode()
