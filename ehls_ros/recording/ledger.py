@@ -132,7 +132,11 @@ def provenance_blocks(text: str) -> list[bytes]:
     packed = compress(text.encode(), 9)
     size = ROOM - _FRAME.size
     parts = [packed[start : start + size] for start in range(0, len(packed), size)]
-    return [_block(PROVENANCE, len(parts) << 8 | number, part, b"") for number, part in enumerate(parts)] if len(parts) < 256 else []
+    return (
+        [_block(PROVENANCE, len(parts) << 8 | number, part, b"") for number, part in enumerate(parts)]
+        if len(parts) < 256
+        else []
+    )
 
 
 def _block(kind: int, count: int, head: bytes, rest: bytes) -> bytes:
@@ -252,8 +256,7 @@ class Ledger:
             stamps, gone = self._entries["stamp_ns"][chosen][order], missing[chosen][order]
             edges = np.flatnonzero(np.diff(np.concatenate(([False], gone, [False])).astype(np.int8)))
             runs = [
-                Range(last - first, int(stamps[first]), int(stamps[last - 1]))
-                for first, last in edges.reshape(-1, 2).tolist()
+                Range(last - first, int(stamps[first]), int(stamps[last - 1])) for first, last in edges.reshape(-1, 2).tolist()
             ]
             if runs:
                 ranges[path] = runs

@@ -4,6 +4,7 @@ Closing the bag removes the note. With it :mod:`ehls_ros.recording.recovery` tel
 recorder left behind.
 """
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -42,10 +43,15 @@ class Note(NamedTuple):
         flushed: by the topic's full name.
     """
 
+    flushed: Mapping[str, Flushed]
+
+
+class _Written(NamedTuple):
     flushed: Annotated[Mapping[str, Flushed], Field(min_length=1)]
+    checksum: str
 
 
-_NOTE = TypeAdapter(Note)
+_WRITTEN = TypeAdapter(_Written)
 
 
 def write_note(folder: Path, note: Note) -> None:
@@ -59,8 +65,8 @@ def write_note(folder: Path, note: Note) -> None:
         OSError: the disk is full or fails.
     """
     fresh = folder / f"{NOTE}.new"
-    content = _NOTE.dump_json(note)
-    fresh.write_bytes(content + b"\n" + _checksum(content) + b"\n")
+    content = {"flushed": _plain(note.flushed), "checksum": _checksum(note.flushed)}
+    fresh.write_text(json.dumps(content), encoding="utf-8")
     fresh.replace(folder / NOTE)
 
 
@@ -81,15 +87,19 @@ def read_note(folder: Path) -> Note:
     path = folder / NOTE
     try:
         with path.open("rb") as stream:
-            content, _, checksum = stream.read(LARGEST).partition(b"\n")
-        if checksum != _checksum(content) + b"\n":
-            raise BadInput("the note is damaged", str(path), AS_WRITTEN)
-        return _NOTE.validate_json(content)
+            written = _WRITTEN.validate_json(stream.read(LARGEST))
     except OSError as error:
         raise BadInput(f"the note cannot be read ({reason(error)})", str(path), AS_WRITTEN) from None
     except ValidationError:
         raise BadInput("the note is damaged", str(path), AS_WRITTEN) from None
+    if written.checksum != _checksum(written.flushed):
+        raise BadInput("the note is not as it was written", str(path), AS_WRITTEN)
+    return Note(written.flushed)
 
 
-def _checksum(content: bytes) -> bytes:
-    return f"blake2b-{checksum_of(content):016x}".encode()
+def _plain(flushed: Mapping[str, Flushed]) -> dict[str, dict[str, int]]:
+    return {path: topic._asdict() for path, topic in flushed.items()}
+
+
+def _checksum(flushed: Mapping[str, Flushed]) -> str:
+    return f"blake2b-{checksum_of(json.dumps(_plain(flushed)).encode()):016x}"
