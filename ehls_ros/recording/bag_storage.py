@@ -7,7 +7,6 @@ import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import ClassVar
 from zlib import crc32
 
 from rosbags.interfaces import Connection
@@ -97,7 +96,7 @@ class SqliteStorage(Sqlite3Writer):
 class StorageWriter(Writer):
     """rosbags' writer onto these storages."""
 
-    STORAGE_PLUGINS: ClassVar[Mapping[StoragePlugin, type[McapStorage | SqliteStorage]]] = MappingProxyType(
+    STORAGE_PLUGINS: Mapping[StoragePlugin, type[McapStorage | SqliteStorage]] = MappingProxyType(
         {StoragePlugin.MCAP: McapStorage, StoragePlugin.SQLITE3: SqliteStorage}
     )
     storage: McapStorage | SqliteStorage | None

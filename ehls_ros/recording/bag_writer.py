@@ -141,8 +141,9 @@ class BagWriter:
             return
         tallies = self._storage.ledger.tallies()
         seals = {
-            connection.topic: Seal(connection.digest, tallies[connection.topic].checksum)
+            connection.topic: Seal(connection.digest, tally.checksum, tally.messages, tally.newest_ns)
             for connection in self._connections.values()
+            for tally in [tallies[connection.topic]]
         }
         for key, value in self._provenance._replace(seals=seals).custom_data().items():
             self._writer.set_custom_data(key, value)

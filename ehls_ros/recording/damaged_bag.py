@@ -9,8 +9,6 @@ from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import NamedTuple
 
-from pydantic import TypeAdapter
-
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES
 from ehls_ros.recording.bag_writer import Storage
@@ -24,8 +22,6 @@ from ehls_ros.recording.sqlite_salvage import names_in_sqlite, salvage_sqlite
 from ehls_ros.recording.storage_file import MCAP_MAGIC, METADATA_FILE, SQLITE_MAGIC, parse_metadata
 
 RECOVERABLE = "a bag of ROS 2, its folder or its storage file"
-
-_FLUSHED = TypeAdapter(Flushed)
 
 
 class DamagedBag(NamedTuple):
@@ -126,9 +122,8 @@ def _beginning(file: Path) -> bytes:
 
 def _rolled_back(file: Path, folder: Path) -> Path:
     """Return a copy without what the recorder was in the middle of; the file itself where it was in the middle of nothing."""
-    journals = [
-        journal for ending in ("-journal", "-wal") for journal in file.parent.glob(f"*{ending}") if journal.stat().st_size
-    ]
+    beside = [*file.parent.glob("*-journal"), *file.parent.glob("*-wal")]
+    journals = [journal for journal in beside if journal.stat().st_size]
     own = [journal for journal in journals if journal.name.startswith(file.name)] or journals
     if len(own) != 1:
         return file
@@ -146,12 +141,10 @@ def _expected(folder: Path) -> tuple[Mapping[str, Flushed], list[str]]:
     """Return how much was written by what lies beside the storage file, and what is to be said of that."""
     with suppress(Exception):  # there are none, or anything may be wrong in them
         text = (folder / METADATA_FILE).read_text(encoding="utf-8")
-        entries = parse_metadata(text, str(folder))["rosbag2_bagfile_information"]
-        newest_ns = entries["starting_time"]["nanoseconds_since_epoch"] + entries["duration"]["nanoseconds"]
-        return {
-            str(topic["topic_metadata"]["name"]): _FLUSHED.validate_python((topic["message_count"], newest_ns))
-            for topic in entries["topics_with_message_count"]
-        }, []
+        entries = parse_metadata(text, str(folder))["rosbag2_bagfile_information"]["custom_data"]
+        closed = provenance_in(entries, str(folder))
+        if closed is not None:
+            return {path: Flushed(seal.messages, seal.newest_ns) for path, seal in closed.seals.items()}, []
     try:
         return read_note(folder).flushed, []
     except BadInput as error:

@@ -2,7 +2,8 @@
 
 rosbag2 has no checksum of a message, and its files can be read only while their structure is whole. The ledger stands between
 the messages, in blocks that bear a mark and are small enough for a page of SQLite, so that they are found in whatever is left
-of a file. What a block vouches for is as it was written, wherever in the file it is found; what it names and is not found is lost.
+of a file. What a block vouches for is as it was written, wherever in the file it is found; what it names
+and nobody finds is lost.
 """
 
 import json
@@ -19,6 +20,9 @@ from numpy.typing import NDArray
 from pydantic import Field, TypeAdapter, ValidationError
 
 from ehls_ros.recording.provenance import checksum_of, checksum_sum, message_checksum, message_digest
+
+MOST_PARTS = 255
+"""Blocks that a bag's provenance may take."""
 
 MARK = b"\x9dLEDGER\x1a"
 
@@ -124,7 +128,7 @@ class LedgerWriter:
 
 
 def provenance_blocks(text: str) -> list[bytes]:
-    """Return the blocks that keep what a bag says of where it comes from.
+    """Return the blocks that keep what a bag says of where it comes from; none if it is beyond measure.
 
     Args:
         text: as :func:`~ehls_ros.recording.provenance.provenance_in` reads it.
@@ -132,11 +136,10 @@ def provenance_blocks(text: str) -> list[bytes]:
     packed = compress(text.encode(), 9)
     size = ROOM - _FRAME.size
     parts = [packed[start : start + size] for start in range(0, len(packed), size)]
-    return (
-        [_block(PROVENANCE, len(parts) << 8 | number, part, b"") for number, part in enumerate(parts)]
-        if len(parts) < 256
-        else []
-    )
+    if len(parts) > MOST_PARTS:
+        return []
+    blocks = [_block(PROVENANCE, len(parts) << 8 | number, part, b"") for number, part in enumerate(parts)]
+    return 2 * blocks  # nothing else vouches for it if one is damaged
 
 
 def _block(kind: int, count: int, head: bytes, rest: bytes) -> bytes:
@@ -218,6 +221,12 @@ class Ledger:
         """Whether nothing in the file vouches for any message."""
         return not len(self._entries)
 
+    @property
+    def complete(self) -> bool:
+        """Whether it is there from the first message on, so that what it does not name was never written."""
+        ends = np.concatenate(([0], self._spans[:, 1]))
+        return not self.empty and not self.damaged_blocks and bool((self._spans[:, 0] == ends[:-1]).all())
+
     def vouches(self, message: tuple[str, int, bytes]) -> bool:
         """Tell whether a message is as it was written; each is found but once.
 
@@ -234,10 +243,8 @@ class Ledger:
         places = np.minimum(np.searchsorted(self._checksums, checksums), len(self._checksums) - 1)
         found: list[bool] = []
         for place, known in zip(places.tolist(), (self._checksums[places] == checksums).tolist(), strict=True):
-            known = known and self._left[place] > 0
-            if known:
-                self._left[place] -= 1
-            found.append(known)
+            found.append(known and self._left[place] > 0)
+            self._left[place] -= found[-1]
         return found
 
     def covers(self, ordinal: int) -> bool:

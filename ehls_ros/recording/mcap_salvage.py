@@ -113,9 +113,11 @@ def _messages(records: bytes, names: Names) -> Iterator[tuple[str, int, bytes]]:
 def _taken(records: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
     """Take the records of a chunk whose checksum is right."""
     messages = list(_messages(records, names))
-    ledger.vouches_for(messages)  # they are found
-    for message in messages:
-        yield Found(*message, verified=True)
+    named = ledger.vouches_for(messages)
+    complete = ledger.complete
+    for message, known in zip(messages, named, strict=True):
+        if known or not complete:
+            yield Found(*message, verified=True)
 
 
 def _tried(records: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
@@ -126,7 +128,7 @@ def _tried(records: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
         offset = start + 1
         if start + MESSAGE_HEAD.size > len(records):
             return
-        _, length, channel, _, stamp_ns, sent_ns = MESSAGE_HEAD.unpack_from(records, start)
+        _, length, channel, _, stamp_ns, _ = MESSAGE_HEAD.unpack_from(records, start)
         end = start + MCAP_RECORD.size + length
         if length < MESSAGE_HEAD.size - MCAP_RECORD.size or end > len(records) or channel not in names:
             continue

@@ -39,7 +39,8 @@ def timely(stamps_ns: Sequence[int]) -> NDArray[np.bool_]:
         Flags of shape (n,).
     """
     stamps = np.array(stamps_ns, np.float64)
-    return np.abs(stamps - median_filter(stamps, NEIGHBOURS, mode="nearest")) <= OUTLYING_NS
+    around: NDArray[np.float64] = median_filter(stamps, NEIGHBOURS, mode="nearest")
+    return np.less_equal(np.abs(stamps - around), OUTLYING_NS)
 
 
 @cache

@@ -27,10 +27,14 @@ class Seal(NamedTuple):
     Attributes:
         type_hash: RIHS01 hash of its message type.
         checksum: sum of :func:`message_checksum` over its messages, 64 bits; their order does not matter.
+        messages: number of its messages.
+        newest_ns: latest time of sending [ns].
     """
 
     type_hash: str
     checksum: int
+    messages: int
+    newest_ns: int
 
 
 class Provenance(NamedTuple):

@@ -1,13 +1,13 @@
 """Bags that were damaged or whose recorder died: what is sound in them becomes a whole bag, and what is lost is told.
 
 A storage file vouches for its messages itself (:mod:`ehls_ros.recording.ledger`), so that neither the names of folder and file
-nor anything beside them is needed. What a checksum contradicts is dropped. What none speaks of is kept where it can be a message
-of its topic, and told. The new bag is read back before it counts.
+nor anything beside them is needed. What a checksum contradicts is dropped. What none speaks of is kept where it can be a
+message of its topic, and told. The new bag is read back before it counts.
 """
 
 import shutil
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -82,12 +82,13 @@ class _UnverifiedMakeNoBag(Exception):
     """The new bag cannot be read, and has messages that nothing vouches for."""
 
 
-def recover(source: Path, out: Path) -> Recovery:
+def recover(source: Path, out: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Recovery:
     """Make a whole bag of what is sound in a damaged one.
 
     Args:
         source: folder of a bag or its storage file, under whatever name; it stays as it is.
         out: folder of the new bag, to be made; on failure it is not there.
+        progress: is told how many messages are done, and of how many.
 
     Returns:
         What was recovered and what was lost.
@@ -101,12 +102,12 @@ def recover(source: Path, out: Path) -> Recovery:
         raise BadInput("the output exists already", str(out), NEW_FOLDER)
     with _becoming(out) as unfinished, damaged_bag(file, unfinished.parent) as (bag, ledger):
         try:
-            return _recover(bag, ledger, unfinished, str(source), verified_only=False)
+            return _recover(bag, ledger, unfinished, str(source), progress, verified_only=False)
         except _UnverifiedMakeNoBag as error:
             shutil.rmtree(unfinished)
             remark = f"what nothing vouches for is left out, for the bag could not be read with it ({error})"
-            bag = bag._replace(remarks=[*bag.remarks, remark])
-            return _recover(bag, Ledger(bag.content), unfinished, str(source), verified_only=True)
+            told = bag._replace(remarks=[*bag.remarks, remark])
+            return _recover(told, Ledger(bag.content), unfinished, str(source), progress, verified_only=True)
 
 
 @contextmanager
@@ -127,7 +128,9 @@ def _becoming(out: Path) -> Iterator[Path]:
         (Path(unfinished) / out.name).rename(out)
 
 
-def _recover(bag: DamagedBag, ledger: Ledger, out: Path, where: str, *, verified_only: bool) -> Recovery:
+def _recover(
+    bag: DamagedBag, ledger: Ledger, out: Path, where: str, progress: Callable[[int, int], None], *, verified_only: bool
+) -> Recovery:
     """Write what is sound into a new bag, read that back and say what became of everything."""
     namespace, topics = _topics(bag, where)
     provenance = bag.provenance
@@ -139,12 +142,14 @@ def _recover(bag: DamagedBag, ledger: Ledger, out: Path, where: str, *, verified
         topics=list(topics.values()),
         signals=provenance.signals if provenance else None,
     )
-    loss, counts = Loss(), {path: _Counts() for path in topics}
+    loss, counts, done = Loss(), {path: _Counts() for path in topics}, 0
     try:
         for block in _blocks(bag.messages(ledger, loss)):
-            for found in _sound(block, topics, counts, verified_only=verified_only):
+            for found in _sound(block, topics, counts, loss, verified_only=verified_only):
                 writer.write(topics[found.topic].name, found.stamp_ns, found.serialized)
                 counts[found.topic].add(found)
+            done += len(block)
+            progress(done, max(done, sum(ledger.counts.values())))
         recovery = _account(bag, ledger, loss, counts)
         writer.tell_of_recovery(recovery.as_json())
         writer.close()
@@ -168,10 +173,8 @@ def _topics(bag: DamagedBag, where: str) -> tuple[str, dict[str, Topic]]:
     ending = f"/{LOADER_STATE.name}"
     namespaces = sorted(path.removesuffix(ending) for path in paths if path.endswith(ending))
     if len(namespaces) != 1:
-        what = (
-            f"it holds several rigs: {', '.join(namespaces)}" if namespaces else f"no topic {LOADER_STATE.name} is left in it"
-        )
-        raise BadInput(what, where, RECOVERABLE)
+        several = f"it holds several rigs: {', '.join(namespaces)}"
+        raise BadInput(several if namespaces else f"no topic {LOADER_STATE.name} is left in it", where, RECOVERABLE)
     known = {topic.resolve(namespaces[0]): topic for topic in TOPICS}
     return namespaces[0], {path: topic for path, topic in known.items() if path in paths}
 
@@ -197,14 +200,18 @@ def _blocks(messages: Iterator[Found]) -> Iterator[list[Found]]:
 
 
 def _sound(
-    block: Sequence[Found], topics: Mapping[str, Topic], counts: Mapping[str, _Counts], *, verified_only: bool
+    block: Sequence[Found], topics: Mapping[str, Topic], counts: Mapping[str, _Counts], loss: Loss, *, verified_only: bool
 ) -> list[Found]:
     """Return what can be messages of their topics, in the same order, and count the rest."""
     in_time = timely([found.stamp_ns for found in block])
     by_topic: dict[str, list[int]] = defaultdict(list)
     for index, found in enumerate(block):
-        if found.topic in topics and (found.verified or not verified_only):
+        if found.topic not in topics:
+            loss.foreign.add(found.topic)
+        elif found.verified or not verified_only:
             by_topic[found.topic].append(index)
+        else:
+            loss.count(found.topic)
     sound: list[int] = []
     for path, indices in by_topic.items():
         formed = well_formed(topics[path], [block[index].serialized for index in indices])
@@ -237,7 +244,7 @@ def _account(bag: DamagedBag, ledger: Ledger, loss: Loss, counts: Mapping[str, _
         sum(topic.unverified for topic in topics.values()),
         sum(topic.lost for topic in topics.values()),
         topics,
-        [*bag.remarks, *loss.places],
+        [*bag.remarks, *loss.places, *(f"{path} is no topic of ehls_ros and left out" for path in sorted(loss.foreign))],
     )
 
 
@@ -256,6 +263,5 @@ def _read_back(bag: Path, written: Mapping[str, Tally]) -> None:
             checksums[connection.topic] += message_checksum(connection.topic, stamp_ns, message)
     for path, tally in written.items():
         if (counts[path], checksum_sum([checksums[path]])) != (tally.messages, tally.checksum):
-            raise BadInput(
-                f"messages on {path} are not as they were written", str(bag), "a disk that keeps what is written to it"
-            )
+            what = f"messages on {path} are not as they were written"
+            raise BadInput(what, str(bag), "a disk that keeps what is written to it")

@@ -30,6 +30,9 @@ class Loss:
         self.places: list[str] = []
         """Parts of the file that cannot be used, in words."""
 
+        self.foreign: set[str] = set()
+        """Topics that ehls_ros does not record."""
+
     def count(self, topic: str) -> None:
         """Count a damaged message."""
         self.damaged[topic] = self.damaged.get(topic, 0) + 1

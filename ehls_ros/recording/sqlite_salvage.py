@@ -1,8 +1,8 @@
 """Messages out of a SQLite file of which only parts are left.
 
 Every page is looked at by itself, so that neither a damaged tree nor a missing end hides the others. A page that lists its rows
-is read as such; where that does not give only sound messages and the file has a ledger, each place of the page that looks like a
-row is tried, and the ledger says what is one. Nothing in the file is executed.
+is read as such; where that gives anything but sound messages and the file has a ledger, each place of the page that looks like
+a row is tried, and the ledger says what is one. Nothing in the file is executed.
 """
 
 import re
@@ -17,7 +17,7 @@ DEFAULT_PAGE = 4096
 HEADER = 100
 """Size of the file's header, at the beginning of its first page [B]."""
 
-LONGEST_ROW = 1 << 24
+LONGEST_ROW = 1 << 20
 """Size of a row at most [B]; a damaged length must not keep us busy."""
 
 LEAF = 0x0D

@@ -4,6 +4,7 @@ import json
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import WorkFailed
 from ehls_ros.recording.ledger import Range
 from ehls_ros.recording.reason import reason
@@ -25,9 +26,11 @@ def arguments(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Recover it."""
     bag: Path = options.bag
-    out: Path = options.out or bag.with_name(f"{bag.resolve().name}_recovered")
+    name = bag.stem if bag.is_file() else bag.resolve().name
+    out: Path = options.out or bag.with_name(f"{name}_recovered")
     try:
-        recovery = recover(bag, out)
+        with progress_bar(f"recovering {bag}") as bar:
+            recovery = recover(bag, out, bar)
     except OSError as error:
         raise WorkFailed(f"{out}: {reason(error)}") from None
     print("\n".join(told(recovery, out)))
@@ -58,8 +61,5 @@ def told(recovery: Recovery, out: Path) -> list[str]:
 
 def _range(between: Range) -> str:
     first, last = between.first_ns / 1e9, between.last_ns / 1e9
-    return (
-        f"{between.messages} sent at {first:.3f} s"
-        if first == last
-        else f"{between.messages} sent from {first:.3f} to {last:.3f} s"
-    )
+    when = f"at {first:.3f} s" if first == last else f"from {first:.3f} to {last:.3f} s"
+    return f"{between.messages} sent {when}"
