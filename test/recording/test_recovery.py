@@ -1,4 +1,4 @@
-"""Of a damaged bag, or one whose recorder died, all that is sound becomes a whole bag, and nothing else; what is lost is told."""
+"""What is sound in a damaged bag, or one whose recorder died, becomes a whole bag, and nothing else; what is lost is told."""
 
 import importlib.util
 import json
@@ -26,7 +26,7 @@ from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
 from ehls_ros.recording.ledger import ENTRY, MARK
 from ehls_ros.recording.provenance import KEY, message_checksum
 from ehls_ros.recording.recording_note import NOTE, Flushed, Note, read_note, write_note
-from ehls_ros.recording.recovery import Recovery, recover
+from ehls_ros.recording.recovery import recover
 from ehls_ros.recording.topics import DRIVING, LOADER_STATE, VALVE_COMMAND
 
 STORAGES: list[Storage] = ["mcap", "sqlite3"]
