@@ -20,8 +20,12 @@ from ehls_ros.recording.recording_note import Flushed, read_note
 from ehls_ros.recording.salvage import Found, Loss
 from ehls_ros.recording.sqlite_salvage import names_in_sqlite, salvage_sqlite
 from ehls_ros.recording.storage_file import MCAP_MAGIC, METADATA_FILE, SQLITE_MAGIC, parse_metadata
+from ehls_ros.recording.yaml_text import LARGEST
 
 RECOVERABLE = "a bag of ROS 2, its folder or its storage file"
+
+LONGEST_PROVENANCE = LARGEST * 3 // 4
+"""Characters of what a bag says of where it comes from; its metadata quote it, and are read up to a limit."""
 
 
 class DamagedBag(NamedTuple):
@@ -152,9 +156,13 @@ def _expected(folder: Path) -> tuple[Mapping[str, Flushed], list[str]]:
 
 
 def _provenance(ledger: Ledger, where: str) -> Provenance | None:
-    if ledger.provenance is None:
+    """Return where the bag comes from, None where that is lost or would make the new bag unreadable."""
+    text = ledger.provenance
+    if text is None or len(text) > LONGEST_PROVENANCE:
         return None
     try:
-        return provenance_in(json.loads(ledger.provenance), where)
+        provenance = provenance_in(json.loads(text), where)
+        # A NaN is not even itself.
+        return provenance if provenance == provenance_in(json.loads(text), where) else None
     except (BadInput, json.JSONDecodeError):
         return None

@@ -208,6 +208,17 @@ def test_a_note_that_vouches_for_nothing_takes_nothing_away(tmp_path: Path, stor
 
 
 @STORAGE
+@pytest.mark.parametrize("value", [float("nan"), "y" * 10**7], ids=["NaN", "huge"])
+def test_a_configuration_that_would_make_the_bag_unreadable_is_left_out_and_told(
+    tmp_path: Path, storage: Storage, value: object
+):
+    recovery = recover(cut_off(tmp_path / "bag", storage, note=value), tmp_path / "whole")
+    assert forces(tmp_path / "whole") == list(range(300))
+    assert read_bag(tmp_path / "whole").metadata == {}
+    assert recovery.remarks == ["the configuration of the run is lost"]
+
+
+@STORAGE
 def test_a_missing_tail_costs_what_was_in_it_and_is_told(tmp_path: Path, storage: Storage):
     bag = cut_off(tmp_path / "bag", storage, 1600)
     file = storage_file(bag)
