@@ -1,6 +1,7 @@
 """One topic of a bag being read: its messages turned into columns and checked against what the bag says of itself."""
 
 from collections.abc import Sequence
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from rosbags.interfaces import Connection
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS, SENT, MessageColumns
 from ehls_ros.recording.cdr import CdrError, Field, decode, flatten
-from ehls_ros.recording.provenance import Seal, message_checksum
+from ehls_ros.recording.provenance import Seal, checksum_sum, message_checksum
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.storage_file import CLOSED_BAG
 from ehls_ros.recording.topics import Topic
@@ -37,6 +38,7 @@ class BagTopic:
         """
         self.topic = topic
         self._where = where
+        self._path = connections[0].topic
         self._expected = sum(connection.msgcount for connection in connections)
         self._seal = seal
         self._fields = _fields(topic, connections[0], seal, where)
@@ -79,7 +81,8 @@ class BagTopic:
         try:
             block = decode(self._messages, self._fields, self._wanted)
             block[SENT] = np.array(self._stamps_ns, np.int64)
-            self._checksum += sum(map(message_checksum, self._stamps_ns, self._messages))
+            checksums = map(message_checksum, repeat(self._path), self._stamps_ns, self._messages)
+            self._checksum = checksum_sum([self._checksum, *checksums])
         except (TypeError, ValueError, OverflowError) as error:
             # CdrError, or SQLite holds text or nothing where a number or bytes should be
             raise BadInput(reason(error), self._where, f"messages of type {self.topic.type}") from None

@@ -1,6 +1,7 @@
 """Writing of rosbag2: message by message as a run goes, or a whole trajectory at once."""
 
 import errno
+import json
 import sqlite3
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,12 +9,12 @@ from types import MappingProxyType, TracebackType
 from typing import Any, Literal, NoReturn, Self, get_args
 
 import numpy as np
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.rosbag2.storage_mcap import McapWriter
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
+from rosbags.rosbag2 import StoragePlugin
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.provenance import Provenance, Seal, as_json, message_checksum
+from ehls_ros.recording.bag_storage import StorageWriter
+from ehls_ros.recording.ledger import provenance_blocks
+from ehls_ros.recording.provenance import Provenance, Seal, as_json
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import Flushed, Note, remove_note, write_note
 from ehls_ros.recording.topics import NAMESPACE, TOPICS, Topic
@@ -33,16 +34,16 @@ class BagWriter:
     belongs to the thread that made it.
     """
 
-    def __init__(self, writer: Writer, topics: Sequence[Topic], namespace: str, provenance: Provenance) -> None:
-        """Take over a writer; see :meth:`create`."""
+    def __init__(self, writer: StorageWriter, topics: Sequence[Topic], namespace: str, provenance: Provenance) -> None:
+        """Take over an open writer; see :meth:`create`."""
+        assert writer.storage is not None  # noqa: S101 - it is open
         self._writer = writer
-        self._namespace = namespace
+        self._storage = writer.storage
         self._provenance = provenance
-        self._checksums = {topic.name: 0 for topic in topics}
-        self._paths = {topic.name: topic.resolve(namespace) for topic in topics}
         self._connections = {
-            topic.name: writer.add_connection(self._paths[topic.name], topic.type, typestore=typestore()) for topic in topics
+            topic.name: writer.add_connection(topic.resolve(namespace), topic.type, typestore=typestore()) for topic in topics
         }
+        self._storage.keep(provenance_blocks(json.dumps(provenance.custom_data())))
         self._open = True
 
     @classmethod
@@ -82,7 +83,7 @@ class BagWriter:
         try:
             if path.exists():
                 raise BadInput("the output exists already", str(path), NEW_FOLDER)
-            writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()])
+            writer = StorageWriter(path, version=9, storage_plugin=StoragePlugin[storage.upper()])
             writer.open()
         except (OSError, sqlite3.Error) as error:
             where = getattr(error, "filename", None) or path
@@ -106,7 +107,14 @@ class BagWriter:
             self._writer.write(self._connections[topic], stamp_ns, serialized)
         except (OSError, sqlite3.Error) as error:
             self._give_up(error)
-        self._checksums[topic] += message_checksum(stamp_ns, serialized)
+
+    def tell_of_recovery(self, recovery: Mapping[str, Any]) -> None:
+        """Let the bag's metadata say what was lost of the damaged bag it is made of.
+
+        Args:
+            recovery: JSON values.
+        """
+        self._provenance = self._provenance._replace(recovery=as_json(recovery))
 
     def flush(self) -> None:
         """Make sure that what was written survives the death of this process, and note that it does.
@@ -116,21 +124,10 @@ class BagWriter:
         Raises:
             OSError: the disk is full or fails; the bag has then been given up, up to the last flush it is recoverable.
         """
-        storage = self._writer.storage
         try:
-            # rosbags keeps an mcap chunk and an SQLite transaction open until they are full or the bag is closed.
-            if isinstance(storage, McapWriter):
-                if storage.chunk.bio.tell():
-                    storage.close_chunk()
-                storage.bio.flush()
-            elif isinstance(storage, Sqlite3Writer):
-                storage.conn.commit()
-            flushed = {
-                self._paths[name]: Flushed(self._writer.counts[connection.id], self._checksums[name])
-                for name, connection in self._connections.items()
-            }
-            plugin = self._writer.storage_plugin.name.lower()
-            write_note(self._writer.path, Note(plugin, self._namespace, self._provenance.configuration, flushed))
+            self._storage.flush()
+            flushed = {path: Flushed(tally.messages, tally.newest_ns) for path, tally in self._storage.ledger.tallies().items()}
+            write_note(self._writer.path, Note(flushed))
         except (OSError, sqlite3.Error) as error:
             self._give_up(error)
 
@@ -142,8 +139,11 @@ class BagWriter:
         """
         if not self._open:
             return
+        tallies = self._storage.ledger.tallies()
         seals = {
-            self._paths[name]: Seal(connection.digest, self._checksums[name]) for name, connection in self._connections.items()
+            connection.topic: Seal(connection.digest, tally.checksum, tally.messages, tally.newest_ns)
+            for connection in self._connections.values()
+            for tally in [tallies[connection.topic]]
         }
         for key, value in self._provenance._replace(seals=seals).custom_data().items():
             self._writer.set_custom_data(key, value)

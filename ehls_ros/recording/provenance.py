@@ -5,7 +5,8 @@ checksums of its own, so that without the seals a flipped bit in a bag would be 
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from hashlib import blake2b
 from typing import Any, NamedTuple
 from zlib import crc32
 
@@ -17,17 +18,23 @@ from ehls_ros.errors import BadInput
 KEY = "ehls_ros"
 CHECKSUM_KEY = "ehls_ros_checksum"
 
+_LARGEST = (1 << 64) - 1
+
 
 class Seal(NamedTuple):
     """What one topic of a bag was when the bag was closed.
 
     Attributes:
         type_hash: RIHS01 hash of its message type.
-        checksum: sum of :func:`message_checksum` over its messages, so that their order does not matter.
+        checksum: sum of :func:`message_checksum` over its messages, 64 bits; their order does not matter.
+        messages: number of its messages.
+        newest_ns: latest time of sending [ns].
     """
 
     type_hash: str
     checksum: int
+    messages: int
+    newest_ns: int
 
 
 class Provenance(NamedTuple):
@@ -38,11 +45,13 @@ class Provenance(NamedTuple):
         seals: one a topic, by its full name.
         signals: the signals the bag was written from, when it was written from a trajectory: a message has all its
             fields even where the trajectory had not all signals.
+        recovery: what was lost, where the bag was made of a damaged one, JSON values.
     """
 
     configuration: Mapping[str, Any]
     seals: Mapping[str, Seal]
     signals: Sequence[str] | None
+    recovery: Mapping[str, Any] | None = None
 
     def custom_data(self) -> dict[str, str]:
         """Return the entries for the bag's metadata."""
@@ -78,14 +87,31 @@ def provenance_in(custom_data: Mapping[str, str], where: str) -> Provenance | No
         raise BadInput("the configuration kept in the bag is none of ours", where, "a bag as it was written") from None
 
 
-def message_checksum(stamp_ns: int, serialized: bytes) -> int:
-    """Return the checksum of one message together with its time of sending.
+def message_digest(topic: str, stamp_ns: int, serialized: bytes | memoryview) -> bytes:
+    """Return 64 bits of BLAKE2 over one message together with its topic and its time of sending.
 
     Args:
+        topic: full name.
         stamp_ns: time of sending [ns].
         serialized: the message as CDR.
     """
-    return crc32(serialized, stamp_ns & 0xFFFFFFFF)
+    stamp = (stamp_ns & _LARGEST).to_bytes(8, "little")
+    return blake2b(b"".join((stamp, topic.encode(), b"\0", serialized)), digest_size=8).digest()
+
+
+def message_checksum(topic: str, stamp_ns: int, serialized: bytes | memoryview) -> int:
+    """Return the :func:`message_digest` as a number."""
+    return int.from_bytes(message_digest(topic, stamp_ns, serialized), "little")
+
+
+def checksum_sum(checksums: Iterable[int]) -> int:
+    """Return the sum of checksums, in 64 bits."""
+    return sum(checksums) & _LARGEST
+
+
+def checksum_of(content: bytes) -> int:
+    """Return 64 bits of BLAKE2 over some bytes."""
+    return int.from_bytes(blake2b(content, digest_size=8).digest(), "little")
 
 
 def _text_checksum(content: str) -> str:

@@ -1,22 +1,27 @@
-"""The note beside a bag that is being written: what of it is safely on the disk.
+"""The note beside a bag that is being written: how much is safely on the disk.
 
-Closing the bag removes the note. With it :mod:`ehls_ros.recording.recovery` tells what a killed recorder left behind.
+Closing the bag removes the note. With it :mod:`ehls_ros.recording.recovery` tells how much is missing of what a killed
+recorder left behind.
 """
 
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording.provenance import checksum_of
 from ehls_ros.recording.reason import reason
 
 NOTE = "being_recorded.json"
 """Name of the note in the bag's folder."""
 
-RECOVERABLE = "the folder of a bag that ehls_ros was recording"
+AS_WRITTEN = "a note as the recorder wrote it"
+
+LARGEST = 1 << 20
+"""Size of a note at most [B]."""
 
 
 class Flushed(NamedTuple):
@@ -24,30 +29,29 @@ class Flushed(NamedTuple):
 
     Attributes:
         messages: number of its messages.
-        checksum: sum of :func:`~ehls_ros.recording.provenance.message_checksum` over them.
+        newest_ns: latest time of sending [ns].
     """
 
-    messages: int
-    checksum: int
+    messages: Annotated[int, Field(strict=True, ge=0, le=1 << 53)]
+    newest_ns: Annotated[int, Field(strict=True, ge=0, lt=1 << 63)]
 
 
 class Note(NamedTuple):
     """What the note says.
 
     Attributes:
-        storage: rosbag2 storage plugin.
-        namespace: namespace of the topics.
-        configuration: what the run was made with, JSON values.
         flushed: by the topic's full name.
     """
 
-    storage: str
-    namespace: str
-    configuration: Mapping[str, Any]
     flushed: Mapping[str, Flushed]
 
 
-_NOTE = TypeAdapter(Note)
+class _Written(NamedTuple):
+    flushed: Annotated[Mapping[str, Flushed], Field(min_length=1)]
+    checksum: str
+
+
+_WRITTEN = TypeAdapter(_Written)
 
 
 def write_note(folder: Path, note: Note) -> None:
@@ -61,7 +65,8 @@ def write_note(folder: Path, note: Note) -> None:
         OSError: the disk is full or fails.
     """
     fresh = folder / f"{NOTE}.new"
-    fresh.write_text(json.dumps(note._asdict()), encoding="utf-8")
+    content = {"flushed": _plain(note.flushed), "checksum": _checksum(note.flushed)}
+    fresh.write_text(json.dumps(content), encoding="utf-8")
     fresh.replace(folder / NOTE)
 
 
@@ -77,15 +82,24 @@ def read_note(folder: Path) -> Note:
         folder: the bag's folder.
 
     Raises:
-        BadInput: there is none, or it is damaged.
+        BadInput: there is none, or it is not as it was written.
     """
     path = folder / NOTE
     try:
-        return _NOTE.validate_json(path.read_bytes())
-    except (FileNotFoundError, NotADirectoryError):
-        what = "no recording was cut off here" if folder.exists() else "it does not exist"
-        raise BadInput(what, str(folder), RECOVERABLE) from None
+        with path.open("rb") as stream:
+            written = _WRITTEN.validate_json(stream.read(LARGEST))
     except OSError as error:
-        raise BadInput(f"the note cannot be read ({reason(error)})", str(path), RECOVERABLE) from None
+        raise BadInput(f"the note cannot be read ({reason(error)})", str(path), AS_WRITTEN) from None
     except ValidationError:
-        raise BadInput("the note is damaged", str(path), RECOVERABLE) from None
+        raise BadInput("the note is damaged", str(path), AS_WRITTEN) from None
+    if written.checksum != _checksum(written.flushed):
+        raise BadInput("the note is not as it was written", str(path), AS_WRITTEN)
+    return Note(written.flushed)
+
+
+def _plain(flushed: Mapping[str, Flushed]) -> dict[str, dict[str, int]]:
+    return {path: topic._asdict() for path, topic in flushed.items()}
+
+
+def _checksum(flushed: Mapping[str, Flushed]) -> str:
+    return f"blake2b-{checksum_of(json.dumps(_plain(flushed)).encode()):016x}"

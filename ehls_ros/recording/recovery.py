@@ -1,67 +1,113 @@
-"""Bags whose recorder died: what was flushed is whole, is verified message by message and becomes a bag again.
+"""Bags that were damaged or whose recorder died: what is sound in them becomes a whole bag, and what is lost is told.
 
-The storage file of a killed recorder lacks its end; what the note beside it vouches for
-(:mod:`ehls_ros.recording.recording_note`) is in it nevertheless.
+A storage file vouches for its messages itself (:mod:`ehls_ros.recording.ledger`), so that neither the names of folder and file
+nor anything beside them is needed. What a checksum contradicts is dropped. What none speaks of is kept where it can be a
+message of its topic, and told. The new bag is read back before it counts.
 """
 
-import os
-import sqlite3
-import struct
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+import shutil
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple
+
+from rosbags.rosbag2 import Reader
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.bag_writer import NEW_FOLDER, BagWriter, Storage
-from ehls_ros.recording.provenance import message_checksum
+from ehls_ros.recording.bag_reader import read_bag
+from ehls_ros.recording.bag_writer import NEW_FOLDER, BagWriter
+from ehls_ros.recording.damaged_bag import RECOVERABLE, DamagedBag, damaged_bag, storage_file
+from ehls_ros.recording.ledger import Ledger, Range, Tally
+from ehls_ros.recording.message_check import timely, well_formed
+from ehls_ros.recording.provenance import checksum_sum, message_checksum
 from ehls_ros.recording.reason import reason
-from ehls_ros.recording.recording_note import RECOVERABLE, Note, read_note
-from ehls_ros.recording.storage_file import MCAP_CHUNK, MCAP_MAGIC, MCAP_RECORD, check_database
-from ehls_ros.recording.topics import TOPICS
+from ehls_ros.recording.salvage import Found, Loss
+from ehls_ros.recording.topics import LOADER_STATE, TOPICS, Topic
 
-SOUND_DISK = "a disk that keeps what was written to it"
+BLOCK = 4096
+"""Messages looked at together."""
 
-MCAP_CHANNEL, MCAP_MESSAGE = 0x04, 0x05
-MCAP_MESSAGE_HEAD = struct.Struct("<HIQQ")
-MCAP_CHUNK_HEAD = struct.Struct("<QQQIIQ")  # as it is without compression
+LATEST_NS = (1 << 63) - 1
+"""Latest time that a bag can hold [ns]."""
 
 
-class Message(NamedTuple):
-    """One message as a storage file has it.
+class TopicRecovery(NamedTuple):
+    """What became of one topic.
 
     Attributes:
-        topic: full name.
-        stamp_ns: when it was sent [ns].
-        serialized: as CDR.
+        recovered: messages in the new bag.
+        unverified: of these, those that no checksum vouches for.
+        lost: messages that were written and are not in the new bag, as far as is known.
+        malformed: of the lost ones, those that were there and are no messages of the topic's type.
+        lost_between: when the lost ones were sent, as far as is known.
     """
 
-    topic: str
-    stamp_ns: int
-    serialized: bytes
+    recovered: int
+    unverified: int
+    lost: int
+    malformed: int
+    lost_between: Sequence[Range]
 
 
-def recover(folder: Path, out: Path) -> int:
-    """Make a whole bag from one whose recorder died.
+class Recovery(NamedTuple):
+    """What became of a bag.
+
+    Attributes:
+        recovered: messages in the new bag.
+        unverified: of these, those that no checksum vouches for.
+        lost: messages that were written and are not in the new bag, as far as is known.
+        topics: by full name.
+        remarks: what else there is to know, in words.
+    """
+
+    recovered: int
+    unverified: int
+    lost: int
+    topics: Mapping[str, TopicRecovery]
+    remarks: Sequence[str]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as JSON values."""
+        topics = {
+            path: {**topic._asdict(), "lost_between": [between._asdict() for between in topic.lost_between]}
+            for path, topic in self.topics.items()
+        }
+        return {**self._asdict(), "topics": topics}
+
+
+class _UnverifiedMakeNoBag(Exception):
+    """The new bag cannot be read, and has messages that nothing vouches for."""
+
+
+def recover(source: Path, out: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Recovery:
+    """Make a whole bag of what is sound in a damaged one.
 
     Args:
-        folder: what the recorder left behind; it stays as it is.
+        source: folder of a bag or its storage file, under whatever name; it stays as it is.
         out: folder of the new bag, to be made; on failure it is not there.
+        progress: is told how many messages are done, and of how many.
 
     Returns:
-        The number of messages in the new bag.
+        What was recovered and what was lost.
 
     Raises:
-        BadInput: nothing can be recovered there, something the note vouches for is missing or damaged, or the new bag
-            cannot be made.
+        BadInput: nothing that makes a bag is left there, or the new bag cannot be made.
         OSError: the disk is full or fails.
     """
-    note = read_note(folder)
+    file = storage_file(source)
     if out.exists():
         raise BadInput("the output exists already", str(out), NEW_FOLDER)
-    with _becoming(out) as unfinished:
-        return _recover(folder, note, unfinished)
+    with _becoming(out) as unfinished, damaged_bag(file, unfinished.parent) as (bag, ledger):
+        try:
+            return _recover(bag, ledger, unfinished, str(source), progress, verified_only=False)
+        except _UnverifiedMakeNoBag as error:
+            shutil.rmtree(unfinished)
+            remark = f"what nothing vouches for is left out, for the bag could not be read with it ({error})"
+            told = bag._replace(remarks=[*bag.remarks, remark])
+            return _recover(told, Ledger(bag.content), unfinished, str(source), progress, verified_only=True)
 
 
 @contextmanager
@@ -82,96 +128,140 @@ def _becoming(out: Path) -> Iterator[Path]:
         (Path(unfinished) / out.name).rename(out)
 
 
-def _recover(folder: Path, note: Note, out: Path) -> int:
-    """Write what the note vouches for into a new bag and return the number of its messages."""
-    names = {topic.resolve(note.namespace): topic for topic in TOPICS}
-    unknown = next((path for path in note.flushed if path not in names), None)
-    if unknown is not None:
-        raise BadInput(f"the note vouches for {unknown}", str(folder), f"topics in {note.namespace}")
-    topics = [names[path] for path in note.flushed]
-    writer = BagWriter.create(out, cast(Storage, note.storage), note.configuration, namespace=note.namespace, topics=topics)
-    recovered = 0
+def _recover(
+    bag: DamagedBag, ledger: Ledger, out: Path, where: str, progress: Callable[[int, int], None], *, verified_only: bool
+) -> Recovery:
+    """Write what is sound into a new bag, read that back and say what became of everything."""
+    namespace, topics = _topics(bag, where)
+    provenance = bag.provenance
+    writer = BagWriter.create(
+        out,
+        bag.storage,
+        provenance.configuration if provenance else {},
+        namespace=namespace,
+        topics=list(topics.values()),
+        signals=provenance.signals if provenance else None,
+    )
+    loss, counts, done = Loss(), {path: _Counts() for path in topics}, 0
     try:
-        for message in _flushed_messages(folder, note):
-            writer.write(names[message.topic].name, message.stamp_ns, message.serialized)
-            recovered += 1
+        for block in _blocks(bag.messages(ledger, loss)):
+            for found in _sound(block, topics, counts, loss, verified_only=verified_only):
+                writer.write(topics[found.topic].name, found.stamp_ns, found.serialized)
+                counts[found.topic].add(found)
+            done += len(block)
+            progress(done, max(done, sum(ledger.counts.values())))
+        recovery = _account(bag, ledger, loss, counts)
+        writer.tell_of_recovery(recovery.as_json())
         writer.close()
     except BaseException:
         writer.abort()
         raise
-    return recovered
-
-
-def _flushed_messages(folder: Path, note: Note) -> Iterator[Message]:
-    """Read what the note vouches for, in the order it was recorded, and check it."""
-    counts, checksums = dict.fromkeys(note.flushed, 0), dict.fromkeys(note.flushed, 0)
-    for message in _stored(folder, note.storage):
-        topic = message.topic
-        if topic in counts and counts[topic] < note.flushed[topic].messages:
-            counts[topic] += 1
-            checksums[topic] += message_checksum(message.stamp_ns, message.serialized)
-            yield message
-    for topic, flushed in note.flushed.items():
-        if counts[topic] < flushed.messages:
-            what = f"only {counts[topic]} of the {flushed.messages} flushed messages on {topic} are left"
-            raise BadInput(what, str(folder), SOUND_DISK)
-        if checksums[topic] != flushed.checksum:
-            raise BadInput(f"messages on {topic} are damaged", str(folder), SOUND_DISK)
-
-
-def _stored(folder: Path, storage: str) -> Iterator[Message]:
-    """Read a storage file as far as it goes."""
-    file = folder / f"{folder.resolve().name}{'.mcap' if storage == 'mcap' else '.db3'}"
-    if not file.exists():
-        raise BadInput(f"{file.name} is missing", str(folder), RECOVERABLE)
+    if not counts[LOADER_STATE.resolve(namespace)].tally.messages:
+        raise BadInput(f"no sound message of {LOADER_STATE.name} is left in it", where, RECOVERABLE)
     try:
-        yield from _stored_in_mcap(file) if storage == "mcap" else _stored_in_sqlite(file)
-    except (OSError, sqlite3.Error, struct.error, ValueError) as error:
-        raise BadInput(f"the storage file cannot be read ({reason(error)})", str(file), RECOVERABLE) from None
+        _read_back(out, {path: count.tally for path, count in counts.items()})
+    except BadInput as error:
+        if recovery.unverified:
+            raise _UnverifiedMakeNoBag(error.what) from None
+        raise BadInput(f"what is sound in it makes no bag ({error.what})", where, RECOVERABLE) from None
+    return recovery
 
 
-def _stored_in_mcap(file: Path) -> Iterator[Message]:
-    """Walk the chunks up to the first that is cut."""
-    topics: dict[int, str] = {}
-    with file.open("rb") as stream:
-        if stream.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
-            raise ValueError("it does not begin as an mcap file does")
-        size = os.fstat(stream.fileno()).st_size
-        while len(head := stream.read(MCAP_RECORD.size)) == MCAP_RECORD.size:
-            kind, length = MCAP_RECORD.unpack(head)
-            if length > size - stream.tell():
-                return
-            content = stream.read(length)
-            if kind == MCAP_CHUNK:
-                yield from _messages_of_chunk(content, topics)
+def _topics(bag: DamagedBag, where: str) -> tuple[str, dict[str, Topic]]:
+    """Return the namespace, and the topics by their full names."""
+    paths = set(bag.names.values()) or set(bag.expected)
+    ending = f"/{LOADER_STATE.name}"
+    namespaces = sorted(path.removesuffix(ending) for path in paths if path.endswith(ending))
+    if len(namespaces) != 1:
+        several = f"it holds several rigs: {', '.join(namespaces)}"
+        raise BadInput(several if namespaces else f"no topic {LOADER_STATE.name} is left in it", where, RECOVERABLE)
+    known = {topic.resolve(namespaces[0]): topic for topic in TOPICS}
+    return namespaces[0], {path: topic for path, topic in known.items() if path in paths}
 
 
-def _messages_of_chunk(content: bytes, topics: dict[int, str]) -> Iterator[Message]:
-    *_, compression_length, _ = MCAP_CHUNK_HEAD.unpack_from(content)
-    if compression_length:
-        raise ValueError("it is compressed, which the recorder does not do")
-    offset = MCAP_CHUNK_HEAD.size
-    while offset < len(content):
-        kind, length = MCAP_RECORD.unpack_from(content, offset)
-        offset += MCAP_RECORD.size
-        if kind == MCAP_CHANNEL:
-            channel, _, name_length = struct.unpack_from("<HHI", content, offset)
-            topics[channel] = content[offset + 8 : offset + 8 + name_length].decode()
-        elif kind == MCAP_MESSAGE:
-            channel, _, stamp_ns, _ = MCAP_MESSAGE_HEAD.unpack_from(content, offset)
-            yield Message(topics.get(channel, ""), stamp_ns, content[offset + MCAP_MESSAGE_HEAD.size : offset + length])
-        offset += length
+class _Counts:
+    """What is known of one topic while its messages are being written."""
+
+    def __init__(self) -> None:
+        self.tally = Tally(0, 0, 0)
+        self.unverified = 0
+        self.malformed = 0
+
+    def add(self, found: Found) -> None:
+        messages, checksum, newest_ns = self.tally
+        added = message_checksum(found.topic, found.stamp_ns, found.serialized)
+        self.tally = Tally(messages + 1, checksum_sum([checksum, added]), max(newest_ns, found.stamp_ns))
+        self.unverified += not found.verified
 
 
-def _stored_in_sqlite(file: Path) -> Iterator[Message]:
-    """Read the rows; what the recorder was in the middle of is rolled back when the file is opened."""
-    with closing(sqlite3.connect(file)) as database:
-        check_database(database)
-        rows = database.execute(
-            "SELECT topics.name, messages.timestamp, messages.data FROM messages "
-            "JOIN topics ON topics.id = messages.topic_id ORDER BY messages.id"
-        )
-        for topic, stamp_ns, serialized in rows:
-            if not (isinstance(topic, str) and isinstance(stamp_ns, int) and stamp_ns >= 0 and isinstance(serialized, bytes)):
-                raise ValueError("a row is no message")
-            yield Message(topic, stamp_ns, serialized)
+def _blocks(messages: Iterator[Found]) -> Iterator[list[Found]]:
+    while block := list(islice(messages, BLOCK)):
+        yield block
+
+
+def _sound(
+    block: Sequence[Found], topics: Mapping[str, Topic], counts: Mapping[str, _Counts], loss: Loss, *, verified_only: bool
+) -> list[Found]:
+    """Return what can be messages of their topics, in the same order, and count the rest."""
+    in_time = timely([found.stamp_ns for found in block])
+    by_topic: dict[str, list[int]] = defaultdict(list)
+    for index, found in enumerate(block):
+        if found.topic not in topics:
+            loss.foreign.add(found.topic)
+        elif found.verified or not verified_only:
+            by_topic[found.topic].append(index)
+        else:
+            loss.count(found.topic)
+    sound: list[int] = []
+    for path, indices in by_topic.items():
+        formed = well_formed(topics[path], [block[index].serialized for index in indices])
+        good = [
+            index
+            for index, decodes in zip(indices, formed, strict=True)
+            if decodes and block[index].stamp_ns <= LATEST_NS and (block[index].verified or in_time[index])
+        ]
+        counts[path].malformed += len(indices) - len(good)
+        sound += good
+    return [block[index] for index in sorted(sound)]
+
+
+def _account(bag: DamagedBag, ledger: Ledger, loss: Loss, counts: Mapping[str, _Counts]) -> Recovery:
+    """Say what became of everything."""
+    known_lost = ledger.lost()
+    topics: dict[str, TopicRecovery] = {}
+    for path, count in counts.items():
+        beside = bag.expected.get(path)
+        written = max(ledger.counts.get(path, 0), beside.messages if beside else 0)
+        dropped = loss.damaged.get(path, 0) + count.malformed
+        lost = max(written - count.tally.messages, dropped)
+        between = known_lost.get(path, [])
+        rest = lost - count.malformed - sum(part.messages for part in between)
+        if beside and rest > 0 and beside.newest_ns > count.tally.newest_ns:
+            between = [*between, Range(rest, count.tally.newest_ns, beside.newest_ns)]
+        topics[path] = TopicRecovery(count.tally.messages, count.unverified, lost, count.malformed, between)
+    return Recovery(
+        sum(topic.recovered for topic in topics.values()),
+        sum(topic.unverified for topic in topics.values()),
+        sum(topic.lost for topic in topics.values()),
+        topics,
+        [*bag.remarks, *loss.places, *(f"{path} is no topic of ehls_ros and left out" for path in sorted(loss.foreign))],
+    )
+
+
+def _read_back(bag: Path, written: Mapping[str, Tally]) -> None:
+    """Read a bag, and compare its messages with what was written.
+
+    Raises:
+        BadInput: it cannot be read, or has something else in it.
+    """
+    read_bag(bag)
+    counts: dict[str, int] = dict.fromkeys(written, 0)
+    checksums: dict[str, int] = dict.fromkeys(written, 0)
+    with Reader(bag) as reader:
+        for connection, stamp_ns, message in reader.messages():
+            counts[connection.topic] += 1
+            checksums[connection.topic] += message_checksum(connection.topic, stamp_ns, message)
+    for path, tally in written.items():
+        if (counts[path], checksum_sum([checksums[path]])) != (tally.messages, tally.checksum):
+            what = f"messages on {path} are not as they were written"
+            raise BadInput(what, str(bag), "a disk that keeps what is written to it")

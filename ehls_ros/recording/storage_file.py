@@ -22,7 +22,11 @@ CLOSED_BAG = "a bag whose recorder was closed"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 MCAP_RECORD = struct.Struct("<BQ")
 MCAP_FOOTER = struct.Struct("<BQQQI8s")
-MCAP_CHUNK, MCAP_CHUNK_INDEX, MCAP_METADATA_INDEX = 0x06, 0x08, 0x0D
+MCAP_CHANNEL, MCAP_MESSAGE, MCAP_CHUNK, MCAP_CHUNK_INDEX, MCAP_METADATA_INDEX = 0x04, 0x05, 0x06, 0x08, 0x0D
+MCAP_LEDGER = 0x80
+"""The first kind of record that the format leaves to applications; readers pass over it."""
+MCAP_CHUNK_CRC = 24
+"""Where in a chunk's record its checksum stands."""
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 

@@ -1,28 +1,65 @@
-"""`ehls recover`: make a whole bag of one whose recorder died."""
+"""`ehls recover`: make a whole bag of one that was damaged or whose recorder died."""
 
+import json
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import WorkFailed
+from ehls_ros.recording.ledger import Range
 from ehls_ros.recording.reason import reason
-from ehls_ros.recording.recovery import recover
+from ehls_ros.recording.recovery import Recovery, recover
 
-HELP = "Make a whole bag of one whose recorder was killed: what was flushed, twice a second, is checked and kept."
+HELP = "Make a whole bag of one that was damaged or whose recorder was killed: what is sound is kept, what is lost is told."
+
+LISTED = 5
+"""Ranges of lost messages that are listed of a topic."""
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("bag", type=Path, help="folder that the recorder left behind; it stays as it is")
+    parser.add_argument("bag", type=Path, help="folder of the bag or its storage file, under whatever name; it stays as it is")
     parser.add_argument("--out", type=Path, help="folder of the new bag (default: <bag>_recovered)")
+    parser.add_argument("--json", action="store_true", help="end with a line of JSON")
 
 
 def run(options: Namespace) -> int:
     """Recover it."""
     bag: Path = options.bag
-    out: Path = options.out or bag.with_name(f"{bag.resolve().name}_recovered")
+    name = bag.stem if bag.is_file() else bag.resolve().name
+    out: Path = options.out or bag.with_name(f"{name}_recovered")
     try:
-        messages = recover(bag, out)
+        with progress_bar(f"recovering {bag}") as bar:
+            recovery = recover(bag, out, bar)
     except OSError as error:
         raise WorkFailed(f"{out}: {reason(error)}") from None
-    print(f"{messages} messages in {out}")
+    print("\n".join(told(recovery, out)))
+    if options.json:
+        print(json.dumps({"bag": str(out), **recovery.as_json()}))
     return 0
+
+
+def told(recovery: Recovery, out: Path) -> list[str]:
+    """Say in lines what was recovered and what was lost.
+
+    Args:
+        recovery: what became of the bag.
+        out: folder of the new bag.
+    """
+    lines = [f"{recovery.recovered} messages in {out}, {recovery.lost or 'none'} known to be lost"]
+    for path, topic in recovery.topics.items():
+        if topic.lost:
+            malformed = f", {topic.malformed} of them no messages of its type" if topic.malformed else ""
+            lines.append(f"  {path}: {topic.lost} lost of {topic.recovered + topic.lost}{malformed}")
+            lines += [f"    {_range(between)}" for between in topic.lost_between[:LISTED]]
+            if len(topic.lost_between) > LISTED:
+                lines.append(f"    and {len(topic.lost_between) - LISTED} times more")
+        if topic.unverified:
+            lines.append(f"  {path}: {topic.unverified} of {topic.recovered} are not verified, no checksum speaks of them")
+    return [*lines, *(f"  {remark}" for remark in recovery.remarks)]
+
+
+def _range(between: Range) -> str:
+    first, last = between.first_ns / 1e9, between.last_ns / 1e9
+    when = f"at {first:.3f} s" if first == last else f"from {first:.3f} to {last:.3f} s"
+    return f"{between.messages} sent {when}"

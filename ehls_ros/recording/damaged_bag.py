@@ -1,0 +1,168 @@
+"""What is left of a bag that was damaged or never closed: its messages, and what it says of itself."""
+
+import json
+import shutil
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
+from mmap import ACCESS_READ, mmap
+from pathlib import Path
+from typing import NamedTuple
+
+from ehls_ros.errors import BadInput
+from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES
+from ehls_ros.recording.bag_writer import Storage
+from ehls_ros.recording.ledger import Ledger
+from ehls_ros.recording.mcap_salvage import names_in_mcap, salvage_mcap
+from ehls_ros.recording.provenance import Provenance, provenance_in
+from ehls_ros.recording.reason import reason
+from ehls_ros.recording.recording_note import Flushed, read_note
+from ehls_ros.recording.salvage import Found, Loss
+from ehls_ros.recording.sqlite_salvage import names_in_sqlite, salvage_sqlite
+from ehls_ros.recording.storage_file import MCAP_MAGIC, METADATA_FILE, SQLITE_MAGIC, parse_metadata
+from ehls_ros.recording.yaml_text import LARGEST
+
+RECOVERABLE = "a bag of ROS 2, its folder or its storage file"
+
+LONGEST_PROVENANCE = LARGEST * 3 // 4
+"""Characters of what a bag says of where it comes from; its metadata quote it, and are read up to a limit."""
+
+
+class DamagedBag(NamedTuple):
+    """One storage file, as far as it is left.
+
+    Attributes:
+        storage: rosbag2 storage plugin.
+        content: of the file.
+        names: full names of the topics by their number in the file.
+        provenance: where the bag comes from, None where that is lost.
+        expected: how much there was of each topic, by its full name, as far as what lies beside the file tells.
+        remarks: what there is to know beside that, in words.
+    """
+
+    storage: Storage
+    content: mmap
+    names: Mapping[int, str]
+    provenance: Provenance | None
+    expected: Mapping[str, Flushed]
+    remarks: Sequence[str]
+
+    def messages(self, ledger: Ledger, loss: Loss) -> Iterator[Found]:
+        """Find the messages.
+
+        Args:
+            ledger: of the content; it is told what was found.
+            loss: takes what is damaged.
+
+        Yields:
+            What may be kept, in the order it stands in the file.
+        """
+        salvage = salvage_mcap if self.storage == "mcap" else salvage_sqlite
+        yield from salvage(self.content, self.names, ledger, loss)
+
+
+def storage_file(source: Path) -> Path:
+    """Return the one storage file that is meant.
+
+    Args:
+        source: that file, or a folder with it, under whatever name.
+
+    Raises:
+        BadInput: there is none, or more than one.
+    """
+    if not source.exists():
+        raise BadInput("it does not exist", str(source), RECOVERABLE)
+    try:
+        files = [file for file in sorted(source.iterdir()) if _is_storage(file)] if source.is_dir() else [source]
+    except OSError as error:
+        raise BadInput(f"it cannot be read ({reason(error)})", str(source), RECOVERABLE) from None
+    if len(files) != 1:
+        found = f"{len(files)} storage files: {', '.join(file.name for file in files)}" if files else "no storage file"
+        raise BadInput(f"there is {found}", str(source), "one of them" if files else RECOVERABLE)
+    return files[0]
+
+
+@contextmanager
+def damaged_bag(file: Path, folder: Path) -> Iterator[tuple[DamagedBag, Ledger]]:
+    """Open what is left of a bag, and its ledger.
+
+    Args:
+        file: its storage file, which stays as it is.
+        folder: may take a copy of it where SQLite has to take back what the recorder was in the middle of.
+
+    Raises:
+        BadInput: the file is empty or cannot be read.
+    """
+    try:
+        beginning = _beginning(file)
+        mcap = beginning.startswith(MCAP_MAGIC) or (file.suffix == ".mcap" and not beginning.startswith(SQLITE_MAGIC))
+    except OSError as error:
+        raise BadInput(f"it cannot be read ({reason(error)})", str(file), RECOVERABLE) from None
+    if not beginning:
+        raise BadInput("it is empty", str(file), RECOVERABLE)
+    readable = file if mcap else _rolled_back(file, folder)
+    with readable.open("rb") as stream, mmap(stream.fileno(), 0, access=ACCESS_READ) as content:
+        ledger = Ledger(content)
+        names = {**(names_in_mcap(content) if mcap else names_in_sqlite(content)), **ledger.names}
+        expected, remarks = _expected(file.parent)
+        provenance = _provenance(ledger, str(file))
+        if provenance is None:
+            remarks.append("the configuration of the run is lost")
+        if ledger.empty:
+            remarks.append("the file has no ledger: what is lost in the middle is not counted")
+        elif ledger.damaged_blocks:
+            remarks.append(f"{ledger.damaged_blocks} blocks of the file's ledger are damaged")
+        yield DamagedBag("mcap" if mcap else "sqlite3", content, names, provenance, expected, remarks), ledger
+
+
+def _is_storage(file: Path) -> bool:
+    return file.is_file() and (file.suffix in STORAGE_SUFFIXES or _beginning(file).startswith((MCAP_MAGIC, SQLITE_MAGIC)))
+
+
+def _beginning(file: Path) -> bytes:
+    with file.open("rb") as stream:
+        return stream.read(len(SQLITE_MAGIC))
+
+
+def _rolled_back(file: Path, folder: Path) -> Path:
+    """Return a copy without what the recorder was in the middle of; the file itself where it was in the middle of nothing."""
+    beside = [*file.parent.glob("*-journal"), *file.parent.glob("*-wal")]
+    journals = [journal for journal in beside if journal.stat().st_size]
+    own = [journal for journal in journals if journal.name.startswith(file.name)] or journals
+    if len(own) != 1:
+        return file
+    copy = folder / "copy.db3"
+    shutil.copyfile(file, copy)
+    shutil.copyfile(own[0], f"{copy}-{own[0].name.rpartition('-')[2]}")
+    # What cannot be rolled back is salvaged as it is.
+    with suppress(sqlite3.Error), closing(sqlite3.connect(copy)) as database:
+        database.execute("PRAGMA user_version").fetchone()
+        database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+    return copy
+
+
+def _expected(folder: Path) -> tuple[Mapping[str, Flushed], list[str]]:
+    """Return how much was written by what lies beside the storage file, and what is to be said of that."""
+    with suppress(Exception):  # there are none, or anything may be wrong in them
+        text = (folder / METADATA_FILE).read_text(encoding="utf-8")
+        entries = parse_metadata(text, str(folder))["rosbag2_bagfile_information"]["custom_data"]
+        closed = provenance_in(entries, str(folder))
+        if closed is not None:
+            return {path: Flushed(seal.messages, seal.newest_ns) for path, seal in closed.seals.items()}, []
+    try:
+        return read_note(folder).flushed, []
+    except BadInput as error:
+        return {}, [f"{error.what}: what was cut off the end is not counted"]
+
+
+def _provenance(ledger: Ledger, where: str) -> Provenance | None:
+    """Return where the bag comes from, None where that is lost or would make the new bag unreadable."""
+    text = ledger.provenance
+    if text is None or len(text) > LONGEST_PROVENANCE:
+        return None
+    try:
+        provenance = provenance_in(json.loads(text), where)
+        # A NaN is not even itself.
+        return provenance if provenance == provenance_in(json.loads(text), where) else None
+    except (BadInput, json.JSONDecodeError):
+        return None

@@ -1,0 +1,299 @@
+"""The ledger in a bag's storage file: which messages were written, each with a checksum of its own.
+
+rosbag2 has no checksum of a message, and its files can be read only while their structure is whole. The ledger stands between
+the messages, in blocks that bear a mark and are small enough for a page of SQLite, so that they are found in whatever is left
+of a file. What a block vouches for is as it was written, wherever in the file it is found; what it names
+and nobody finds is lost.
+"""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from mmap import mmap
+from struct import Struct
+from typing import Annotated, Any, NamedTuple
+from zlib import compress, decompressobj
+from zlib import error as CompressionError  # noqa: N812 - an exception, and zlib has no better name for it
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, TypeAdapter, ValidationError
+
+from ehls_ros.recording.provenance import checksum_of, checksum_sum, message_checksum, message_digest
+
+MOST_PARTS = 255
+"""Blocks that a bag's provenance may take."""
+
+MARK = b"\x9dLEDGER\x1a"
+
+ROOM = 4000
+"""Largest block [B]: it fits a page of SQLite, 4096 B, with what SQLite puts around it."""
+
+LONGEST_TEXT = 1 << 24
+"""What the text in a block may expand to [B]."""
+
+ENTRY = Struct("<BQ8s")
+ENTRIES = np.dtype([("topic", "u1"), ("stamp_ns", "<u8"), ("checksum", "<u8")])
+
+MESSAGES, PROVENANCE = 0, 1
+
+_Number = Annotated[int, Field(strict=True, ge=0, le=1 << 53)]
+
+_BEFORE: TypeAdapter[dict[str, tuple[_Number, _Number]]] = TypeAdapter(dict[str, tuple[_Number, _Number]])
+
+_FRAME = Struct("<8sQBHH")
+_FRAMED = Struct("<BHH")
+
+
+class Tally(NamedTuple):
+    """What was written of one topic.
+
+    Attributes:
+        messages: number of messages.
+        checksum: :func:`~ehls_ros.recording.provenance.checksum_sum` of them.
+        newest_ns: latest time of sending [ns].
+    """
+
+    messages: int
+    checksum: int
+    newest_ns: int
+
+
+class LedgerWriter:
+    """Keeps the ledger of a file that is being written; whoever writes the file puts the blocks into it."""
+
+    def __init__(self) -> None:
+        """Begin with no topics."""
+        self._paths: dict[int, str] = {}
+        self._tallies: dict[int, Tally] = {}
+        self._full: list[bytes] = []
+        self._entries = bytearray()
+        self._head = b""
+        self._room = 0
+
+    def add_topic(self, topic: int, path: str) -> None:
+        """Name a topic, before there are messages.
+
+        Args:
+            topic: its number in the file, 255 at most.
+            path: its full name.
+        """
+        self._paths[topic] = path
+        self._tallies[topic] = Tally(0, 0, 0)
+        self._begin_block()
+
+    def add(self, topic: int, stamp_ns: int, serialized: bytes | memoryview) -> None:
+        """Enter a message.
+
+        Args:
+            topic: number of its topic.
+            stamp_ns: time of sending [ns].
+            serialized: the message as CDR.
+        """
+        if len(self._entries) >= self._room:
+            self._close_block()
+        self._entries += ENTRY.pack(topic, stamp_ns, message_digest(self._paths[topic], stamp_ns, serialized))
+
+    def take(self) -> list[bytes]:
+        """Return the blocks of what was entered since the last time."""
+        self._close_block()
+        blocks, self._full = self._full, []
+        return blocks
+
+    def tallies(self) -> dict[str, Tally]:
+        """Return what was entered, by the topic's full name."""
+        self._close_block()
+        return {self._paths[topic]: tally for topic, tally in self._tallies.items()}
+
+    def _close_block(self) -> None:
+        if not self._entries:
+            return
+        entries = np.frombuffer(bytes(self._entries), ENTRIES)
+        self._full.append(_block(MESSAGES, len(entries), self._head, entries.tobytes()))
+        self._entries.clear()
+        for topic in np.flatnonzero(np.bincount(entries["topic"])).tolist():
+            chosen = entries[entries["topic"] == topic]
+            tally = self._tallies[topic]
+            self._tallies[topic] = Tally(
+                tally.messages + len(chosen),
+                checksum_sum([tally.checksum, int(chosen["checksum"].sum())]),
+                max(tally.newest_ns, int(chosen["stamp_ns"].max())),
+            )
+        self._begin_block()
+
+    def _begin_block(self) -> None:
+        before = {path: [topic, self._tallies[topic].messages] for topic, path in self._paths.items()}
+        self._head = compress(json.dumps(before).encode(), 1)
+        self._room = (ROOM - _FRAME.size - len(self._head)) // ENTRY.size * ENTRY.size
+
+
+def provenance_blocks(text: str) -> list[bytes]:
+    """Return the blocks that keep what a bag says of where it comes from; none if it is beyond measure.
+
+    Args:
+        text: as :func:`~ehls_ros.recording.provenance.provenance_in` reads it.
+    """
+    packed = compress(text.encode(), 9)
+    size = ROOM - _FRAME.size
+    parts = [packed[start : start + size] for start in range(0, len(packed), size)]
+    if len(parts) > MOST_PARTS:
+        return []
+    blocks = [_block(PROVENANCE, len(parts) << 8 | number, part, b"") for number, part in enumerate(parts)]
+    return 2 * blocks  # nothing else vouches for it if one is damaged
+
+
+def _block(kind: int, count: int, head: bytes, rest: bytes) -> bytes:
+    content = _FRAMED.pack(kind, count, len(head)) + head + rest
+    return MARK + checksum_of(content).to_bytes(8, "little") + content
+
+
+class Range(NamedTuple):
+    """Messages of one topic that are lost in a row.
+
+    Attributes:
+        messages: how many.
+        first_ns: when the first was sent [ns].
+        last_ns: when the last was sent [ns].
+    """
+
+    messages: int
+    first_ns: int
+    last_ns: int
+
+
+class Ledger:
+    """The ledger of a file, as far as its blocks are left; it also keeps which of its messages were found."""
+
+    def __init__(self, content: bytes | mmap) -> None:
+        """Find the blocks.
+
+        Args:
+            content: of the storage file.
+        """
+        self.names: dict[int, str] = {}
+        """Full names of the topics by their number in the file."""
+        self.counts: dict[str, int] = {}
+        """How many messages there were, by the topic's full name, as far as sound blocks tell."""
+        self.damaged_blocks = 0
+        spans: list[tuple[int, int]] = []
+        entries: list[NDArray[Any]] = []
+        sound: list[NDArray[np.bool_]] = []
+        parts: dict[tuple[int, int], bytes] = {}
+        seen: set[int] = set()
+        for match in re.finditer(re.escape(MARK), content):
+            block = content[match.start() : match.start() + ROOM]
+            if len(block) < _FRAME.size:
+                continue
+            _, checksum, kind, count, length = _FRAME.unpack_from(block)
+            body = block[_FRAME.size :]
+            size = length + (count * ENTRY.size if kind == MESSAGES else 0)
+            whole = checksum_of(block[_FRAME.size - _FRAMED.size : _FRAME.size + size]) == checksum
+            if whole and checksum in seen:
+                continue
+            seen.add(checksum)
+            before = _before(body[:length]) if whole and kind == MESSAGES else {}
+            whole = whole and before is not None
+            self.damaged_blocks += not whole
+            if whole and kind == PROVENANCE:
+                parts[count >> 8, count & 0xFF] = body[:length]
+            if kind == MESSAGES and length < len(body):
+                listed = np.frombuffer(body[length : length + (len(body) - length) // ENTRY.size * ENTRY.size], ENTRIES)[:count]
+                entries.append(listed)
+                sound.append(np.full(len(listed), whole))
+                if before:
+                    self._learn(before, listed)
+                    first = sum(messages for _, messages in before.values())
+                    spans.append((first, first + len(listed)))
+        self.provenance = _joined(parts)
+        """Text of :func:`provenance_blocks`, None where it is not whole."""
+        self._spans = np.array(sorted(spans), np.int64).reshape(-1, 2)
+        listed = np.concatenate([np.zeros(0, ENTRIES), *entries])
+        order = np.argsort(listed["checksum"], kind="stable")
+        self._entries = listed[order]
+        self._sound = np.concatenate([np.zeros(0, np.bool_), *sound])[order]
+        self._checksums, self._starts, self._numbers = np.unique(
+            self._entries["checksum"], return_index=True, return_counts=True
+        )
+        self._left = self._numbers.copy()
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing in the file vouches for any message."""
+        return not len(self._entries)
+
+    @property
+    def complete(self) -> bool:
+        """Whether it is there from the first message on, so that what it does not name was never written."""
+        ends = np.concatenate(([0], self._spans[:, 1]))
+        return not self.empty and not self.damaged_blocks and bool((self._spans[:, 0] == ends[:-1]).all())
+
+    def vouches(self, message: tuple[str, int, bytes]) -> bool:
+        """Tell whether a message is as it was written; each is found but once.
+
+        Args:
+            message: full name of the topic, time of sending [ns], and the message as CDR.
+        """
+        return self.vouches_for([message])[0]
+
+    def vouches_for(self, messages: Sequence[tuple[str, int, bytes]]) -> list[bool]:
+        """Tell of each of n messages whether it is as it was written; see :meth:`vouches`."""
+        if self.empty:
+            return [False] * len(messages)
+        checksums = np.array([message_checksum(*message) for message in messages], np.uint64)
+        places = np.minimum(np.searchsorted(self._checksums, checksums), len(self._checksums) - 1)
+        found: list[bool] = []
+        for place, known in zip(places.tolist(), (self._checksums[places] == checksums).tolist(), strict=True):
+            found.append(known and self._left[place] > 0)
+            self._left[place] -= found[-1]
+        return found
+
+    def covers(self, ordinal: int) -> bool:
+        """Tell whether a sound block says which message was written at a place, counted from 0 over all topics."""
+        place = int(np.searchsorted(self._spans[:, 0], ordinal, side="right")) - 1
+        return place >= 0 and ordinal < self._spans[place, 1]
+
+    def lost(self) -> dict[str, list[Range]]:
+        """Return what sound blocks vouch for and was not found, by the topic's full name."""
+        within = np.arange(len(self._entries)) - np.repeat(self._starts, self._numbers)
+        missing = within >= np.repeat(self._numbers - self._left, self._numbers)
+        ranges: dict[str, list[Range]] = {}
+        for number, path in self.names.items():
+            chosen = self._sound & (self._entries["topic"] == number)
+            order = np.argsort(self._entries["stamp_ns"][chosen], kind="stable")
+            stamps, gone = self._entries["stamp_ns"][chosen][order], missing[chosen][order]
+            edges = np.flatnonzero(np.diff(np.concatenate(([False], gone, [False])).astype(np.int8)))
+            runs = [
+                Range(last - first, int(stamps[first]), int(stamps[last - 1])) for first, last in edges.reshape(-1, 2).tolist()
+            ]
+            if runs:
+                ranges[path] = runs
+        return ranges
+
+    def _learn(self, before: Mapping[str, tuple[int, int]], listed: NDArray[Any]) -> None:
+        """Take the names and numbers from a sound block."""
+        for path, (number, messages) in before.items():
+            self.names[number] = path
+            here = int(np.count_nonzero(listed["topic"] == number))
+            self.counts[path] = max(self.counts.get(path, 0), messages + here)
+
+
+def _before(head: bytes) -> Mapping[str, tuple[int, int]] | None:
+    """Return number and messages so far of each topic, by its full name, from the head of a block."""
+    try:
+        return _BEFORE.validate_json(_expanded(head))
+    except (CompressionError, ValidationError):
+        return None
+
+
+def _joined(parts: Mapping[tuple[int, int], bytes]) -> str | None:
+    total = next((total for total, _ in parts), 0)
+    if not total or len(parts) < total:
+        return None
+    try:
+        return _expanded(b"".join(part for _, part in sorted(parts.items()))).decode()
+    except (CompressionError, UnicodeDecodeError):
+        return None
+
+
+def _expanded(packed: bytes) -> bytes:
+    return decompressobj().decompress(packed, LONGEST_TEXT)

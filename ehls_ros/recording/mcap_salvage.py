@@ -1,0 +1,139 @@
+"""Messages out of an mcap file of which only parts are left.
+
+Chunks are found by their heads, which say their length twice, and not by walking from record to record, which one wrong length
+would lead astray. A chunk whose checksum is right is taken as it is. In everything else each place that looks like a message is
+tried: where the file has a ledger, the ledger says what is one.
+"""
+
+import re
+import struct
+from collections.abc import Iterator
+from mmap import mmap
+from typing import NamedTuple
+from zlib import crc32
+
+from ehls_ros.recording.ledger import Ledger
+from ehls_ros.recording.salvage import Found, Loss, Names
+from ehls_ros.recording.storage_file import MCAP_MESSAGE, MCAP_RECORD
+
+CHUNK_HEAD = struct.Struct("<BQQQQII")
+MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+CHANNEL_HEAD = struct.Struct("<BQHHI")
+
+LONGEST_NAME = 8
+"""Letters in the name of a compression."""
+
+# A record's kind and a length below 16 MiB; what follows is checked by hand.
+_CHUNK = re.compile(rb"\x06[\s\S]{5}\x00{3}")
+_MESSAGE = re.compile(rb"\x05[\s\S]{3}\x00{5}")
+_CHANNEL = re.compile(rb"\x04[\s\S]{2}\x00{6}[\s\S]{4}([\s\S]{2})\x00\x00")
+
+
+class _Chunk(NamedTuple):
+    """Where a chunk begins, where its records begin and end, and what its head says of them."""
+
+    start: int
+    records: int
+    end: int
+    checksum: int
+    compressed: bool
+
+
+def names_in_mcap(content: mmap) -> dict[int, str]:
+    """Return the topics that an mcap file describes."""
+    names: dict[int, str] = {}
+    for match in _CHANNEL.finditer(content):
+        _, length, channel, _, size = CHANNEL_HEAD.unpack_from(content, match.start())
+        path = content[match.end() : match.end() + size]
+        if path.startswith(b"/") and size < length and path.isascii():
+            names.setdefault(channel, path.decode())
+    return names
+
+
+def salvage_mcap(content: mmap, names: Names, ledger: Ledger, loss: Loss) -> Iterator[Found]:
+    """Find the messages of an mcap file.
+
+    Args:
+        content: of the file.
+        names: its topics.
+        ledger: what vouches for messages.
+        loss: takes what is damaged.
+
+    Yields:
+        What may be kept, in the order it stands in the file.
+    """
+    behind = 0
+    while (chunk := _next_chunk(content, behind)) is not None:
+        yield from _tried(content[behind : chunk.start], names, ledger)
+        behind = chunk.end
+        records = content[chunk.records : chunk.end]
+        if chunk.compressed:
+            loss.places.append(f"the chunk at byte {chunk.start} is compressed")
+        elif chunk.checksum and crc32(records) == chunk.checksum:
+            yield from _taken(records, names, ledger)
+        elif chunk.checksum and ledger.empty:
+            loss.places.append(f"the chunk at byte {chunk.start} is damaged")
+            for topic, _, _ in _messages(records, names):
+                loss.count(topic)
+        else:
+            yield from _tried(records, names, ledger)
+    yield from _tried(content[behind:], names, ledger)
+
+
+def _next_chunk(content: mmap, behind: int) -> _Chunk | None:
+    for match in _CHUNK.finditer(content, behind):
+        start = match.start()
+        if start + CHUNK_HEAD.size > len(content):
+            return None
+        _, length, _, _, expanded, checksum, name = CHUNK_HEAD.unpack_from(content, start)
+        records = start + CHUNK_HEAD.size + name + 8
+        end = start + MCAP_RECORD.size + length
+        if name > LONGEST_NAME or end > len(content) or end < records:
+            continue
+        (size,) = struct.unpack_from("<Q", content, records - 8)
+        if records + size == end and (name or size == expanded):
+            return _Chunk(start, records, end, checksum, compressed=name > 0)
+    return None
+
+
+def _messages(records: bytes, names: Names) -> Iterator[tuple[str, int, bytes]]:
+    """Walk from record to record as far as that goes."""
+    offset = 0
+    while offset + MCAP_RECORD.size <= len(records):
+        kind, length = MCAP_RECORD.unpack_from(records, offset)
+        end = offset + MCAP_RECORD.size + length
+        if end > len(records):
+            return
+        if kind == MCAP_MESSAGE and end - offset >= MESSAGE_HEAD.size:
+            _, _, channel, _, stamp_ns, _ = MESSAGE_HEAD.unpack_from(records, offset)
+            yield names.get(channel, f"channel {channel}"), stamp_ns, records[offset + MESSAGE_HEAD.size : end]
+        offset = end
+
+
+def _taken(records: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
+    """Take the records of a chunk whose checksum is right."""
+    messages = list(_messages(records, names))
+    named = ledger.vouches_for(messages)
+    complete = ledger.complete
+    for message, known in zip(messages, named, strict=True):
+        if known or not complete:
+            yield Found(*message, verified=True)
+
+
+def _tried(records: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
+    """Try every place that looks like a message."""
+    offset = 0
+    while (match := _MESSAGE.search(records, offset)) is not None:
+        start = match.start()
+        offset = start + 1
+        if start + MESSAGE_HEAD.size > len(records):
+            return
+        _, length, channel, _, stamp_ns, _ = MESSAGE_HEAD.unpack_from(records, start)
+        end = start + MCAP_RECORD.size + length
+        if length < MESSAGE_HEAD.size - MCAP_RECORD.size or end > len(records) or channel not in names:
+            continue
+        message = names[channel], stamp_ns, records[start + MESSAGE_HEAD.size : end]
+        verified = ledger.vouches(message)
+        if verified or ledger.empty:
+            yield Found(*message, verified)
+            offset = end

@@ -1,0 +1,65 @@
+"""Whether bytes can be a message of their topic: they decode, and were sent when their neighbours were."""
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from ehls_ros.recording.cdr import CdrError, Field, decode, flatten
+from ehls_ros.recording.topics import CYCLE_TOPICS, Topic
+from ehls_ros.recording.typestore import typestore
+
+NEIGHBOURS = 17
+"""Messages, itself among them, whose middle one a message's time is compared with."""
+
+OUTLYING_NS = 10 * 10**9
+"""How far it may be off that [ns]."""
+
+
+def well_formed(topic: Topic, messages: Sequence[bytes]) -> list[bool]:
+    """Tell of each message whether it is one of the topic's type.
+
+    Args:
+        topic: which topic they are said to be of.
+        messages: as CDR.
+    """
+    decodes = _decodes_in_bulk if topic in CYCLE_TOPICS else _decodes_one_by_one
+    return [True] * len(messages) if decodes(topic.type, messages) else [decodes(topic.type, [message]) for message in messages]
+
+
+def timely(stamps_ns: Sequence[int]) -> NDArray[np.bool_]:
+    """Tell of each message whether it was sent about when those next to it were; a clock that is set stays set.
+
+    Args:
+        stamps_ns: times of sending of n messages in the order they were stored [ns].
+
+    Returns:
+        Flags of shape (n,).
+    """
+    stamps = np.array(stamps_ns, np.float64)
+    around: NDArray[np.float64] = median_filter(stamps, NEIGHBOURS, mode="nearest")
+    return np.less_equal(np.abs(stamps - around), OUTLYING_NS)
+
+
+@cache
+def _fields(message_type: str) -> list[Field]:
+    return flatten(typestore().fielddefs, message_type)
+
+
+def _decodes_in_bulk(message_type: str, messages: Sequence[bytes]) -> bool:
+    try:
+        decode(messages, _fields(message_type), ())
+    except CdrError:
+        return False
+    return True
+
+
+def _decodes_one_by_one(message_type: str, messages: Sequence[bytes]) -> bool:
+    try:
+        for message in messages:
+            typestore().deserialize_cdr(message, message_type)
+    except Exception:  # noqa: BLE001 - of bytes that are no message, rosbags raises any
+        return False
+    return True

@@ -1,0 +1,177 @@
+"""Messages out of a SQLite file of which only parts are left.
+
+Every page is looked at by itself, so that neither a damaged tree nor a missing end hides the others. A page that lists its rows
+is read as such; where that gives anything but sound messages and the file has a ledger, each place of the page that looks like
+a row is tried, and the ledger says what is one. Nothing in the file is executed.
+"""
+
+import re
+from collections.abc import Iterator
+from mmap import mmap
+from typing import NamedTuple
+
+from ehls_ros.recording.ledger import Ledger
+from ehls_ros.recording.salvage import Found, Loss, Names
+
+DEFAULT_PAGE = 4096
+HEADER = 100
+"""Size of the file's header, at the beginning of its first page [B]."""
+
+LONGEST_ROW = 1 << 20
+"""Size of a row at most [B]; a damaged length must not keep us busy."""
+
+LEAF = 0x0D
+"""Kind of a page that holds rows."""
+
+WIDTHS = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
+"""Size of an integer by its serial type [B]; types 8 and 9 are the numbers 0 and 1 themselves."""
+
+BLOB = 12
+TEXT = 13
+"""Serial types of an empty blob and an empty text; 2 more for each byte."""
+
+# What heads a row: the head's size, no value for the id, two integers, and the size of the message.
+_INTEGER = rb"([\x01-\x06\x08\x09])"
+_VARINT = rb"([\x80-\xff]{0,4}[\x00-\x7f])"
+_ROW = re.compile(rb"[\x05-\x09]\x00" + _INTEGER + _INTEGER + _VARINT)
+_CELL = re.compile(rb"([\x80-\xff]{0,4}[\x00-\x7f])([\x80-\xff]{0,8}[\x00-\x7f])" + _ROW.pattern)
+# A topic: its id, then name, type and the serialization format, which is a text of three letters.
+_TOPIC = re.compile(rb"([\x01-\x7f])[\x05-\x0c]\x00" + _VARINT + _VARINT + rb"\x13[\x00-\xff]{0,6}?(/[ -~]+cdr)")
+
+
+class _Row(NamedTuple):
+    topic: int
+    stamp_ns: int
+    serialized: bytes
+    ordinal: int
+    end: int
+
+
+def names_in_sqlite(content: mmap) -> dict[int, str]:
+    """Return the topics that a SQLite file describes."""
+    names: dict[int, str] = {}
+    for match in _TOPIC.finditer(content):
+        size = (_varint(match[2]) - TEXT) // 2
+        if 0 < size < len(match[4]):
+            names.setdefault(match[1][0], match[4][:size].decode())
+    return names
+
+
+def salvage_sqlite(content: mmap, names: Names, ledger: Ledger, loss: Loss) -> Iterator[Found]:
+    """Find the messages of a SQLite file.
+
+    Args:
+        content: of the file.
+        names: its topics.
+        ledger: what vouches for messages.
+        loss: takes what is damaged.
+
+    Yields:
+        What may be kept, in the order it stands in the file.
+    """
+    size = _page_size(content)
+    for start in range(0, len(content), size):
+        page = content[start : start + size]
+        rows, whole = _rows(page, HEADER if start == 0 else 0, content, size)
+        messages = [(names.get(row.topic, f"topic {row.topic}"), row.stamp_ns, row.serialized) for row in rows]
+        sound = ledger.vouches_for(messages)
+        for row, message, verified in zip(rows, messages, sound, strict=True):
+            if verified or ledger.empty or not ledger.covers(row.ordinal):
+                yield Found(*message, verified)
+            else:
+                loss.count(message[0])
+        if not ledger.empty and not (whole and rows and all(sound)):
+            yield from _tried(page, names, ledger)
+
+
+def _page_size(content: mmap) -> int:
+    size = int.from_bytes(content[16:18], "big")
+    size = 65536 if size == 1 else size
+    return size if size in {1 << exponent for exponent in range(9, 17)} else DEFAULT_PAGE
+
+
+def _rows(page: bytes, start: int, content: mmap, size: int) -> tuple[list[_Row], bool]:
+    """Return the messages that a page lists, and whether all that it lists are messages."""
+    if page[start : start + 1] != bytes([LEAF]):
+        return [], False
+    count = int.from_bytes(page[start + 3 : start + 5], "big")
+    listed = page[start + 8 : start + 8 + 2 * count]
+    cells = [int.from_bytes(listed[at : at + 2], "big") for at in range(0, len(listed), 2)]
+    rows = [row for cell in cells if (row := _row(page, cell, content, size)) is not None]
+    return rows, len(rows) == count
+
+
+def _row(page: bytes, cell: int, content: mmap, size: int) -> _Row | None:
+    match = _CELL.match(page, cell)
+    if match is None:
+        return None
+    whole = _varint(match[1])
+    if whole > LONGEST_ROW:
+        return None
+    head = match.start(3) - 2
+    here = _stored_here(whole, size)
+    payload = page[head : head + here]
+    if here < whole:
+        # SQLite puts the rest into pages of their own, each naming the next.
+        following = int.from_bytes(page[head + here : head + here + 4], "big")
+        while following and len(payload) < whole:
+            at = (following - 1) * size
+            if at + 4 > len(content):
+                return None
+            payload += content[at + 4 : at + size]
+            following = int.from_bytes(content[at : at + 4], "big")
+        payload = payload[:whole]
+    row = _unpacked(payload, 0)
+    return row and row._replace(ordinal=_varint(match[2]) - 1)
+
+
+def _stored_here(whole: int, size: int) -> int:
+    """Return how much of a row stands in its page, by SQLite's file format."""
+    most, least = size - 35, (size - 12) * 32 // 255 - 23
+    if whole <= most:
+        return whole
+    here = least + (whole - least) % (size - 4)
+    return here if here <= most else least
+
+
+def _unpacked(payload: bytes, start: int) -> _Row | None:
+    """Return the row that begins at a place, None where there is none."""
+    match = _ROW.match(payload, start)
+    if match is None or match.end() != start + payload[start]:
+        return None
+    kind = _varint(match[3])
+    if kind < BLOB or kind % 2:
+        return None
+    at = match.end()
+    numbers = []
+    for width in (WIDTHS[match[1][0]], WIDTHS[match[2][0]]):
+        numbers.append(int.from_bytes(payload[at : at + width], "big", signed=True) if width else 0)
+        at += width
+    if match[1] == b"\x09":
+        numbers[0] = 1
+    if match[2] == b"\x09":
+        numbers[1] = 1
+    end = at + (kind - BLOB) // 2
+    if end > len(payload) or numbers[1] < 0:
+        return None
+    return _Row(numbers[0], numbers[1], payload[at:end], -1, end)
+
+
+def _tried(page: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
+    """Try every place that looks like a row."""
+    offset = 0
+    while (match := _ROW.search(page, offset)) is not None:
+        offset = match.start() + 1
+        row = _unpacked(page, match.start())
+        if row is not None and row.topic in names:
+            message = names[row.topic], row.stamp_ns, row.serialized
+            if ledger.vouches(message):
+                yield Found(*message, verified=True)
+                offset = row.end
+
+
+def _varint(content: bytes) -> int:
+    number = 0
+    for byte in content:
+        number = number << 7 | byte & 0x7F
+    return number
