@@ -91,6 +91,9 @@ class Graph(Protocol):
     def emergency_stop(self) -> Answer:
         """Cut the command."""
 
+    def acknowledge_stop(self) -> Answer:
+        """Let go of the emergency stop that is engaged."""
+
     def reset_trips(self) -> Answer:
         """Let the gate forget what tripped it."""
 

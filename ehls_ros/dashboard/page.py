@@ -28,16 +28,14 @@ WORDS = 0.5
 GATE_STATE = "state"
 """Figure of the node that has the safety gate."""
 
-TRIPPED = 2
-"""Level of that node from when the gate tripped until its trips are reset."""
+STOP = "stop"
+"""The figure that names an emergency stop while one is engaged."""
 
 PAUSE = '<input type="checkbox" onchange="ehlsLive.pause(this.checked)"> pause'
 """The browser's own affair: a page that may not write is not heard."""
 
 TOO_SLOW = "too slow"
 """What a node says, among other things, whose cycles this machine cannot keep."""
-
-REMEDY = "To go on: Reset trips, then Enable."
 
 LEVELS = ("well", "warning", "error", "silent")
 
@@ -59,6 +57,7 @@ class Page:
         self._was_there = False
         self._tuning: TuningTab | None = None
         self._experiment: ExperimentTab | None = None
+        self._acknowledge: ui.button | None = None
         ui.add_css(FOLDER / "style.css")
         self._head(writes=writes)
         with ui.element("div").classes("plots"):
@@ -86,6 +85,8 @@ class Page:
                 ui.label("read only: controls need the address with the token").classes("said").props('data-name="read-only"')
             ui.html(PAUSE, sanitize=False, tag="label").classes("pause")
             if writes:
+                self._acknowledge = button("Acknowledge stop", graph.acknowledge_stop, "flat dense")
+                self._acknowledge.set_visibility(False)
                 button("Reset trips", graph.reset_trips, "flat dense")
                 button("Enable", graph.enable, "outline dense")
                 button("Emergency stop", graph.emergency_stop, "dense color=negative")
@@ -132,6 +133,8 @@ class Page:
         gate = next((node for node in health if GATE_STATE in node.figures), None)
         self._gate.set_text(f"gate {gate.figures[GATE_STATE]}" if gate else "")
         self._gate.set_visibility(gate is not None)
+        if self._acknowledge is not None:
+            self._acknowledge.set_visibility(gate is not None and bool(gate.figures.get(STOP)))
         _set_level(self._gate, gate.level if gate else 0)
         self._beginning.show(beginning, was_there=self._was_there)
         self._show_trouble(health, slow, there=rate > 0.0 or beginning is not None)
@@ -156,8 +159,6 @@ class Page:
             text = "No snapshots come any more: the graph was ended, or what stands for the rig has stopped."
         elif not text and worst is not None and worst.level:
             text = f"{worst.node}: {worst.message}"
-            if worst.level == TRIPPED and GATE_STATE in worst.figures:
-                text = f"{text}. {REMEDY}"
             if slow and slow != text:
                 # The cause before what came of it.
                 text = f"{slow}. {text}"

@@ -28,6 +28,7 @@ from rclpy.validate_namespace import validate_namespace
 from std_srvs.srv import SetBool, Trigger
 
 import ehls_ros.nodes
+from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.dashboard.graph import Answer, Health, Tunable, Value
 from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, RESPONSE, SIGNALS
@@ -270,6 +271,11 @@ class Link:
     def emergency_stop(self) -> Answer:
         """Cut the command."""
         return self._wish(Trigger, "emergency_stop", Trigger.Request())
+
+    def acknowledge_stop(self) -> Answer:
+        """Let go of the emergency stop that the gate says is engaged."""
+        stop = next((node.figures["stop"] for node in self.health() if node.figures.get("stop")), "")
+        return self._wish(AcknowledgeStop, "acknowledge_stop", AcknowledgeStop.Request(stop=stop))
 
     def reset_trips(self) -> Answer:
         """Let the gate forget what tripped it."""

@@ -51,6 +51,9 @@ class StandIn:
     def emergency_stop(self) -> Answer:
         return self._wish("emergency stop")
 
+    def acknowledge_stop(self) -> Answer:
+        return self._wish("acknowledge stop")
+
     def reset_trips(self) -> Answer:
         return self._wish("reset trips")
 
