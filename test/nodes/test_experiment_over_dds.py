@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 
 pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
 
@@ -18,7 +19,7 @@ from ehls_ros.recording.bag_reader import read_bag
 
 def ehls(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "ehls_ros.cli.main", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
 
 
 def trajectory_of(done: subprocess.CompletedProcess[str]):
@@ -102,7 +103,7 @@ def long_run_under_way(spec_file, out: Path) -> subprocess.Popen[str]:
     """Start an experiment that does not end by itself, and wait until its bag grows."""
     command = [sys.executable, "-m", "ehls_ros.cli.main", "experiment", str(spec_file(duration=1000.0))]
     process = subprocess.Popen([*command, "--out", str(out)], stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 120.0
+    deadline = time.monotonic() + PATIENCE
     bag = out / "bag" / "bag.mcap"
     while not (bag.exists() and bag.stat().st_size > 100_000):
         assert process.poll() is None
@@ -115,7 +116,7 @@ def test_ctrl_c_in_the_middle_closes_the_bag(spec_file, tmp_path):
     out = tmp_path / "run"
     process = long_run_under_way(spec_file, out)
     process.send_signal(signal.SIGINT)
-    _, complaint = process.communicate(timeout=60)
+    _, complaint = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert complaint.strip() == "ehls experiment: interrupted"
     recorded = read_bag(out / "bag")
@@ -128,7 +129,7 @@ def test_a_node_that_dies_ends_the_experiment_with_its_reason(spec_file, tmp_pat
     process = long_run_under_way(spec_file, out)
     [estimator] = children(process.pid, "friction_estimator_node")
     os.kill(estimator, signal.SIGTERM)
-    _, complaint = process.communicate(timeout=60)
+    _, complaint = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
     assert "friction_estimator_node ended" in complaint
     assert len(complaint.strip().splitlines()) == 1
