@@ -32,8 +32,6 @@ def main() -> int:
     """Run the command line and return the command's exit code."""
     chosen = parsed()
     processors = len(os.sched_getaffinity(0))
-    # What loses its parent becomes a child of this process, so that all of the command stays within reach.
-    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     with contextlib.ExitStack() as stack:
         group = None if chosen.stop_and_go else control_group(chosen.share, processors, chosen.period)
         if group is not None:
@@ -50,7 +48,6 @@ def main() -> int:
         if group is None:
             stop_and_go(process, chosen.share, chosen.period, {loop.pid for loop in loops})
         code = process.wait()
-        reap_others(process.pid)
         wall, after = time.monotonic() - begin, os.times()
     used = after.children_user + after.children_system - before.children_user - before.children_system
     how = "stop and go" if group is None else "a control group"
@@ -151,6 +148,8 @@ def stop_and_go(process: subprocess.Popen[bytes], share: float, period: float, s
         period: of running and standing still [s].
         spared: descendants that run on.
     """
+    # What loses its parent becomes a child of this process, so that all of the command stays within reach.
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     let_go = time.monotonic()
     while process.poll() is None:
         time.sleep(share * period)
