@@ -1,6 +1,7 @@
 """Files that Fast DDS keeps in shared memory; a process that is killed leaves its own behind."""
 
 import fcntl
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,15 +20,20 @@ def used_by(process: int) -> set[Path]:
     return set()
 
 
-def leftovers() -> list[Path]:
-    """Return the middleware's files that no living process uses, as far as this user may see."""
+def leftovers(of: Collection[Path] | None = None) -> list[Path]:
+    """Return the middleware's files that no living process uses, as far as this user may see.
+
+    Args:
+        of: files of the segments and ports that are meant; None: all there are.
+    """
     left: dict[str, set[Path]] = {}
     for file in (file for name in NAMES for file in SHARED_MEMORY.glob(name)):
         left.setdefault(_owner(file), set()).add(file)
     for process in Path("/proc").glob("[0-9]*") if left else ():
         for file in used_by(int(process.name)):
             left.pop(_owner(file), None)
-    return sorted(file for owner, files in left.items() if not _locked(owner) for file in files)
+    meant = left.keys() if of is None else left.keys() & {_owner(file) for file in of}
+    return sorted(file for owner in meant if not _locked(owner) for file in left[owner])
 
 
 def _owner(file: Path) -> str:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -99,16 +100,24 @@ def graph(tmp_path: Path) -> Iterator[Graph]:
         process.wait()
 
 
-@pytest.fixture
-def spec_file(tmp_path: Path) -> Callable[..., Path]:
-    def write(duration: float = 0.5, controller: str = "fasmc") -> Path:
-        path = tmp_path / "spec.yaml"
+@pytest.fixture(scope="session")
+def write_spec() -> Callable[..., Path]:
+    """Return a function that writes an experiment's file into a folder and returns its path."""
+
+    def write(folder: Path, duration: float = 0.5, controller: str = "fasmc") -> Path:
+        path = folder / "spec.yaml"
         reference = {"force": FORCE, "position": POSITION}[CONTROLLERS.load(controller).FOLLOWS]
         text = SPEC.format(rig=RIG, duration=duration, controller=controller, reference=reference)
         path.write_text(text, encoding="utf-8")
         return path
 
     return write
+
+
+@pytest.fixture
+def spec_file(write_spec: Callable[..., Path], tmp_path: Path) -> Callable[..., Path]:
+    """Return the same for the test's own folder."""
+    return partial(write_spec, tmp_path)
 
 
 class Participant:
