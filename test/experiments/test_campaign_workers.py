@@ -15,18 +15,20 @@ from campaign_cases import BASE, DRAWS, write
 from distributed import Client
 from patience import PATIENCE
 
+from ehls_ros.experiments.campaign import backends
 from ehls_ros.experiments.campaign.backends import dask, local
 from ehls_ros.experiments.campaign.conduct import conduct
 from ehls_ros.experiments.campaign.plan import load_plan
 from ehls_ros.experiments.campaign.store import opened, read_results
 
 COUNT = 60
+CAMPAIGN = {"base": {**BASE, "duration": 20.0}, "runs": COUNT, "vary": DRAWS}
 
 
 @pytest.fixture
 def campaign(tmp_path):
     """A campaign of a few seconds of work."""
-    return write(tmp_path, base={**BASE, "duration": 20.0}, runs=COUNT, vary=DRAWS)
+    return write(tmp_path, **CAMPAIGN)
 
 
 @pytest.fixture
@@ -44,8 +46,10 @@ def processes():
 
 
 @pytest.fixture
-def cluster(processes, tmp_path):
+def cluster(processes, tmp_path, monkeypatch):
     """A scheduler on a free port of the loopback and two worker processes without nanny, by name."""
+    monkeypatch.setattr(backends, "CONNECTING_S", PATIENCE)
+    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT", f"{PATIENCE}s")
     file = tmp_path / "scheduler.json"
     common = ["--scheduler-file", str(file), "--host", "127.0.0.1", "--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
     log = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
@@ -53,7 +57,7 @@ def cluster(processes, tmp_path):
     wait_until(file.exists)
     own = ["--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path)]
     workers = {name: processes("dask", "worker", "--name", name, *own, *common, **log) for name in ("one", "two")}
-    with Client(json.loads(file.read_text())["address"], set_as_default=False) as client:
+    with Client(json.loads(file.read_text())["address"], set_as_default=False, timeout=PATIENCE) as client:
         client.wait_for_workers(2, timeout=PATIENCE)
         yield client, workers
 
@@ -87,7 +91,15 @@ def numbers(out):
     return {name: column for name, column in read_results(out / "results.parquet").items() if name != "wall_s"}
 
 
-def test_a_killed_dask_worker_loses_nothing(campaign, cluster, tmp_path):
+@pytest.fixture(scope="module")
+def made_by_one(tmp_path_factory):
+    """What the campaign gives in a single process."""
+    folder = tmp_path_factory.mktemp("one")
+    make(write(folder, **CAMPAIGN), folder / "out", local(1))
+    return numbers(folder / "out")
+
+
+def test_a_killed_dask_worker_loses_nothing(campaign, cluster, made_by_one, tmp_path):
     client, workers = cluster
     held = []
 
@@ -107,8 +119,7 @@ def test_a_killed_dask_worker_loses_nothing(campaign, cluster, tmp_path):
     assert outcome[:2] == (COUNT, COUNT)
     digests = kept(out)
     assert len(digests) == len(set(digests)) == COUNT
-    make(campaign, tmp_path / "local", local(1))
-    assert numbers(out) == numbers(tmp_path / "local")
+    assert numbers(out) == made_by_one
 
 
 def start_command(processes, campaign, out, **options):
@@ -123,7 +134,7 @@ def start_command(processes, campaign, out, **options):
 @pytest.fixture
 def long_campaign(tmp_path):
     """A campaign that goes on until it is stopped."""
-    return write(tmp_path, base={**BASE, "duration": 20.0}, runs=100_000, vary=DRAWS)
+    return write(tmp_path, **(CAMPAIGN | {"runs": 100_000}))
 
 
 def test_ctrl_c_ends_all_processes_and_keeps_what_is_done(processes, long_campaign, tmp_path):
@@ -155,10 +166,9 @@ def test_a_killed_local_worker_ends_in_one_line_and_keeps_what_is_done(processes
     assert kept(out)
 
 
-def test_two_processes_give_what_one_gives(processes, campaign, tmp_path):
+def test_two_processes_give_what_one_gives(processes, campaign, made_by_one, tmp_path):
     command = processes(
         "ehls_ros.cli.main", "campaign", str(campaign), "--out", str(tmp_path / "two"), "--jobs", "2", stdout=subprocess.DEVNULL
     )
     assert command.wait(PATIENCE) == 0
-    make(campaign, tmp_path / "one", local(1))
-    assert numbers(tmp_path / "two") == numbers(tmp_path / "one")
+    assert numbers(tmp_path / "two") == made_by_one
