@@ -20,8 +20,8 @@ setup:  ## make .venv/ with everything in it, or bring it up to date
 demo: setup  ## run one experiment over DDS; bag, metrics and report go to runs/demo/
 	.venv/bin/ehls experiment config/experiments/sine_fd2.yaml --out runs/demo --overwrite
 
-# Plug-ins by name only: a sourced ROS brings some that do not work with this pytest. The limit ends tests that hang; on two
-# quiet processors the longest one takes half a minute.
+# Plug-ins by name only: a sourced ROS brings some that do not work with this pytest. The limit ends tests that hang; no test
+# comes near it on a slow machine, such as `python3 tools/held_back.py 0.33 make test` makes of any.
 TIMEOUT := 1800
 test: setup  ## run the tests; PYTEST_ARGS='-k name' picks some
 	PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/python -m pytest -p xdist -p timeout -n 2 --dist loadfile --timeout $(TIMEOUT) \
