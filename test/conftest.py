@@ -3,9 +3,13 @@
 import contextlib
 import fcntl
 import itertools
+import math
+import os
 import random
+import re
 import signal
 import tempfile
+import threading
 import time
 import uuid
 from collections.abc import Iterator
@@ -13,8 +17,9 @@ from pathlib import Path
 from typing import TextIO
 
 import pytest
+from patience import PATIENCE
 
-from ehls_ros.nodes.shared_memory import used_by
+from ehls_ros.nodes.shared_memory import leftovers
 
 # DDS computes its ports from the domain; above domain 101 they reach into the range of ephemeral ports.
 DOMAINS = range(1, 102)
@@ -22,7 +27,9 @@ FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
 # Every process started by a test inherits this variable, by which it is found again.
 SESSION_VARIABLE = "EHLS_ROS_TEST_SESSION"
 SHARED_MEMORY = Path("/dev/shm")
-GRACE_S = 5.0
+GRACE_S = 60.0
+# Lock files of this user's: one has its graph run in real time; each run of the tests, or worker of it, is under way.
+REALTIME, UNDER_WAY = (Path(tempfile.gettempdir(), f"ehls_ros_test_{what}_{os.getuid()}.lock") for what in ("realtime", "run"))
 
 _rotation = itertools.cycle(random.sample(DOMAINS, len(DOMAINS)))
 
@@ -48,13 +55,21 @@ def heard() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def nothing_left_behind(test_session: str, domains_used: set[int]) -> Iterator[None]:
-    """Fail if, after the last test, a process started by a test runs on or files of a dead one are left in shared memory."""
-    with pytest.MonkeyPatch.context() as environment:
-        environment.setenv(SESSION_VARIABLE, test_session)
-        yield
-    deadline = time.monotonic() + GRACE_S
-    while (left := processes_of(test_session) + orphaned(domains_used)) and time.monotonic() < deadline:
-        time.sleep(0.1)
+    """Fail if, after the last test, a process started by a test runs on; clear away what those that were killed left."""
+    began = time.time()
+    with UNDER_WAY.open("a", encoding="utf-8") as under_way:
+        fcntl.flock(under_way, fcntl.LOCK_SH)
+        with pytest.MonkeyPatch.context() as environment:
+            environment.setenv(SESSION_VARIABLE, test_session)
+            yield
+        deadline = time.monotonic() + GRACE_S
+        while (left := processes_of(test_session)) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        clear_orphans(domains_used, began)
+        # The last one to end clears away what all domains have in common: somebody else may be about to use it.
+        with contextlib.suppress(BlockingIOError):
+            fcntl.flock(under_way, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            clear_orphans(domains_used, began, of_all_domains=True)
     if left:
         pytest.fail("the tests left behind:\n  " + "\n  ".join(left), pytrace=False)
 
@@ -67,7 +82,42 @@ def ros_domain_id(monkeypatch: pytest.MonkeyPatch, domains_used: set[int]) -> It
         domains_used.add(domain)
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        began = time.time()
         yield domain
+        if has_ports(domain):
+            clear_orphans({domain}, began)
+
+
+@contextlib.contextmanager
+def realtime_turn() -> Iterator[None]:
+    """Hold a lock that one process at a time has, whichever worker or run of the tests it is; a process may take it again."""
+    if _has_turn.is_set():
+        yield
+        return
+    with REALTIME.open("a", encoding="utf-8") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        _has_turn.set()
+        try:
+            yield
+        finally:
+            _has_turn.clear()
+
+
+_has_turn = threading.Event()
+
+
+@pytest.fixture
+def one_realtime_graph() -> Iterator[None]:
+    """Run a test's graph in real time without those of other workers, which would take the processors from it."""
+    with realtime_turn():
+        yield
+
+
+@pytest.fixture(scope="module")
+def one_realtime_graph_in_file() -> Iterator[None]:
+    """Do the same for a graph that the tests of a file share."""
+    with realtime_turn():
+        yield
 
 
 def reserve_domain() -> tuple[int, TextIO]:
@@ -78,20 +128,22 @@ def reserve_domain() -> tuple[int, TextIO]:
     Returns:
         The domain, and the open lock file: closing it, or the death of this process, gives the domain back.
     """
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + PATIENCE
     for domain in _rotation:
         path = Path(tempfile.gettempdir(), f"ehls_ros_test_domain_{domain}.lock")
         # PermissionError: the lock file is another user's.
         with contextlib.suppress(BlockingIOError, PermissionError), contextlib.ExitStack() as undo:
             lock = undo.enter_context(path.open("a", encoding="utf-8"))
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if not ports_of({domain}):
+            if has_ports(domain):
+                clear_orphans({domain}, since=math.inf)
+            if not has_ports(domain):
                 undo.pop_all()
                 return domain, lock
         if time.monotonic() > deadline:
             break
         time.sleep(0.01)
-    pytest.fail("no ROS domain became free within a minute", pytrace=False)
+    pytest.fail(f"no ROS domain became free within {PATIENCE:.0f} s", pytrace=False)
 
 
 def processes_of(session: str) -> list[str]:
@@ -108,26 +160,31 @@ def processes_of(session: str) -> list[str]:
     return found
 
 
-def ports_of(domains: set[int]) -> dict[str, str]:
-    """Return the files Fast DDS keeps in shared memory for the ports of the domains, each with its port."""
-    ports = {}
-    for path in SHARED_MEMORY.glob("fastrtps_port*"):
-        port = path.name.removeprefix("fastrtps_port").removesuffix("_el")
-        if port.isdigit() and (int(port) - FIRST_PORT) // PORTS_PER_DOMAIN in domains:
-            ports[str(path)] = port
-    return ports
+def domain_of(file: Path) -> int | None:
+    """Return the domain of a port whose file in shared memory this is; None where it is a segment's, whose name does not say.
 
-
-def orphaned(domains: set[int]) -> list[str]:
-    """Return a line for each file of a port of the domains that no living process holds.
-
-    A process that shuts down removes them; one that is killed leaves them, and its segments beside them. Only the names of
-    ports tell the domain, and so that the files are not those of somebody else's processes.
+    Ports below those of domain 0 are of no domain: Fast DDS numbers all its participants on a machine there.
     """
-    ports = ports_of(domains)
-    for process in Path("/proc").glob("[0-9]*") if ports else ():
-        with contextlib.suppress(OSError):
-            held = {str(file) for file in used_by(int(process.name))}
-            alive = {ports[name] for name in held & ports.keys()}
-            ports = {name: port for name, port in ports.items() if port not in alive}
-    return [f"{name} of a process that was killed instead of shut down" for name in sorted(ports)]
+    port = re.search(r"_port(\d+)", file.name)
+    return (int(port[1]) - FIRST_PORT) // PORTS_PER_DOMAIN if port else None
+
+
+def has_ports(domain: int) -> bool:
+    """Tell whether Fast DDS keeps files for ports of a domain."""
+    return any(domain_of(path) == domain for path in SHARED_MEMORY.glob("*_port*"))
+
+
+def clear_orphans(domains: set[int], since: float, *, of_all_domains: bool = False) -> None:
+    """Remove what killed processes left in shared memory, as long as no living process uses it.
+
+    Args:
+        domains: their ports are removed.
+        since: segments made later are removed [s].
+        of_all_domains: remove the other ports that were made later, too.
+    """
+    for path in leftovers():
+        with contextlib.suppress(FileNotFoundError, PermissionError):
+            domain = domain_of(path)
+            new = path.stat().st_ctime >= since and (domain is None or of_all_domains)
+            if new or domain in domains:
+                path.unlink()

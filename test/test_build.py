@@ -18,6 +18,7 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
+from patience import PATIENCE
 
 ROOT = Path(__file__).resolve().parent.parent
 LOCKS = sorted((ROOT / "requirements").glob("*.txt"))
@@ -143,10 +144,10 @@ def test_a_node_of_the_install_space_comes_up_and_shuts_down(installed_fasmc_nod
     pytest.importorskip("rclpy", reason="rclpy is not installed")
     assert settled_lifecycle_state("/ehls/fasmc_node", installed_fasmc_node) in {"unconfigured", "inactive", "active"}
     installed_fasmc_node.send_signal(signal.SIGINT)
-    assert installed_fasmc_node.wait(timeout=30) == 0
+    assert installed_fasmc_node.wait(timeout=PATIENCE) == 0
 
 
-def settled_lifecycle_state(name: str, process: subprocess.Popen[str], timeout: float = 120.0) -> str:
+def settled_lifecycle_state(name: str, process: subprocess.Popen[str], timeout: float = PATIENCE) -> str:
     """Ask a lifecycle node for its state until it is between two transitions.
 
     Args:

@@ -64,7 +64,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             del sys.modules[name]
 
 
-@pytest.mark.timeout(900 if EVERYTHING else 300)
 @pytest.mark.parametrize("page", [page for page in pages() if blocks(page)])
 def test_snippets_of_a_page(page: str, folder: Path, parameters_of: ParametersOf, monkeypatch: pytest.MonkeyPatch) -> None:
     names: dict[str, Any] = {}

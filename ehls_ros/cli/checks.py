@@ -172,7 +172,7 @@ def _said(process: "subprocess.Popen[str]", patience: float) -> tuple[str, str]:
         own = used_by(process.pid)
         process.kill()
         out, complaints = process.communicate()
-        for file in own.intersection(leftovers()):
+        for file in leftovers(own):
             file.unlink(missing_ok=True)
     return out or "", complaints or ""
 

@@ -137,8 +137,9 @@ class ControllerNode(ControlNode):
             self.frictions[self.newest_friction] = message[2:4]
             self.friction_comes = self.kind.FRICTION
         while (message := self.states.take()) is not None:
+            if not self.pending:
+                self.pending_since = arrived
             self.pending[message[1]] = message
-            self.pending_since = arrived
         if self.pending and max(self.pending) not in self.references:
             while (message := self.reference.take()) is not None:
                 self.references[message[1]] = message[2:5]
@@ -148,6 +149,7 @@ class ControllerNode(ControlNode):
                 self.latency.add(time.perf_counter() - arrived)
                 # What is older would be answered too late.
                 self.pending = {k: state for k, state in self.pending.items() if k > cycle}
+                self.pending_since = arrived
                 break
 
     def _wait(self) -> None:

@@ -1,11 +1,13 @@
 """`ehls doctor` says what is there and what is not."""
 
+import fcntl
 import json
 import sys
 import uuid
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE
 
 from ehls_ros.cli import checks
 from ehls_ros.cli.main import main
@@ -15,6 +17,12 @@ from ehls_ros.nodes import shared_memory
 def findings(capsys, *arguments):
     code = main(["doctor", "--json", *arguments])
     return code, {found["check"]: found for found in json.loads(capsys.readouterr().out.splitlines()[-1])}
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """Give two processes all the time this machine may need to find each other."""
+    monkeypatch.setattr(checks, "DISCOVERY_TIME", PATIENCE)
 
 
 @pytest.fixture
@@ -29,7 +37,7 @@ def test_two_processes_find_each_other():
     assert "us" in found.found
 
 
-def test_a_process_that_does_not_end_is_ended(monkeypatch):
+def test_a_process_that_does_not_end_is_ended(monkeypatch, ros_domain_id):
     pytest.importorskip("rclpy", reason="needs ROS 2 Jazzy or its wheels")
     deaf = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
     monkeypatch.setattr(
@@ -37,6 +45,8 @@ def test_a_process_that_does_not_end_is_ended(monkeypatch):
     )
     monkeypatch.setattr(checks, "ENDING", 0.5)
     assert checks.discovery().level == "ok"
+    first = 7400 + 250 * ros_domain_id
+    assert not [file for port in range(first, first + 250) for file in shared_memory.SHARED_MEMORY.glob(f"*_port{port}*")]
 
 
 @pytest.mark.usefixtures("without_dds")
@@ -71,3 +81,25 @@ def test_leftovers_are_found_and_cleaned_away(capsys, monkeypatch, tmp_path: Pat
         assert not dead.exists()
         assert alive.exists()
     assert foreign.exists()
+
+
+def test_lock_and_mutex_go_with_their_port_and_not_before(monkeypatch, tmp_path: Path):
+    monkeypatch.setattr(shared_memory, "SHARED_MEMORY", tmp_path)
+    port = [tmp_path / name for name in ("fastrtps_port7000", "fastrtps_port7000_el", "sem.fastrtps_port7000_mutex")]
+    for file in port:
+        file.touch()
+    with port[0].open("rb"):
+        assert shared_memory.leftovers() == []
+    assert shared_memory.leftovers() == sorted(port)
+
+
+def test_what_a_process_out_of_sight_has_locked_is_not_left_over(monkeypatch, tmp_path: Path):
+    monkeypatch.setattr(shared_memory, "SHARED_MEMORY", tmp_path)
+    monkeypatch.setattr(shared_memory, "used_by", lambda process: set())
+    segment = [tmp_path / name for name in ("fastrtps_00ff", "fastrtps_00ff_el")]
+    for file in segment:
+        file.touch()
+    with segment[1].open("rb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        assert shared_memory.leftovers() == []
+    assert shared_memory.leftovers() == segment

@@ -13,20 +13,22 @@ import psutil
 import pytest
 from campaign_cases import BASE, DRAWS, write
 from distributed import Client
+from patience import PATIENCE
 
+from ehls_ros.experiments.campaign import backends
 from ehls_ros.experiments.campaign.backends import dask, local
 from ehls_ros.experiments.campaign.conduct import conduct
 from ehls_ros.experiments.campaign.plan import load_plan
 from ehls_ros.experiments.campaign.store import opened, read_results
 
-PATIENCE_S = 120.0
 COUNT = 60
+CAMPAIGN = {"base": {**BASE, "duration": 20.0}, "runs": COUNT, "vary": DRAWS}
 
 
 @pytest.fixture
 def campaign(tmp_path):
     """A campaign of a few seconds of work."""
-    return write(tmp_path, base={**BASE, "duration": 20.0}, runs=COUNT, vary=DRAWS)
+    return write(tmp_path, **CAMPAIGN)
 
 
 @pytest.fixture
@@ -36,7 +38,7 @@ def processes():
 
         def start(*arguments, **options):
             process = stack.enter_context(subprocess.Popen([sys.executable, "-m", *arguments], text=True, **options))
-            stack.callback(process.wait, 30)
+            stack.callback(process.wait, PATIENCE)
             stack.callback(process.terminate)
             return process
 
@@ -44,8 +46,10 @@ def processes():
 
 
 @pytest.fixture
-def cluster(processes, tmp_path):
+def cluster(processes, tmp_path, monkeypatch):
     """A scheduler on a free port of the loopback and two worker processes without nanny, by name."""
+    monkeypatch.setattr(backends, "CONNECTING_S", PATIENCE)
+    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT", f"{PATIENCE}s")
     file = tmp_path / "scheduler.json"
     common = ["--scheduler-file", str(file), "--host", "127.0.0.1", "--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
     log = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
@@ -53,16 +57,23 @@ def cluster(processes, tmp_path):
     wait_until(file.exists)
     own = ["--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path)]
     workers = {name: processes("dask", "worker", "--name", name, *own, *common, **log) for name in ("one", "two")}
-    with Client(json.loads(file.read_text())["address"], set_as_default=False) as client:
-        client.wait_for_workers(2, timeout=PATIENCE_S)
+    with Client(json.loads(file.read_text())["address"], set_as_default=False, timeout=PATIENCE) as client:
+        client.wait_for_workers(2, timeout=PATIENCE)
         yield client, workers
 
 
 def wait_until(condition):
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < deadline, "it did not happen in time"
         time.sleep(0.02)
+
+
+def runs(process):
+    """Tell whether a process is there and is not one that ended and waits for its parent to notice."""
+    with contextlib.suppress(psutil.NoSuchProcess):
+        return process.status() != psutil.STATUS_ZOMBIE
+    return False
 
 
 def make(path, out, place, progress=None):
@@ -80,7 +91,15 @@ def numbers(out):
     return {name: column for name, column in read_results(out / "results.parquet").items() if name != "wall_s"}
 
 
-def test_a_killed_dask_worker_loses_nothing(campaign, cluster, tmp_path):
+@pytest.fixture(scope="module")
+def made_by_one(tmp_path_factory):
+    """What the campaign gives in a single process."""
+    folder = tmp_path_factory.mktemp("one")
+    make(write(folder, **CAMPAIGN), folder / "out", local(1))
+    return numbers(folder / "out")
+
+
+def test_a_killed_dask_worker_loses_nothing(campaign, cluster, made_by_one, tmp_path):
     client, workers = cluster
     held = []
 
@@ -91,7 +110,7 @@ def test_a_killed_dask_worker_loses_nothing(campaign, cluster, tmp_path):
         wait_until(lambda: client.processing()[addresses["two"]])
         held.extend(client.processing()[addresses["two"]])
         os.kill(workers["two"].pid, signal.SIGKILL)
-        workers["two"].wait(PATIENCE_S)
+        workers["two"].wait(PATIENCE)
 
     out = tmp_path / "dask"
     outcome = make(campaign, out, dask(client.scheduler.address), kill_one_at_work)
@@ -100,8 +119,7 @@ def test_a_killed_dask_worker_loses_nothing(campaign, cluster, tmp_path):
     assert outcome[:2] == (COUNT, COUNT)
     digests = kept(out)
     assert len(digests) == len(set(digests)) == COUNT
-    make(campaign, tmp_path / "local", local(1))
-    assert numbers(out) == numbers(tmp_path / "local")
+    assert numbers(out) == made_by_one
 
 
 def start_command(processes, campaign, out, **options):
@@ -116,7 +134,7 @@ def start_command(processes, campaign, out, **options):
 @pytest.fixture
 def long_campaign(tmp_path):
     """A campaign that goes on until it is stopped."""
-    return write(tmp_path, base={**BASE, "duration": 20.0}, runs=100_000, vary=DRAWS)
+    return write(tmp_path, **(CAMPAIGN | {"runs": 100_000}))
 
 
 def test_ctrl_c_ends_all_processes_and_keeps_what_is_done(processes, long_campaign, tmp_path):
@@ -124,14 +142,14 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_is_done(processes, long_campai
     command = start_command(processes, long_campaign, out, start_new_session=True)
     children = psutil.Process(command.pid).children(recursive=True)
     os.killpg(command.pid, signal.SIGINT)  # as a terminal does
-    _, said = command.communicate(timeout=PATIENCE_S)
+    _, said = command.communicate(timeout=PATIENCE)
     assert command.returncode == 130
     assert said.splitlines()[-2:] == [
         f"what is done is kept in {out / 'parts'}; start again to go on",
         "ehls campaign: interrupted",
     ]
     assert "Traceback" not in said
-    wait_until(lambda: not any(child.is_running() for child in children))
+    wait_until(lambda: not any(runs(child) for child in children))
     digests = kept(out)
     assert len(digests) == len(set(digests)) > 0
     assert not list(Path(out).rglob("*.writing"))
@@ -142,16 +160,15 @@ def test_a_killed_local_worker_ends_in_one_line_and_keeps_what_is_done(processes
     command = start_command(processes, long_campaign, out)
     workers = [child for child in psutil.Process(command.pid).children() if "LokyProcess" in " ".join(child.cmdline())]
     workers[0].kill()
-    _, said = command.communicate(timeout=PATIENCE_S)
+    _, said = command.communicate(timeout=PATIENCE)
     assert command.returncode == 1
     assert "a worker process was killed" in said.splitlines()[-1]
     assert kept(out)
 
 
-def test_two_processes_give_what_one_gives(processes, campaign, tmp_path):
+def test_two_processes_give_what_one_gives(processes, campaign, made_by_one, tmp_path):
     command = processes(
         "ehls_ros.cli.main", "campaign", str(campaign), "--out", str(tmp_path / "two"), "--jobs", "2", stdout=subprocess.DEVNULL
     )
-    assert command.wait(PATIENCE_S) == 0
-    make(campaign, tmp_path / "one", local(1))
-    assert numbers(tmp_path / "two") == numbers(tmp_path / "one")
+    assert command.wait(PATIENCE) == 0
+    assert numbers(tmp_path / "two") == made_by_one

@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import time
 from pathlib import Path
 from typing import Any
 
@@ -214,13 +213,19 @@ def test_a_load_cell_tells_a_load_from_a_bias_at_once(rig):
     )
 
 
-def test_of_three_the_worst_pair_decides(rig):
+def test_of_three_the_worst_pair_decides(rig, monkeypatch):
     rigs = candidates(rig, "coulomb_shift", "pressure_dependent_friction", "viscous_shift")
-    next_experiment(rigs, signals=WITHOUT_LOAD_CELL)
     done: list[tuple[int, int]] = []
-    start = time.perf_counter()
+    runs: list[float] = []
+
+    def counted(self, *arguments, run=module._Experiment._run):
+        runs.append(self.spec.settings.duration)
+        return run(self, *arguments)
+
+    monkeypatch.setattr(module._Experiment, "_run", counted)
     proposal = next_experiment(rigs, signals=WITHOUT_LOAD_CELL, progress=lambda *count: done.append(count))
-    assert time.perf_counter() - start < 20.0  # 5 s alone on a machine
+    # Each is run by three and along by six of them; parameters are fitted to what promises most alone. They take 5 s in all.
+    assert len(runs) < 20 * len(CATALOGUE)
     assert done == [(n + 1, len(CATALOGUE)) for n in range(len(CATALOGUE))]
     sigmas = [pair.sigma for pair in proposal.experiment.separation]
     assert len(sigmas) == 3

@@ -9,23 +9,25 @@ import socket
 import subprocess
 import sys
 import time
+import types
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from patience import PATIENCE
 from udp_link import UDP
 
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import sampled, simulator_of
 from ehls_ros.experiments.spec import load_rig, load_spec
+from ehls_ros.hardware import wire
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
 from ehls_ros.hardware.calibration import Input
 from ehls_ros.hardware.emulator import converted
 from ehls_ros.hardware.faults import Faults
 from ehls_ros.hardware.packet import Status
-from ehls_ros.hardware.wire import BadWire, Impairments
 from ehls_ros.physics.rig import SENSED
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -46,8 +48,8 @@ class Process:
         self.port = int(self.line().rsplit(" ", 1)[1])
         self.device = UDP.open(BRIDGE.parameters._replace(port=self.port), BRIDGE.calibration.wiring, PERIOD)
 
-    def line(self, timeout=60.0):
-        ready, _, _ = select.select([self.process.stdout], [], [], timeout)
+    def line(self):
+        ready, _, _ = select.select([self.process.stdout], [], [], PATIENCE)
         assert ready, "the emulator says nothing"
         return self.process.stdout.readline().strip()
 
@@ -59,7 +61,7 @@ class Process:
         """Return exit code, the figures on the last line, and stderr."""
         if number is not None:
             self.process.send_signal(number)
-        out, err = self.process.communicate(timeout=60.0)
+        out, err = self.process.communicate(timeout=PATIENCE)
         self.device.close()
         return self.process.returncode, json.loads(out.splitlines()[-1]) if out else None, err
 
@@ -114,7 +116,7 @@ def test_lockstep_is_the_simulator_with_a_cycle_of_delay(start, tmp_path):
     arguments = ("--spec", SPEC, "--rig", RIG, "--lockstep", "--disturb-at-once", "--seed", 5, "--duration", 0.3, "--log", log)
     emulator = start(*arguments)
     for cycle in range(cycles):
-        reading = emulator.device.read(20.0)
+        reading = emulator.device.read(PATIENCE)
         assert (reading.sequence, reading.time_ns) == (cycle, 1_000_000 * cycle)
         signals = BRIDGE.calibration.signals(reading.values)
         assert np.isnan(signals[SENSED.index("velocity")])
@@ -132,7 +134,7 @@ def test_commands_stop_and_the_valve_closes(start, tmp_path):
     log = tmp_path / "truth.csv"
     emulator = start("--rig", RIG, "--log", log)
     for _ in range(100):
-        reading = emulator.device.read(20.0)
+        reading = emulator.device.read(PATIENCE)
         emulator.device.write(1.25, reading.sequence)
     silent = time.monotonic()
     while time.monotonic() < silent + 2.0 * BRIDGE.parameters.watchdog or not reading.at_null:
@@ -157,7 +159,7 @@ def test_disturbance_starts_some_time_after_the_first_command_that_opens_the_val
     arguments = ("--lockstep", "--duration", 0.04, "--disturb-after", wait * PERIOD, "--log", log)
     emulator = start("--spec", CONFIG / "experiments" / "sine_fd2.yaml", *arguments)
     for cycle in range(40):
-        emulator.device.read(20.0)
+        emulator.device.read(PATIENCE)
         emulator.device.write(0.5 if cycle >= 20 else 0.0, cycle)
     assert emulator.finish()[0] == 0
     force = read_log(log)["disturbance_force_n"]
@@ -172,7 +174,7 @@ def test_lossy_net_is_survived_and_counted(start):
     emulator = start("--rig", RIG, "--loss", 0.2, "--duplicate", 0.2, "--corrupt", 0.1, "--seed", 3)
     numbers = []
     while len(numbers) < 300:
-        reading = emulator.device.read(20.0)
+        reading = emulator.device.read(PATIENCE)
         numbers.append(reading.sequence)
         emulator.device.write(0.1, reading.sequence)
     seen = emulator.device.figures()
@@ -182,15 +184,16 @@ def test_lossy_net_is_survived_and_counted(start):
     assert seen["lost"] > 30
     assert seen["refused_tag"] > 0
     assert figures["order"] > 0
-    # About 0.8 * 0.9 of the commands come through, those that come twice more often.
-    assert 0.6 * seen["sent"] < figures["commands"] < 0.95 * seen["sent"]
+    # About 0.8 * 0.9 of the commands come through, those that come twice more often; some too late if this machine is slow.
+    assert figures["commands"] < 0.95 * seen["sent"]
+    assert figures["commands"] + figures["late"] > 0.6 * seen["sent"]
 
 
 def test_faults_from_stdin(start):
     emulator = start("--rig", RIG, "--lockstep", "--duration", 0.02, "--faults-from-stdin")
     signals = {}
     for cycle in range(20):
-        reading = emulator.device.read(20.0)
+        reading = emulator.device.read(PATIENCE)
         signals[cycle] = BRIDGE.calibration.signals(reading.values)
         for line in {5: ["bias force 800"], 10: ["clear", "jump position 0.1"], 15: ["frob"]}.get(cycle, []):
             emulator.fault(line)
@@ -206,7 +209,7 @@ def test_faults_from_stdin(start):
 
 def test_lockstep_gives_up_and_says_so(start):
     emulator = start("--rig", RIG, "--lockstep", "--patience", 0.2)
-    emulator.device.read(1.0)
+    emulator.device.read(PATIENCE)
     code, _, err = emulator.finish()
     assert code == 1
     assert "no command answered cycle 0 within 0.2 s" in err
@@ -276,6 +279,14 @@ def test_wrong_fault(line):
 
 
 @pytest.fixture
+def clock(monkeypatch):
+    """Return the wire's clock, which stands still unless the test sets it on [s]."""
+    shown = types.SimpleNamespace(now=0.0)
+    monkeypatch.setattr(wire, "time", types.SimpleNamespace(monotonic=lambda: shown.now))
+    return shown
+
+
+@pytest.fixture
 def bad_wire():
     """Return a function that makes a bad wire and a plain socket beyond it."""
     with contextlib.ExitStack() as stack:
@@ -285,17 +296,13 @@ def bad_wire():
             for end in (near, far):
                 end.bind(("127.0.0.1", 0))
                 end.setblocking(False)
-            return BadWire(near, Impairments(**impairments), PERIOD, seed=2), near, far
+            return wire.BadWire(near, wire.Impairments(**impairments), PERIOD, seed=2), near, far
 
         yield make
 
 
-def arrived(wire, until):
-    packets = []
-    while time.monotonic() < until:
-        wire.wait(time.monotonic() + PERIOD)
-        packets += [data for data, _ in wire.received()]
-    return packets
+def received(bad):
+    return [data for data, _ in bad.received()]
 
 
 def bits_apart(one, other):
@@ -316,20 +323,33 @@ SENT = [bytes([number]) * 20 for number in range(100)]
         ({"corrupt": 1.0}, lambda got: [bits_apart(*pair) for pair in zip(got, SENT, strict=True)] == [1] * len(SENT)),
     ],
 )
-def test_bad_net(bad_wire, impairments, holds):
-    wire, near, far = bad_wire(latency=1e-6, **impairments)
-    for data in SENT:
-        far.sendto(data, near.getsockname())
-    assert holds(arrived(wire, time.monotonic() + 0.05))
+def test_bad_net(bad_wire, clock, impairments, holds):
+    bad, near, far = bad_wire(latency=1e-6, **impairments)
+    got = []
+    for number, data in enumerate([*SENT, *10 * [None]]):
+        clock.now = number * PERIOD
+        if data is not None:
+            far.sendto(data, near.getsockname())
+        got += received(bad)
+    assert holds(got)
 
 
-def test_latency_holds_both_ways(bad_wire):
-    wire, near, far = bad_wire(latency=0.03)
-    begin = time.monotonic()
+def test_latency_holds_both_ways(bad_wire, clock):
+    bad, near, far = bad_wire(latency=0.03)
     far.sendto(b"in", near.getsockname())
-    wire.send(b"out", far.getsockname())
-    assert arrived(wire, begin + 0.02) == []
-    with pytest.raises(BlockingIOError):
-        far.recv(10)
-    assert arrived(wire, begin + 0.06) == [b"in"]
+    bad.send(b"out", far.getsockname())
+    for clock.now in (0.0, 0.029):
+        assert received(bad) == []
+        with pytest.raises(BlockingIOError):
+            far.recv(10)
+    clock.now = 0.031
+    assert received(bad) == [b"in"]
+    assert far.recv(10) == b"out"
+
+
+def test_who_waits_sends_what_is_due_meanwhile(bad_wire):
+    bad, _, far = bad_wire(latency=0.03)
+    begin = time.monotonic()
+    bad.send(b"out", far.getsockname())
+    assert bad.wait(begin + 0.1) >= begin + 0.1
     assert far.recv(10) == b"out"

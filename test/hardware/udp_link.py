@@ -3,6 +3,8 @@
 import socket
 import time
 
+from patience import PATIENCE
+
 from ehls_ros.hardware.backends import BACKENDS
 from ehls_ros.hardware.backends.base import Channel, Wiring
 from ehls_ros.hardware.packet import Codec, Status
@@ -54,7 +56,7 @@ def opened(end, **parameters):
 
 def greeted(end, device, now=0.0):
     """Let the device greet the target and take the greeting."""
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + PATIENCE
     end.target.greeted = False
     while not end.target.greeted:
         assert time.monotonic() < deadline

@@ -8,13 +8,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import PATIENCE
 
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.nodes.shared_memory import used_by
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS 2 Jazzy or its wheels")
 pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
@@ -31,6 +32,12 @@ controller: {{name: {controller}}}
 FORCE = "{name: sine, amplitude: 1.0e+4, frequency: 0.5}"
 POSITION = "{name: velocity_sweep, velocities: [0.02], travel: 2.0e-3, rest: 0.02}"
 
+GRACE = 120.0
+"""Time the nodes have to end by themselves before they are killed [s]."""
+
+ASK_AGAIN = 3.0
+"""Time after which a service that has not answered is asked once more [s]."""
+
 RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
 
 
@@ -40,7 +47,6 @@ class Graph:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self.orphans: set[Path] = set()
 
     def start(self, name: str, *, remap: str = "", largest_file: int = -1, **parameters: Any) -> subprocess.Popen[bytes]:
         arguments = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
@@ -65,28 +71,17 @@ class Graph:
         return process
 
     def kill(self, name: str) -> float:
-        """End a process as a crash would and return when, of the monotonic clock [s].
-
-        What it leaves in shared memory is cleared away at the end of the test.
-        """
+        """End a process as a crash would and return when, of the monotonic clock [s]."""
         process = self.processes.pop(name)
-        self.orphans |= used_by(process.pid)
         process.kill()
         killed = time.monotonic()
-        process.wait(20)
+        process.wait(PATIENCE)
         return killed
-
-    def clear_orphans(self) -> None:
-        """Remove what killed processes left in shared memory, unless a living one uses it."""
-        for process in Path("/proc").glob("[0-9]*") if self.orphans else ():
-            self.orphans -= used_by(int(process.name))
-        for path in self.orphans:
-            path.unlink(missing_ok=True)
 
     def stop(self, name: str, number: int = signal.SIGINT) -> int:
         process = self.processes.pop(name)
         process.send_signal(number)
-        return process.wait(20)
+        return process.wait(PATIENCE)
 
     def log(self, name: str) -> str:
         return (self.folder / f"{name}.log").read_text(encoding="utf-8")
@@ -100,22 +95,29 @@ def graph(tmp_path: Path) -> Iterator[Graph]:
         process.send_signal(signal.SIGINT)
     for process in started.processes.values():
         with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(15)
+            process.wait(GRACE)
         process.kill()
         process.wait()
-    started.clear_orphans()
 
 
-@pytest.fixture
-def spec_file(tmp_path: Path) -> Callable[..., Path]:
-    def write(duration: float = 0.5, controller: str = "fasmc") -> Path:
-        path = tmp_path / "spec.yaml"
+@pytest.fixture(scope="session")
+def write_spec() -> Callable[..., Path]:
+    """Return a function that writes an experiment's file into a folder and returns its path."""
+
+    def write(folder: Path, duration: float = 0.5, controller: str = "fasmc") -> Path:
+        path = folder / "spec.yaml"
         reference = {"force": FORCE, "position": POSITION}[CONTROLLERS.load(controller).FOLLOWS]
         text = SPEC.format(rig=RIG, duration=duration, controller=controller, reference=reference)
         path.write_text(text, encoding="utf-8")
         return path
 
     return write
+
+
+@pytest.fixture
+def spec_file(write_spec: Callable[..., Path], tmp_path: Path) -> Callable[..., Path]:
+    """Return the same for the test's own folder."""
+    return partial(write_spec, tmp_path)
 
 
 class Participant:
@@ -139,25 +141,33 @@ class Participant:
         while (remaining := deadline - time.monotonic()) > 0.0:
             self.executor.spin_once(timeout_sec=remaining)
 
-    def until(self, condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    def until(self, condition: Callable[[], bool], seconds: float = PATIENCE) -> None:
+        """Take part until something is so; ``seconds`` end a test that hangs."""
         deadline = time.monotonic() + seconds
         while not condition():
             self.executor.spin_once(timeout_sec=0.05)
             assert time.monotonic() < deadline, "what the test waits for did not come"
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
+        """Return a service's answer; it is asked again while none comes, and whichever comes first counts."""
         client = self.node.create_client(kind, service)
-        deadline = time.monotonic() + 60.0
-        while True:
-            self.until(client.service_is_ready)
-            future = client.call_async(request)
-            asked = time.monotonic()
-            # A server that was killed still seems to be there for a while, and keeps what it is asked to itself.
-            self.until(lambda future=future, asked=asked: future.done() or time.monotonic() > asked + 3.0)
-            if future.done():
-                self.node.destroy_client(client)
-                return future.result()
+        deadline = time.monotonic() + PATIENCE
+        wait = ASK_AGAIN
+        asked: list[Any] = []
+
+        def answers() -> list[Any]:
+            return [future.result() for future in asked if future.done()]
+
+        while not answers():
             assert time.monotonic() < deadline, f"{service} does not answer"
+            self.until(client.service_is_ready)
+            asked.append(client.call_async(request))
+            # A server that was killed still seems to be there for a while, and keeps what it is asked to itself.
+            again = time.monotonic() + wait
+            self.until(lambda again=again: answers() or time.monotonic() > again)
+            wait *= 2.0
+        self.node.destroy_client(client)
+        return answers()[0]
 
     def collect(self, kind: Any, topic: str) -> list[Any]:
         from ehls_ros.nodes.transport import control_qos

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from patience import PATIENCE
 
 pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
 
@@ -41,7 +42,7 @@ def test_descriptors_carry_unit_range_and_help(graph, participant, spec_file):
 )
 def test_a_wrong_parameter_ends_the_node_with_one_line_and_code_2(node, parameter, words):
     command = [sys.executable, "-m", f"ehls_ros.nodes.{node}", "--ros-args", "-p", parameter]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 2
     [line] = done.stderr.strip().splitlines()
     assert all(word in line for word in words), line

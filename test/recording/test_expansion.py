@@ -12,6 +12,7 @@ from pathlib import Path
 import lz4.frame
 import pytest
 import yaml
+from patience import PATIENCE
 from recorded_runs import loader_state, record, serialized, storage_file
 from rosbags.rosbag2 import CompressionMode, storage_mcap
 
@@ -48,7 +49,7 @@ def refused(bag: Path) -> str:
         resource.setrlimit(resource.RLIMIT_FSIZE, (2 * SMALL, 2 * SMALL))
 
     command = [sys.executable, "-c", READ, str(bag)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, preexec_fn=limit)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False, preexec_fn=limit)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -4,6 +4,7 @@ import base64
 import html
 import json
 import re
+import time
 
 import numpy as np
 
@@ -64,3 +65,10 @@ def rows(text, part):
 def row(text, part, name):
     """The row of that name."""
     return next(cells for cells in rows(text, part) if cells[0].split(" | ")[0] == name)
+
+
+def effort(work):
+    """What some work gives, and the processor time it takes [s]: of a whole machine or a busy one much the same."""
+    begin = time.process_time()
+    given = work()
+    return given, time.process_time() - begin

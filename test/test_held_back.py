@@ -1,0 +1,53 @@
+"""tools/held_back.py holds a command back, and ends as it does."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from patience import PATIENCE
+
+TOOL = Path(__file__).resolve().parents[1] / "tools" / "held_back.py"
+
+BUSY = """
+import os, sys, time
+begin = time.monotonic()
+def work():
+    while time.monotonic() < begin + 1.5:
+        pass
+if os.fork() == 0:
+    work()
+    print(time.process_time() / (time.monotonic() - begin))
+    os._exit(0)
+os.wait()
+sys.exit(3)
+"""
+
+
+@pytest.mark.parametrize("options", [(), ("--stop-and-go",)])
+def test_what_a_command_starts_gets_its_share_and_the_exit_code_is_passed_on(options):
+    first = str(min(os.sched_getaffinity(0)))
+    command = ["taskset", "--cpu-list", first, sys.executable, str(TOOL), *options, "0.25", sys.executable, "-c", BUSY]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 3, done.stderr
+    # Where the whole machine is busy, the command gets less; never much more.
+    assert float(done.stdout) < 0.35
+    assert done.stderr.startswith("held back to 0.25 by ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("0", "true"), "SHARE is 0"),
+        (("1.5", "true"), "SHARE is 1.5"),
+        (("0.5",), "COMMAND is missing"),
+        (("0.5", "--busy", "1", "true"), "options stand before SHARE"),
+        (("--period", "9", "0.5", "true"), "--period is 9"),
+        (("--busy", "-1", "0.5", "true"), "--busy is -1"),
+    ],
+)
+def test_wrong_arguments(arguments, words):
+    done = subprocess.run([sys.executable, str(TOOL), *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert words in done.stderr
