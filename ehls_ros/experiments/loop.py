@@ -191,7 +191,11 @@ class ClosedLoop:
                     disturbance[i], one = following, slice(i, i + 1)
                     self._run(first + i, record[one], wanted[one], disturbance[one], status, random)
                     following = disturbing.following(first + i, record[i, POSITION], record[i, VELOCITY])
+            # A sensor may hide what the rig itself comes to.
             lost = implausible(record[:, : self.columns.command + 1], spec.rig.limits)
+            hidden = implausible(self._simulator.truth[np.newaxis], spec.rig.limits)
+            if lost is None and hidden is not None:
+                lost = hidden._replace(row=count - 1)
             end = count if lost is None else lost.row + 1
             yield Block(first, record[:end], wanted[:end], disturbance[:end])
             if lost is not None:

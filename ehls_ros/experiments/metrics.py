@@ -16,7 +16,7 @@ from ehls_ros.trajectory import Trajectory, steady_error
 CONVERGENCE_BAND = 0.01
 """Part of the largest reference the error must stay within to count as converged."""
 
-LOST = 0.5
+LOST = 0.2
 """Part of the largest reference from which on an error means that the reference is not followed."""
 
 MOSTLY = 0.5

@@ -13,7 +13,7 @@ from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.errors import BadInput
-from ehls_ros.physics.plausibility import FLAGGED, check_rig, check_signal, check_step
+from ehls_ros.physics.plausibility import FLAGGED, check_ranges, check_rig, check_signal, check_step
 from ehls_ros.physics.rig import Rig, effects_from_list, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP
 from ehls_ros.recording.yaml_text import LARGEST, parse_yaml
@@ -182,6 +182,8 @@ def check_spec(spec: Spec, where: str) -> None:
         raise BadInput(f"duration is {settings.duration:g}", where, expected)
     for section in ("rig", "controller_rig"):
         check_rig(getattr(spec, section), f"{where}: {section}")
+    # What disturbs the rig may have a cylinder of its own.
+    check_ranges(spec.disturbance.parameters, "plant", f"{where}: disturbance")
     steps = max(1, math.ceil(period / settings.integration_step - 1e-9))
     check_step(spec.loader_rig(), period / steps, f"{where}: rig")
     low, high = rig.limits.position

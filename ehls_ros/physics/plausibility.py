@@ -184,13 +184,8 @@ def check_rig(rig: Rig, where: str) -> None:
     Raises:
         BadInput: the first number, or relation of several, that does not make sense.
     """
-    for (section, key), (low, high) in RANGES.items():
-        parameters = getattr(rig, section)
-        value = getattr(parameters, key)
-        if not low <= value <= high:
-            unit = units_of(type(parameters))[key]
-            expected = f"{low:g} to {high:g} {unit}{_likely(value, unit, low, high)}"
-            raise BadInput(f"{key} is {value:g} {unit}", f"{where}: {section}", expected)
+    for section in ("plant", "friction", "limits"):
+        check_ranges(getattr(rig, section), section, f"{where}: {section}")
     for relation in RELATIONS:
         value = relation.value(rig)
         if not relation.low <= value <= relation.high:
@@ -206,6 +201,28 @@ def check_rig(rig: Rig, where: str) -> None:
         if not GAINS[0] <= sensor.gain <= GAINS[1]:
             expected = f"{GAINS[0]:g} to {GAINS[1]:g}, with a reading in SI units"
             raise BadInput(f"gain is {sensor.gain:g}", f"{where}: sensors: {signal}", expected)
+
+
+def check_ranges(parameters: Any, section: str, where: str) -> None:
+    """Look for numbers out of :data:`RANGES`.
+
+    Args:
+        parameters: a section of a rig, or other parameters that have numbers of the same names and meaning.
+        section: name of the section.
+        where: file and section, for errors.
+
+    Raises:
+        BadInput: the first such number.
+    """
+    for key, value in parameters._asdict().items():
+        if (section, key) not in RANGES:
+            continue
+        low, high = RANGES[section, key]
+        if not low <= value <= high:
+            unit = units_of(type(parameters))[key]
+            shown = "" if unit == "1" else f" {unit}"
+            expected = f"{low:g} to {high:g}{shown}{_likely(value, unit, low, high)}"
+            raise BadInput(f"{key} is {value:g}{shown}", where, expected)
 
 
 def _likely(value: float, unit: str, low: float, high: float) -> str:
@@ -254,15 +271,16 @@ def rates(rig: Rig) -> Iterator[Rate]:
     said = _said(p, Plant) | _said(f, Friction)
     of_mass = f"on {mass:g} kg"
     presliding = f"element_stiffness {', '.join(f'{k:g}' for k in f.element_stiffness)} N/m"
-    opening = p.valve_gain * limits.spool
-    flow = p.discharge_coefficient * p.valve_area_gradient * opening / (2.0 * math.sqrt(p.oil_density * p.supply_pressure))
+    # Through the valve flows no more than the piston takes at its largest velocity; the spool's limit may be far beyond.
+    gradient = p.discharge_coefficient * p.valve_area_gradient * math.sqrt(p.supply_pressure / p.oil_density)
+    flow = min(gradient * p.valve_gain * limits.spool, p.piston_area * limits.velocity)
     yield Rate("valve", p.valve_bandwidth, said["valve_bandwidth"])
     column = f"{said['bulk_modulus']}, {said['piston_area']}, {said['total_volume']} {of_mass}"
     yield Rate("oil column", math.sqrt(oil * p.piston_area**2 / mass), column)
     leaking = f"{said['leakage_coefficient']}, {said['bulk_modulus']}, {said['total_volume']}"
     yield Rate("leakage", oil * p.leakage_coefficient, leaking)
-    orifice = f"{opening:g} m of spool, {said['valve_area_gradient']}, {said['bulk_modulus']}, {said['total_volume']}"
-    yield Rate("valve's flow, fully open", oil * flow, orifice)
+    orifice = f"{said['supply_pressure']}, {said['bulk_modulus']}, {said['total_volume']}, flow {flow:g} m^3/s"
+    yield Rate("valve's flow", 0.5 * oil * flow / p.supply_pressure, orifice)
     yield Rate("presliding friction", math.sqrt(sum(f.element_stiffness) / mass), f"{presliding} {of_mass}")
     damping = p.viscous_damping + f.viscous_coefficient
     yield Rate("damping", damping / mass, f"{said['viscous_damping']}, {said['viscous_coefficient']} {of_mass}")
