@@ -393,24 +393,39 @@ def within(limits: Limits, signal: str) -> tuple[float, float]:
     return (limit[0], limit[1]) if signal == "position" else (-limit, limit)
 
 
+def excess(values: Array, limits: Limits, signal: str) -> Array:
+    """Return how far readings are from the middle between a rig's limits, as parts of the way to a limit, shape of the values.
+
+    Args:
+        values: readings.
+        limits: the rig's.
+        signal: one of :data:`SHOWN`.
+    """
+    low, high = within(limits, signal)
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.abs(values - 0.5 * (low + high)) / (0.5 * (high - low))
+
+
 def beyond(values: Array, limits: Limits, signal: str, factor: float) -> Beyond | None:
-    """Return the reading farthest outside a rig's limits, if one is outside their multiple; gaps are passed over.
+    """Return the reading farthest outside a rig's limits, if it is outside their multiple; gaps are passed over.
 
     Args:
         values: readings, shape (n,).
         limits: the rig's.
         signal: one of :data:`SHOWN`.
-        factor: multiple of half the width between the limits, about their middle.
+        factor: multiple of the way from the middle to a limit.
     """
-    low, high = within(limits, signal)
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    away = np.abs(values - middle)
-    if not np.any(away > factor * half):
+    away = np.nan_to_num(excess(values, limits, signal), nan=0.0, posinf=math.inf)
+    row = int(np.argmax(away))
+    if not away[row] > factor:
         return None
-    row = int(np.nanargmax(away))
-    limit = low if values[row] < middle else high
-    label, unit = signal.replace("_", " "), SHOWN[signal]
-    return Beyond(row, f"{label} {values[row]:.4g} {unit}, where the rig's limit is {limit:g} {unit}")
+    return Beyond(row, _beside_limit(float(values[row]), limits, signal))
+
+
+def _beside_limit(value: float, limits: Limits, signal: str) -> str:
+    low, high = within(limits, signal)
+    limit = low if value < 0.5 * (low + high) else high
+    return f"{signal.replace('_', ' ')} {value:.4g} {SHOWN[signal]}, where the rig's limit is {limit:g} {SHOWN[signal]}"
 
 
 ADVICE = (
@@ -421,24 +436,23 @@ ADVICE = (
 
 
 def implausible(readings: Array, limits: Limits) -> Beyond | None:
-    """Return the first reading of a run that cannot be a rig's: not finite, or far beyond its limits.
+    """Return the first reading of a run that cannot be a rig's: not finite, or :data:`ENDS` times beyond its limits.
 
     Args:
-        readings: in the order of ``SENSED``, shape (n, signals); a column more is looked at for finite numbers alone.
+        readings: in the order of ``SENSED``, shape (n, signals); columns beyond these are looked at for finite numbers alone.
         limits: the rig's.
+
+    Returns:
+        Its row, and what is wrong with advice; of several signals the one that is farthest out. None if all can be.
     """
-    rows = ~np.isfinite(readings).all(axis=1)
-    for signal in SHOWN:
-        low, high = within(limits, signal)
-        with np.errstate(invalid="ignore", over="ignore"):
-            away = np.abs(readings[:, SENSED.index(signal)] - 0.5 * (low + high))
-            rows |= away > ENDS * 0.5 * (high - low)
-    found = np.flatnonzero(rows)
+    columns = {signal: readings[:, SENSED.index(signal)] for signal in SHOWN}
+    away = np.max([excess(values, limits, signal) for signal, values in columns.items()], axis=0)
+    found = np.flatnonzero(~np.isfinite(readings).all(axis=1) | (away > ENDS))
     if not found.size:
         return None
     row = int(found[0])
-    for signal in SHOWN:
-        value = readings[row : row + 1, SENSED.index(signal)]
-        if np.isfinite(value[0]) and (out := beyond(value, limits, signal, ENDS)) is not None:
-            return Beyond(row, f"the rig's state cannot be true: {out.what}; {ADVICE}")
-    return Beyond(row, f"the rig's state is no longer finite; {ADVICE}")
+    if not np.isfinite(readings[row]).all():
+        return Beyond(row, f"the rig's state is no longer finite; {ADVICE}")
+    farthest = max(columns, key=lambda signal: float(excess(columns[signal][row], limits, signal)))
+    beside = _beside_limit(float(columns[farthest][row]), limits, farthest)
+    return Beyond(row, f"the rig's state cannot be true: {beside}; {ADVICE}")

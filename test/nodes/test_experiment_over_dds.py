@@ -67,6 +67,7 @@ def test_the_run_folder_holds_what_the_contract_says(spec_file, tmp_path):
     assert metrics == json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert set(metrics) == {
         "max_error_n", "rms_error_n", "convergence_s", "cycles", "missed_cycles", "duration_s", "wall_s", "bag", "report",
+        "convergence_band_n", "oscillation_n", "warnings",
     }  # fmt: skip
     assert metrics["cycles"] == 201
     assert Path(metrics["report"]).stat().st_size > 1e6

@@ -62,7 +62,7 @@ def run(options: Namespace) -> int:
         done = (_in_process if options.in_process else _over_dds)(spec, folder, options, progress)
     metrics = evaluate(done.trajectory)._replace(wall_s=done.wall_s, bag=str(folder.bag), report=str(folder.report))
     if done.failure is not None:
-        metrics = metrics._replace(warnings=(str(done.failure), *metrics.warnings))
+        metrics = metrics._replace(warnings=(str(done.failure),))
     folder.write_metrics(metrics)
     write_experiment_report(done.trajectory, metrics.as_json(), folder.report)
     _print(spec, metrics, done.trajectory, machine=options.json)
@@ -122,7 +122,7 @@ def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, *, machine: boo
         print(f"  largest error in the last half  {metrics.max_error_n:10.1f} N")
         print(f"  rms error in the last half      {metrics.rms_error_n:10.1f} N")
         print(f"  converged after                 {converged:>12}")
-        share = f"{CONVERGENCE_BAND:.0%} of the largest reference"
+        share = f"{100.0 * CONVERGENCE_BAND:g} % of the largest reference"
         print(f"  convergence band                {metrics.convergence_band_n:10.1f} N, {share}")
         if metrics.convergence_s is None:
             print(f"  error in the last half swings by{metrics.oscillation_n:10.1f} N to either side")
