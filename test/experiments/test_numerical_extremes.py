@@ -1,16 +1,20 @@
 """Numbers that are each allowed and together nonsense: refused, or the run ends, or it is told; never passed off as sound."""
 
 import copy
+import json
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import yaml
 
+from ehls_ros.cli.main import main
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import Implausible, run_in_process
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.physics.plausibility import FLAGGED, SHOWN, within
+from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.topics import LOADER_STATE
 
 REFUSED, ENDED, TOLD, SOUND = "refused", "ended", "told", "sound"
@@ -98,7 +102,7 @@ FURTHER = (
     Extreme("rig.sensors.force.delay", 1.0, TOLD, ("the force does not follow its reference",)),
     Extreme("rig.sensors.velocity.bandwidth", 1e15, SOUND),
     # effects at the ends of their ranges
-    Extreme("effects.constant_load.force", 1e6, ENDED, ("velocity", "the rig's limit", "units")),
+    Extreme("effects.constant_load.force", 1e6, ENDED, ("load pressure", "the rig's limit", "units")),
     Extreme("effects.end_stop.upper", -10.0, ENDED, ("cannot be true", "integration_step")),
     Extreme("effects.viscous_asymmetry.asymmetry", -1e6, ENDED, ("cannot be true",)),
     Extreme("effects.spring_hardening.cubic", -1e12, ENDED, ("cannot be true",)),
@@ -261,6 +265,44 @@ def test_a_run_that_ends_early_keeps_what_there_was(make_spec, with_effects):
     assert 1 < len(run) < 100
     assert np.all(np.isfinite(run["force_n"][:-1]))
     assert f"the run ended at {run.time_s[-1]:g} s of 1.5 s" in str(caught.value)
+
+
+def experiment(tmp_path, sections):
+    """Run the command on an experiment; return its exit code and the run folder."""
+    path = tmp_path / "spec.yaml"
+    path.write_text(yaml.safe_dump(json.loads(json.dumps(sections))), encoding="utf-8")
+    return main(["experiment", str(path), "--in-process", "--out", str(tmp_path / "run")]), tmp_path / "run"
+
+
+def test_the_command_fails_where_a_run_ends_early_and_keeps_bag_metrics_and_report(tmp_path, with_effects, capsys):
+    code, folder = experiment(tmp_path, changed(with_effects, Extreme("effects.viscous_asymmetry.asymmetry", -1e6, "")))
+    assert code == 1
+    [line] = capsys.readouterr().err.strip().splitlines()[-1:]
+    assert line.startswith("ehls experiment: the run ended at ")
+    metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    [warning] = metrics["warnings"]
+    assert warning in line
+    assert len(read_bag(folder / "bag")) == metrics["cycles"] < 100
+    assert "the run ended at" in (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_command_refuses_a_rig_in_other_units(tmp_path, base, capsys):
+    code, folder = experiment(tmp_path, changed(base, Extreme("rig.plant.piston_area", 2600.0, "")))
+    assert code == 2
+    assert "2600 mm^2 is 0.0026 m^2" in capsys.readouterr().err
+    assert not folder.exists()
+
+
+def test_the_command_tells_a_useless_result_and_the_swing_beside_the_band(tmp_path, base, capsys):
+    code, folder = experiment(tmp_path, changed(base, Extreme("controller.xi", 1e-3, "")))
+    said = capsys.readouterr().out
+    assert code == 0
+    assert "never" in said
+    assert "100.0 N, 1 % of the largest reference" in said
+    assert "warning: the force does not follow its reference" in said
+    metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    assert metrics["convergence_s"] is None
+    assert metrics["oscillation_n"] > metrics["convergence_band_n"] == pytest.approx(100.0)
 
 
 def test_what_a_sensor_hides_ends_the_run_all_the_same(make_spec, base):
