@@ -19,7 +19,7 @@ from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import home_of, largest_force, room_of
-from ehls_ros.experiments.loop import run_in_process
+from ehls_ros.experiments.loop import Implausible, run_in_process
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.spec import DEFAULT_COMPENSATION, DisturbanceUse, Settings, Spec, Use
 from ehls_ros.physics.rig import Rig
@@ -199,6 +199,10 @@ def _run(case: _Case, plant: Rig, believed: Rig) -> Steady:
         run = run_in_process(spec)
     except (BadInput, ArithmeticError, ValueError) as error:
         return Steady(None, None, f"cannot be run ({error}); look at the rig's coefficients")
+    except Implausible as error:
+        if error.trajectory is None:
+            raise
+        run = error.trajectory
     trouble = _left_limits(run, plant) or _lost(run, case.force)
     if trouble:
         return Steady(None, None, trouble)

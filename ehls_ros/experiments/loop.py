@@ -3,6 +3,7 @@
 Every part is the one the nodes run, in the same order, so that both give the same trajectory.
 """
 
+import os
 import platform
 import sys
 from collections.abc import Callable, Iterator
@@ -22,8 +23,10 @@ from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import ELEMENTS
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.references.base import SampledReference
-from ehls_ros.experiments.spec import Spec, Use, spec_to_mapping
+from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.experiments.spec import Spec, Use, check_spec, spec_to_mapping
 from ehls_ros.physics.composition import kernel_module, plant_source
+from ehls_ros.physics.plausibility import implausible
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import POSITION, VELOCITY
 from ehls_ros.physics.simulator import Simulator
@@ -119,6 +122,16 @@ class Columns(NamedTuple):
         return cls(slice(0, len(SENSED)), len(SENSED), slice(estimate, status), slice(status, status + STATUS_SIZE))
 
 
+class Implausible(WorkFailed):
+    """A run that came to what no rig can: its numbers are lost, or far beyond the rig's limits.
+
+    Attributes:
+        trajectory: the run up to there, where it was kept.
+    """
+
+    trajectory: Trajectory | None = None
+
+
 class ClosedLoop:
     """A spec's plant, observer and controller in one compiled loop.
 
@@ -128,7 +141,12 @@ class ClosedLoop:
     """
 
     def __init__(self, spec: Spec) -> None:
-        """Prepare and compile (or load) the loop."""
+        """Prepare and compile (or load) the loop.
+
+        Raises:
+            BadInput: the spec's numbers describe no rig, or nothing that can be run on it.
+        """
+        check_spec(spec, spec.settings.title)
         self._spec = spec
         period = spec.settings.control_period
         self._simulator = simulator_of(spec)
@@ -146,6 +164,9 @@ class ClosedLoop:
 
         Yields:
             The cycles in order, :data:`CHUNK` at a time. The record's memory is used again for the next block.
+
+        Raises:
+            Implausible: the rig came to what cannot be true, in the last of the cycles yielded before.
         """
         spec = self._spec
         period, cycles = spec.settings.control_period, spec.cycles
@@ -170,7 +191,17 @@ class ClosedLoop:
                     disturbance[i], one = following, slice(i, i + 1)
                     self._run(first + i, record[one], wanted[one], disturbance[one], status, random)
                     following = disturbing.following(first + i, record[i, POSITION], record[i, VELOCITY])
-            yield Block(first, record, wanted, disturbance)
+            # A sensor may hide what the rig itself comes to.
+            lost = implausible(record[:, : self.columns.command + 1], spec.rig.limits)
+            hidden = implausible(self._simulator.truth[np.newaxis], spec.rig.limits)
+            if lost is None and hidden is not None:
+                lost = hidden._replace(row=count - 1)
+            end = count if lost is None else lost.row + 1
+            yield Block(first, record[:end], wanted[:end], disturbance[:end])
+            if lost is not None:
+                raise Implausible(
+                    f"the run ended at {(first + lost.row) * period:g} s of {spec.settings.duration:g} s: {lost.what}"
+                )
 
     def _run(self, first: int, record: Array, reference: Array, disturbance: Array, status: Array, random: Generator) -> None:
         simulator, spec = self._simulator, self._spec
@@ -213,18 +244,37 @@ def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = Non
 
     Returns:
         What a bag of the node graph would hold, but for the timing of messages.
+
+    Raises:
+        BadInput: the spec's numbers describe no rig, or more cycles than fit into memory.
+        Implausible: the rig came to what cannot be true; the error holds the run until then.
     """
     loop = ClosedLoop(spec)
+    _check_memory(spec, loop.columns.status.stop + 3 + ROW)
     record = np.empty((spec.cycles, loop.columns.status.stop))
     reference = np.empty((spec.cycles, 3))
     disturbance = np.empty((spec.cycles, ROW))
-    for block in loop.blocks():
-        done = block.first + len(block.record)
-        for whole, part in ((record, block.record), (reference, block.reference), (disturbance, block.disturbance)):
-            whole[block.first : done] = part
-        if progress is not None:
-            progress(done, spec.cycles)
+    done = 0
+    try:
+        for block in loop.blocks():
+            done = block.first + len(block.record)
+            for whole, part in ((record, block.record), (reference, block.reference), (disturbance, block.disturbance)):
+                whole[block.first : done] = part
+            if progress is not None:
+                progress(done, spec.cycles)
+    except Implausible as error:
+        error.trajectory = _trajectory(spec, loop.columns, record[:done], reference[:done], disturbance[:done])
+        raise
     return _trajectory(spec, loop.columns, record, reference, disturbance)
+
+
+def _check_memory(spec: Spec, columns: int) -> None:
+    needed, there = 8 * columns * spec.cycles, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if needed > there:
+        what = f"{spec.cycles} cycles take {needed / 1e9:.3g} GB of memory"
+        raise BadInput(
+            what, spec.settings.title, f"at most {there / 1e9:.3g} GB: a shorter duration or a longer control_period"
+        )
 
 
 def run_in_stretches(spec: Spec) -> Iterator[Trajectory]:

@@ -1,6 +1,7 @@
 """One experiment: rig, reference, disturbance, controller, duration, seed."""
 
 import csv
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -12,6 +13,7 @@ from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.errors import BadInput
+from ehls_ros.physics.plausibility import FLAGGED, check_ranges, check_rig, check_signal, check_step
 from ehls_ros.physics.rig import Rig, effects_from_list, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP
 from ehls_ros.recording.yaml_text import LARGEST, parse_yaml
@@ -112,9 +114,11 @@ def load_spec(path: Path) -> Spec:
     """Read an experiment's YAML file; files it names are looked for beside it.
 
     Raises:
-        BadInput: the file or one of its keys is wrong.
+        BadInput: the file or one of its keys is wrong, or its numbers together make no sense.
     """
-    return spec_from_mapping(read_yaml(path, "spec"), str(path), path.parent)
+    spec = spec_from_mapping(read_yaml(path, "spec"), str(path), path.parent)
+    check_spec(spec, str(path))
+    return spec
 
 
 def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
@@ -155,6 +159,44 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
     _sampled_once(spec.reference, f"{where}: reference")
     _sampled_once(spec.disturbance.signal, f"{where}: disturbance: signal")
     return spec
+
+
+SAMPLES = 4096
+"""Times at which a signal is looked at before an experiment."""
+
+
+def check_spec(spec: Spec, where: str) -> None:
+    """Look for what cannot be run to any use, though each of its numbers is allowed.
+
+    Args:
+        spec: the experiment.
+        where: the file, for errors.
+
+    Raises:
+        BadInput: the first thing that does not make sense.
+    """
+    settings, rig = spec.settings, spec.rig
+    period = settings.control_period
+    if settings.duration < period:
+        expected = f"at least one control_period, {period:g} s"
+        raise BadInput(f"duration is {settings.duration:g}", where, expected)
+    for section in ("rig", "controller_rig"):
+        check_rig(getattr(spec, section), f"{where}: {section}")
+    # What disturbs the rig may have a cylinder of its own.
+    check_ranges(spec.disturbance.parameters, "plant", f"{where}: disturbance")
+    steps = max(1, math.ceil(period / settings.integration_step - 1e-9))
+    check_step(spec.loader_rig(), period / steps, f"{where}: rig")
+    low, high = rig.limits.position
+    if abs(settings.initial_position - 0.5 * (low + high)) > FLAGGED * 0.5 * (high - low):
+        expected = f"{low:g} to {high:g} m, limits.position of the rig"
+        raise BadInput(f"initial_position is {settings.initial_position:g} m", where, expected)
+    # Spread evenly, and in step with no frequency.
+    times = settings.duration * (0.5 * (math.sqrt(5.0) - 1.0) * np.arange(SAMPLES, dtype=np.float64) % 1.0)
+    follows = CONTROLLERS.load(spec.controller.name).FOLLOWS
+    disturbed = "position" if DISTURBANCES.load(spec.disturbance.name).REACTS else "force"
+    for part, use, kind in (("reference", spec.reference, follows), ("disturbance", spec.disturbance.signal, disturbed)):
+        rows = REFERENCES.load(use.name).sample(times, use.parameters)
+        check_signal(rows, part, kind, rig, period, f"{where}: {part}")
 
 
 def _rig(data: Any, where: str, folder: Path) -> Rig:

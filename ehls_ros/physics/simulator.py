@@ -10,6 +10,7 @@ from ehls_ros.physics.composition import effects_in_kernel, kernel_module, plant
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.integration import WORK_ROWS
 from ehls_ros.physics.plant import FRICTION, INPUTS, PERIOD, TEMPERATURE, X
+from ehls_ros.physics.plausibility import implausible
 from ehls_ros.physics.rig import SENSED, Rig
 
 DEFAULT_STEP = 1e-4
@@ -129,6 +130,11 @@ class Simulator:
             self.measured,
         )
         return self.measured
+
+    def trouble(self) -> str:
+        """Return what cannot be true of the rig as it was last measured, with advice; empty if nothing."""
+        found = implausible(self.truth[np.newaxis], self.rig.limits)
+        return "" if found is None else f"{found.what} (at {self.cycle * self.period:g} s)"
 
     def advance(self, command: float, force: float, force_rate: float, displacement: float, velocity: float) -> int:
         """Go on by one control period.

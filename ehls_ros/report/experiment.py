@@ -65,6 +65,7 @@ def write_experiment_report(trajectory: Trajectory, metrics: Mapping[str, Any], 
         subtitle=_subtitle(trajectory),
         blocks=[
             verdict(sentence, good=good),
+            *(paragraph(f"Warning: {warning}.") for warning in metrics.get("warnings") or ()),
             facts(_facts(trajectory, metrics)),
             _resolution(trajectory),
             figure_blocks(over_time),
@@ -83,8 +84,8 @@ def summary(trajectory: Trajectory, metrics: Mapping[str, Any]) -> tuple[str, bo
         metrics: what ``metrics.json`` holds.
 
     Returns:
-        The sentence, and whether the error converged and stayed inside its bound without a missed cycle; None if there is
-        no bound to judge it by.
+        The sentence, and whether the error converged and stayed inside its bound without a missed cycle or a warning; None
+        if there is no bound to judge it by.
     """
     max_error, converged = metrics.get("max_error_n"), metrics.get("convergence_s")
     missed, cycles = metrics.get("missed_cycles"), metrics.get("cycles")
@@ -96,17 +97,19 @@ def summary(trajectory: Trajectory, metrics: Mapping[str, Any]) -> tuple[str, bo
             sentence = f"Over the last half the piston stayed within {largest} mm of the reference; {loop}."
             return sentence, None if missed == 0 else False
         return f"How well the force follows a reference cannot be told; {loop}.", None
+    band, oscillation = _with_unit(metrics.get("convergence_band_n"), "N"), _with_unit(metrics.get("oscillation_n"), "N")
     if converged is None:
-        convergence = "the error had not converged at the end"
+        swings = f": it swings by ±{oscillation} in the last half, with a band of ±{band}" if band and oscillation else ""
+        convergence = f"the error had not converged{swings}"
     elif converged == 0:
-        convergence = "the error was inside its steady band from the start"
+        convergence = f"the error was inside its band{f' of ±{band}' if band else ''} from the start"
     else:
-        convergence = f"the error converged after {number(converged)} s"
+        convergence = f"the error converged after {number(converged)} s{f', to within ±{band}' if band else ''}"
     accuracy = f"Over the last half the force stayed within {number(max_error)} N of the reference"
     share = _share_of_reference(trajectory, float(max_error))
     outside = _cycles_outside_bound(trajectory)
     bound = f" and left its bound (44) in {number(outside)} cycles" if outside else ""
-    flawless = converged is not None and missed == 0 and not outside
+    flawless = converged is not None and missed == 0 and not outside and not metrics.get("warnings")
     return f"{accuracy}{share}{bound}; {convergence}; {loop}.", None if flawless and outside is None else flawless
 
 
@@ -128,6 +131,7 @@ def _facts(trajectory: Trajectory, metrics: Mapping[str, Any]) -> list[tuple[str
         items.append(("Outside bound (44), last half", f"{number(outside)} cycles"))
     items += [
         ("Convergence", _with_unit(metrics.get("convergence_s"), "s") or ("not reached" if max_error else "")),
+        ("Convergence band", f"±{band}" if (band := _with_unit(metrics.get("convergence_band_n"), "N")) else ""),
         ("Cycles", number(metrics.get("cycles"))),
         ("Missed cycles", number(metrics.get("missed_cycles"))),
     ]

@@ -118,8 +118,8 @@ def _error_entry(cell: Mapping[str, Any]) -> Entry:
 
 def _convergence_entry(cell: Mapping[str, Any]) -> Entry:
     ours, theirs = cell["convergence_s"], cell["paper_convergence_s"]
-    worse = theirs is not None and (ours is None or ours > theirs)
-    text = "not reached" if ours is None else f"{number(ours)} s"
+    worse = findings.converges_later(cell) is True
+    text = f"not reached, ±{number(cell['oscillation_n'])} N" if ours is None else f"{number(ours)} s"
     paper = f"paper {findings.as_set(theirs)} s" if theirs is not None else "paper –"
     return Entry((WORSE if worse else "") + text, paper, 0.5 if worse else 0.0)
 

@@ -38,11 +38,27 @@ def test_convergence_is_when_the_band_is_left_for_the_last_time(start):
     assert metrics.convergence_s == pytest.approx(0.321)
 
 
-def test_a_controller_with_a_large_steady_error_converges_to_it():
-    t = np.arange(4001) * 1e-3
-    metrics = judged(np.where(t < 0.3, 2e3, 500.0 * np.sign(np.sin(20.0 * t))))
-    assert metrics.max_error_n == pytest.approx(500.0)
-    assert metrics.convergence_s == pytest.approx(0.3)
+@pytest.mark.parametrize("swing", [101.0, 505.0, 9.8e5])
+def test_an_error_that_keeps_swinging_beyond_the_band_never_converges(swing):
+    t = np.arange(8001) * 1e-3
+    metrics = judged(np.where(t < 2.0, 2e3, 0.0) + swing * np.sign(np.sin(20.0 * t + 0.1)))
+    assert metrics.convergence_s is None
+    assert metrics.oscillation_n == pytest.approx(swing)
+    assert metrics.convergence_band_n == pytest.approx(100.0)
+
+
+def test_an_error_that_leaves_the_band_now_and_then_never_converges():
+    # Each second a blow of 10 ms; the last one is long over when the run ends.
+    t = np.arange(10001)
+    metrics = judged(np.where((t % 1000 < 10) & (t < 9500), 190.0, 20.0))
+    assert metrics.convergence_s is None
+    assert metrics.oscillation_n == pytest.approx(85.0)
+
+
+def test_the_band_does_not_grow_with_the_error():
+    bands = {judged(np.full(101, error), reference=1e6).convergence_band_n for error in (0.0, 1e4, 9.8e5)}
+    assert bands == {1e4}
+    assert judged(np.full(101, 9.8e5), reference=1e6).convergence_s is None
 
 
 def test_no_error_at_all_converges_at_once():
@@ -54,15 +70,21 @@ def test_an_error_that_still_grows_never_converges():
     assert judged(np.linspace(0.0, 5e3, 1001)).convergence_s is None
 
 
+def test_an_error_that_grows_inside_the_band_has_converged():
+    assert judged(np.linspace(0.0, 99.0, 1001)).convergence_s == 0.0
+
+
 def test_an_error_that_leaves_the_band_at_the_very_end_never_converges():
     error = np.zeros(1001)
     error[-1] = 2e3
     assert judged(error).convergence_s is None
 
 
-def test_a_reference_of_zero_has_no_band_of_its_own():
+def test_a_reference_of_zero_has_no_band_to_converge_to():
     metrics = judged(np.where(np.arange(1001) < 300, 5.0, 1.0), reference=0.0)
-    assert metrics.convergence_s == pytest.approx(0.3)
+    assert metrics.convergence_band_n == 0.0
+    assert metrics.convergence_s is None
+    assert metrics.max_error_n == 1.0
 
 
 def test_cycles_without_a_sample_are_left_out_and_counted():
@@ -126,4 +148,67 @@ def test_json_has_the_contracts_keys():
         "wall_s",
         "bag",
         "report",
+        "convergence_band_n",
+        "oscillation_n",
+        "warnings",
     ]
+
+
+LIMITS = {"spool": 0.01, "force": 1.82e4, "load_pressure": 7e6, "position": [-0.1, 0.3], "velocity": 2.0}
+
+
+def told(limits=LIMITS, **signals):
+    """Return the warnings of a run whose signals hold a value each, but for one cycle late in it."""
+    count = len(next(iter(signals.values())))
+    return evaluate(Trajectory(np.arange(count) * 1e-3, signals, {"rig": {"limits": limits}})).warnings
+
+
+def blip(value, usual=0.0):
+    values = np.full(101, usual)
+    values[80] = value
+    return values
+
+
+@pytest.mark.parametrize(
+    ("signal", "value", "words"),
+    [
+        ("force_n", -19.2e3, "force -1.92e+04 N, where the rig's limit is -18200 N"),
+        ("load_pressure_pa", 7.4e6, "load pressure 7.4e+06 Pa, where the rig's limit is 7e+06 Pa"),
+        ("velocity_m_s", 2.11, "velocity 2.11 m/s, where the rig's limit is 2 m/s"),
+        ("position_m", 0.315, "position 0.315 m, where the rig's limit is 0.3 m"),
+        ("position_m", -0.115, "position -0.115 m, where the rig's limit is -0.1 m"),
+    ],
+)
+def test_a_limit_that_is_left_is_told_with_when(signal, value, words):
+    [warning] = told(**{signal: blip(value)})
+    assert words in warning
+    assert "(at 0.08 s)" in warning
+
+
+@pytest.mark.parametrize(
+    ("signal", "value"), [("force_n", 19.0e3), ("position_m", 0.304), ("velocity_m_s", np.nan), ("oil_temperature_k", 1e9)]
+)
+def test_a_little_beyond_a_limit_and_a_gap_are_not_told(signal, value):
+    assert told(**{signal: blip(value)}) == ()
+
+
+@pytest.mark.parametrize("limits", [None, {}, {"force": "much"}, {**LIMITS, "velocity": -1.0}])
+def test_a_recording_that_does_not_know_its_rig_has_no_limits(limits):
+    assert told(limits, force_n=blip(1e9)) == ()
+
+
+def test_an_error_of_a_fifth_of_the_reference_is_told():
+    assert told(force_n=np.full(101, 8.1e3), force_reference_n=np.full(101, 1e4)) == ()
+    [warning] = told(force_n=np.full(101, 7.9e3), force_reference_n=np.full(101, 1e4))
+    assert (
+        warning
+        == "the force does not follow its reference: the error of the last half reaches 2.1e+03 N, the reference 1e+04 N"
+    )
+    [warning] = told(position_m=np.full(101, 0.02), position_reference_m=np.full(101, 0.03))
+    assert "the position does not follow its reference" in warning
+
+
+def test_a_valve_at_its_limit_all_the_time_is_told():
+    assert told(saturated=(np.arange(101) < 70).astype(float)) == ()
+    [warning] = told(saturated=(np.arange(101) > 20).astype(float))
+    assert "at its limit for 100 % of the last half" in warning

@@ -68,6 +68,20 @@ def test_each_controller_beats_the_one_before_it(errors, reference, disturbance)
     assert sic > first > second
 
 
+@pytest.mark.parametrize("cell", [c for c in CELLS if c.controller == paper.SIC], ids=" ".join)
+def test_sic_converges_where_its_swing_fits_into_the_band_and_nowhere_else(errors, cell):
+    row = study.cell_row(cell, run(cell))
+    assert row["convergence_band_n"] == pytest.approx(100.0, rel=0.35)
+    assert (row["convergence_s"] is None) == (errors[cell] > row["convergence_band_n"])
+    assert (row["convergence_s"] is not None) == (cell[1:] in {("constant", "fd1"), ("irregular", "fd1")})
+    assert row["oscillation_n"] <= errors[cell]
+
+
+def test_a_run_that_leaves_every_limit_has_an_infinite_error():
+    unstable = Change({"effects": [{"name": "viscous_asymmetry", "asymmetry": -1e6}], "duration": 1.0})
+    assert largest_error(Cell(paper.FASMC_2, "sine", "fd2"), unstable) == inf
+
+
 def test_table_3_is_the_papers():
     text = [112, 276, 223, 392]  # N, section 5.1, case A
     published = [paper.RELATIVE_ERROR[Cell(paper.SIC, r, d)] for d in paper.DISTURBANCES for r in ("constant", "sine")]

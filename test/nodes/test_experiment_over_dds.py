@@ -95,6 +95,7 @@ def test_the_run_folder_holds_what_the_contract_says(over_dds):
     assert metrics == json.loads((spec.parent / "run" / "metrics.json").read_text())
     assert set(metrics) == {
         "max_error_n", "rms_error_n", "convergence_s", "cycles", "missed_cycles", "duration_s", "wall_s", "bag", "report",
+        "convergence_band_n", "oscillation_n", "warnings",
     }  # fmt: skip
     assert metrics["cycles"] == 501
     assert Path(metrics["report"]).stat().st_size > 1e6

@@ -272,8 +272,18 @@ def test_importing_the_report_compiles_nothing():
     ("changes", "words", "good"),
     [
         ({"max_error_n": 50.0, "convergence_s": 0.7}, ["within 50.0 N", "0.500 %", "after 0.700 s", "0 of 600 cycles"], True),
-        ({"max_error_n": 50.0, "convergence_s": 0.0}, ["from the start"], True),
-        ({"max_error_n": 50.0, "convergence_s": None}, ["had not converged"], False),
+        ({"max_error_n": 50.0, "convergence_s": 0.7, "convergence_band_n": 100.0}, ["0.700 s, to within ±100 N"], True),
+        (
+            {"max_error_n": 50.0, "convergence_s": 0.0, "convergence_band_n": 100.0},
+            ["inside its band of ±100 N from the start"],
+            True,
+        ),
+        ({"max_error_n": 50.0, "convergence_s": 0.7, "warnings": ["limits are left"]}, ["after 0.700 s"], False),
+        (
+            {"max_error_n": 509.0, "convergence_s": None, "convergence_band_n": 100.0, "oscillation_n": 505.0},
+            ["had not converged: it swings by ±505 N in the last half, with a band of ±100 N"],
+            False,
+        ),
         ({"max_error_n": 50.0, "convergence_s": 0.7, "missed_cycles": 3}, ["3 of 600 cycles"], False),
         ({"max_error_n": float("nan"), "convergence_s": None}, ["cannot be told"], None),
     ],
@@ -285,6 +295,12 @@ def test_the_verdict(changes, words, good):
     assert verdict is good
     for word in words:
         assert word in sentence
+
+
+def test_warnings_are_shown(report):
+    html = report(make_run(), METRICS | {"warnings": ["the rig's limits are left", "<b>"]})
+    assert "Warning: the rig&#x27;s limits are left." in html or "Warning: the rig's limits are left." in html
+    assert "Warning: &lt;b&gt;." in html
 
 
 def test_the_verdict_looks_at_the_bound():

@@ -48,6 +48,8 @@ def make_cells():
             "relative_percent": ERRORS[controller][index] / 100.0,
             "paper_percent": PAPER[controller][index],
             "convergence_s": 0.6,
+            "convergence_band_n": 100.0,
+            "oscillation_n": ERRORS[controller][index],
             "paper_convergence_s": 0.8,
         }
         for controller in CONTROLLERS
@@ -301,14 +303,18 @@ def test_every_cell_has_the_papers_number_beside_ours(report):
 
 def test_convergence_stands_beside_the_papers(report):
     results = make_results()
-    results["cells"][0] |= {"convergence_s": None}
-    results["cells"][1] |= {"convergence_s": 0.9}
+    results["cells"][0] |= {"convergence_s": 0.9}
+    results["cells"][1] |= {"convergence_s": None}
     results["cells"][2] |= {"paper_convergence_s": None}
+    results["cells"][4] |= {"convergence_s": None, "oscillation_n": 120.0}
     text = report(results)
-    _, sic, fasmc, _ = rows(text, "Table 3")[4:]
-    assert sic[1:] == ["▲ not reached | paper 0.8 s", "▲ 0.900 s | paper 0.8 s"]
+    _, sic, fasmc, gms = rows(text, "Table 3")[4:]
+    assert sic[1:] == ["▲ 0.900 s | paper 0.8 s", "not reached, ±400 N | paper 0.8 s"]
     assert fasmc[1:] == ["0.600 s | paper –", "0.600 s | paper 0.8 s"]
-    assert "in 3 of 5 cells. Later: SIC constant fd1 and SIC sine fd2." in text
+    assert gms[1:] == ["▲ not reached, ±120 N | paper 0.8 s", "0.600 s | paper 0.8 s"]
+    assert "in 2 of 4 cells. Later: SIC constant fd1 and FASMC II constant fd1." in text
+    # The paper's 392 N are outside the band, too: its time is to something wider.
+    assert "Not to be compared: SIC sine fd2, where" in text
 
 
 def test_reductions_and_their_cause(report):

@@ -7,12 +7,12 @@ import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.loop import run_in_process
-from ehls_ros.experiments.metrics import Metrics, evaluate
+from ehls_ros.experiments.loop import Implausible, run_in_process
+from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, load_spec
 from ehls_ros.recording.bag_reader import read_bag
@@ -59,12 +59,24 @@ def run(options: Namespace) -> int:
     folder = RunFolder.create(options.out, options.spec.stem, overwrite=options.overwrite)
     folder.write_spec(spec)
     with progress_bar(spec.settings.title) as progress:
-        trajectory, wall = (_in_process if options.in_process else _over_dds)(spec, folder, options, progress)
-    metrics = evaluate(trajectory)._replace(wall_s=wall, bag=str(folder.bag), report=str(folder.report))
+        done = (_in_process if options.in_process else _over_dds)(spec, folder, options, progress)
+    metrics = evaluate(done.trajectory)._replace(wall_s=done.wall_s, bag=str(folder.bag), report=str(folder.report))
+    if done.failure is not None:
+        metrics = metrics._replace(warnings=(str(done.failure),))
     folder.write_metrics(metrics)
-    write_experiment_report(trajectory, metrics.as_json(), folder.report)
-    _print(spec, metrics, trajectory, machine=options.json)
+    write_experiment_report(done.trajectory, metrics.as_json(), folder.report)
+    _print(spec, metrics, done.trajectory, machine=options.json)
+    if done.failure is not None:
+        raise done.failure
     return 0
+
+
+class _Done(NamedTuple):
+    """A run, and why it ended early if it did; what there is of it is kept as a whole run is."""
+
+    trajectory: Trajectory
+    wall_s: float
+    failure: Implausible | None = None
 
 
 def _with_duration(spec: Spec, duration: float) -> Spec:
@@ -73,19 +85,20 @@ def _with_duration(spec: Spec, duration: float) -> Spec:
     return spec._replace(settings=spec.settings._replace(duration=duration))
 
 
-def _in_process(
-    spec: Spec, folder: RunFolder, options: Namespace, progress: Callable[[int, int], None]
-) -> tuple[Trajectory, float]:
+def _in_process(spec: Spec, folder: RunFolder, options: Namespace, progress: Callable[[int, int], None]) -> _Done:
     start = time.perf_counter()
-    trajectory = run_in_process(spec, progress)
+    try:
+        trajectory, failure = run_in_process(spec, progress), None
+    except Implausible as error:
+        if error.trajectory is None:
+            raise
+        trajectory, failure = error.trajectory, error
     wall = time.perf_counter() - start
     write_trajectory(folder.bag, trajectory, options.storage)
-    return trajectory, wall
+    return _Done(trajectory, wall, failure)
 
 
-def _over_dds(
-    spec: Spec, folder: RunFolder, options: Namespace, progress: Callable[[int, int], None]
-) -> tuple[Trajectory, float]:
+def _over_dds(spec: Spec, folder: RunFolder, options: Namespace, progress: Callable[[int, int], None]) -> _Done:
     try:
         from ehls_ros.nodes.graph import Plant, run_graph
     except ImportError as error:
@@ -94,7 +107,7 @@ def _over_dds(
         ) from None
     plant = Plant(options.plant, options.bridge)
     wall = run_graph(spec, folder, options.timing, options.storage, progress, plant)
-    return read_bag(folder.bag), wall
+    return _Done(read_bag(folder.bag), wall)
 
 
 def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, *, machine: bool) -> None:
@@ -109,10 +122,16 @@ def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, *, machine: boo
         print(f"  largest error in the last half  {metrics.max_error_n:10.1f} N")
         print(f"  rms error in the last half      {metrics.rms_error_n:10.1f} N")
         print(f"  converged after                 {converged:>12}")
+        share = f"{100.0 * CONVERGENCE_BAND:g} % of the largest reference"
+        print(f"  convergence band                {metrics.convergence_band_n:10.1f} N, {share}")
+        if metrics.convergence_s is None:
+            print(f"  error in the last half swings by{metrics.oscillation_n:10.1f} N to either side")
     print(f"  cycles, of them unanswered      {metrics.cycles:8d}, {metrics.missed_cycles}")
     print(f"  wall time                       {wall:10.2f} s ({metrics.duration_s / wall:.1f} x real time)")
     print(f"  bag                             {metrics.bag}")
     print(f"  report                          {metrics.report}")
+    for warning in metrics.warnings:
+        print(f"  warning: {warning}")
     sys.stdout.flush()
     if machine:
         line: dict[str, Any] = metrics.as_json()

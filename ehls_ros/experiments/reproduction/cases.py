@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ehls_ros.experiments.files import config_folder
-from ehls_ros.experiments.loop import run_in_process
+from ehls_ros.experiments.loop import Implausible, run_in_process
 from ehls_ros.experiments.metrics import Metrics, evaluate
 from ehls_ros.experiments.reproduction import paper
 from ehls_ros.experiments.reproduction.paper import Cell
@@ -87,5 +87,8 @@ def judged(cell: Cell, change: Change = AS_PUBLISHED) -> Metrics:
 
 def largest_error(cell: Cell, change: Change = AS_PUBLISHED) -> float:
     """Run one cell and return its largest steady error [N]; infinite when it diverged."""
-    error = judged(cell, change).max_error_n
+    try:
+        error = judged(cell, change).max_error_n
+    except Implausible:
+        return float("inf")
     return error if error < DIVERGED else float("inf")

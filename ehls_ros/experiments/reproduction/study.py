@@ -117,6 +117,8 @@ def cell_row(cell: Cell, trajectory: Trajectory) -> dict[str, Any]:
         "relative_percent": 100.0 * metrics.max_error_n / paper.FULL_SCALE,
         "paper_percent": paper.RELATIVE_ERROR[cell],
         "convergence_s": metrics.convergence_s,
+        "convergence_band_n": metrics.convergence_band_n,
+        "oscillation_n": metrics.oscillation_n,
         "paper_convergence_s": paper.CONVERGENCE[cell],
     }
 

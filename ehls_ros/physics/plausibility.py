@@ -1,0 +1,458 @@
+"""What a rig's numbers imply, and whether what it comes to can be true.
+
+Numbers that are each allowed may still describe no rig: a pressure in bar where pascals are meant, an area in mm², a mass so
+small that no integration step resolves what its friction does to it. :data:`RANGES`, :data:`RELATIONS` and :func:`rates` say
+what a rig's numbers have to be before it is run; :data:`FLAGGED` and :data:`ENDS`, how far a run may leave the rig's limits.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.errors import BadInput
+from ehls_ros.physics.composition import effects_in_kernel
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.parameters import Friction, Limits, Plant
+from ehls_ros.physics.rig import SENSED, Rig
+from ehls_ros.schema import declarations
+
+FLAGGED = 1.05
+"""Multiple of the rig's limits beyond which a run is told to have left them. The paper's piston leaves its stroke by 1.4 %."""
+
+ENDS = 10.0
+"""Multiple of the rig's limits beyond which the numbers are no rig's and a run ends; a blow of the servo's beam reaches 2.4."""
+
+RESOLVED = 2.0
+"""Largest product of integration step and a rate of the plant; the Runge-Kutta scheme is stable up to 2.8."""
+
+UNITS: dict[str, tuple[tuple[str, float], ...]] = {
+    "Pa": (("bar", 1e5), ("MPa", 1e6)),
+    "kg/m^3": (("g/cm^3", 1e3),),
+    "m": (("mm", 1e-3),),
+    "m^2": (("cm^2", 1e-4), ("mm^2", 1e-6)),
+    "m^3": (("l", 1e-3), ("cm^3", 1e-6)),
+    "kg": (("t", 1e3), ("g", 1e-3)),
+    "N": (("kN", 1e3),),
+    "m/s": (("mm/s", 1e-3),),
+    "N/m": (("N/mm", 1e3),),
+    "rad/s": (("kHz", 2e3 * math.pi),),
+}
+"""What may have been written for a unit, and how much of it that is."""
+
+RANGES: dict[tuple[str, str], tuple[float, float]] = {
+    ("plant", "supply_pressure"): (1e5, 2e8),
+    ("plant", "oil_density"): (300.0, 3e3),
+    ("plant", "bulk_modulus"): (1e6, 1e11),
+    ("plant", "discharge_coefficient"): (0.01, 10.0),
+    ("plant", "valve_area_gradient"): (1e-6, 1.0),
+    ("plant", "leakage_coefficient"): (0.0, 1e-8),
+    ("plant", "total_volume"): (1e-8, 1.0),
+    ("plant", "moving_mass"): (0.1, 1e6),
+    ("plant", "piston_area"): (1e-6, 1.0),
+    ("plant", "arm_length"): (1e-3, 100.0),
+    ("plant", "spring_stiffness"): (0.0, 1e10),
+    ("plant", "viscous_damping"): (0.0, 1e7),
+    ("plant", "valve_bandwidth"): (0.1, 1e5),
+    ("friction", "stribeck_velocity"): (1e-6, 1.0),
+    ("friction", "stribeck_exponent"): (0.01, 4.0),
+    ("friction", "viscous_coefficient"): (0.0, 1e7),
+    ("friction", "attraction_rate"): (1e-3, 1e9),
+    ("limits", "spool"): (1e-7, 1.0),
+    ("limits", "velocity"): (1e-4, 100.0),
+}
+"""What hydraulic rigs have, with room on both sides; zero stands where an equation can do without."""
+
+
+class Relation(NamedTuple):
+    """A number made of several of a rig's.
+
+    Attributes:
+        value: the number, of a rig.
+        low: smallest that makes sense.
+        high: largest that makes sense.
+        what: what it is, and of which keys.
+        advice: what to look at.
+    """
+
+    value: Callable[[Rig], float]
+    low: float
+    high: float
+    what: str
+    advice: str
+
+
+def largest_force(rig: Rig) -> float:
+    """Return what the supply pressure gives on the piston area [N]."""
+    return rig.plant.supply_pressure * rig.plant.piston_area
+
+
+def _stroke(rig: Rig) -> float:
+    return rig.limits.position[1] - rig.limits.position[0]
+
+
+def _break_away(rig: Rig) -> float:
+    friction = rig.friction
+    pairs = zip(friction.element_weight, friction.element_stiffness, strict=True)
+    return max(friction.static_force * weight / stiffness for weight, stiffness in pairs)
+
+
+RELATIONS = (
+    Relation(
+        lambda rig: rig.limits.load_pressure / rig.plant.supply_pressure,
+        0.01,
+        100.0,
+        "limits.load_pressure over plant.supply_pressure",
+        "both in Pa; 1 bar is 1e5 Pa, 1 MPa is 1e6 Pa",
+    ),
+    Relation(
+        lambda rig: rig.limits.force / largest_force(rig),
+        0.01,
+        100.0,
+        "limits.force over what plant.supply_pressure gives on plant.piston_area",
+        "N, Pa and m^2; 1 mm^2 is 1e-6 m^2, 1 kN is 1e3 N, 1 bar is 1e5 Pa",
+    ),
+    Relation(
+        lambda rig: rig.friction.static_force / largest_force(rig),
+        0.0,
+        1.0,
+        "friction.static_force over what plant.supply_pressure gives on plant.piston_area",
+        "a friction in N that the cylinder can overcome",
+    ),
+    Relation(
+        lambda rig: rig.plant.moving_mass * abs(rig.plant.gravity) / largest_force(rig),
+        0.0,
+        1.0,
+        "weight of plant.moving_mass over what plant.supply_pressure gives on plant.piston_area",
+        "a mass in kg that the cylinder can hold",
+    ),
+    Relation(
+        _stroke,
+        1e-4,
+        100.0,
+        "stroke in m between the two of limits.position",
+        "m; 1 mm is 1e-3 m",
+    ),
+    Relation(
+        lambda rig: _break_away(rig) / _stroke(rig),
+        0.0,
+        0.1,
+        "way to break-away, element_weight times static_force over element_stiffness, over the stroke",
+        "element_stiffness in N/m; 1 N/mm is 1e3 N/m",
+    ),
+    Relation(
+        lambda rig: rig.plant.total_volume / (rig.plant.piston_area * _stroke(rig)),
+        0.01,
+        1e3,
+        "plant.total_volume over plant.piston_area times the stroke",
+        "m^3, m^2 and m; 1 l is 1e-3 m^3, 1 mm^2 is 1e-6 m^2, 1 mm is 1e-3 m",
+    ),
+    Relation(
+        lambda rig: rig.plant.valve_gain * rig.limits.spool,
+        1e-7,
+        1.0,
+        "largest spool displacement in m, plant.valve_gain times limits.spool",
+        "m; 1 mm is 1e-3 m",
+    ),
+)
+"""What a rig's numbers have to be to one another."""
+
+SCALES: dict[str, Callable[[Rig], float]] = {
+    "position": _stroke,
+    "velocity": lambda rig: rig.limits.velocity,
+    "load_pressure": lambda rig: max(rig.limits.load_pressure, rig.plant.supply_pressure),
+    "spool_position": lambda rig: rig.limits.spool * max(1.0, rig.plant.valve_gain),
+    "force": lambda rig: max(rig.limits.force, largest_force(rig)),
+    "supply_pressure": lambda rig: rig.plant.supply_pressure,
+    "oil_temperature": lambda rig: 450.0,
+}
+"""The largest a sensor has to read; what spoils its reading is no larger."""
+
+GAINS = (0.01, 100.0)
+"""A sensor's reading per true value."""
+
+
+def check_rig(rig: Rig, where: str) -> None:
+    """Look for numbers that no rig has.
+
+    Args:
+        rig: a rig whose numbers are each allowed.
+        where: the file, for errors.
+
+    Raises:
+        BadInput: the first number, or relation of several, that does not make sense.
+    """
+    for section in ("plant", "friction", "limits"):
+        check_ranges(getattr(rig, section), section, f"{where}: {section}")
+    for relation in RELATIONS:
+        value = relation.value(rig)
+        if not relation.low <= value <= relation.high:
+            expected = f"{relation.low:g} to {relation.high:g} ({relation.advice})"
+            raise BadInput(f"{relation.what} is {value:.3g}", where, expected)
+    for signal, sensor in rig.sensors.items():
+        largest = SCALES[signal](rig)
+        for key in ("noise_std", "resolution", "bias"):
+            value = getattr(sensor, key)
+            if abs(value) > largest:
+                expected = f"at most {largest:g}, as much as there is to read, in SI units"
+                raise BadInput(f"{key} is {value:g}", f"{where}: sensors: {signal}", expected)
+        if not GAINS[0] <= sensor.gain <= GAINS[1]:
+            expected = f"{GAINS[0]:g} to {GAINS[1]:g}, with a reading in SI units"
+            raise BadInput(f"gain is {sensor.gain:g}", f"{where}: sensors: {signal}", expected)
+
+
+def check_ranges(parameters: Any, section: str, where: str) -> None:
+    """Look for numbers out of :data:`RANGES`.
+
+    Args:
+        parameters: a section of a rig, or other parameters that have numbers of the same names and meaning.
+        section: name of the section.
+        where: file and section, for errors.
+
+    Raises:
+        BadInput: the first such number.
+    """
+    for key, value in parameters._asdict().items():
+        if (section, key) not in RANGES:
+            continue
+        low, high = RANGES[section, key]
+        if not low <= value <= high:
+            unit = units_of(type(parameters))[key]
+            shown = "" if unit == "1" else f" {unit}"
+            expected = f"{low:g} to {high:g}{shown}{_likely(value, unit, low, high)}"
+            raise BadInput(f"{key} is {value:g}{shown}", where, expected)
+
+
+def _likely(value: float, unit: str, low: float, high: float) -> str:
+    """Return which other unit may have been meant; nothing where none fits."""
+    meant = [
+        f"{value:g} {name} is {value * factor:g} {unit}"
+        for name, factor in UNITS.get(unit, ())
+        if low <= value * factor <= high
+    ]
+    return f"; {', '.join(meant)}" if meant else ""
+
+
+def units_of(parameters: Any) -> dict[str, str]:
+    """Return the unit of each field of a parameter set."""
+    return {declared.name: declared.unit for declared in declarations(parameters)}
+
+
+class Rate(NamedTuple):
+    """How fast a part of the plant changes by itself.
+
+    Attributes:
+        what: the part.
+        rate: time constant's inverse, or natural frequency [1/s].
+        of: what it comes of, values and units included.
+    """
+
+    what: str
+    rate: float
+    of: str
+
+
+def rates(rig: Rig) -> Iterator[Rate]:
+    """Tell how fast each part of a plant is by itself.
+
+    Args:
+        rig: the rig, its effects included; those of one's own stiffness or damping are counted as if they always acted.
+
+    Yields:
+        The parts. Springs and dampers act on the smallest of the masses.
+    """
+    effective = rig.effective()
+    p, f, limits = effective.plant, effective.friction, effective.limits
+    piston = effective.piston_mass()
+    mass = min(p.moving_mass, piston) if piston > 0.0 else p.moving_mass
+    oil = 4.0 * p.bulk_modulus / p.total_volume
+    said = _said(p, Plant) | _said(f, Friction)
+    of_mass = f"on {mass:g} kg"
+    presliding = f"element_stiffness {', '.join(f'{k:g}' for k in f.element_stiffness)} N/m"
+    # Through the valve flows no more than the piston takes at its largest velocity; the spool's limit may be far beyond.
+    gradient = p.discharge_coefficient * p.valve_area_gradient * math.sqrt(p.supply_pressure / p.oil_density)
+    flow = min(gradient * p.valve_gain * limits.spool, p.piston_area * limits.velocity)
+    yield Rate("valve", p.valve_bandwidth, said["valve_bandwidth"])
+    column = f"{said['bulk_modulus']}, {said['piston_area']}, {said['total_volume']} {of_mass}"
+    yield Rate("oil column", math.sqrt(oil * p.piston_area**2 / mass), column)
+    leaking = f"{said['leakage_coefficient']}, {said['bulk_modulus']}, {said['total_volume']}"
+    yield Rate("leakage", oil * p.leakage_coefficient, leaking)
+    orifice = f"{said['supply_pressure']}, {said['bulk_modulus']}, {said['total_volume']}, flow {flow:g} m^3/s"
+    yield Rate("valve's flow", 0.5 * oil * flow / p.supply_pressure, orifice)
+    yield Rate("presliding friction", math.sqrt(sum(f.element_stiffness) / mass), f"{presliding} {of_mass}")
+    damping = p.viscous_damping + f.viscous_coefficient
+    yield Rate("damping", damping / mass, f"{said['viscous_damping']}, {said['viscous_coefficient']} {of_mass}")
+    yield Rate("spring", math.sqrt(p.spring_stiffness / mass), f"{said['spring_stiffness']} {of_mass}")
+    slipping = f"{said['attraction_rate']}, {said['coulomb_force']}"
+    yield Rate("slipping friction", f.attraction_rate / f.coulomb_force, slipping)
+    for use in effects_in_kernel(rig):
+        of_unit: dict[str, Callable[[float], float]] = {
+            "N/m": lambda value: math.sqrt(abs(value) / mass),
+            "N s/m": lambda value: abs(value) / mass,
+            "rad/s": lambda value: value,
+            "Hz": lambda value: 2.0 * math.pi * value,
+        }
+        for key, unit in units_of(EFFECTS.load(use.name).Parameters).items():
+            value = getattr(use.parameters, key)
+            if unit in of_unit:
+                yield Rate(f"effect {use.name}", of_unit[unit](value), f"{key} {value:g} {unit} {of_mass}")
+
+
+def _said(parameters: Any, kind: Any) -> dict[str, str]:
+    return {key: f"{key} {getattr(parameters, key):g} {unit}" for key, unit in units_of(kind).items() if unit}
+
+
+def check_step(rig: Rig, step: float, where: str) -> None:
+    """Look for parts of a plant that are too fast for an integration step.
+
+    Args:
+        rig: the rig.
+        step: integration step [s].
+        where: the file, for errors.
+
+    Raises:
+        BadInput: the fastest part, if it is too fast.
+    """
+    fastest = max(rates(rig), key=lambda part: part.rate)
+    if step * fastest.rate > RESOLVED:
+        what = f"the rate of the {fastest.what}, {fastest.rate:.3g} 1/s, is too fast for steps of {step:g} s ({fastest.of})"
+        needed = RESOLVED / fastest.rate
+        raise BadInput(what, where, f"integration_step of at most {needed:.2g} s, or other numbers: each is in SI units")
+
+
+REACH: dict[tuple[str, str], tuple[Callable[[Rig], tuple[float, float]], float, str]] = {
+    ("reference", "force"): (
+        lambda rig: (-largest_force(rig), largest_force(rig)),
+        2.0,
+        "what plant.supply_pressure gives on plant.piston_area; is it in N?",
+    ),
+    ("reference", "position"): (lambda rig: rig.limits.position, 2.0, "limits.position; is it in m?"),
+    ("disturbance", "force"): (
+        lambda rig: (-largest_force(rig), largest_force(rig)),
+        10.0,
+        "what plant.supply_pressure gives on plant.piston_area; is it in N?",
+    ),
+    ("disturbance", "position"): (lambda rig: rig.limits.position, 2.0, "limits.position; is it in m?"),
+}
+"""What a signal acts on, by its part in the experiment and its kind: the rig's range, the multiple of it about its middle that
+makes sense, and what the range is. What lies between range and multiple is run, and told of."""
+
+
+def check_signal(rows: Array, part: str, kind: str, rig: Rig, period: float, where: str) -> None:
+    """Look for signals that a rig cannot follow or bear, or that the control period cannot show.
+
+    Args:
+        rows: value and first derivative of the signal, among others, at times of the experiment, shape (n, 2 or more).
+        part: ``reference`` or ``disturbance``.
+        kind: ``force`` or ``position``.
+        rig: the rig.
+        period: control period [s].
+        where: the file and section, for errors.
+
+    Raises:
+        BadInput: it is not finite, too large, or too fast.
+    """
+    unit = SHOWN[kind]
+    value, rate = rows[:, 0], rows[:, 1]
+    if not np.all(np.isfinite(rows)):
+        raise BadInput(f"the {part} is not finite all the time", where, "parameters that give finite numbers")
+    bounds, factor, of = REACH[part, kind]
+    low, high = bounds(rig)
+    away = np.abs(value - 0.5 * (low + high))
+    farthest = float(value[np.argmax(away)])
+    if away.max() > factor * 0.5 * (high - low):
+        expected = f"at most {factor:g} times {low:g} to {high:g} {unit}, {of}"
+        raise BadInput(f"the {part} reaches {farthest:g} {unit}", where, expected)
+    change, span = float(np.abs(rate).max()) * period, 0.5 * float(np.ptp(value))
+    if change > math.pi * span and change > 0.0 and span > 0.0:
+        expected = "a lower frequency or a shorter control_period: two cycles and more a period"
+        raise BadInput(f"the {part} changes at {change / period:g} {unit}/s over cycles of {period:g} s", where, expected)
+
+
+class Beyond(NamedTuple):
+    """A reading that is farther out than it may be.
+
+    Attributes:
+        row: which reading.
+        what: signal, value and limit, as a sentence has it.
+    """
+
+    row: int
+    what: str
+
+
+SHOWN = {"position": "m", "velocity": "m/s", "load_pressure": "Pa", "force": "N"}
+"""Signals that have limits, with their units."""
+
+
+def within(limits: Limits, signal: str) -> tuple[float, float]:
+    """Return smallest and largest value a rig's limits allow a signal of :data:`SHOWN`."""
+    limit = getattr(limits, signal)
+    return (limit[0], limit[1]) if signal == "position" else (-limit, limit)
+
+
+def excess(values: Array, limits: Limits, signal: str) -> Array:
+    """Return how far readings are from the middle between a rig's limits, as parts of the way to a limit, shape of the values.
+
+    Args:
+        values: readings.
+        limits: the rig's.
+        signal: one of :data:`SHOWN`.
+    """
+    low, high = within(limits, signal)
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.abs(values - 0.5 * (low + high)) / (0.5 * (high - low))
+
+
+def beyond(values: Array, limits: Limits, signal: str, factor: float) -> Beyond | None:
+    """Return the reading farthest outside a rig's limits, if it is outside their multiple; gaps are passed over.
+
+    Args:
+        values: readings, shape (n,).
+        limits: the rig's.
+        signal: one of :data:`SHOWN`.
+        factor: multiple of the way from the middle to a limit.
+    """
+    away = np.nan_to_num(excess(values, limits, signal), nan=0.0, posinf=math.inf)
+    row = int(np.argmax(away))
+    if not away[row] > factor:
+        return None
+    return Beyond(row, _beside_limit(float(values[row]), limits, signal))
+
+
+def _beside_limit(value: float, limits: Limits, signal: str) -> str:
+    low, high = within(limits, signal)
+    limit = low if value < 0.5 * (low + high) else high
+    return f"{signal.replace('_', ' ')} {value:.4g} {SHOWN[signal]}, where the rig's limit is {limit:g} {SHOWN[signal]}"
+
+
+ADVICE = (
+    "a smaller integration_step if it is the step; else look at the units of rig, reference and disturbance, and at the "
+    "controller's parameters"
+)
+"""What to do where a state has run away."""
+
+
+def implausible(readings: Array, limits: Limits) -> Beyond | None:
+    """Return the first reading of a run that cannot be a rig's: not finite, or :data:`ENDS` times beyond its limits.
+
+    Args:
+        readings: in the order of ``SENSED``, shape (n, signals); columns beyond these are looked at for finite numbers alone.
+        limits: the rig's.
+
+    Returns:
+        Its row, and what is wrong with advice; of several signals the one that is farthest out. None if all can be.
+    """
+    columns = {signal: readings[:, SENSED.index(signal)] for signal in SHOWN}
+    away = np.max([excess(values, limits, signal) for signal, values in columns.items()], axis=0)
+    found = np.flatnonzero(~np.isfinite(readings).all(axis=1) | (away > ENDS))
+    if not found.size:
+        return None
+    row = int(found[0])
+    if not np.isfinite(readings[row]).all():
+        return Beyond(row, f"the rig's state is no longer finite; {ADVICE}")
+    farthest = max(columns, key=lambda signal: float(excess(columns[signal][row], limits, signal)))
+    beside = _beside_limit(float(columns[farthest][row]), limits, farthest)
+    return Beyond(row, f"the rig's state cannot be true: {beside}; {ADVICE}")
