@@ -91,7 +91,7 @@ def domain(pytestconfig, domains_used, nothing_left_behind):
 
 
 @pytest.fixture(scope="module")
-def shown(domain, tmp_path_factory):
+def shown(domain, one_realtime_graph_in_file, tmp_path_factory):
     folder = tmp_path_factory.mktemp("dashboard")
     (folder / "gentle.yaml").write_text(SPEC, encoding="utf-8")
     with dashboard(folder, domain, "--spec", "gentle.yaml") as started:
