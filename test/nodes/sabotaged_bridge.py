@@ -1,8 +1,11 @@
-"""The hardware bridge with a service more, `sabotage`: it does not answer (false), or ends the thread of services (true)."""
+"""The hardware bridge with two services more.
+
+`sabotage` does not answer (false), or ends the thread of services (true); `break_loop` lets the loop raise an exception.
+"""
 
 import threading
 
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from ehls_ros.nodes.control import run_node
 from ehls_ros.nodes.hardware_bridge_node import HardwareBridgeNode
@@ -14,7 +17,18 @@ class SabotagedBridge(HardwareBridgeNode):
     def __init__(self) -> None:
         super().__init__()
         self.create_service(SetBool, "sabotage", self.sabotage)
+        self.create_service(Trigger, "break_loop", self.break_loop)
         self.never = threading.Event()
+        self.broken = False
+
+    def break_loop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.broken = response.success = True
+        return response
+
+    def once(self) -> None:
+        super().once()
+        if self.broken:
+            raise ZeroDivisionError
 
     def sabotage(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data:

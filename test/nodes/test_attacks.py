@@ -30,7 +30,7 @@ RESOLUTION = 1e-6
 
 
 @pytest.fixture
-def rig(graph, participant, tmp_path):
+def rig(one_realtime_graph, graph, participant, tmp_path):
     started = []
 
     def start(**options):
@@ -113,11 +113,21 @@ def test_services_that_die_close_the_valve_and_end_the_process(rig, graph):
     died = time.monotonic()
     client = running.participant.node.create_client(SetBool, "sabotage")
     client.call_async(SetBool.Request(data=True))
-    assert running.bridge.wait(60.0) == 1
+    assert running.bridge.wait(PATIENCE) == 1
     ended = time.monotonic()
     running.participant.rest(3 * SLOW.watchdog)
     assert "answered no more" in graph.log(BRIDGE)
     judge("services die", running.finish(), died, ended - died + SLOW.watchdog)
+
+
+def test_an_exception_in_the_loop_closes_the_valve_and_ends_the_process(rig, graph):
+    running = rig(bridge=SABOTAGED)
+    assert running.ask(Trigger, "break_loop").success
+    raised = time.monotonic()
+    assert running.bridge.wait(PATIENCE) == 1
+    running.participant.rest(3 * SLOW.watchdog)
+    assert "ZeroDivisionError" in graph.log(BRIDGE)
+    judge("exception in the loop", running.finish(), raised, SETTLED + SLOW.period)
 
 
 # The lifecycle

@@ -14,7 +14,7 @@ RESOLUTION = 1e-6
 
 
 @pytest.mark.timeout(1500)
-def test_whatever_befalls_the_rig_the_valve_does_what_it_may(graph, participant, tmp_path):
+def test_whatever_befalls_the_rig_the_valve_does_what_it_may(one_realtime_graph, graph, participant, tmp_path):
     seed = random.SystemRandom().randrange(2**32)
     print("seed", seed)
     rig = CommandedRig(graph, participant, tmp_path)
