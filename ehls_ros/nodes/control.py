@@ -23,7 +23,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
-from ehls_ros.experiments.spec import Spec, load_rig, load_spec
+from ehls_ros.experiments.spec import Spec, check_spec, load_rig, load_spec
 from ehls_ros.hardware.realtime import claim, exact_wake_ups
 from ehls_ros.nodes.parameters import declare, refuse_unknown
 from ehls_ros.process import end
@@ -120,7 +120,9 @@ class ControlNode(LifecycleNode):
         if not rig:
             return spec
         chosen_rig = load_rig(Path(rig))
-        return spec._replace(rig=chosen_rig, controller_rig=chosen_rig)
+        spec = spec._replace(rig=chosen_rig, controller_rig=chosen_rig)
+        check_spec(spec, rig)
+        return spec
 
     def prepare(self) -> None:
         """Build what the loop needs: compile, publish, subscribe."""

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from numpy.typing import NDArray
 from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
@@ -66,6 +66,16 @@ SILENCE = 3.0
 
 FORGOTTEN = 15.0
 """A node that has been silent for so long is shown no more [s]."""
+
+LOST = 5.0
+"""Time without an answer after which a transition that was asked for may have got lost [s]."""
+
+GOALS = {
+    Transition.TRANSITION_CONFIGURE: State.PRIMARY_STATE_INACTIVE,
+    Transition.TRANSITION_ACTIVATE: State.PRIMARY_STATE_ACTIVE,
+    Transition.TRANSITION_DEACTIVATE: State.PRIMARY_STATE_INACTIVE,
+}
+"""Where a node is after a transition."""
 
 GONE = 1.0
 """Without a snapshot for so long, there is no graph [s].
@@ -290,12 +300,24 @@ class Link:
         return bool(self._client(ChangeState, f"{node}/change_state").service_is_ready())
 
     def change_state(self, node: str, transition: int, patience: float, hopeless: Callable[[], bool]) -> Answer:
-        """Ask a lifecycle node for a transition, for as long as there is hope of an answer."""
+        """Ask a lifecycle node for a transition, for as long as there is hope of an answer.
+
+        What is asked can get lost: a node that was ended a moment ago seems to be there still. So the node is asked where it is
+        when it stays silent; one that is at it answers only then.
+        """
         request = ChangeState.Request(transition=Transition(id=transition))
-        response = self.call(ChangeState, f"{node}/change_state", request, patience, patience, hopeless)
-        if response is None:
-            return Answer(done=False, message=f"{node} did not answer in {patience:.0f} s")
-        return Answer(response.success, "" if response.success else f"{node} refused to go on")
+        deadline = time.monotonic() + patience
+        while (left := deadline - time.monotonic()) > 0.0:
+            response = self.call(ChangeState, f"{node}/change_state", request, left, min(left, LOST), hopeless)
+            if response is not None:
+                return Answer(response.success, "" if response.success else f"{node} refused to go on")
+            left = deadline - time.monotonic()
+            state = self.call(GetState, f"{node}/get_state", GetState.Request(), left, left, hopeless)
+            if state is None:
+                break
+            if state.current_state.id == GOALS[transition]:
+                return Answer(done=True, message="")
+        return Answer(done=False, message=f"{node} did not answer in {patience:.0f} s")
 
     def text_parameter(self, node: str, name: str) -> str:
         """Return a node's text parameter; nothing where it does not answer."""

@@ -15,7 +15,7 @@ from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.loop import sampled, simulator_of
-from ehls_ros.experiments.spec import Spec, load_rig, read_yaml, spec_from_mapping
+from ehls_ros.experiments.spec import Spec, check_spec, load_rig, read_yaml, spec_from_mapping
 from ehls_ros.hardware.backends.udp import bound_socket, codec
 from ehls_ros.hardware.bridge_file import Bridge, bridge_from_mapping
 from ehls_ros.hardware.emulator import Emulator
@@ -151,6 +151,7 @@ def _spec(options: Namespace) -> Spec:
     if options.rig is not None and isinstance(content, dict):
         content["rig"] = rig_to_mapping(load_rig(rig))
     spec = spec_from_mapping(content, str(options.spec), options.spec.parent)
+    check_spec(spec, str(options.spec))
     return spec._replace(rig=_without_own_delay(spec.rig, spec.settings.control_period))
 
 
