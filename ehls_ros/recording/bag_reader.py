@@ -66,6 +66,11 @@ def read_bag(path: Path) -> Trajectory:
     return Trajectory(time_s, _recorded(signals, len(time_s), provenance), provenance.configuration if provenance else {})
 
 
+def is_closed(folder: Path) -> bool:
+    """Tell whether the recorder of a bag got to its end."""
+    return (folder / METADATA_FILE).exists() and not (folder / NOTE).exists()
+
+
 def _metadata(path: Path) -> Any:
     """Check that a bag is there and closed, and return what its metadata.yaml says; None for a single storage file."""
     if path.is_dir():

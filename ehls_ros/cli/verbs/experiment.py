@@ -57,12 +57,13 @@ def run(options: Namespace) -> int:
     if options.duration is not None:
         spec = _with_duration(spec, options.duration)
     folder = RunFolder.create(options.out, options.spec.stem, overwrite=options.overwrite)
-    folder.write_spec(spec)
-    with progress_bar(spec.settings.title) as progress:
-        trajectory, wall = (_in_process if options.in_process else _over_dds)(spec, folder, options, progress)
-    metrics = evaluate(trajectory)._replace(wall_s=wall, bag=str(folder.bag), report=str(folder.report))
-    folder.write_metrics(metrics)
-    write_experiment_report(trajectory, metrics.as_json(), folder.report)
+    with folder.filling():
+        folder.write_spec(spec)
+        with progress_bar(spec.settings.title) as progress:
+            trajectory, wall = (_in_process if options.in_process else _over_dds)(spec, folder, options, progress)
+        metrics = evaluate(trajectory)._replace(wall_s=wall, bag=str(folder.bag), report=str(folder.report))
+        folder.write_metrics(metrics)
+        write_experiment_report(trajectory, metrics.as_json(), folder.report)
     _print(spec, metrics, trajectory, machine=options.json)
     return 0
 
