@@ -130,6 +130,10 @@ def _frozen(value: Any) -> Any:
     return tuple(map(_frozen, value)) if isinstance(value, list) else value
 
 
+def _as_written(value: Any) -> Any:
+    return list(map(_as_written, value)) if isinstance(value, tuple) else value
+
+
 def bad_input(error: ValidationError, where: str, parameters: type) -> BadInput:
     """Turn pydantic's first complaint into one line."""
     first = error.errors(include_url=False)[0]
@@ -137,27 +141,28 @@ def bad_input(error: ValidationError, where: str, parameters: type) -> BadInput:
     location = tuple(part for part in first["loc"] if isinstance(part, str))
     key = ".".join(location)
     explained = _help(parameters, location)
+    written = _as_written(first["input"])
     match first["type"]:
         case "missing" | "missing_argument" if location == first["loc"]:
             return BadInput(f"key '{key}' is missing", where, f"a value for it {explained}".rstrip())
         case "missing":
-            return BadInput(f"{key} is {first['input']!r}", where, f"more values {explained}".rstrip())
+            return BadInput(f"{key} is {written!r}", where, f"more values {explained}".rstrip())
         case "extra_forbidden" | "unexpected_keyword_argument":
             known = ", ".join(_fields_at(parameters, location[:-1]))
             return BadInput(f"key '{key}' is unknown", where, f"one of {known}" if known else "no such key")
         case _:
             wanted = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
             advice = _advice(first["type"], first["input"])
-            return BadInput(f"{key} is {first['input']!r}", where, f"{wanted} {explained}".rstrip() + advice)
+            return BadInput(f"{key} is {written!r}", where, f"{wanted}{advice} {explained}".rstrip())
 
 
 def _advice(kind: str, value: Any) -> str:
     """Return what YAML may have made of what the user wrote."""
     match kind, value:
         case "float_type" | "int_type", bool():
-            return "; YAML reads yes, on, no and off as true and false"
+            return " (to YAML yes, on, no and off are true and false)"
         case "float_type" | "int_type", str():
-            return ", without quotes"
+            return " without quotes"
         case "string_type", bool() | int() | float():
             return " in quotes"
         case _:

@@ -95,14 +95,15 @@ def _storage_files(bag: Path) -> list[Path]:
 def _size(path: Path, metadata: Any) -> int:
     """Return what a bag's storage files take on disk [B]."""
     if metadata is None:
-        return check_regular(path, limits.BAG, CLOSED_BAG)
+        return check_regular(path, limits.BAG, CLOSED_BAG, larger=limits.BAG_LARGER)
     names = [PurePath(name).name for name in metadata["rosbag2_bagfile_information"]["relative_file_paths"]]
     for name in names:
         # What is named otherwise, or twice, would be read unchecked, or again and again.
         if PurePath(name.removesuffix(".zstd")).suffix not in STORAGE_SUFFIXES or names.count(name) > 1:
             expected = f"files {' or '.join(STORAGE_SUFFIXES)}, each once"
             raise BadInput(f"it names the storage file {name!r}", str(path / METADATA_FILE), expected)
-    return sum(check_regular(path / name, limits.BAG, CLOSED_BAG, f"the storage file {name}") for name in names)
+    files = {name: f"the storage file {name}" for name in names}
+    return sum(check_regular(path / name, limits.BAG, CLOSED_BAG, what, limits.BAG_LARGER) for name, what in files.items())
 
 
 def _checked(file: Path, allowance: Allowance, deadline: Deadline) -> Mapping[str, str]:

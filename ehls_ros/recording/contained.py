@@ -42,7 +42,7 @@ def contained(read: Read, path: Path, columns: Columns, expected: str) -> Trajec
         BadInput: the file is refused, or takes more memory or time than one of its size may, or the reader dies of it.
         WorkFailed: the process could not be started.
     """
-    size = check_regular(path, limits.TABLE, expected)
+    size = check_regular(path, limits.TABLE, expected, larger=limits.TABLE_LARGER)
     half = os.sysconf("SC_PHYS_PAGES") * resource.getpagesize() // 2
     memory = min(limits.COPIES * min(limits.EXPANDED + limits.EXPANSION * size, 8 * limits.VALUES), half)
     deadline = Deadline(size, str(path))

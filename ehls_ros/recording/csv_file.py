@@ -5,6 +5,7 @@ import math
 from array import array
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from itertools import chain, count
 from operator import itemgetter
 from pathlib import Path
@@ -44,7 +45,7 @@ def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
         BadInput: the file cannot be read, a column or cell is wrong, or time does not grow with every row.
     """
     where = str(path)
-    deadline = Deadline(check_regular(path, limits.TABLE, "a CSV file"), where)
+    deadline = Deadline(check_regular(path, limits.TABLE, "a CSV file", larger=limits.TABLE_LARGER), where)
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             chosen, values = _read(stream, columns, deadline, where)
@@ -108,7 +109,7 @@ def _read(
             deadline.check()
             check_length(number, len(chosen), where)
         if len(row) != len(header):
-            if not row and not any(rows):
+            if not row and _nothing_in(stream):
                 break
             line = f"{where}, {_line(len(numbers) // len(chosen))}"
             raise BadInput(f"the row has {len(row)} cells", line, f"{len(header)} as the header")
@@ -130,11 +131,16 @@ def _lines(stream: TextIO, where: str) -> Iterator[str]:
     for number in count(1):
         line = stream.readline(limits.LINE + 1)
         if len(line) > limits.LINE:
-            expected = f"at most {limits.LINE}, of a CSV file with a line for each sample"
+            expected = f"a CSV file with a line of at most {limits.LINE} for each sample"
             raise BadInput(f"the line has more than {limits.LINE} characters", f"{where}, line {number}", expected)
         if not line:
             return
         yield line
+
+
+def _nothing_in(stream: TextIO) -> bool:
+    """Tell whether there is nothing but space in the rest of a file."""
+    return not any(piece.strip() for piece in iter(partial(stream.read, limits.LINE), ""))
 
 
 def _number(cell: str, column: Column, where: str) -> float:

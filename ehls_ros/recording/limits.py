@@ -16,6 +16,8 @@ YAML_NUMBER = 400
 TABLE = 8 * 2**30
 """Largest CSV, MAT or Parquet file [B]."""
 
+TABLE_LARGER = ": split it by time, or write it as Parquet"
+
 LINE = 2**18
 """Longest line of a CSV file; a thousand columns take a tenth [characters]."""
 
@@ -27,6 +29,8 @@ VALUES = 200_000_000
 
 BAG = 64 * 2**30
 """Largest bag [B]; an hour of ours takes 4 GB."""
+
+BAG_LARGER = ": `ros2 bag convert` splits it"
 
 TOPICS = 4096
 """Most topics of a bag [1]."""

@@ -8,7 +8,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.recording.reason import reason
 
 KINDS = {
-    stat.S_IFDIR: "a folder",
+    stat.S_IFDIR: "a directory",
     stat.S_IFIFO: "a pipe",
     stat.S_IFSOCK: "a socket",
     stat.S_IFCHR: "a device",
@@ -16,7 +16,7 @@ KINDS = {
 }
 
 
-def check_regular(path: Path, largest: int, expected: str, what: str = "the file") -> int:
+def check_regular(path: Path, largest: int, expected: str, what: str = "the file", larger: str = "") -> int:
     """Refuse what is no regular file, or a link to one, or too large.
 
     It is asked of the file system; nothing is opened, which some devices would notice.
@@ -26,6 +26,7 @@ def check_regular(path: Path, largest: int, expected: str, what: str = "the file
         largest: its largest size [B].
         expected: what it should be, for the error.
         what: what the file is to the user.
+        larger: what to do with a larger one.
 
     Returns:
         Its size [B].
@@ -41,8 +42,7 @@ def check_regular(path: Path, largest: int, expected: str, what: str = "the file
         kind = KINDS.get(stat.S_IFMT(status.st_mode), "no regular file")
         raise BadInput(f"{what} cannot be read (it is {kind})", str(path), expected)
     if status.st_size > largest:
-        limit = f"at most {largest}, in parts where it is longer"
-        raise BadInput(f"{what} has {status.st_size} bytes", str(path), f"{expected} of {limit}")
+        raise BadInput(f"{what} has {status.st_size} bytes", str(path), f"{expected} of at most {largest}{larger}")
     return status.st_size
 
 

@@ -50,6 +50,8 @@ def custom_data_in(file: Path, deadline: Deadline) -> Mapping[str, str]:
         raise
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", str(file), CLOSED_BAG) from None
+    except sqlite3.DataError:
+        raise BadInput("it holds a text of too many bytes", str(file), f"at most {limits.TEXT}") from None
     except (ValueError, struct.error, sqlite3.Error):
         deadline.check()
         raise BadInput("the file is damaged", str(file), CLOSED_BAG) from None
@@ -94,29 +96,24 @@ def check_database(database: sqlite3.Connection) -> None:
 
 def _check_contents(database: sqlite3.Connection, file: Path) -> None:
     """Refuse a database whose topics, or messages of the topics that are read, are too many or too large."""
-    # A value that is larger cannot be fetched.
-    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, limits.TEXT)
     names = {topic.name for topic in CYCLE_TOPICS}
     tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     read, rows, size = list[int](), 0, 0
-    try:
-        for table in sorted(tables & {"topics", "message_definitions"}):
-            for row in database.execute(f"SELECT * FROM {table}"):  # noqa: S608 - one of the two
-                rows += 1
-                size += sum(len(value) for value in row if isinstance(value, str | bytes))
-                if rows > limits.TOPICS or size > limits.SUMMARY:
-                    what = f"it has {rows} topics and types or more, of {size} bytes"
-                    raise BadInput(what, str(file), f"at most {limits.TOPICS}, and {limits.SUMMARY} bytes")
-                if table == "topics" and str(row[1]).rpartition("/")[2] in names:
-                    read.append(row[0])
-        if tables >= {"topics", "messages"}:
-            which = ",".join("?" * len(read))
-            largest = f"SELECT max(length(data)) FROM messages WHERE topic_id IN ({which})"  # noqa: S608 - question marks
-            ((length,),) = database.execute(largest, read)
-            if isinstance(length, int) and length > limits.MESSAGE:
-                raise BadInput(f"a message has {length} bytes", str(file), f"at most {limits.MESSAGE}")
-    except sqlite3.DataError:
-        raise BadInput("a text has too many bytes", str(file), f"at most {limits.TEXT}") from None
+    for table in sorted(tables & {"topics", "message_definitions"}):
+        for row in database.execute(f"SELECT * FROM {table}"):  # noqa: S608 - one of the two
+            rows += 1
+            size += sum(len(value) for value in row if isinstance(value, str | bytes))
+            if rows > limits.TOPICS or size > limits.SUMMARY:
+                what = f"it has {rows} topics and types or more, of {size} bytes"
+                raise BadInput(what, str(file), f"at most {limits.TOPICS}, and {limits.SUMMARY} bytes")
+            if table == "topics" and str(row[1]).rpartition("/")[2] in names:
+                read.append(row[0])
+    if tables >= {"topics", "messages"}:
+        which = ",".join("?" * len(read))
+        largest = f"SELECT max(length(data)) FROM messages WHERE topic_id IN ({which})"  # noqa: S608 - question marks
+        ((length,),) = database.execute(largest, read)
+        if isinstance(length, int) and length > limits.MESSAGE:
+            raise BadInput(f"a message has {length} bytes", str(file), f"at most {limits.MESSAGE}")
 
 
 def _cut(file: Path) -> BadInput:
@@ -137,7 +134,8 @@ def _mcap_metadata(file: Path) -> str:
         if 0 < summary_start < content_end:
             stream.seek(summary_start)
             if content_end - summary_start > limits.SUMMARY:
-                raise ValueError("its summary is too long")
+                what = f"its summary has {content_end - summary_start} bytes"
+                raise BadInput(what, str(file), f"at most {limits.SUMMARY}")
             summary = stream.read(content_end - summary_start)
             offset = 0
             while offset < len(summary):
@@ -184,7 +182,9 @@ def _sqlite_metadata(file: Path, deadline: Deadline) -> str:
         if Path(journal).exists() and Path(journal).stat().st_size:
             raise BadInput(f"the file was never closed: {Path(journal).name} is beside it", str(file), CLOSED_BAG)
     with closing(sqlite3.connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as database:
-        database.set_progress_handler(deadline.passed, 100_000)
+        # A value that is larger cannot be fetched.
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, limits.TEXT)
+        database.set_progress_handler(deadline.passed, 1000)
         check_database(database)
         _check_contents(database, file)
         if not database.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'metadata'").fetchone():
