@@ -34,7 +34,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from ehls_ros.errors import LONGEST as PART
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
-from ehls_ros.experiments.spec import load_rig, load_spec, read_yaml
+from ehls_ros.experiments.spec import load_rig, load_spec
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
 from ehls_ros.hardware.packet import HEADER, LARGEST, MAGIC, MOST_VALUES, VERSION, Codec, Kind, Packet
 from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
@@ -46,6 +46,7 @@ from ehls_ros.recording.recovery import recover
 from ehls_ros.recording.topics import FRICTION_ESTIMATE, LOADER_STATE
 from ehls_ros.recording.trajectory_messages import streams_of
 from ehls_ros.recording.typestore import typestore
+from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.trajectory import SIGNALS, Trajectory
 
 SLOWEST = 3.0

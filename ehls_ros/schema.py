@@ -9,7 +9,7 @@ from collections.abc import Hashable, Iterator, Mapping
 from functools import cache
 from typing import Annotated, Any, NamedTuple, TypeVar, cast, get_args, get_origin, get_type_hints
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
 from ehls_ros.errors import BadInput
@@ -95,7 +95,8 @@ def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> 
 
     Args:
         parameters: the ``NamedTuple`` class to build.
-        data: what the user wrote; an int stands for a float.
+        data: what the user wrote; an int stands for a float, and a float without a fraction for an int. Nothing else stands
+            for anything: YAML's yes is no 1, and a number in quotes is a text.
         where: file and section, for the error.
 
     Returns:
@@ -105,7 +106,7 @@ def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> 
         BadInput: naming the first offending key, its value and what was expected.
     """
     try:
-        return cast(Parameters, _adapter(cast(Hashable, parameters)).validate_python(dict(data)))
+        return cast(Parameters, _adapter(cast(Hashable, parameters)).validate_python(_prepared(parameters, data)))
     except ValidationError as error:
         raise bad_input(error, where, parameters) from None
 
@@ -113,7 +114,24 @@ def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> 
 @cache
 def _adapter(parameters: Any) -> TypeAdapter[Any]:
     """Return the checker of a parameter set; making one takes milliseconds."""
-    return TypeAdapter(parameters)
+    return TypeAdapter(parameters, config=ConfigDict(strict=True))
+
+
+def _prepared(parameters: type, data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the data as the checker wants them: lists as tuples, whole numbers as ints where one is declared."""
+    whole = {declared.name for declared in declarations(parameters) if declared.kind is int}
+    return {
+        key: int(value) if key in whole and isinstance(value, float) and value.is_integer() else _frozen(value)
+        for key, value in data.items()
+    }
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(map(_frozen, value)) if isinstance(value, list) else value
+
+
+def _as_written(value: Any) -> Any:
+    return list(map(_as_written, value)) if isinstance(value, tuple) else value
 
 
 def bad_input(error: ValidationError, where: str, parameters: type) -> BadInput:
@@ -123,17 +141,32 @@ def bad_input(error: ValidationError, where: str, parameters: type) -> BadInput:
     location = tuple(part for part in first["loc"] if isinstance(part, str))
     key = ".".join(location)
     explained = _help(parameters, location)
+    written = _as_written(first["input"])
     match first["type"]:
         case "missing" | "missing_argument" if location == first["loc"]:
             return BadInput(f"key '{key}' is missing", where, f"a value for it {explained}".rstrip())
         case "missing":
-            return BadInput(f"{key} is {first['input']!r}", where, f"more values {explained}".rstrip())
+            return BadInput(f"{key} is {written!r}", where, f"more values {explained}".rstrip())
         case "extra_forbidden" | "unexpected_keyword_argument":
             known = ", ".join(_fields_at(parameters, location[:-1]))
             return BadInput(f"key '{key}' is unknown", where, f"one of {known}" if known else "no such key")
         case _:
             wanted = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
-            return BadInput(f"{key} is {first['input']!r}", where, f"{wanted} {explained}".rstrip())
+            advice = _advice(first["type"], first["input"])
+            return BadInput(f"{key} is {written!r}", where, f"{wanted}{advice} {explained}".rstrip())
+
+
+def _advice(kind: str, value: Any) -> str:
+    """Return what YAML may have made of what the user wrote."""
+    match kind, value:
+        case "float_type" | "int_type", bool():
+            return " (to YAML yes, on, no and off are true and false)"
+        case "float_type" | "int_type", str():
+            return " without quotes"
+        case "string_type", bool() | int() | float():
+            return " in quotes"
+        case _:
+            return ""
 
 
 def _fields_at(parameters: Any, location: tuple[str, ...]) -> tuple[str, ...]:

@@ -8,15 +8,16 @@ PACKAGE = Path(__file__).resolve().parent
 
 
 @cache
-def sources_digest(*folders: str) -> str:
-    """Return a digest of every source file in some folders of the package, its name included.
+def sources_digest(*parts: str) -> str:
+    """Return a digest of every source file in some parts of the package, its name included.
 
     Args:
-        folders: names of subpackages.
+        parts: names of subpackages, and of single files such as ``arrays.py``.
     """
     digest = hashlib.sha256()
-    for folder in folders:
-        for path in sorted((PACKAGE / folder).rglob("*.py")):
+    for part in parts:
+        place = PACKAGE / part
+        for path in [place] if place.suffix else sorted(place.rglob("*.py")):
             digest.update(str(path.relative_to(PACKAGE)).encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()

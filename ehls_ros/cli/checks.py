@@ -19,7 +19,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.hardware.realtime import sleep_until
 from ehls_ros.nodes.shared_memory import leftovers, used_by
-from ehls_ros.physics.composition import cache_folder
+from ehls_ros.physics.kernel_cache import cache_folder
 
 Level = Literal["ok", "note", "problem"]
 

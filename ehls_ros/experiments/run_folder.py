@@ -1,19 +1,26 @@
 """The folder a run leaves: spec, bag, metrics, report."""
 
+import errno
 import json
 import shutil
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 import yaml
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.metrics import Metrics
 from ehls_ros.experiments.spec import Spec, spec_to_mapping
+from ehls_ros.recording.reason import reason
 
 HOLDS = ("spec.yaml", "bag", "metrics.json", "report.html", "logs")
 """What a run folder may hold."""
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""The system's words for no room: on the disk, for this user, in one file."""
 
 
 class RunFolder(NamedTuple):
@@ -50,6 +57,19 @@ class RunFolder(NamedTuple):
         except OSError as error:
             raise BadInput(f"the run folder cannot be written ({error.strerror})", str(path), "a writable folder") from None
         return cls(path)
+
+    @contextmanager
+    def filling(self) -> Iterator[None]:
+        """Say of what is written meanwhile why it could not be.
+
+        Raises:
+            WorkFailed: the system refused something, such as more room on the disk.
+        """
+        try:
+            yield
+        except OSError as error:
+            advice = ": free some space, or choose another --out" if error.errno in FULL else ""
+            raise WorkFailed(f"the run in {self.path} cannot go on ({reason(error)}){advice}") from None
 
     @property
     def bag(self) -> Path:

@@ -3,6 +3,7 @@
 import csv
 import math
 from collections.abc import Mapping
+from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -16,7 +17,9 @@ from ehls_ros.errors import BadInput
 from ehls_ros.physics.plausibility import FLAGGED, check_ranges, check_rig, check_signal, check_step
 from ehls_ros.physics.rig import Rig, effects_from_list, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP
-from ehls_ros.recording.yaml_text import LARGEST, parse_yaml
+from ehls_ros.recording import limits
+from ehls_ros.recording.regular_file import read_text
+from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import parse, quantity, text
 
 
@@ -81,24 +84,6 @@ DEFAULT_COMPENSATION = "gms"
 """The friction observer of FASMC II."""
 
 SECTIONS = (*Settings._fields, "rig", "controller_rig", "effects", "reference", "disturbance", "controller", "compensation")
-
-
-def read_yaml(path: Path, what: str) -> Any:
-    """Read a YAML file.
-
-    Raises:
-        BadInput: it cannot be read or is no YAML.
-    """
-    try:
-        with path.open(encoding="utf-8") as file:
-            text = file.read(LARGEST + 1)
-    except OSError as error:
-        raise BadInput(f"{what} cannot be read ({error.strerror})", str(path), "a readable YAML file") from None
-    except UnicodeDecodeError:
-        raise BadInput(f"{what} is no text", str(path), "a YAML file in UTF-8") from None
-    except ValueError as error:
-        raise BadInput(f"{what} cannot be read ({error})", str(path), "the name of a YAML file") from None
-    return parse_yaml(text, str(path), what)
 
 
 def load_rig(path: Path) -> Rig:
@@ -243,10 +228,10 @@ def read_points(path: Path) -> list[tuple[float, float]]:
     Raises:
         BadInput: a column is missing, a cell is no finite number, or time does not increase.
     """
+    text = read_text(path, limits.TEXT, "a CSV file", "reference file")
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, ValueError, csv.Error) as error:
+        rows = list(csv.DictReader(StringIO(text, newline="")))
+    except csv.Error as error:
         raise BadInput(f"reference file cannot be read ({error})", str(path), "a CSV file") from None
     points: list[tuple[float, float]] = []
     for number, row in enumerate(rows, start=2):

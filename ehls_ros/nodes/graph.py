@@ -33,6 +33,7 @@ from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE, REALTIME
+from ehls_ros.recording.bag_reader import is_closed
 from ehls_ros.recording.topics import CYCLE_TOPICS, FRICTION_ESTIMATE, REFERENCE_TOPICS
 from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
 
@@ -151,6 +152,9 @@ def run_graph(
     for node in running:
         if node.process.returncode != 0:
             raise WorkFailed(f"{node.name} ended with exit code {node.process.returncode}: see {node.log}")
+    if not is_closed(folder.bag):
+        log = folder.logs / f"{RECORDER}.log"
+        raise WorkFailed(f"{RECORDER} did not close the bag: see {log}; `ehls recover {folder.bag}` gets back what is in it")
     return wall
 
 
@@ -325,7 +329,7 @@ class Conductor:
         recorder = next(node for node in self._running if node.name == RECORDER)
         self._transition(recorder, Transition.TRANSITION_DEACTIVATE)()
         if self._failure:
-            raise WorkFailed(f"{self._plant.node}: {self._failure}; what was recorded until then is kept")
+            raise WorkFailed(f"{self._failure}; what was recorded until then is kept")
         return wall
 
     def close(self) -> None:
@@ -383,8 +387,8 @@ class Conductor:
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
-            if status.name == self._plant.node and status.level == DiagnosticStatus.ERROR:
-                self._failure = status.message
+            if status.name in (self._plant.node, RECORDER) and status.level == DiagnosticStatus.ERROR:
+                self._failure = f"{status.name}: {status.message}"
             if status.name == self._plant.node:
                 self._cycle = next((int(v.value) for v in status.values if v.key == "cycle"), self._cycle)
 

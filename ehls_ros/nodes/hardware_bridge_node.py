@@ -8,7 +8,6 @@ from typing import Annotated, Any, NamedTuple, NoReturn
 
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.files import config_folder
-from ehls_ros.experiments.spec import read_yaml
 from ehls_ros.hardware.backends.base import Reading
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
 from ehls_ros.hardware.safety_gate import DISABLED
@@ -17,6 +16,7 @@ from ehls_ros.nodes.control import ERROR, OK, WARN, run_node
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.plant import PlantNode
 from ehls_ros.physics.rig import SENSED
+from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import quantity, text
 
 LOCKSTEP_PATIENCE = 0.05

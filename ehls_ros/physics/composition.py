@@ -6,15 +6,11 @@ module lies in the user's cache folder under a name made of its own text and of 
 any change of either makes a new module, and a cached kernel is never stale.
 """
 
-import fcntl
 import hashlib
-import importlib.util
 import inspect
-import os
 import sys
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from importlib.abc import ExecutionLoader
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
@@ -27,16 +23,9 @@ from numba.core.dispatcher import Dispatcher
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS
 from ehls_ros.physics.friction import FRICTION_MODELS
+from ehls_ros.physics.kernel_cache import PREFIX, kept, make_private, sealed
 from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.sources import sources_digest
-
-
-def cache_folder() -> Path:
-    """Return where generated kernels lie: ``$EHLS_CACHE_DIR``, or ``ehls_ros`` in the user's cache folder."""
-    chosen = os.environ.get("EHLS_CACHE_DIR")
-    if chosen:
-        return Path(chosen)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ehls_ros"
 
 
 def kernel_module(source: str) -> ModuleType:
@@ -48,71 +37,63 @@ def kernel_module(source: str) -> ModuleType:
     Returns:
         The module. Its entry functions compile at their first call ever, and load at later ones. Of several processes
         that call one for the first time at once, one compiles and the others wait and load.
+
+    Raises:
+        BadInput: the cache folder is not the user's alone.
     """
     # Everything machine code is made from.
-    made_from = (sys.version, numba.__version__, np.__version__, sources_digest("physics", "control"), source)
-    digest = hashlib.sha256(" ".join(made_from).encode()).hexdigest()[:16]
-    name = f"ehls_kernel_{digest}"
+    made_from = (sys.version, numba.__version__, np.__version__, sources_digest("physics", "control", "arrays.py"), source)
+    name = PREFIX + hashlib.sha256(" ".join(made_from).encode()).hexdigest()[:16]
     if name in sys.modules:
         return sys.modules[name]
-    path = _written(cache_folder(), name, source)
-    spec = importlib.util.spec_from_file_location(name, path)
+    path = kept(name, source)
+    spec = spec_from_file_location(name, path, loader=_Generated(source, path))
     if spec is None or spec.loader is None:
         raise ImportError(f"{path} cannot be imported as a kernel module")
-    module = importlib.util.module_from_spec(spec)
+    module = module_from_spec(spec)
     sys.modules[name] = module
     spec.loader.exec_module(module)
     for entry in vars(module).values():
         if isinstance(entry, Dispatcher) and entry.py_func.__module__ == name and entry.stats.cache_path is not None:
-            _compile_in_turn(entry, path.with_name(f"{name}.{entry.py_func.__name__}.lock"))
+            code = Path(entry.stats.cache_path)
+            if code.parent != path.parent:
+                # Numba was told to keep it elsewhere.
+                make_private(code)
+            _compile_in_turn(entry, path.with_name(f"{name}.{entry.py_func.__name__}.seal"), code)
     return module
 
 
-def _compile_in_turn(entry: Any, file: Path) -> None:
+class _Generated(ExecutionLoader):
+    """Runs a module's text from memory: the file may be another by the time it is read."""
+
+    def __init__(self, source: str, path: Path) -> None:
+        self._source = source
+        self._path = path
+
+    def get_source(self, fullname: str) -> str:
+        return self._source
+
+    def get_filename(self, fullname: str) -> str:
+        return str(self._path)
+
+    def is_package(self, fullname: str) -> bool:
+        return False
+
+
+def _compile_in_turn(entry: Any, seal: Path, code: Path) -> None:
     """Let a compiled function compile in one process at a time; who waited finds it done and loads it."""
     compile_or_load = entry.compile
 
     def in_turn(signature: Any) -> Any:
         # Numba's own lock first: a thread that holds it may want the file for a kernel inside the one it compiles.
-        with global_compiler_lock, _locked(file):
-            return compile_or_load(signature)
+        with global_compiler_lock, sealed(seal, code, f"{seal.stem}-*"):
+            try:
+                return compile_or_load(signature)
+            except OSError:
+                # The disk is full: it is compiled by now, and only cannot be kept.
+                return compile_or_load(signature)
 
     entry.compile = in_turn
-
-
-@contextmanager
-def _locked(file: Path) -> Iterator[None]:
-    """Keep other processes out; where the folder cannot be written, compiling twice does no harm.
-
-    The lock is the system's: it goes with the process that holds it, however that ends.
-    """
-    try:
-        handle = file.open("ab")
-    except OSError:
-        yield
-        return
-    with handle:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-
-
-def _written(folder: Path, name: str, source: str) -> Path:
-    """Write the module unless it is there; a folder that cannot be written gives way to a temporary one."""
-    path = folder / f"{name}.py"
-    if path.is_file():
-        return path
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle, scratch = tempfile.mkstemp(dir=folder, suffix=".py")
-    except OSError:
-        folder = Path(tempfile.mkdtemp(prefix="ehls_ros_"))
-        path = folder / f"{name}.py"
-        handle, scratch = tempfile.mkstemp(dir=folder, suffix=".py")
-    # Several nodes may start at once: each writes its own file, the last rename wins with the same text.
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(source)
-    Path(scratch).replace(path)
-    return path
 
 
 def plant_source(rig: Rig) -> str:

@@ -4,7 +4,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,15 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording import limits
 from ehls_ros.recording.alignment import CYCLE, MessageColumns, align
-from ehls_ros.recording.bag_topic import BagTopic
+from ehls_ros.recording.bag_topic import BLOCK, BagTopic
+from ehls_ros.recording.deadline import Deadline
 from ehls_ros.recording.expansion import Allowance, check_chunks, compression_mode, expanded_message, laid_open
 from ehls_ros.recording.provenance import Provenance, provenance_in
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import NOTE
+from ehls_ros.recording.regular_file import check_regular, read_text
 from ehls_ros.recording.storage_file import CLOSED_BAG, METADATA_FILE, custom_data_in, parse_metadata
 from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE
 from ehls_ros.trajectory import SIGNALS, Trajectory
@@ -47,19 +50,25 @@ def read_bag(path: Path) -> Trajectory:
     with ExitStack() as stack:
         with _damage_reported(where):
             metadata = _metadata(path)
-            allowance = Allowance(_size(path))
+            size = _size(path, metadata)
+            allowance, deadline = Allowance(size), Deadline(size, where)
             bag = stack.enter_context(laid_open(path, metadata, allowance)) if metadata is not None else path
-            custom_data = [_checked(file, allowance) for file in _storage_files(bag)]
+            custom_data = [_checked(file, allowance, deadline) for file in _storage_files(bag)]
         reader = stack.enter_context(closing(_open(bag)))
         compressed = metadata is not None and compression_mode(metadata) == "message"
         expand = partial(expanded_message, allowance=allowance, where=where) if compressed else None
         entries = reader.storage.metadata.custom
         provenance = _provenance([*custom_data, entries if isinstance(entries, dict) else {}], where)
-        columns = _read_topics(reader, provenance, where, expand)
+        columns = _read_topics(reader, provenance, deadline, where, expand)
     if not len(columns[LOADER_STATE.name][CYCLE]):
         raise BadInput(f"there is no message of {LOADER_STATE.name}", where, "one snapshot or more")
     time_s, signals = align(columns, where)
     return Trajectory(time_s, _recorded(signals, len(time_s), provenance), provenance.configuration if provenance else {})
+
+
+def is_closed(folder: Path) -> bool:
+    """Tell whether the recorder of a bag got to its end."""
+    return (folder / METADATA_FILE).exists() and not (folder / NOTE).exists()
 
 
 def _metadata(path: Path) -> Any:
@@ -70,7 +79,7 @@ def _metadata(path: Path) -> Any:
         if not (path / METADATA_FILE).exists():
             raise BadInput(f"{METADATA_FILE} is missing", str(path), CLOSED_BAG)
         # rosbags parses it again, and trusts it
-        return parse_metadata((path / METADATA_FILE).read_text(encoding="utf-8"), str(path / METADATA_FILE))
+        return parse_metadata(read_text(path / METADATA_FILE, limits.TEXT, CLOSED_BAG), str(path / METADATA_FILE))
     if not path.exists():
         raise BadInput("it does not exist", str(path), "a folder of a rosbag2, or a file .mcap or .db3")
     if path.suffix not in STORAGE_SUFFIXES:
@@ -83,16 +92,26 @@ def _storage_files(bag: Path) -> list[Path]:
     return sorted(file for file in bag.iterdir() if file.suffix in STORAGE_SUFFIXES) if bag.is_dir() else [bag]
 
 
-def _size(path: Path) -> int:
-    """Return what a bag takes on disk [B]."""
-    return sum(file.stat().st_size for file in (path.iterdir() if path.is_dir() else [path]))
+def _size(path: Path, metadata: Any) -> int:
+    """Return what a bag's storage files take on disk [B]."""
+    if metadata is None:
+        return check_regular(path, limits.BAG, CLOSED_BAG, larger=limits.BAG_LARGER)
+    names = [PurePath(name).name for name in metadata["rosbag2_bagfile_information"]["relative_file_paths"]]
+    for name in names:
+        # What is named otherwise, or twice, would be read unchecked, or again and again.
+        if PurePath(name.removesuffix(".zstd")).suffix not in STORAGE_SUFFIXES or names.count(name) > 1:
+            expected = f"files {' or '.join(STORAGE_SUFFIXES)}, each once"
+            raise BadInput(f"it names the storage file {name!r}", str(path / METADATA_FILE), expected)
+    files = {name: f"the storage file {name}" for name in names}
+    return sum(check_regular(path / name, limits.BAG, CLOSED_BAG, what, limits.BAG_LARGER) for name, what in files.items())
 
 
-def _checked(file: Path, allowance: Allowance) -> Mapping[str, str]:
+def _checked(file: Path, allowance: Allowance, deadline: Deadline) -> Mapping[str, str]:
     """Check that a storage file is whole and does not expand beyond measure, and return the custom data it carries."""
-    custom_data = custom_data_in(file)
+    check_regular(file, limits.BAG, CLOSED_BAG)
+    custom_data = custom_data_in(file, deadline)
     if file.suffix == ".mcap":
-        check_chunks(file, allowance)
+        check_chunks(file, allowance, deadline)
     return custom_data
 
 
@@ -131,7 +150,7 @@ def _provenance(custom_data: Sequence[Mapping[str, str]], where: str) -> Provena
 
 
 def _read_topics(
-    reader: Reader, provenance: Provenance | None, where: str, expand: Callable[[bytes], bytes] | None
+    reader: Reader, provenance: Provenance | None, deadline: Deadline, where: str, expand: Callable[[bytes], bytes] | None
 ) -> dict[str, MessageColumns]:
     """Return the messages of the cycle topics the bag has, by the topic's name."""
     by_path: dict[str, list[Connection]] = defaultdict(list)
@@ -152,7 +171,9 @@ def _read_topics(
         if (name in by_path) != (name in seals) and provenance:
             raise BadInput(f"topic {name} was not recorded with the others", where, "a bag as it was written")
     connections = [connection for connection in reader.connections if connection.id in sinks]
-    for connection, stamp_ns, message in _messages(reader, connections, where, expand):
+    for number, (connection, stamp_ns, message) in enumerate(_messages(reader, connections, where, expand)):
+        if number % BLOCK == 0:
+            deadline.check()
         sinks[connection.id].add(stamp_ns, message)
     return {topic.topic.name: topic.columns() for topic in topics}
 

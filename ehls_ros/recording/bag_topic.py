@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording import limits
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS, SENT, MessageColumns
 from ehls_ros.recording.cdr import CdrError, Field, decode, flatten
 from ehls_ros.recording.provenance import Seal, checksum_sum, message_checksum
@@ -40,6 +41,9 @@ class BagTopic:
         self._where = where
         self._path = connections[0].topic
         self._expected = sum(connection.msgcount for connection in connections)
+        if self._expected > limits.ROWS:
+            expected = f"at most {limits.ROWS}, in several bags where there are more"
+            raise BadInput(f"it has {self._expected} messages", where, expected)
         self._seal = seal
         self._fields = _fields(topic, connections[0], seal, where)
         self._wanted = {CYCLE, SECONDS, NANOSECONDS, *topic.signals} & {field.name for field in self._fields}
@@ -47,6 +51,7 @@ class BagTopic:
         self._count = 0
         self._stamps_ns: list[int] = []
         self._messages: list[bytes] = []
+        self._gathered = 0
         self._blocks: list[dict[str, NDArray[Any]]] = []
 
     def add(self, stamp_ns: int, message: bytes) -> None:
@@ -57,11 +62,20 @@ class BagTopic:
             message: the message as CDR.
 
         Raises:
-            BadInput: a message before is not of the topic's type.
+            BadInput: it is larger than any of the topic, or one before is not of the topic's type.
         """
+        try:
+            size = len(message)
+        except TypeError as error:
+            # SQLite holds a number or nothing where bytes should be
+            raise BadInput(reason(error), self._where, f"messages of type {self.topic.type}") from None
+        if size > limits.MESSAGE:
+            expected = f"at most {limits.MESSAGE} in a message of type {self.topic.type}"
+            raise BadInput(f"a message has {size} bytes", self._where, expected)
         self._stamps_ns.append(stamp_ns)
         self._messages.append(message)
-        if len(self._messages) == BLOCK:
+        self._gathered += size
+        if len(self._messages) == BLOCK or self._gathered > limits.GATHERED:
             self._decode()
 
     def columns(self) -> MessageColumns:
@@ -88,7 +102,7 @@ class BagTopic:
             raise BadInput(reason(error), self._where, f"messages of type {self.topic.type}") from None
         self._blocks.append(block)
         self._count += len(self._messages)
-        self._stamps_ns, self._messages = [], []
+        self._stamps_ns, self._messages, self._gathered = [], [], 0
 
 
 def _fields(topic: Topic, connection: Connection, seal: Seal | None, where: str) -> list[Field]:

@@ -7,12 +7,15 @@ sequences have the same lengths therefore have the same layout, and each field o
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import Typesdict
+
+from ehls_ros.recording.limits import LAYOUTS
 
 ENCAPSULATION = 4
 LITTLE_ENDIAN = b"\x00\x01"
@@ -121,9 +124,12 @@ def decode(messages: Sequence[bytes], fields: Sequence[Field], wanted: Collectio
         the end of a shorter one.
 
     Raises:
-        CdrError: a message is cut, too long, or in no plain CDR.
+        CdrError: a message is cut, too long, or in no plain CDR; or their texts and sequences are of too many lengths.
     """
-    parts = [part for rows, which in _by_size(messages) for part in _decode_equally_long(rows, which, fields, wanted)]
+    found = (part for rows, which in _by_size(messages) for part in _decode_equally_long(rows, which, fields, wanted))
+    parts = list(islice(found, LAYOUTS + 1))
+    if len(parts) > LAYOUTS:
+        raise CdrError(f"messages have texts and sequences of more than {LAYOUTS} different lengths")
     arrays: dict[str, NDArray[Any]] = {}
     for field in fields:
         if field.name not in wanted:

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.reason import reason
-from ehls_ros.recording.yaml_text import LARGEST, parse_yaml
+from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import parse, quantity, text
 from ehls_ros.trajectory import SIGNALS
 
@@ -26,6 +25,19 @@ class Column(NamedTuple):
     offset: Annotated[float, quantity("SI", "what is added after scaling")] = 0.0
 
 
+MEASURED = (
+    "valve_command_m",
+    "spool_m",
+    "load_pressure_pa",
+    "supply_pressure_pa",
+    "position_m",
+    "velocity_m_s",
+    "force_n",
+    "disturbance_force_n",
+    "oil_temperature_k",
+)
+"""Signals of a sensor, which are finite or missing; what a controller works out, such as a bound, may be infinite."""
+
 Columns = Mapping[str, Column]
 """Columns by the contract's name of what they hold."""
 
@@ -42,14 +54,7 @@ def read_columns(path: Path) -> Columns:
     Raises:
         BadInput: the file cannot be read, or an entry is wrong.
     """
-    try:
-        with path.open(encoding="utf-8") as file:
-            text_of_map = file.read(LARGEST + 1)
-    except OSError as error:
-        raise BadInput(f"the file cannot be read ({reason(error)})", str(path), EXPECTED_MAP) from None
-    except UnicodeDecodeError as error:
-        raise BadInput(f"it is no YAML ({reason(error)})", str(path), EXPECTED_MAP) from None
-    content = parse_yaml(text_of_map, str(path), "map of columns")
+    content = read_yaml(path, "map of columns")
     if not isinstance(content, dict):
         raise BadInput(f"it holds {content!r}", str(path), EXPECTED_MAP)
     return {str(name): _column(str(name), entry, path) for name, entry in content.items()}

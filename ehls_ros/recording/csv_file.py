@@ -5,7 +5,8 @@ import math
 from array import array
 from collections.abc import Iterator
 from contextlib import suppress
-from itertools import chain
+from functools import partial
+from itertools import chain, count
 from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
@@ -15,14 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording import limits
 from ehls_ros.recording.columns import TIME, Column, Columns
+from ehls_ros.recording.deadline import Deadline
 from ehls_ros.recording.reason import reason
-from ehls_ros.recording.table import assemble, choose
+from ehls_ros.recording.regular_file import check_regular
+from ehls_ros.recording.table import assemble, check_length, choose
 from ehls_ros.trajectory import Trajectory
 
 DELIMITERS = ",;\t"
 BLOCK = 16384
-"""Rows written together."""
+"""Rows written together, and read before the limits are looked at again."""
 
 
 def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
@@ -41,9 +45,10 @@ def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
         BadInput: the file cannot be read, a column or cell is wrong, or time does not grow with every row.
     """
     where = str(path)
+    deadline = Deadline(check_regular(path, limits.TABLE, "a CSV file", larger=limits.TABLE_LARGER), where)
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
-            chosen, values = _read(stream, columns, where)
+            chosen, values = _read(stream, columns, deadline, where)
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", where, "a CSV file") from None
     except (UnicodeDecodeError, csv.Error) as error:
@@ -86,18 +91,25 @@ def _columns(trajectory: Trajectory) -> Iterator[tuple[str, NDArray[np.float64]]
             yield from ((f"{name}_{number}", column) for number, column in enumerate(values.T, start=1))
 
 
-def _read(stream: TextIO, columns: Columns, where: str) -> tuple[dict[str, Column], dict[str, NDArray[np.float64]]]:
+def _read(
+    stream: TextIO, columns: Columns, deadline: Deadline, where: str
+) -> tuple[dict[str, Column], dict[str, NDArray[np.float64]]]:
     """Return the chosen columns and their values by contract name."""
-    first_line = stream.readline()
+    lines = _lines(stream, where)
+    first_line = next(lines, "")
     delimiter = max(DELIMITERS, key=first_line.count)
-    rows = csv.reader(chain([first_line], stream), delimiter=delimiter, skipinitialspace=True, strict=True)
+    rows = csv.reader(chain([first_line], lines), delimiter=delimiter, skipinitialspace=True, strict=True)
     header = [name.strip() for name in next(rows, [])]
     chosen = choose(header, columns, where)
-    pick = itemgetter(*(header.index(column.name) for column in chosen.values()))
+    places = {name: place for place, name in enumerate(header)}
+    pick = itemgetter(*(places[column.name] for column in chosen.values()))
     numbers = array("d")
-    for row in rows:
+    for number, row in enumerate(rows):
+        if number % BLOCK == 0:
+            deadline.check()
+            check_length(number, len(chosen), where)
         if len(row) != len(header):
-            if not row and not any(rows):
+            if not row and _nothing_in(stream):
                 break
             line = f"{where}, {_line(len(numbers) // len(chosen))}"
             raise BadInput(f"the row has {len(row)} cells", line, f"{len(header)} as the header")
@@ -112,6 +124,23 @@ def _read(stream: TextIO, columns: Columns, where: str) -> tuple[dict[str, Colum
         numbers.extend(values)
     table = np.frombuffer(numbers).reshape(-1, len(chosen))
     return chosen, dict(zip(chosen, table.T, strict=True))
+
+
+def _lines(stream: TextIO, where: str) -> Iterator[str]:
+    """Yield the lines, none of which is read further than it may be long."""
+    for number in count(1):
+        line = stream.readline(limits.LINE + 1)
+        if len(line) > limits.LINE:
+            expected = f"a CSV file with a line of at most {limits.LINE} for each sample"
+            raise BadInput(f"the line has more than {limits.LINE} characters", f"{where}, line {number}", expected)
+        if not line:
+            return
+        yield line
+
+
+def _nothing_in(stream: TextIO) -> bool:
+    """Tell whether there is nothing but space in the rest of a file."""
+    return not any(piece.strip() for piece in iter(partial(stream.read, limits.LINE), ""))
 
 
 def _number(cell: str, column: Column, where: str) -> float:

@@ -7,9 +7,10 @@ expanded here, all of them from one allowance: a multiple of the bag's size on d
 
 import struct
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BytesIO
+from itertools import accumulate
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, NamedTuple
@@ -18,6 +19,9 @@ import lz4.frame  # type: ignore[import-untyped]
 import yaml
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording import limits
+from ehls_ros.recording.deadline import Deadline
+from ehls_ros.recording.limits import EXPANDED, EXPANSION
 from ehls_ros.recording.storage_file import (
     CLOSED_BAG,
     MCAP_CHUNK,
@@ -33,17 +37,14 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-MOST = 100
-"""Expanded bytes for a byte on disk; a run compresses two- to fivefold, one in which nothing moves elevenfold."""
-
-SMALL = 1 << 26
-"""What any bag may expand to [B]."""
-
 PIECE = 1 << 20
 """What is expanded at a time [B]."""
 
 STREAMS: Mapping[str, Callable[[BinaryIO], Any]] = {"zstd": zstd.open, "lz4": lz4.frame.open}
 """Readers by the name of the compression."""
+
+MCAP_SKIPPED = (0x09, 0x0C)
+"""Attachments and metadata, of which rosbags reads the length alone."""
 
 CHUNK_HEAD = struct.Struct("<QQQII")
 INDEX_HEAD = struct.Struct("<QQQQI")
@@ -59,7 +60,7 @@ class Allowance:
             size: of the bag on disk [B].
         """
         self._size = size
-        self.left = SMALL + MOST * size
+        self.left = EXPANDED + EXPANSION * size
 
     def spend(self, count: int, where: str) -> None:
         """Count what was expanded.
@@ -73,8 +74,8 @@ class Allowance:
         """
         self.left -= count
         if self.left < 0:
-            what = f"its {self._size} bytes expand to more than {SMALL + MOST * self._size}"
-            expected = f"a bag that is compressed {MOST}-fold at most, or not: `ros2 bag convert` writes such a one"
+            what = f"its {self._size} bytes expand to more than {EXPANDED + EXPANSION * self._size}"
+            expected = f"a bag that is compressed {EXPANSION}-fold at most, or not: `ros2 bag convert` writes such a one"
             raise BadInput(what, where, expected)
 
 
@@ -86,15 +87,17 @@ class _Chunk(NamedTuple):
     expanded: int
 
 
-def check_chunks(file: Path, allowance: Allowance) -> None:
+def check_chunks(file: Path, allowance: Allowance, deadline: Deadline) -> None:
     """Look at the chunks of an mcap file: what they expand to, and whether the index names each of them but once.
 
     Args:
         file: whole at its end, as :func:`~ehls_ros.recording.storage_file.custom_data_in` finds.
         allowance: what the bag may still expand to.
+        deadline: until when.
 
     Raises:
-        BadInput: a chunk expands to something else than it says, or to more than is allowed; or the index is another file's.
+        BadInput: a chunk expands to something else than it says, or to more than is allowed; the index is another file's; or
+            it makes rosbags hold too many chunks at once.
         OSError: the file cannot be read.
         ValueError: its records are none.
         struct.error: likewise.
@@ -104,16 +107,33 @@ def check_chunks(file: Path, allowance: Allowance) -> None:
         summary = MCAP_FOOTER.unpack(stream.read())[2] or footer
         chunks = {}
         for kind, start, length in _records(stream, len(MCAP_MAGIC), summary):
+            deadline.check()
+            where = f"{file}, byte {start}"
+            if length > (limits.CHUNK if kind == MCAP_CHUNK else limits.SUMMARY) and kind not in MCAP_SKIPPED:
+                raise BadInput(f"a record has {length} bytes", where, f"at most {limits.CHUNK}: `mcap` writes smaller chunks")
             if kind == MCAP_CHUNK:
-                chunks[start] = _check_chunk(stream, length, allowance, f"{file}, byte {start}")
+                chunks[start] = _check_chunk(stream, length, allowance, where)
         named: set[int] = set()
+        spans: list[tuple[int, int, int]] = []
         for kind, _, length in _records(stream, summary, footer):
             if kind == MCAP_CHUNK_INDEX:
-                start, chunk = _indexed(stream.read(length))
+                start, chunk, first, last = _indexed(stream.read(length))
                 if start in named or chunks.get(start) != chunk:
                     what = f"its index names a chunk at byte {start} that is not there, or twice"
                     raise BadInput(what, str(file), CLOSED_BAG)
                 named.add(start)
+                spans.append((first, last, chunk.expanded))
+    if (most := _at_once(spans)) > limits.CHUNKS_AT_ONCE:
+        what = f"chunks of {most} bytes overlap in time"
+        raise BadInput(what, str(file), f"at most {limits.CHUNKS_AT_ONCE}: `mcap sort` writes such a file")
+
+
+def _at_once(spans: Sequence[tuple[int, int, int]]) -> int:
+    """Return the most bytes of chunks, given by first time, last time and size, whose times overlap."""
+    # At one time the chunks that begin go before those that end.
+    begins = [(first, 0, size) for first, _, size in spans]
+    ends = [(max(first, last), 1, -size) for first, last, size in spans]
+    return max(accumulate(size for _, _, size in sorted(begins + ends)), default=0)
 
 
 def _records(stream: BinaryIO, start: int, end: int) -> Iterator[tuple[int, int, int]]:
@@ -138,6 +158,8 @@ def _check_chunk(stream: BinaryIO, length: int, allowance: Allowance, where: str
         raise ValueError("a chunk is not as long as it says")
     if compression and compression not in STREAMS:
         raise BadInput(f"its compression is {compression!r}", where, f"one of {', '.join(STREAMS)}")
+    if expanded > limits.CHUNK:
+        raise BadInput(f"a chunk expands to {expanded} bytes", where, f"at most {limits.CHUNK}: `mcap` writes smaller chunks")
     found = len(data)
     if compression:
         found = 0
@@ -151,14 +173,14 @@ def _check_chunk(stream: BinaryIO, length: int, allowance: Allowance, where: str
     return _Chunk(compression, compressed, expanded)
 
 
-def _indexed(content: bytes) -> tuple[int, _Chunk]:
-    """Return where a chunk index says that a chunk is, and what it is."""
-    _, _, start, _, offsets = INDEX_HEAD.unpack_from(content)
+def _indexed(content: bytes) -> tuple[int, _Chunk, int, int]:
+    """Return where a chunk index says that a chunk is, what it is, and its first and last time [ns]."""
+    first, last, start, _, offsets = INDEX_HEAD.unpack_from(content)
     at = INDEX_HEAD.size + offsets + 8
     (name_length,) = struct.unpack_from("<I", content, at)
     compression = content[at + 4 : at + 4 + name_length].decode()
     compressed, expanded = struct.unpack_from("<QQ", content, at + 4 + name_length)
-    return start, _Chunk(compression, compressed, expanded)
+    return start, _Chunk(compression, compressed, expanded), first, last
 
 
 def _pieces(compression: str, stream: BinaryIO) -> Iterator[bytes]:

@@ -10,6 +10,7 @@ from scipy.io import loadmat
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.columns import Columns
+from ehls_ros.recording.contained import contained
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.table import assemble, choose
 from ehls_ros.trajectory import Trajectory
@@ -30,6 +31,11 @@ def read_mat(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
     Raises:
         BadInput: the file cannot be read, a column is wrong, or time does not grow with every sample.
     """
+    return contained(read_here, path, columns, EXPECTED_FILE)
+
+
+def read_here(path: Path, columns: Columns) -> Trajectory:
+    """Read a MAT file in this process, whatever it takes of memory; see :func:`read_mat`."""
     where = str(path)
     try:
         with path.open("rb") as stream:
@@ -38,6 +44,8 @@ def read_mat(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
         raise BadInput(f"the file cannot be read ({reason(error)})", where, EXPECTED_FILE) from None
     except NotImplementedError:
         raise BadInput("it is a MAT file of version 7.3", where, EXPECTED_FILE) from None
+    except MemoryError:
+        raise
     except Exception as error:  # noqa: BLE001 - scipy raises whatever it stumbles over in a damaged file
         raise BadInput(f"it is no MAT file ({reason(error)})", where, EXPECTED_FILE) from None
     chosen = choose(list(variables), columns, where)

@@ -1,14 +1,20 @@
 """Parquet files by the data contract: a column for each signal. Needs pyarrow, which is not installed with ehls_ros."""
 
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.columns import Columns
+from ehls_ros.recording.columns import Column, Columns
+from ehls_ros.recording.contained import contained
 from ehls_ros.recording.reason import reason
-from ehls_ros.recording.table import assemble, choose
+from ehls_ros.recording.table import assemble, check_length, choose, no_numbers
 from ehls_ros.trajectory import Trajectory
+
+OLDEST = (14, 0, 1)
+"""The first pyarrow that runs no code out of a file."""
 
 
 def read_parquet(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
@@ -24,15 +30,42 @@ def read_parquet(path: Path, columns: Columns = MappingProxyType({})) -> Traject
     Raises:
         BadInput: pyarrow is missing, the file cannot be read, a column is wrong, or time does not grow with every row.
     """
+    # Importing it takes as long as reading a file.
+    if find_spec("pyarrow") is None or find_spec("pyarrow.parquet") is None:
+        raise BadInput("pyarrow is not installed", str(path), "pip install pyarrow, or the data as CSV")
+    return contained(read_here, path, columns, "a Parquet file")
+
+
+def read_here(path: Path, columns: Columns) -> Trajectory:
+    """Read a Parquet file in this process, whatever it takes of memory; see :func:`read_parquet`."""
     where = str(path)
+    arrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
+    if tuple(int(part) for part in arrow.__version__.split(".")[:3]) < OLDEST:
+        oldest = ".".join(map(str, OLDEST))
+        raise BadInput(f"pyarrow is {arrow.__version__}, which runs code out of files", where, f"pyarrow {oldest} or later")
     try:
-        parquet = import_module("pyarrow.parquet")
-    except ImportError:
-        raise BadInput("pyarrow is not installed", where, "pip install pyarrow, or the data as CSV") from None
-    try:
-        table = parquet.read_table(path)
+        with parquet.ParquetFile(path) as file:
+            chosen = _chosen(arrow, file, columns, where)
+            table = file.read(columns=[column.name for column in chosen.values()], use_threads=False)
+    except BadInput:
+        raise
     except (OSError, ValueError) as error:
         raise BadInput(f"it is no Parquet file ({reason(error)})", where, "a Parquet file") from None
-    chosen = choose(table.column_names, columns, where)
     values = {name: table.column(column.name).to_numpy() for name, column in chosen.items()}
     return assemble(values, chosen, where, lambda row: f"row {row + 1}")
+
+
+def _chosen(arrow: Any, file: Any, columns: Columns, where: str) -> dict[str, Column]:
+    """Decide which columns are read, and refuse what need not be read for it."""
+    chosen = choose(file.schema_arrow.names, columns, where)
+    for name, column in chosen.items():
+        if not _is_number(arrow, file.schema_arrow.field(column.name).type):
+            raise no_numbers(column, name, where)
+    check_length(file.metadata.num_rows, len(chosen), where)
+    return chosen
+
+
+def _is_number(arrow: Any, kind: Any) -> bool:
+    if arrow.types.is_dictionary(kind):
+        kind = kind.value_type
+    return bool(arrow.types.is_integer(kind) or arrow.types.is_floating(kind) or arrow.types.is_boolean(kind))

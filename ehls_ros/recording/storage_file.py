@@ -12,7 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording import limits
+from ehls_ros.recording.deadline import Deadline
 from ehls_ros.recording.reason import reason
+from ehls_ros.recording.topics import CYCLE_TOPICS
 from ehls_ros.recording.yaml_text import parse_yaml
 
 METADATA_FILE = "metadata.yaml"
@@ -31,25 +34,30 @@ MCAP_CHUNK_CRC = 24
 SQLITE_MAGIC = b"SQLite format 3\0"
 
 
-def custom_data_in(file: Path) -> Mapping[str, str]:
+def custom_data_in(file: Path, deadline: Deadline) -> Mapping[str, str]:
     """Check that a storage file is whole, and read the custom data it carries.
 
     Args:
         file: a ``.mcap`` or ``.db3`` file.
+        deadline: until when.
 
     Returns:
         The entries; none where the recorder stored no metadata in the file.
 
     Raises:
-        BadInput: the file is cut, damaged or was never closed.
+        BadInput: the file is cut, damaged or was never closed, or takes too long.
     """
     try:
-        metadata = parse_metadata(_mcap_metadata(file) if file.suffix == ".mcap" else _sqlite_metadata(file), str(file))
+        text = _mcap_metadata(file) if file.suffix == ".mcap" else _sqlite_metadata(file, deadline)
+        metadata = parse_metadata(text, str(file))
     except BadInput:
         raise
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", str(file), CLOSED_BAG) from None
+    except sqlite3.DataError:
+        raise BadInput("it holds a text of too many bytes", str(file), f"at most {limits.TEXT}") from None
     except (ValueError, struct.error, sqlite3.Error):
+        deadline.check()
         raise BadInput("the file is damaged", str(file), CLOSED_BAG) from None
     custom_data = metadata.get("custom_data") if isinstance(metadata, dict) else None
     return custom_data if isinstance(custom_data, dict) else {}
@@ -90,6 +98,28 @@ def check_database(database: sqlite3.Connection) -> None:
         raise ValueError("quick_check")
 
 
+def _check_contents(database: sqlite3.Connection, file: Path) -> None:
+    """Refuse a database whose topics, or messages of the topics that are read, are too many or too large."""
+    names = {topic.name for topic in CYCLE_TOPICS}
+    tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    read, rows, size = list[int](), 0, 0
+    for table in sorted(tables & {"topics", "message_definitions"}):
+        for row in database.execute(f"SELECT * FROM {table}"):  # noqa: S608 - one of the two
+            rows += 1
+            size += sum(len(value) for value in row if isinstance(value, str | bytes))
+            if rows > limits.TOPICS or size > limits.SUMMARY:
+                what = f"it has {rows} topics and types or more, of {size} bytes"
+                raise BadInput(what, str(file), f"at most {limits.TOPICS}, and {limits.SUMMARY} bytes")
+            if table == "topics" and str(row[1]).rpartition("/")[2] in names:
+                read.append(row[0])
+    if tables >= {"topics", "messages"}:
+        which = ",".join("?" * len(read))
+        largest = f"SELECT max(length(data)) FROM messages WHERE topic_id IN ({which})"  # noqa: S608 - question marks
+        ((length,),) = database.execute(largest, read)
+        if isinstance(length, int) and length > limits.MESSAGE:
+            raise BadInput(f"a message has {length} bytes", str(file), f"at most {limits.MESSAGE}")
+
+
 def _cut(file: Path) -> BadInput:
     return BadInput("the file is truncated or still being written", str(file), CLOSED_BAG)
 
@@ -107,6 +137,9 @@ def _mcap_metadata(file: Path) -> str:
         record = b""
         if 0 < summary_start < content_end:
             stream.seek(summary_start)
+            if content_end - summary_start > limits.SUMMARY:
+                what = f"its summary has {content_end - summary_start} bytes"
+                raise BadInput(what, str(file), f"at most {limits.SUMMARY}")
             summary = stream.read(content_end - summary_start)
             offset = 0
             while offset < len(summary):
@@ -115,7 +148,7 @@ def _mcap_metadata(file: Path) -> str:
                 if kind == MCAP_METADATA_INDEX:
                     start, size = struct.unpack_from("<QQ", summary, offset)
                     stream.seek(min(start, content_end))
-                    record = stream.read(min(size, content_end))
+                    record = stream.read(min(size, content_end, limits.TEXT))
                 offset += length
     return _mcap_entries(record[MCAP_RECORD.size :]).get("serialized_metadata", "")
 
@@ -137,7 +170,7 @@ def _mcap_text(content: bytes, offset: int) -> tuple[str, int]:
     return content[offset + 4 : end].decode(), end
 
 
-def _sqlite_metadata(file: Path) -> str:
+def _sqlite_metadata(file: Path, deadline: Deadline) -> str:
     """Return the metadata.yaml within a SQLite file."""
     with file.open("rb") as stream:
         header = stream.read(100)
@@ -153,7 +186,11 @@ def _sqlite_metadata(file: Path) -> str:
         if Path(journal).exists() and Path(journal).stat().st_size:
             raise BadInput(f"the file was never closed: {Path(journal).name} is beside it", str(file), CLOSED_BAG)
     with closing(sqlite3.connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as database:
+        # A value that is larger cannot be fetched.
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, limits.TEXT)
+        database.set_progress_handler(deadline.passed, 1000)
         check_database(database)
+        _check_contents(database, file)
         if not database.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'metadata'").fetchone():
             return ""
         row = database.execute("SELECT metadata FROM metadata ORDER BY id DESC LIMIT 1").fetchone()

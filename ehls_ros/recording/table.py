@@ -1,5 +1,6 @@
 """Named columns of whatever file format, turned into a trajectory by the data contract."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -7,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.columns import TIME, Column, Columns, element_of, is_contract_name
+from ehls_ros.recording import limits
+from ehls_ros.recording.columns import MEASURED, TIME, Column, Columns, element_of, is_contract_name
 from ehls_ros.trajectory import Trajectory
 
 
@@ -27,10 +29,11 @@ def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, 
     """
     chosen = {name: Column(name) for name in available if is_contract_name(name)} | dict(columns)
     found = ", ".join(available) or "none"
+    count = Counter(available)
     for name, column in chosen.items():
-        if column.name not in available:
+        if column.name not in count:
             raise BadInput(f"column '{column.name}' for {name} is missing among {found}", where, "a column of that name")
-        if available.count(column.name) > 1:
+        if count[column.name] > 1:
             raise BadInput(f"column '{column.name}' is there more than once", where, "one column of that name")
     if TIME not in chosen:
         raise BadInput(f"column {TIME} is missing among {found}", where, f"a column {TIME}, or a map (--columns) to it")
@@ -38,6 +41,27 @@ def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, 
         expected = "a signal by its name in the data contract, or a map (--columns) to one"
         raise BadInput(f"no signal is among {found}", where, expected)
     return chosen
+
+
+def check_length(rows: int, columns: int, where: str) -> None:
+    """Refuse a table that is longer than one that is read.
+
+    Args:
+        rows: how many it has.
+        columns: how many of its columns are read.
+        where: the file, for the error.
+
+    Raises:
+        BadInput: it is longer.
+    """
+    if rows > limits.ROWS or rows * columns > limits.VALUES:
+        expected = f"at most {limits.ROWS} rows and {limits.VALUES} values, in several files where there are more"
+        raise BadInput(f"it has {rows} rows or more in {columns} columns that are read", where, expected)
+
+
+def no_numbers(column: Column, name: str, where: str) -> BadInput:
+    """Return the complaint about a column that holds something else."""
+    return BadInput(f"column '{column.name}' for {name} is not of real numbers", where, "a column of real numbers")
 
 
 def assemble(values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, row_name: Callable[[int], str]) -> Trajectory:
@@ -56,10 +80,13 @@ def assemble(values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, ro
     Raises:
         BadInput: a column is no real numbers or has another length, or time is not strictly increasing.
     """
+    check_length(max(map(len, values.values())), len(chosen), where)
     scaled = {name: _scaled(values[name], column, name, where) for name, column in chosen.items()}
     time_s = scaled.pop(TIME)
     _check_time(time_s, where, row_name)
     for name, signal in scaled.items():
+        if name in MEASURED:
+            _check_finite(signal, name, where, row_name)
         if len(signal) != len(time_s):
             raise BadInput(f"{name} has {len(signal)} values", where, f"{len(time_s)} as {TIME}")
     return Trajectory(time_s, _with_elements_joined(scaled, where))
@@ -67,7 +94,7 @@ def assemble(values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, ro
 
 def _scaled(values: NDArray[Any], column: Column, name: str, where: str) -> NDArray[np.float64]:
     if values.dtype.kind not in "fiub":
-        raise BadInput(f"column '{column.name}' for {name} is not of real numbers", where, "a column of real numbers")
+        raise no_numbers(column, name, where)
     if values.ndim != 1 and not (values.ndim == 2 and element_of(f"{name}_1")):
         raise BadInput(f"column '{column.name}' for {name} has the shape {values.shape}", where, "one value a sample")
     numbers = values.astype(np.float64)
@@ -77,6 +104,13 @@ def _scaled(values: NDArray[Any], column: Column, name: str, where: str) -> NDAr
         if column.offset != 0:
             numbers += column.offset
     return numbers
+
+
+def _check_finite(signal: NDArray[np.float64], name: str, where: str, row_name: Callable[[int], str]) -> None:
+    endless = np.flatnonzero(np.isinf(signal))
+    if len(endless):
+        place = f"{where}, {row_name(int(endless[0]))}"
+        raise BadInput(f"{name} is {signal[endless[0]]}", place, "a finite number, or an empty cell where there is none")
 
 
 def _check_time(time_s: NDArray[np.float64], where: str, row_name: Callable[[int], str]) -> None:

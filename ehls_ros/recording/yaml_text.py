@@ -4,7 +4,9 @@ PyYAML alone lets the last of several equal keys win, follows aliases that unfol
 brackets are nested deeply, and raises whatever a wrong date or number makes Python raise.
 """
 
+import re
 from collections.abc import Hashable
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -12,24 +14,36 @@ from yaml.constructor import ConstructorError
 from yaml.nodes import MappingNode, Node
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording import limits
+from ehls_ros.recording.regular_file import read_text
 
 try:
     from yaml import CSafeLoader as SafeLoader
 except ImportError:  # PyYAML built without libyaml: the same at an eighth of the speed
     from yaml import SafeLoader  # type: ignore[assignment]
 
-LARGEST = 4 * 2**20
-"""Longest text that is read; a load spectrum of 10^5 points is shorter [characters]."""
-
-DEEPEST = 50
-"""Collections within each other; a spec has six."""
-
 NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 
-LONGEST_NUMBER = 400
-"""Characters of a number; the largest float has 309 digits."""
+EXPONENT = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+\Z")
+"""Numbers such as 1e3 and 2.5e6, which are texts to YAML 1.1 and numbers to ROS and to everybody who writes them."""
 
 EXPECTED = "valid YAML without aliases, each key once"
+
+
+def read_yaml(path: Path, what: str) -> Any:
+    """Read a YAML file.
+
+    Args:
+        path: the file.
+        what: what the file is, such as ``rig file``.
+
+    Returns:
+        Mappings, lists and scalars.
+
+    Raises:
+        BadInput: it cannot be read, or is refused by :func:`parse_yaml`.
+    """
+    return parse_yaml(read_text(path, limits.TEXT, "a YAML file", what), str(path), what)
 
 
 def parse_yaml(text: str, where: str, what: str) -> Any:
@@ -46,8 +60,8 @@ def parse_yaml(text: str, where: str, what: str) -> Any:
     Raises:
         BadInput: it is no YAML, too long, nested too deeply, or has an alias or the same key twice in a mapping.
     """
-    if len(text) > LARGEST:
-        raise BadInput(f"{what} has {len(text)} characters", where, f"at most {LARGEST}")
+    if len(text) > limits.TEXT:
+        raise BadInput(f"{what} has {len(text)} characters", where, f"at most {limits.TEXT}")
     try:
         _check_structure(text)
         return yaml.load(text, _Loader)  # noqa: S506 - it is a SafeLoader
@@ -64,7 +78,7 @@ def _check_structure(text: str) -> None:
     for event in yaml.parse(text, SafeLoader):
         if isinstance(event, yaml.CollectionStartEvent):
             depth += 1
-            if depth > DEEPEST:
+            if depth > limits.YAML_DEPTH:
                 raise _complaint(f"collections are nested {depth} deep", event.start_mark)
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
@@ -85,7 +99,7 @@ class _Loader(SafeLoader):
 
     def construct_object(self, node: Node, deep: bool = False) -> Any:
         """Build what a node says."""
-        if node.tag in NUMBERS and len(node.value) > LONGEST_NUMBER:
+        if node.tag in NUMBERS and len(node.value) > limits.YAML_NUMBER:
             raise _misfit(node)
         try:
             return super().construct_object(node, deep)
@@ -102,3 +116,6 @@ class _Loader(SafeLoader):
                 raise _complaint(f"key {key!r} is there twice", key_node.start_mark)
             seen.add(key)
         return mapping
+
+
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123456789"))

@@ -1,11 +1,16 @@
 """What a user may get wrong ends with code 2 and one line that says what, where and what was expected."""
 
+import resource
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 import yaml
 
 from ehls_ros.cli.main import main
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.spec import load_spec
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -40,6 +45,15 @@ CASES = {
     "unknown controller": (lambda m: m["controller"].update(name="magic"), ("magic", "fasmc")),
     "gain out of range": (lambda m: m["controller"].update(k=1e9), ("k is", "1000")),
     "unknown key": (lambda m: m.update(durration=3), ("durration", "duration")),
+    "yes for a number": (
+        lambda m: m["rig"]["plant"].update(moving_mass=True),
+        ("moving_mass is True", "number", "yes, on, no"),
+    ),
+    "a number in quotes": (lambda m: m["rig"]["plant"].update(moving_mass="70"), ("moving_mass is '70'", "without quotes")),
+    "a number for a text": (lambda m: m.update(title=7), ("title is 7", "string in quotes")),
+    "yes in a list": (lambda m: m["rig"]["friction"].update(element_weight=[True]), ("element_weight", "True", "number")),
+    "yes for a name": (lambda m: m["controller"].update(name=True), ("controller True is unknown", "fasmc")),
+    "a fraction of a seed": (lambda m: m.update(seed=1.5), ("seed is 1.5", "integer")),
     "text for a number": (lambda m: m.update(duration="long"), ("duration", "long", "number")),
 }
 
@@ -52,6 +66,18 @@ def test_wrong_spec(case, spec, tmp_path, capsys):
     for word in words:
         assert word in line, line
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("written", ["0.1", "1e-1", "1.0E-1", ".1", "1_0e-2"])
+def test_numbers_however_they_are_written(spec, written):
+    path = spec(lambda m: m.update(duration="here", seed=3.0))
+    path.write_text(path.read_text().replace("here", written))
+    if "_" in written:
+        with pytest.raises(BadInput, match="duration is '1_0e-2'; expected a valid number"):
+            load_spec(path)
+    else:
+        assert load_spec(path).settings.duration == 0.1
+        assert load_spec(path).settings.seed == 3
 
 
 def test_reference_file_with_nan(spec, tmp_path, capsys):
@@ -72,6 +98,32 @@ def test_bag_cut_in_half(spec, tmp_path, capsys):
     line = complaint(capsys, "report", tmp_path / "run")
     assert "bag" in line
     assert "expected" in line
+
+
+def limited(*arguments, largest_file):
+    """Return exit code and complaint of a process that may not write larger files, as on a full disk."""
+    command = [sys.executable, "-m", "ehls_ros.cli.main", *map(str, arguments)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (largest_file, largest_file))
+    _, complaint = process.communicate(timeout=240)
+    return process.returncode, complaint.strip().splitlines()
+
+
+def test_a_disk_that_is_full(spec, tmp_path):
+    path = spec(lambda m: m.update(duration=2.0))
+    code, lines = limited("experiment", path, "--in-process", "--out", tmp_path / "run", largest_file=300_000)
+    assert (code, len(lines)) == (1, 1), lines
+    assert f"the run in {tmp_path / 'run'} cannot go on (File too large; the bag is incomplete after" in lines[0]
+    assert "free some space" in lines[0]
+
+
+def test_a_disk_that_is_full_while_the_graph_records(spec, tmp_path):
+    path = spec(lambda m: m.update(duration=20.0))
+    code, lines = limited("experiment", path, "--out", tmp_path / "run", largest_file=1_100_000)
+    assert code == 1
+    assert "recorder_node: not recording: [Errno 27] File too large; the bag is incomplete after" in lines[-1]
+    assert "recovered" not in lines[-1]
+    assert "killed" not in lines[-1]
 
 
 def test_output_that_cannot_be_written(spec, tmp_path, capsys):

@@ -1,13 +1,17 @@
 """Where compiled kernels are kept."""
 
+import importlib.util
 import os
+import pickle
+import py_compile
 import subprocess
 import sys
 
 import pytest
 
 from ehls_ros import sources
-from ehls_ros.physics import composition
+from ehls_ros.errors import BadInput
+from ehls_ros.physics import kernel_cache
 from ehls_ros.physics.composition import kernel_module, plant_source
 
 SOURCE = '''"""A kernel of a test."""
@@ -60,12 +64,13 @@ def test_of_two_processes_that_need_a_kernel_at_once_one_compiles_and_the_other_
 def test_the_cache_folder_is_the_users(monkeypatch, tmp_path):
     monkeypatch.delenv("EHLS_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert composition.cache_folder() == tmp_path / "ehls_ros"
+    assert kernel_cache.cache_folder() == tmp_path / "ehls_ros"
 
 
 def test_changed_package_sources_make_another_module(folder, tmp_path, monkeypatch):
     for part in ("physics", "control"):
         (tmp_path / "package" / part).mkdir(parents=True)
+    (tmp_path / "package" / "arrays.py").touch()
     law = tmp_path / "package" / "physics" / "law.py"
     monkeypatch.setattr(sources, "PACKAGE", tmp_path / "package")
     names = []
@@ -78,6 +83,155 @@ def test_changed_package_sources_make_another_module(folder, tmp_path, monkeypat
         sources.sources_digest.cache_clear()
     assert names[0] != names[1]
     assert names[0] == names[2]
+
+
+def test_changed_compile_flags_make_another_module(folder, tmp_path, monkeypatch):
+    package = tmp_path / "package"
+    for part in ("physics", "control"):
+        (package / part).mkdir(parents=True)
+    monkeypatch.setattr(sources, "PACKAGE", package)
+    names = set()
+    try:
+        for flags in ("", "fastmath=True"):
+            (package / "arrays.py").write_text(f"kernel = njit({flags})", encoding="utf-8")
+            sources.sources_digest.cache_clear()
+            names.add(kernel_module(SOURCE.format(factor=6.0)).__name__)
+    finally:
+        sources.sources_digest.cache_clear()
+    assert len(names) == 2
+
+
+def in_another_process(source):
+    """Return what a process that starts now gets from the kernel, and whether it compiled it; then what it complained of."""
+    script = (
+        "import sys; from ehls_ros.physics.composition import kernel_module; m = kernel_module(sys.argv[1]); "
+        "print(m.twice(4.0), sum(m.twice.stats.cache_misses.values()))"
+    )
+    done = subprocess.run([sys.executable, "-c", script, source], capture_output=True, text=True, check=False)
+    return done.stdout.split(), done.stderr
+
+
+def test_the_folder_is_the_users_alone_whatever_the_umask(folder):
+    before = os.umask(0)
+    try:
+        in_another_process(SOURCE.format(factor=3.0))
+    finally:
+        os.umask(before)
+    assert folder.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"def twice(x):\n    return 'not what was written'\n", None], ids=["empty", "edited", "gone"]
+)
+def test_a_kernel_that_is_not_as_it_was_written_is_not_run(folder, content):
+    source = SOURCE.format(factor=13.0)
+    assert in_another_process(source) == (["52.0", "1"], "")
+    [file] = folder.glob("*.py")
+    if content is None:
+        file.unlink()
+    else:
+        file.write_bytes(content)
+    assert in_another_process(source) == (["52.0", "0"], "")
+    assert file.read_text(encoding="utf-8") == source
+
+
+def test_a_kernel_is_not_run_from_byte_code_beside_it(folder):
+    source = SOURCE.format(factor=17.0)
+    in_another_process(source)
+    [file] = folder.glob("*.py")
+    planted = folder / "planted.py"
+    planted.write_text(source.replace("17.0", "666.0"), encoding="utf-8")
+    target = importlib.util.cache_from_source(str(file))
+    # Byte code that is not checked against its source.
+    py_compile.compile(str(planted), target, invalidation_mode=py_compile.PycInvalidationMode.UNCHECKED_HASH)
+    planted.unlink()
+    for code in folder.glob("__pycache__/*.nb?"):
+        code.unlink()
+    assert in_another_process(source)[0] == ["68.0", "1"]
+
+
+def emptied(content):
+    return b""
+
+
+def cut(content):
+    return content[: len(content) // 2]
+
+
+def flipped(content):
+    return content[:-100] + bytes([content[-100] ^ 1]) + content[-99:]
+
+
+def planted(content):
+    return pickle.dumps(Planted())
+
+
+class Planted:
+    """Says so when it is loaded."""
+
+    def __reduce__(self):
+        return print, ("666.0 666",)
+
+
+@pytest.mark.parametrize("damage", [emptied, cut, flipped, planted])
+@pytest.mark.parametrize("kind", ["nbi", "nbc", "seal"])
+def test_machine_code_that_is_not_as_it_was_left_is_compiled_anew(folder, kind, damage):
+    source = SOURCE.format(factor=19.0)
+    in_another_process(source)
+    [file] = folder.rglob(f"*.{kind}")
+    file.write_bytes(damage(file.read_bytes().ljust(200)))
+    assert in_another_process(source) == (["76.0", "1"], "")
+    assert in_another_process(source) == (["76.0", "0"], "")
+
+
+def test_a_folder_that_others_could_write_is_emptied_with_a_reason(folder):
+    source = SOURCE.format(factor=23.0)
+    in_another_process(source)
+    folder.chmod(0o770)
+    answer, complaint = in_another_process(source)
+    assert answer == ["92.0", "1"]
+    assert complaint == f"{folder}: others could write it; its kernels are compiled anew\n"
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert in_another_process(source) == (["92.0", "0"], "")
+
+
+def test_a_folder_of_other_things_that_others_may_write_is_refused(folder):
+    folder.mkdir()
+    (folder / "thesis.tex").touch()
+    folder.chmod(0o777)
+    with pytest.raises(BadInput, match=r"others may write the folder of compiled kernels, which holds 'thesis.tex' too"):
+        kernel_module(SOURCE.format(factor=29.0))
+    assert (folder / "thesis.tex").exists()
+
+
+def test_a_folder_of_somebody_else_is_refused(folder, monkeypatch):
+    folder.mkdir(0o755)
+    somebody = os.geteuid() + 1
+    monkeypatch.setattr(os, "geteuid", lambda: somebody)
+    with pytest.raises(BadInput, match=rf"belongs to user {somebody - 1}; expected a folder that only you can write"):
+        kernel_module(SOURCE.format(factor=31.0))
+
+
+def test_machine_code_that_numba_keeps_elsewhere_is_the_users_alone_too(folder, tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "numba"))
+    source = SOURCE.format(factor=37.0)
+    in_another_process(source)
+    [code] = (tmp_path / "numba").iterdir()
+    code.chmod(0o777)
+    (code / "thesis.tex").touch()
+    assert "others may write the folder" in in_another_process(source)[1]
+
+
+def test_on_a_full_disk_a_kernel_is_compiled_and_not_kept(folder):
+    source = SOURCE.format(factor=41.0)
+    size = len(source) + 1
+    script = (
+        "import resource, sys; from ehls_ros.physics.composition import kernel_module; "
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, {size})); print(kernel_module(sys.argv[1]).twice(2.0))"
+    )
+    done = subprocess.run([sys.executable, "-c", script, source], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("82.0\n", "")
+    assert in_another_process(source)[0] == ["164.0", "1"]
 
 
 def test_models_and_effects_are_told_apart(make_rig):

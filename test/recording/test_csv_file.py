@@ -33,10 +33,10 @@ def test_a_trajectory_comes_back_to_the_last_bit(tmp_path: Path, samples: int):
 
 
 def test_values_no_measurement_has_come_back(tmp_path: Path):
-    force_n = np.array([0.0, -0.0, np.inf, -np.inf, 5e-324, 1.7976931348623157e308, np.nan, 0.1 + 0.2])
-    write_csv(tmp_path / "data.csv", Trajectory(np.arange(8) / 3, {"force_n": force_n}))
+    bound_n = np.array([0.0, -0.0, np.inf, -np.inf, 5e-324, 1.7976931348623157e308, np.nan, 0.1 + 0.2])
+    write_csv(tmp_path / "data.csv", Trajectory(np.arange(8) / 3, {"force_bound_n": bound_n}))
     back = read_csv(tmp_path / "data.csv")
-    assert back["force_n"].tobytes() == force_n.tobytes()
+    assert back["force_bound_n"].tobytes() == bound_n.tobytes()
     assert back.time_s.tobytes() == (np.arange(8) / 3).tobytes()
 
 
@@ -120,6 +120,9 @@ def test_columns_of_the_friction_elements_become_one_signal(tmp_path: Path):
         ("time_s,force_n\n0,1\n\n1,2\n", ", line 3: the row has 0 cells; expected 2 as the header"),
         ("time_s,force_n\n0,1\n,2\n", ", line 3: time_s is nan; expected a finite time"),
         ("time_s,force_n\n0,1\ninf,2\n", ", line 3: time_s is inf; expected a finite time"),
+        ("time_s,force_n\n0,1\n1,inf\n", ", line 3: force_n is inf; expected a finite number, or an empty cell where there is"),
+        ("time_s,spool_m\n0,1e999\n1,0\n", ", line 2: spool_m is inf; expected a finite number"),
+        ("time_s,position_m\n0,1\n1,-Infinity\n", ", line 3: position_m is -inf; expected a finite number"),
         ("time_s,force_n\n0,1\n2,2\n1,3\n", ", line 4: time_s is 1.0 after 2.0; expected a time that grows with every row"),
         ("time_s,force_n\n0,1\n0,2\n", ", line 3: time_s is 0.0 after 0.0; expected a time that grows"),
         ('time_s,force_n\n0,"1\n', ": it is no CSV (unexpected end of data); expected a CSV file in UTF-8"),

@@ -18,12 +18,12 @@ from rosbags.rosbag2 import CompressionMode, storage_mcap
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_reader import read_bag
-from ehls_ros.recording.expansion import MOST, SMALL
+from ehls_ros.recording.limits import EXPANDED, EXPANSION
 from ehls_ros.recording.storage_file import MCAP_CHUNK, MCAP_CHUNK_INDEX, MCAP_RECORD
 
 zstd = storage_mcap.zstd
 
-HUGE = 10 * SMALL
+HUGE = 10 * EXPANDED
 """What the bombs expand to [B], far beyond what a bag of their size may."""
 
 MEMORY = 500 << 20
@@ -46,7 +46,7 @@ def refused(bag: Path) -> str:
 
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
-        resource.setrlimit(resource.RLIMIT_FSIZE, (2 * SMALL, 2 * SMALL))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2 * EXPANDED, 2 * EXPANDED))
 
     command = [sys.executable, "-c", READ, str(bag)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False, preexec_fn=limit)
@@ -95,7 +95,7 @@ def test_a_chunk_that_expands_beyond_measure(tmp_path: Path, compression: str, s
     compress = {"zstd": zstd.ZstdCompressor, "lz4": lz4.frame.LZ4FrameCompressor}[compression]
     bag = record(tmp_path / "bomb", [loader_state(0)], compression=CompressionMode.STORAGE)
     file = with_chunk(bag, compression, zeros(compress), says)
-    words = "expand to more than" if says == HUGE else "says that it expands to 100 bytes"
+    words = f"a chunk expands to {HUGE} bytes" if says == HUGE else "says that it expands to 100 bytes"
     message = refused(file)
     assert words in message
     assert f"{file}, byte " in message
@@ -107,7 +107,7 @@ def test_messages_that_expand_beyond_measure(tmp_path: Path):
         database.execute("UPDATE messages SET data = ?", (zeros(zstd.ZstdCompressor),))
     message = refused(bag)
     assert "expand to more than" in message
-    assert f"{MOST}-fold" in message
+    assert f"{EXPANSION}-fold" in message
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])

@@ -15,11 +15,12 @@ from ehls_ros.errors import LONGEST, BadInput
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
 from ehls_ros.recording.csv_file import read_csv
+from ehls_ros.recording.limits import TEXT, YAML_DEPTH
 from ehls_ros.recording.provenance import CHECKSUM_KEY, KEY, _text_checksum
 from ehls_ros.recording.recording_note import NOTE
 from ehls_ros.recording.recovery import recover
 from ehls_ros.recording.topics import LOADER_STATE
-from ehls_ros.recording.yaml_text import DEEPEST, LARGEST, parse_yaml
+from ehls_ros.recording.yaml_text import parse_yaml
 
 COMPUTED = """
     ALTER TABLE messages RENAME TO old;
@@ -61,9 +62,9 @@ def test_damaged_files_are_taken_or_refused(tmp_path: Path, fuzz: ModuleType, na
         ("plant:\n  mass: 1\n  area: 2\n  'mass': 3\n", 4, "key 'mass' is there twice"),
         ("a: &x [1]\nb: *x\n", 2, "alias *x"),
         ("a: 1\nb: &b [*b]\n", 2, "alias *b"),
-        ("[" * (DEEPEST + 1), 1, f"collections are nested {DEEPEST + 1} deep"),
-        ("[" * 200_000, 1, f"collections are nested {DEEPEST + 1} deep"),
-        ("- " * 200_000, 1, f"collections are nested {DEEPEST + 1} deep"),
+        ("[" * (YAML_DEPTH + 1), 1, f"collections are nested {YAML_DEPTH + 1} deep"),
+        ("[" * 200_000, 1, f"collections are nested {YAML_DEPTH + 1} deep"),
+        ("- " * 200_000, 1, f"collections are nested {YAML_DEPTH + 1} deep"),
         ("a: 1\nb: 2001-99-99\n", 2, "'2001-99-99' is no timestamp"),
         ("a: " + "9" * 5000, 1, "is no int"),
         ("a: 0x" + "f" * 5000, 1, "is no int"),
@@ -82,10 +83,10 @@ def test_yaml_that_is_not_plain_data_is_refused_with_its_line(text: str, line: i
 
 
 def test_yaml_up_to_the_limits_is_read():
-    assert parse_yaml("[" * DEEPEST + "]" * DEEPEST, "rig.yaml", "rig file") is not None
+    assert parse_yaml("[" * YAML_DEPTH + "]" * YAML_DEPTH, "rig.yaml", "rig file") is not None
     assert parse_yaml("a: " + "1" * 309, "rig.yaml", "rig file") == {"a": int("1" * 309)}
     with pytest.raises(BadInput, match="characters"):
-        parse_yaml("#" * (LARGEST + 1), "rig.yaml", "rig file")
+        parse_yaml("#" * (TEXT + 1), "rig.yaml", "rig file")
 
 
 def test_a_line_made_of_a_foreign_file_stays_one_short_line(tmp_path: Path):

@@ -57,14 +57,15 @@ def run(options: Namespace) -> int:
     if options.duration is not None:
         spec = _with_duration(spec, options.duration)
     folder = RunFolder.create(options.out, options.spec.stem, overwrite=options.overwrite)
-    folder.write_spec(spec)
-    with progress_bar(spec.settings.title) as progress:
-        done = (_in_process if options.in_process else _over_dds)(spec, folder, options, progress)
-    metrics = evaluate(done.trajectory)._replace(wall_s=done.wall_s, bag=str(folder.bag), report=str(folder.report))
-    if done.failure is not None:
-        metrics = metrics._replace(warnings=(str(done.failure),))
-    folder.write_metrics(metrics)
-    write_experiment_report(done.trajectory, metrics.as_json(), folder.report)
+    with folder.filling():
+        folder.write_spec(spec)
+        with progress_bar(spec.settings.title) as progress:
+            done = (_in_process if options.in_process else _over_dds)(spec, folder, options, progress)
+        metrics = evaluate(done.trajectory)._replace(wall_s=done.wall_s, bag=str(folder.bag), report=str(folder.report))
+        if done.failure is not None:
+            metrics = metrics._replace(warnings=(str(done.failure),))
+        folder.write_metrics(metrics)
+        write_experiment_report(done.trajectory, metrics.as_json(), folder.report)
     _print(spec, metrics, done.trajectory, machine=options.json)
     if done.failure is not None:
         raise done.failure

@@ -15,7 +15,7 @@ from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.loop import sampled, simulator_of
-from ehls_ros.experiments.spec import Spec, check_spec, load_rig, read_yaml, spec_from_mapping
+from ehls_ros.experiments.spec import Spec, check_spec, load_rig, spec_from_mapping
 from ehls_ros.hardware.backends.udp import bound_socket, codec
 from ehls_ros.hardware.bridge_file import Bridge, bridge_from_mapping
 from ehls_ros.hardware.emulator import Emulator
@@ -26,6 +26,7 @@ from ehls_ros.hardware.target import Target
 from ehls_ros.hardware.truth_log import TruthLog
 from ehls_ros.hardware.wire import BadWire, Impairments, Wire
 from ehls_ros.physics.rig import Rig, rig_to_mapping
+from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import parse
 
 HELP = "Be the rig as seen from the wire: plant, converters, sensors, UDP; for tests of the hardware bridge."

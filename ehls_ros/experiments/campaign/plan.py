@@ -18,7 +18,8 @@ import numpy as np
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.campaign.variation import Distribution, Values, label, variation
-from ehls_ros.experiments.spec import SECTIONS, Spec, read_yaml, spec_from_mapping, spec_to_mapping
+from ehls_ros.experiments.spec import SECTIONS, Spec, spec_from_mapping, spec_to_mapping
+from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import declarations, parse, quantity, text
 
 MOST_POINTS, MOST_RUNS = 100_000, 1_000_000

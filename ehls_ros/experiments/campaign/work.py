@@ -29,7 +29,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 def code_version() -> str:
     """Return the package's version with a digest of the sources a run's numbers come from."""
-    digest = sources_digest("physics", "control", "experiments")
+    digest = sources_digest("physics", "control", "experiments", "arrays.py")
     return f"{__version__}+{digest[:12]}"
 
 

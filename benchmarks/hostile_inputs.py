@@ -1,0 +1,624 @@
+"""Files made to hang a reader or to fill its memory: what each is answered with, after what time and with how much memory.
+
+python benchmarks/hostile_inputs.py
+
+Each is read in a process of its own. The time is the processor's, of that process and of those it starts; the memory the
+largest resident set of any of them. A process that has only imported the readers is the first line.
+"""
+
+import json
+import os
+import resource
+import socket
+import sqlite3
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import lz4.frame
+import numpy as np
+import yaml
+
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.files import config_folder
+from ehls_ros.experiments.spec import load_rig, load_spec
+from ehls_ros.recording.bag_writer import BagWriter
+from ehls_ros.recording.cdr import encode, flatten
+from ehls_ros.recording.load import load
+from ehls_ros.recording.topics import LOADER_STATE
+from ehls_ros.recording.typestore import typestore
+
+if find_spec("pyarrow"):
+    import pyarrow as pa
+    from pyarrow import parquet as parquet_
+
+MB = 10**6
+
+PATIENCE = 120.0
+"""Time after which a reader counts as hanging [s]."""
+
+HEADER = "| input | answer | processor time [s] | wall time [s] | peak memory [MB] |\n|---|---|---|---|---|"
+
+
+class Answer(NamedTuple):
+    """What came of an input.
+
+    Attributes:
+        line: what the user is told, or that the file was taken.
+        refused: whether it was refused in one line.
+        processor_s: time of the processor [s].
+        wall_s: time on the wall [s].
+        memory_mb: largest resident set [MB].
+    """
+
+    line: str
+    refused: bool
+    processor_s: float
+    wall_s: float
+    memory_mb: float
+
+
+def read(path: Path) -> None:
+    """Read a file as `ehls` does: YAML as a rig, or as a spec where its name says so, all else as data."""
+    if path.suffix == ".yaml":
+        (load_spec if path.stem == "spec" else load_rig)(path)
+    else:
+        load(path)
+
+
+def ask(path: Path | None) -> Answer:
+    """Read a file in a process of its own; None only starts it."""
+    command = [sys.executable, str(Path(__file__).resolve()), "--read", str(path or "")]
+    start = time.perf_counter()
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+        words = json.loads(done.stdout) if done.returncode == 0 else None
+    except subprocess.TimeoutExpired:
+        done, words = None, None
+    wall = time.perf_counter() - start
+    if words is None:
+        line = "hangs" if done is None else f"dies with {done.returncode}: {done.stderr.strip()[-200:]}"
+        return Answer(line, refused=False, processor_s=float("nan"), wall_s=wall, memory_mb=float("nan"))
+    return Answer(words["line"], words["refused"], words["processor_s"], wall, words["memory_mb"])
+
+
+def read_and_tell(path: str) -> None:
+    """Read a file in this process and print what came of it."""
+    line, refused = "taken", False
+    try:
+        if path:
+            read(Path(path))
+    except BadInput as error:
+        line, refused = str(error).replace(str(Path(path).parent) + "/", ""), True
+    usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    used = sum(usage.ru_utime + usage.ru_stime for usage in usages)
+    # What getrusage says of this process began with what started it.
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    memory = max(int(status["VmHWM"].split()[0]), usages[1].ru_maxrss) / 1000
+    print(json.dumps({"line": line, "refused": refused, "processor_s": used, "memory_mb": memory}))
+
+
+# CSV
+
+
+def one_line(folder: Path) -> Path:
+    """A CSV file of 100 MB without a line's end."""
+    file = folder / "one_line.csv"
+    file.write_text("time_s,force_n," + "1," * (50 * MB))
+    return file
+
+
+def one_line_of_data(folder: Path) -> Path:
+    """A CSV file with a header, and 100 MB without a line's end."""
+    file = folder / "one_row.csv"
+    file.write_text("time_s,force_n\n" + "1," * (50 * MB))
+    return file
+
+
+def one_cell(folder: Path) -> Path:
+    """A CSV file with 100 MB of lines within quotes."""
+    file = folder / "one_cell.csv"
+    file.write_text('time_s,force_n\n0,"' + "1\n" * (50 * MB))
+    return file
+
+
+def one_number(folder: Path) -> Path:
+    """A CSV file with numbers of a quarter of a million digits."""
+    file = folder / "digits.csv"
+    file.write_text("time_s,force_n\n" + "".join(f"{k},{'9' * 262_000}\n" for k in range(100)))
+    return file
+
+
+def empty_lines(folder: Path) -> Path:
+    """A CSV file with 100 MB of empty lines."""
+    file = folder / "empty_lines.csv"
+    file.write_text("time_s,force_n\n" + "\n" * (100 * MB))
+    return file
+
+
+def many_columns(folder: Path) -> Path:
+    """A CSV file with nine thousand columns of friction elements."""
+    file = folder / "columns.csv"
+    names = ["time_s", *(f"friction_elements_n_{k}" for k in range(1, 9001))]
+    file.write_text("\n".join([",".join(names), *(",".join([str(k)] + ["1"] * 9000) for k in range(20)), "end"]))
+    return file
+
+
+def infinite(folder: Path) -> Path:
+    """A CSV file with an infinite force."""
+    file = folder / "inf.csv"
+    file.write_text("time_s,force_n\n0,1\n0.1,inf\n")
+    return file
+
+
+def sparse(folder: Path) -> Path:
+    """A CSV file of 20 GB, none of which is on the disk."""
+    file = folder / "sparse.csv"
+    with file.open("wb") as stream:
+        stream.truncate(20 * 10**9)
+    return file
+
+
+def nulls(folder: Path) -> Path:
+    """A CSV file of 1 GB of nulls, none of which is on the disk."""
+    file = folder / "nulls.csv"
+    with file.open("wb") as stream:
+        stream.truncate(10**9)
+    return file
+
+
+# What is no file
+
+
+def pipe(suffix: str) -> Callable[[Path], Path]:
+    """A pipe that nobody writes to."""
+
+    def make(folder: Path) -> Path:
+        file = folder / f"pipe{suffix}"
+        os.mkfifo(file)
+        return file
+
+    return make
+
+
+def device(suffix: str) -> Callable[[Path], Path]:
+    """A link to /dev/zero."""
+
+    def make(folder: Path) -> Path:
+        file = folder / f"zero{suffix}"
+        file.symlink_to("/dev/zero")
+        return file
+
+    return make
+
+
+def listening_socket(folder: Path) -> Path:
+    """A socket."""
+    file = folder / "socket.csv"
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(file))
+    return file
+
+
+def directory(folder: Path) -> Path:
+    """A directory with the name of a file."""
+    file = folder / "directory.csv"
+    file.mkdir()
+    return file
+
+
+def pipe_in_a_bag(folder: Path) -> Path:
+    """A bag whose storage file is a pipe."""
+    bag = bag_of(folder, 3, "mcap")
+    [file] = bag.glob("*.mcap")
+    file.unlink()
+    os.mkfifo(file)
+    return bag
+
+
+def pipe_of_another_name(folder: Path) -> Path:
+    """A bag whose metadata name a pipe that does not look like a storage file."""
+    bag = bag_of(folder, 3, "mcap")
+    os.mkfifo(bag / "data")
+    metadata = bag / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("- bag.mcap", "- data").replace("path: bag.mcap", "path: data"))
+    return bag
+
+
+# YAML
+
+
+def aliases(folder: Path) -> Path:
+    """A rig file that unfolds to 10^9 texts."""
+    file = folder / "laughs.yaml"
+    lines = ["a: &a [x, x, x, x, x, x, x, x, x, x]"]
+    lines += [
+        f"{name}: &{name} [{', '.join([f'*{before}'] * 10)}]" for before, name in zip("abcdefgh", "bcdefghi", strict=True)
+    ]
+    file.write_text("\n".join(lines))
+    return file
+
+
+def deep(folder: Path) -> Path:
+    """A rig file of two million brackets."""
+    file = folder / "deep.yaml"
+    file.write_text("[" * (2 * MB))
+    return file
+
+
+def long_text(folder: Path) -> Path:
+    """A rig file of 300 MB."""
+    file = folder / "long.yaml"
+    file.write_text("a: " + "x" * (300 * MB))
+    return file
+
+
+def yes_for_a_number(folder: Path) -> Path:
+    """A rig file whose moving mass is yes."""
+    rig = yaml.safe_load((config_folder() / "rig_paper.yaml").read_text())
+    rig["plant"]["moving_mass"] = True
+    file = folder / "yes.yaml"
+    file.write_text(yaml.safe_dump(rig).replace("moving_mass: true", "moving_mass: yes"))
+    return file
+
+
+def long_reference(folder: Path) -> Path:
+    """A spec with a reference file of 300 MB."""
+    (folder / "load.csv").write_text("time_s,value\n" + "".join(f"{k},1\n" for k in range(10)) + "1" * (300 * MB))
+    spec = yaml.safe_load((config_folder() / "experiments" / "sine_fd1.yaml").read_text())
+    spec["rig"] = yaml.safe_load((config_folder() / "rig_paper.yaml").read_text())
+    spec["reference"] = {"name": "load_spectrum", "file": "load.csv"}
+    file = folder / "spec.yaml"
+    file.write_text(yaml.safe_dump(spec))
+    return file
+
+
+# Bags
+
+
+def bag_of(folder: Path, messages: int, storage: Any, frame: Callable[[int], str] = lambda _: "rig") -> Path:
+    """Return a bag of snapshots, each with its frame's name."""
+    fields = flatten(typestore().fielddefs, LOADER_STATE.type)
+    writer = BagWriter.create(folder / "bag", storage, topics=[LOADER_STATE])
+    for k in range(messages):
+        values: dict[str, Any] = {field.name: np.zeros(1) for field in fields}
+        values |= {"header.frame_id": frame(k), "header.stamp.nanosec": np.array([k * 1000]), "cycle": np.array([k])}
+        writer.write(LOADER_STATE.name, k * 1000, encode(fields, values)[0])
+    writer.close()
+    return folder / "bag"
+
+
+@contextmanager
+def database_of(folder: Path) -> Iterator[tuple[Path, sqlite3.Connection]]:
+    """Yield a small SQLite bag and its database to add to."""
+    [file] = bag_of(folder, 3, "sqlite3").glob("*.db3")
+    with closing(sqlite3.connect(file)) as database, database:
+        yield file, database
+
+
+def blobs(folder: Path) -> Path:
+    """A SQLite bag with 600 messages of 1 MB."""
+    with database_of(folder) as (file, database):
+        insert = "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, zeroblob(1000000))"
+        database.executemany(insert, [(k,) for k in range(10, 610)])
+    return file
+
+
+def one_blob(folder: Path) -> Path:
+    """A SQLite bag with one message of 600 MB."""
+    with database_of(folder) as (file, database):
+        database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 10, zeroblob(600000000))")
+    return file
+
+
+def small_blobs(folder: Path) -> Path:
+    """A SQLite bag of 600 MB in messages of 60 kB."""
+    with database_of(folder) as (file, database):
+        insert = "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, zeroblob(60000))"
+        database.executemany(insert, [(k,) for k in range(10, 10_010)])
+    return file
+
+
+def large_definition(folder: Path) -> Path:
+    """A SQLite bag with a message definition of 600 MB."""
+    with database_of(folder) as (file, database):
+        database.execute("UPDATE message_definitions SET encoded_message_definition = CAST(zeroblob(600000000) AS TEXT)")
+    return file
+
+
+def large_metadata(folder: Path) -> Path:
+    """A SQLite bag with metadata of 600 MB."""
+    with database_of(folder) as (file, database):
+        database.execute("UPDATE metadata SET metadata = CAST(zeroblob(600000000) AS TEXT)")
+    return file
+
+
+def many_topics(folder: Path) -> Path:
+    """A SQLite bag of a million topics."""
+    with database_of(folder) as (file, database):
+        database.execute(
+            "WITH RECURSIVE n(i) AS (SELECT 2 UNION ALL SELECT i + 1 FROM n WHERE i < 1000000) "
+            "INSERT INTO topics SELECT i, '/t' || i, 'std_msgs/msg/Bool', 'cdr', '', '' FROM n"
+        )
+    return file
+
+
+def many_lengths(storage: str) -> Callable[[Path], Path]:
+    """A bag whose messages all have names of other lengths."""
+
+    def make(folder: Path) -> Path:
+        return bag_of(folder, 20_000, storage, lambda k: "x" * (k % 5000))
+
+    return make
+
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+
+
+def mcap(folder: Path, data: bytes, summary: bytes) -> Path:
+    """Put an mcap file together of its data and its summary."""
+
+    def record(kind: int, content: bytes) -> bytes:
+        return struct.pack("<BQ", kind, len(content)) + content
+
+    head = MCAP_MAGIC + record(1, struct.pack("<I4sI", 4, b"ros2", 0))
+    end = record(15, bytes(4))
+    start = len(head) + len(data) + len(end)
+    file = folder / "made.mcap"
+    file.write_bytes(head + data + end + summary + record(2, struct.pack("<QQI", start, 0, 0)) + MCAP_MAGIC)
+    return file
+
+
+def overlapping_chunks(folder: Path) -> Path:
+    """An mcap file of 6 MB whose chunks expand to 600 MB and overlap."""
+    content = lz4.frame.compress(bytes(60 * MB), compression_level=9)
+    data, summary = b"", b""
+    for _ in range(10):
+        head = struct.pack("<QQQII", 0, 10, 60 * MB, 0, 3) + b"lz4" + struct.pack("<Q", len(content))
+        start = len(MCAP_MAGIC) + 9 + 12 + len(data)
+        chunk = struct.pack("<BQ", 6, len(head) + len(content)) + head + content
+        index = struct.pack("<QQQQI", 0, 10, start, len(chunk), 0) + struct.pack("<QI", 0, 3) + b"lz4"
+        index += struct.pack("<QQ", len(content), 60 * MB)
+        data, summary = data + chunk, summary + struct.pack("<BQ", 8, len(index)) + index
+    return mcap(folder, data + struct.pack("<BQ", 9, 6 * MB) + bytes(6 * MB), summary)
+
+
+def long_summary(folder: Path) -> Path:
+    """An mcap file with a summary of 500 MB."""
+    return mcap(folder, b"", struct.pack("<BQ", 11, 500 * MB) + bytes(500 * MB))
+
+
+def large_schema(folder: Path) -> Path:
+    """An mcap file without index, with a message definition of 500 MB."""
+    file = mcap(folder, struct.pack("<BQ", 3, 500 * MB) + bytes(500 * MB), b"")
+    content = file.read_bytes()
+    file.write_bytes(content[:-28] + bytes(20) + content[-8:])
+    return file
+
+
+def many_records(folder: Path) -> Path:
+    """An mcap file of two million empty records."""
+    return mcap(folder, struct.pack("<BQ", 0x7F, 0) * (2 * MB), b"")
+
+
+# MAT
+
+
+def mat(folder: Path, name: str, content: bytes) -> Path:
+    """Put a MAT file together."""
+    file = folder / name
+    file.write_bytes(b"MATLAB 5.0 MAT-file".ljust(116) + bytes(8) + struct.pack("<H2s", 0x0100, b"IM") + content)
+    return file
+
+
+def element(kind: int, content: bytes, size: int | None = None) -> bytes:
+    """Return an element of a MAT file, which may say another size than it has."""
+    return struct.pack("<II", kind, len(content) if size is None else size) + content + bytes(-len(content) % 8)
+
+
+def array_head(kind: int, shape: tuple[int, ...], name: bytes = b"time_s") -> bytes:
+    """Return what an array of a MAT file begins with: flags, shape and name."""
+    dimensions = struct.pack(f"<{len(shape)}i", *shape)
+    return element(6, struct.pack("<II", kind, 0)) + element(5, dimensions) + element(1, name)
+
+
+def expanding_array(folder: Path) -> Path:
+    """A MAT file of 3 MB that expands to 3 GB."""
+    size = 3 * 10**9
+    head = array_head(6, (size // 8, 1)) + struct.pack("<II", 9, size)
+    compressor = zlib.compressobj()
+    begin = compressor.compress(struct.pack("<II", 14, len(head) + size) + head) + compressor.flush(zlib.Z_FULL_FLUSH)
+    piece = compressor.compress(bytes(MB)) + compressor.flush(zlib.Z_FULL_FLUSH)
+    # Pieces between full flushes do not depend on each other.
+    return mat(folder, "expanding.mat", element(15, begin + piece * (size // MB) + compressor.flush()))
+
+
+def huge_cells(folder: Path) -> Path:
+    """A MAT file of 200 bytes with 10^9 cells."""
+    return mat(folder, "cells.mat", element(14, array_head(1, (10**9, 1))))
+
+
+def huge_text(folder: Path) -> Path:
+    """A MAT file of 200 bytes with 10^9 characters."""
+    return mat(folder, "text.mat", element(14, array_head(4, (1, 10**9)) + element(4, b"")))
+
+
+def huge_structure(folder: Path) -> Path:
+    """A MAT file of 200 bytes with 10^9 structures."""
+    fields = element(5, struct.pack("<i", 8)) + element(1, b"a".ljust(8, b"\0"))
+    return mat(folder, "structures.mat", element(14, array_head(2, (10**9, 1)) + fields))
+
+
+def nested_cells(folder: Path) -> Path:
+    """A MAT file of cells within each other, 200 thousand deep."""
+    head, depth = array_head(1, (1, 1), b""), 200_000
+    step = len(head) + 8
+    content = b"".join(struct.pack("<II", 14, len(head) + step * (depth - k)) + head for k in range(depth))
+    return mat(folder, "nested.mat", content + element(14, head))
+
+
+def many_variables(folder: Path) -> Path:
+    """A MAT file of half a million variables."""
+    variable = element(14, array_head(6, (1, 1), b"x") + element(9, bytes(8)))
+    return mat(folder, "variables.mat", variable * 500_000)
+
+
+def huge_old_matrix(folder: Path) -> Path:
+    """A MAT file of version 4 that says it has 10^9 numbers."""
+    file = folder / "old.mat"
+    file.write_bytes(struct.pack("<5i", 0, 10**9, 1, 0, 7) + b"time_s\0" + bytes(100))
+    return file
+
+
+def old_sparse_matrix(folder: Path) -> Path:
+    """A MAT file of version 4 with a sparse matrix of 2^31 rows."""
+    file = folder / "sparse.mat"
+    file.write_bytes(struct.pack("<5i", 2, 1, 3, 0, 7) + b"time_s\0" + struct.pack("<3d", 2**31 - 1, 1, 0))
+    return file
+
+
+# Parquet
+
+
+def parquet(name: str, groups: int, **columns: Any) -> Callable[[Path], Path]:
+    """A Parquet file that repeats some columns."""
+
+    def make(folder: Path) -> Path:
+        table = pa.table({key: column() for key, column in columns.items()})
+        with parquet_.ParquetWriter(folder / name, table.schema, compression="zstd") as writer:
+            for _ in range(groups):
+                writer.write_table(table, row_group_size=len(table))
+        return folder / name
+
+    return make
+
+
+def nested_lists(folder: Path) -> Path:
+    """A Parquet file with lists 200 deep."""
+    kind, value = pa.float64(), 0.0
+    for _ in range(200):
+        kind, value = pa.list_(kind), [value]
+    table = pa.table({"time_s": [0.0], "force_n": pa.array([value], kind)})
+    parquet_.write_table(table, folder / "nested.parquet")
+    return folder / "nested.parquet"
+
+
+TABLES: Mapping[str, Callable[[Path], Path]] = {
+    "CSV, 100 MB in one line": one_line,
+    "CSV, 100 MB in the second line": one_line_of_data,
+    "CSV, 100 MB of lines in quotes": one_cell,
+    "CSV, numbers of 262000 digits": one_number,
+    "CSV, 100 MB of empty lines": empty_lines,
+    "CSV, 9000 columns": many_columns,
+    "CSV, an infinite force": infinite,
+    "CSV, 20 GB": sparse,
+    "CSV, 1 GB of nulls": nulls,
+}
+NO_FILES: Mapping[str, Callable[[Path], Path]] = {
+    **{f"pipe{suffix}": pipe(suffix) for suffix in (".csv", ".yaml", ".mat", ".parquet", ".mcap", ".db3", "")},
+    **{f"/dev/zero as {suffix}": device(suffix) for suffix in (".csv", ".yaml", ".mat", ".mcap")},
+    "socket": listening_socket,
+    "directory": directory,
+    "bag with a pipe in it": pipe_in_a_bag,
+    "bag that names a pipe": pipe_of_another_name,
+}
+TEXTS: Mapping[str, Callable[[Path], Path]] = {
+    "YAML, aliases of 10^9 texts": aliases,
+    "YAML, 2 million brackets": deep,
+    "YAML, 300 MB": long_text,
+    "YAML, moving_mass: yes": yes_for_a_number,
+    "reference file, 300 MB": long_reference,
+}
+BAGS: Mapping[str, Callable[[Path], Path]] = {
+    "SQLite, 600 messages of 1 MB": blobs,
+    "SQLite, a message of 600 MB": one_blob,
+    "SQLite, 10000 messages of 60 kB": small_blobs,
+    "SQLite, definition of 600 MB": large_definition,
+    "SQLite, metadata of 600 MB": large_metadata,
+    "SQLite, a million topics": many_topics,
+    "SQLite, messages of 5000 lengths": many_lengths("sqlite3"),
+    "mcap, messages of 5000 lengths": many_lengths("mcap"),
+    "mcap, 600 MB of overlapping chunks": overlapping_chunks,
+    "mcap, summary of 500 MB": long_summary,
+    "mcap, definition of 500 MB": large_schema,
+    "mcap, 2 million records": many_records,
+}
+MATS: Mapping[str, Callable[[Path], Path]] = {
+    "MAT, 3 MB expand to 3 GB": expanding_array,
+    "MAT, 10^9 cells": huge_cells,
+    "MAT, 10^9 characters": huge_text,
+    "MAT, 10^9 structures": huge_structure,
+    "MAT, cells 200000 deep": nested_cells,
+    "MAT, 500000 variables": many_variables,
+    "MAT 4, 10^9 numbers": huge_old_matrix,
+    "MAT 4, sparse with 2^31 rows": old_sparse_matrix,
+}
+
+
+def times(rows: int) -> Callable[[], Any]:
+    """Return what makes a column of so many times."""
+    return lambda: np.arange(rows) / 1000.0
+
+
+def still(rows: int) -> Callable[[], Any]:
+    """Return what makes a column in which nothing moves."""
+    return lambda: np.zeros(rows)
+
+
+def texts(rows: int) -> Callable[[], Any]:
+    """Return what makes a column of one long text, again and again."""
+
+    def make() -> Any:
+        return pa.DictionaryArray.from_arrays(np.zeros(rows, np.int32), ["x" * MB])
+
+    return make
+
+
+PARQUETS: Mapping[str, Callable[[Path], Path]] = {
+    "Parquet, 3·10^7 equal rows": parquet("rows.parquet", 30, time_s=still(MB), force_n=still(MB)),
+    "Parquet, 1.9·10^7 equal rows": parquet("equal.parquet", 19, time_s=still(MB), force_n=still(MB)),
+    "Parquet, 30000 row groups": parquet("groups.parquet", 30_000, time_s=times(1), force_n=still(1)),
+    "Parquet, texts of 1 MB, 10^5 times": parquet("texts.parquet", 1, time_s=times(100_000), force_n=texts(100_000)),
+    "Parquet, lists 200 deep": nested_lists,
+}
+
+INPUTS: Mapping[str, Callable[[Path], Path]] = {
+    **TABLES,
+    **NO_FILES,
+    **TEXTS,
+    **BAGS,
+    **MATS,
+    **(PARQUETS if find_spec("pyarrow") else {}),
+}
+"""What is read, by what it is."""
+
+
+def row(name: str, answer: Answer) -> str:
+    """Return a line of the table."""
+    line = answer.line.replace("|", "\\|")
+    line = line if len(line) < 220 else f"{line[:140]} … {line[-70:]}"
+    return f"| {name} | {line} | {answer.processor_s:.1f} | {answer.wall_s:.1f} | {answer.memory_mb:.0f} |"
+
+
+def main() -> None:
+    """Print the table."""
+    print(HEADER)
+    print(row("(nothing)", ask(None)))
+    for name, make in INPUTS.items():
+        with tempfile.TemporaryDirectory() as folder:
+            print(row(name, ask(make(Path(folder)))), flush=True)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--read"]:
+        read_and_tell(sys.argv[2])
+    else:
+        main()

@@ -1,0 +1,161 @@
+"""The folder that keeps compiled kernels between processes, and why what lies in it may be run.
+
+Machine code lies there as pickles, and a pickle runs whatever it says. So the folder is the user's alone; the text of a
+kernel is run from memory, its file being there for numba to find the machine code by; and machine code is loaded only as
+it was left after compiling. What is damaged is compiled anew.
+"""
+
+import fcntl
+import hashlib
+import logging
+import os
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+from typing import BinaryIO
+
+from ehls_ros.errors import BadInput
+
+PREFIX = "ehls_kernel_"
+"""What the names of kernels begin with."""
+
+CODE = "__pycache__"
+"""Where numba keeps machine code, beside the kernels."""
+
+OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+
+OWN_FOLDER = "a folder that only you can write: remove this one, or set EHLS_CACHE_DIR to another"
+
+
+def cache_folder() -> Path:
+    """Return where generated kernels lie: ``$EHLS_CACHE_DIR``, or ``ehls_ros`` in the user's cache folder."""
+    chosen = os.environ.get("EHLS_CACHE_DIR")
+    if chosen:
+        return Path(chosen)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ehls_ros"
+
+
+def make_private(folder: Path) -> None:
+    """Make a folder for kernels that nobody else can write; one that others could write is emptied first.
+
+    Args:
+        folder: the folder, made with mode 700 where it is missing.
+
+    Raises:
+        BadInput: it belongs to somebody else, or others may write it and it holds more than kernels.
+        OSError: it cannot be made.
+    """
+    folder.mkdir(0o700, parents=True, exist_ok=True)
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        # Of several processes that start at once, one empties it.
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        status = os.fstat(handle)
+        if status.st_uid != os.geteuid():
+            raise BadInput(f"the folder of compiled kernels belongs to user {status.st_uid}", str(folder), OWN_FOLDER)
+        if status.st_mode & OTHERS_WRITE:
+            _take_over(folder)
+    finally:
+        os.close(handle)
+
+
+def _take_over(folder: Path) -> None:
+    """Shut others out and throw away what they may have put there."""
+    strangers = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith((PREFIX, CODE, "tmp")))
+    if strangers:
+        what = f"others may write the folder of compiled kernels, which holds '{strangers[0]}' too"
+        raise BadInput(what, str(folder), OWN_FOLDER)
+    folder.chmod(0o700)
+    for entry in folder.iterdir():
+        shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
+    logging.getLogger(__name__).warning("%s: others could write it; its kernels are compiled anew", folder)
+
+
+def kept(name: str, source: str) -> Path:
+    """Put a kernel's text into the cache folder unless it is there word for word.
+
+    Args:
+        name: name of the kernel's module.
+        source: its text.
+
+    Returns:
+        The file. It is in a temporary folder where the cache folder cannot be written.
+
+    Raises:
+        BadInput: the cache folder is not the user's alone.
+    """
+    try:
+        make_private(cache_folder())
+        return _written(cache_folder(), name, source)
+    except OSError:
+        return _written(_temporary_folder(), name, source)
+
+
+@cache
+def _temporary_folder() -> Path:
+    return Path(tempfile.mkdtemp(prefix="ehls_ros_"))
+
+
+def _written(folder: Path, name: str, source: str) -> Path:
+    path, text = folder / f"{name}.py", source.encode()
+    if path.is_file() and os.access(folder, os.W_OK) and path.read_bytes() == text:
+        return path
+    handle, scratch = tempfile.mkstemp(dir=folder, prefix=PREFIX, suffix=".py")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(text)
+        # Several nodes may start at once: each writes its own file, the last rename wins with the same text.
+        Path(scratch).replace(path)
+    except OSError:
+        Path(scratch).unlink(missing_ok=True)
+        raise
+    return path
+
+
+@contextmanager
+def sealed(seal: Path, code: Path, pattern: str) -> Iterator[None]:
+    """Hand over machine code to load or replace: to one process at a time, and only as the last one left it.
+
+    Args:
+        seal: file with the digest of the machine code, which is also what processes lock. The lock is the system's: it
+            goes with the process that holds it, however that ends.
+        code: folder of the machine code.
+        pattern: its files there.
+    """
+    with _locked(seal) as file:
+        found = file.read() if file else b""
+        if found != _digest(code, pattern):
+            for damaged in code.glob(pattern):
+                damaged.unlink()
+        yield
+        left = _digest(code, pattern)
+        # On a full disk the seal fits nothing, and the code is compiled anew.
+        with suppress(OSError):
+            if file and left != found:
+                file.seek(0)
+                file.truncate()
+                file.write(left)
+
+
+def _digest(code: Path, pattern: str) -> bytes:
+    """Return a digest of all files with their names; nothing where there is none."""
+    files = sorted(code.glob(pattern))
+    text = "".join(f"{file.name} {hashlib.sha256(file.read_bytes()).hexdigest()}\n" for file in files)
+    return hashlib.sha256(text.encode()).hexdigest().encode() if files else b""
+
+
+@contextmanager
+def _locked(file: Path) -> Iterator[BinaryIO | None]:
+    """Keep other processes out; where no file can be made, compiling twice does no harm."""
+    try:
+        handle = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError:
+        yield None
+        return
+    with os.fdopen(handle, "r+b", buffering=0) as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        yield stream

@@ -1,0 +1,69 @@
+"""How much of a file is read: every bound of every reader.
+
+A recording of a rig stays far below them; what is above them is refused in one line before it takes memory or time. An hour of
+ten columns at 1 kHz has 3.6e7 values and takes 0.7 GB as CSV.
+"""
+
+TEXT = 4 * 2**20
+"""Longest YAML file, metadata of a bag or reference file; a load spectrum of 10^5 points is shorter [characters]."""
+
+YAML_DEPTH = 50
+"""Collections within each other; a spec has six [1]."""
+
+YAML_NUMBER = 400
+"""Longest number; the largest float has 309 digits [characters]."""
+
+TABLE = 8 * 2**30
+"""Largest CSV, MAT or Parquet file [B]."""
+
+TABLE_LARGER = ": split it by time, or write it as Parquet"
+
+LINE = 2**18
+"""Longest line of a CSV file; a thousand columns take a tenth [characters]."""
+
+ROWS = 20_000_000
+"""Most samples of a recording: 5.5 h at 1 kHz [1]."""
+
+VALUES = 200_000_000
+"""Most numbers of a table, rows times columns: an hour at 1 kHz of every signal there is [1]."""
+
+BAG = 64 * 2**30
+"""Largest bag [B]; an hour of ours takes 4 GB."""
+
+BAG_LARGER = ": `ros2 bag convert` splits it"
+
+TOPICS = 4096
+"""Most topics of a bag [1]."""
+
+MESSAGE = 2**16
+"""Largest message of a topic that is read; ours have some hundred bytes [B]."""
+
+GATHERED = 2**26
+"""Messages that are decoded together [B]."""
+
+LAYOUTS = 64
+"""Most different lengths, among messages decoded together, of a topic's texts and sequences; ours has one or two [1]."""
+
+SUMMARY = 2**26
+"""Largest summary of an mcap file, and largest record of its that is no chunk; a bag of 4 GB has 3 MB [B]."""
+
+CHUNK = 2**26
+"""Largest chunk of an mcap file, compressed or not; recorders write 1 to 4 MB [B]."""
+
+CHUNKS_AT_ONCE = 2**28
+"""What may be in memory at a time of chunks whose times overlap [B]."""
+
+EXPANSION = 100
+"""Expanded bytes for a byte on disk; a run compresses two- to fivefold, one in which nothing moves elevenfold [1]."""
+
+EXPANDED = 2**26
+"""What any file may expand to [B]."""
+
+COPIES = 4
+"""How often a library may hold what a MAT or Parquet file expands to [1]."""
+
+SECONDS = 60.0
+"""Time to read any file [s]."""
+
+SLOWEST = 1e6
+"""Rate at which a larger one has to be read; a computer that is busy reads ten times as fast [B/s]."""
