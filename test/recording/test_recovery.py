@@ -31,7 +31,7 @@ from ehls_ros.recording.topics import DRIVING, LOADER_STATE, VALVE_COMMAND
 
 STORAGES: list[Storage] = ["mcap", "sqlite3"]
 STORAGE = pytest.mark.parametrize("storage", STORAGES)
-FLUSHED, LOST = 25_000, 700
+FLUSHED, LOST = 10_000, 700
 START_NS = 1_700_000_000 * 10**9
 STATES, COMMANDS = "/ehls/loader_state", "/ehls/valve_command"
 
