@@ -438,6 +438,28 @@ def test_a_full_disk_leaves_no_half_of_a_bag(tmp_path: Path, storage: Storage):
     assert list(tmp_path.iterdir()) == [bag]
 
 
+@STORAGE
+def test_what_was_flushed_before_the_disk_was_full_is_recovered(tmp_path: Path, storage: Storage):
+    writer = BagWriter.create(tmp_path / "bag", storage, METADATA)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, hard))
+    flushed = 0
+    try:
+        with pytest.raises(OSError, match="the bag is incomplete"):
+            for cycle in range(10_000):
+                writer.write(LOADER_STATE.name, stamp_of(cycle), state(cycle))
+                if cycle % 100 == 99:
+                    writer.flush()
+                    flushed = cycle + 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    recovery = recover(tmp_path / "bag", tmp_path / "whole")
+    recovered = forces(tmp_path / "whole")
+    assert 1000 < flushed <= len(recovered)
+    assert recovered == list(range(len(recovered)))
+    assert recovery.unverified == 0
+
+
 def test_the_new_bag_is_named_in_what_is_wrong_with_it(tmp_path: Path):
     bag = cut_off(tmp_path / "bag", "sqlite3")
     out = tmp_path / "100 %"
