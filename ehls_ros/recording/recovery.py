@@ -233,7 +233,9 @@ def _account(bag: DamagedBag, ledger: Ledger, loss: Loss, counts: Mapping[str, _
         beside = bag.expected.get(path)
         written = max(ledger.counts.get(path, 0), beside.messages if beside else 0)
         dropped = loss.damaged.get(path, 0) + count.malformed
-        lost = max(written - count.tally.messages, dropped)
+        missing = max(0, written - count.tally.messages)
+        # What is dropped need not have been of the topic it is on now; where the number is known, it is not asked.
+        lost = missing if beside or ledger.complete else max(missing, dropped)
         between = known_lost.get(path, [])
         rest = lost - count.malformed - sum(part.messages for part in between)
         if beside and rest > 0 and beside.newest_ns > count.tally.newest_ns:

@@ -31,7 +31,7 @@ from ehls_ros.recording.topics import DRIVING, LOADER_STATE, VALVE_COMMAND
 
 STORAGES: list[Storage] = ["mcap", "sqlite3"]
 STORAGE = pytest.mark.parametrize("storage", STORAGES)
-FLUSHED, LOST = 25_000, 700
+FLUSHED, LOST = 10_000, 700
 START_NS = 1_700_000_000 * 10**9
 STATES, COMMANDS = "/ehls/loader_state", "/ehls/valve_command"
 
@@ -278,7 +278,7 @@ def test_a_message_on_another_topic_is_damaged(tmp_path: Path, storage: Storage)
     assert content[at] == 6
     flip(file, at)
     recovery = recover(bag, tmp_path / "whole")
-    assert (recovery.recovered, recovery.topics[COMMANDS].lost) == (599, 1)
+    assert (recovery.recovered, recovery.lost, recovery.topics[COMMANDS].lost) == (599, 1, 1)
 
 
 @STORAGE
@@ -436,6 +436,32 @@ def test_a_full_disk_leaves_no_half_of_a_bag(tmp_path: Path, storage: Storage):
     assert done.returncode == 1
     assert str(tmp_path / "bag_recovered") in done.stderr
     assert list(tmp_path.iterdir()) == [bag]
+
+
+@STORAGE
+def test_what_was_flushed_before_the_disk_was_full_is_recovered(tmp_path: Path, storage: Storage):
+    flushed = []
+
+    def fill() -> None:
+        writer = BagWriter.create(tmp_path / "bag", storage, METADATA)
+        for cycle in range(10_000):
+            writer.write(LOADER_STATE.name, stamp_of(cycle), state(cycle))
+            if cycle % 100 == 99:
+                writer.flush()
+                flushed.append(cycle)
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, hard))
+    try:
+        with pytest.raises(OSError, match="the bag is incomplete"):
+            fill()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    recovery = recover(tmp_path / "bag", tmp_path / "whole")
+    recovered = forces(tmp_path / "whole")
+    assert 1000 < flushed[-1] < len(recovered)
+    assert recovered == list(range(len(recovered)))
+    assert recovery.unverified == 0
 
 
 def test_the_new_bag_is_named_in_what_is_wrong_with_it(tmp_path: Path):
