@@ -33,7 +33,7 @@ def test_what_a_command_starts_gets_its_share_and_the_exit_code_is_passed_on(opt
     assert done.returncode == 3, done.stderr
     # Where the whole machine is busy, the command gets less; never much more.
     assert float(done.stdout) < 0.35
-    assert done.stderr.startswith("held back to 0.25 by ")
+    assert done.stderr.startswith("held back to 0.25 of 1 processors by ")
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,13 @@
 may run on; with ``taskset -c 0`` before it, a third of one processor. With ``--busy 2`` two endless loops per processor run
 beside it, which are not held back: a loaded computer.
 
-Where this user may make a control group of Linux's cpu controller (version 1, root as a rule), the group's quota holds the
-command back. A lone thread then gets up to SHARE of all processors together. Threads with realtime priority have a quota of
-the same size for themselves. Elsewhere, or with ``--stop-and-go``, all processes of the command are stopped (SIGSTOP) and let
-go on (SIGCONT) in turn, which holds back lone threads and realtime ones alike.
+Where this user may make a control group of Linux's cpu controller (version 1, root as a rule) and other groups have not been
+promised most of the realtime there is, the group's quota holds the command back. A lone thread then gets up to SHARE of all
+processors together; threads with realtime priority have a quota of the same size for themselves. Elsewhere, or with
+``--stop-and-go``, all processes of the command are stopped (SIGSTOP) and let go on (SIGCONT) in turn, which holds back lone
+threads and realtime ones alike.
 
-Ends with the command's exit code, and says on stderr how much processor time the command had.
+Ends with the command's exit code, and says on stderr by which means it was held back and how much processor time it had.
 """
 
 import argparse
@@ -37,6 +38,8 @@ def main() -> int:
         if group is not None:
             stack.callback(remove, group)
         loops = [stack.enter_context(busy_loop()) for _ in range(chosen.busy * processors)]
+        how = "stop and go" if group is None else "a control group"
+        print(f"held back to {chosen.share:g} of {processors} processors by {how}", file=sys.stderr)
         begin, before = time.monotonic(), os.times()
         if group is not None:
             # What this process starts from here on belongs there as well.
@@ -50,11 +53,7 @@ def main() -> int:
         code = process.wait()
         wall, after = time.monotonic() - begin, os.times()
     used = after.children_user + after.children_system - before.children_user - before.children_system
-    how = "stop and go" if group is None else "a control group"
-    print(
-        f"held back to {chosen.share:g} by {how}: {used:.1f} s of processor time in {wall:.1f} s, {processors} processors",
-        file=sys.stderr,
-    )
+    print(f"{used:.1f} s of processor time in {wall:.1f} s", file=sys.stderr)
     return code if code >= 0 else 128 - code
 
 
