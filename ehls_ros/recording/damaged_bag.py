@@ -13,6 +13,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES
 from ehls_ros.recording.bag_writer import Storage
 from ehls_ros.recording.ledger import Ledger
+from ehls_ros.recording.limits import TEXT
 from ehls_ros.recording.mcap_salvage import names_in_mcap, salvage_mcap
 from ehls_ros.recording.provenance import Provenance, provenance_in
 from ehls_ros.recording.reason import reason
@@ -20,11 +21,10 @@ from ehls_ros.recording.recording_note import Flushed, read_note
 from ehls_ros.recording.salvage import Found, Loss
 from ehls_ros.recording.sqlite_salvage import names_in_sqlite, salvage_sqlite
 from ehls_ros.recording.storage_file import MCAP_MAGIC, METADATA_FILE, SQLITE_MAGIC, parse_metadata
-from ehls_ros.recording.yaml_text import LARGEST
 
 RECOVERABLE = "a bag of ROS 2, its folder or its storage file"
 
-LONGEST_PROVENANCE = LARGEST * 3 // 4
+LONGEST_PROVENANCE = TEXT * 3 // 4
 """Characters of what a bag says of where it comes from; its metadata quote it, and are read up to a limit."""
 
 
