@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import FrameType
@@ -20,7 +21,8 @@ from rclpy.signals import SignalHandlerOptions
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, load_rig, load_spec
-from ehls_ros.hardware.realtime import claim, exact_wake_ups
+from ehls_ros.hardware.courtesy import Courtesy, Reader
+from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.process import end
 from ehls_ros.schema import quantity, text
@@ -56,6 +58,9 @@ class Common(NamedTuple):
         int,
         quantity("1", "in realtime: priority of SCHED_FIFO, with memory locked; 0: neither", minimum=0, maximum=99),
     ] = 0
+    yields: Annotated[
+        bool, text("with a priority: give it back for some seconds when ordinary work has got no time beside this loop")
+    ] = True
     autostart: Annotated[bool, text("configure and activate at start, as when started by hand")] = True
 
 
@@ -84,6 +89,7 @@ class ControlNode(LifecycleNode):
         self.lockstep = timing == LOCKSTEP
         self.configured = False
         self.not_permitted: tuple[str, ...] = ()
+        self.courtesy: Courtesy | None = None
         self._active = threading.Event()
         self._idle = threading.Event()
         self._idle.set()
@@ -141,7 +147,10 @@ class ControlNode(LifecycleNode):
         # The middleware's receivers hold locks that whoever sends to them takes as well: even where the loop goes behind
         # the others, its receivers must never be kept from running while they hold one.
         loops = () if self.answers else [thread.native_id for thread in threading.enumerate() if thread.native_id]
-        self.not_permitted = claim(0 if self.lockstep else int(self.get_parameter("priority").value), loops)
+        priority = 0 if self.lockstep else int(self.get_parameter("priority").value)
+        self.not_permitted = claim(priority, loops)
+        if priority and self.get_parameter("yields").value:
+            self.courtesy = Courtesy(Reader(), time.monotonic())
         self.configured = True
         return TransitionCallbackReturn.SUCCESS
 
@@ -167,6 +176,9 @@ class ControlNode(LifecycleNode):
         if self.configured:
             self.configured = False
             self.release()
+            if self.courtesy is not None:
+                self.courtesy.close()
+                self.courtesy = None
 
     def start_by_itself(self) -> bool:
         """Configure and activate; return whether that went well, the reason is in the log."""
@@ -186,6 +198,8 @@ class ControlNode(LifecycleNode):
             self.start()
             while self._active.is_set() and not stopping.is_set():
                 self.once()
+                if self.courtesy is not None and self.courtesy.look(time.monotonic()):
+                    self.report_change()
             gc.enable()
             self.stop()
             self._idle.set()
@@ -198,6 +212,10 @@ class ControlNode(LifecycleNode):
         if not self.configured:
             return OK, "unconfigured", {}
         level, message, figures = self.health()
+        if self.courtesy is not None:
+            figures = {**figures, **self.courtesy.figures()}
+            if self.courtesy.complaint:
+                level, message = max(level, WARN), f"{self.courtesy.complaint}; {message}"
         return level, message, {**figures, **{f"not_permitted_{i}": text for i, text in enumerate(self.not_permitted, 1)}}
 
     def _report(self) -> None:
@@ -243,6 +261,7 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
     Args:
         make: builds the node, after ROS is up.
     """
+    be_frugal()
     stopping = threading.Event()
 
     def on_signal(number: int, frame: FrameType | None) -> None:

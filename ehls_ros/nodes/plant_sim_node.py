@@ -9,10 +9,23 @@ import numpy as np
 from ehls_msgs.msg import Disturbance
 from ehls_ros.experiments.loop import simulator_of
 from ehls_ros.hardware.gate_parameters import SIMULATED
-from ehls_ros.nodes.control import ERROR, WAIT, run_node
-from ehls_ros.nodes.plant import PATIENCE, PlantNode
+from ehls_ros.hardware.pace import Pace
+from ehls_ros.nodes.control import ERROR, WAIT, WARN, run_node
+from ehls_ros.nodes.plant import PlantNode
 from ehls_ros.nodes.transport import Inbox, Waiter
 from ehls_ros.physics.rig import SENSED
+
+BEARABLE = 2
+"""Cycles in a row for which the last command is held; the law stands no three (docs/measured.md)."""
+
+HOPE = 0.1
+"""How long the simulated time waits for an answer before whoever answers is taken to be gone [s]."""
+
+ADVICE = (
+    "the simulated time runs slower than the wall's; stop other work, give the nodes a priority, choose a longer "
+    "control_period, or run in lockstep"
+)
+"""What goes with the complaint that this computer is too slow."""
 
 
 class PlantSimNode(PlantNode):
@@ -28,6 +41,10 @@ class PlantSimNode(PlantNode):
         self.random = np.random.default_rng(self.spec.settings.seed)
         self.cycle = 0
         self.late = 0
+        self.unanswered = 0
+        self.waiting = False
+        self.slipped = 0.0
+        self.pace = Pace()
         self.dense = 0
         self.disturbances: dict[int, tuple[float, float, float, float]] = {}
         self.last_disturbance = (0.0, 0.0, 0.0, 0.0)
@@ -45,6 +62,7 @@ class PlantSimNode(PlantNode):
     def start(self) -> None:
         """Publish the first snapshot."""
         self.set_epoch(self.cycle)
+        self.pace = Pace()
         self.epoch = time.perf_counter() - self.cycle * self.period
         self.tell_driving(self.gate.driving or not self.enabled)
         self._snapshot()
@@ -71,15 +89,46 @@ class PlantSimNode(PlantNode):
             self._take()
             return
         self._take()
-        if self.answered != self.cycle and self.answered >= 0:
-            self.missed += 1
+        answered = self.answered == self.cycle
+        if not answered and self.waiting and remaining > -HOPE:
+            self.answer.wait(WAIT)
+            return
+        self._keep_time(deadline, answered=answered)
         self._advance()
-        # A machine that was away for long goes on from now, rather than hurry after.
-        behind = time.perf_counter() - (deadline + self.period)
-        if behind > 0.0:
-            self.late += 1
-            if behind > PATIENCE:
-                self.epoch += behind
+
+    def _keep_time(self, deadline: float, *, answered: bool) -> None:
+        """Hold a command for a cycle or two; beyond that let the simulated time wait for the answers, and not catch up.
+
+        On a computer that is too slow the loop would otherwise be one of long dead times, and diverge.
+
+        Args:
+            deadline: when the cycle should have ended [s].
+            answered: whether its answer is there.
+        """
+        now = time.perf_counter()
+        if answered:
+            self.unanswered = 0
+        elif self.answered >= 0:
+            self.missed += 1
+            self.unanswered += 1
+        behind = now - deadline
+        self.late += behind > self.period
+        long_ago = behind > BEARABLE * self.period
+        self.waiting = answered if self.waiting else self.unanswered == BEARABLE or (answered and long_ago)
+        if self.waiting or long_ago:
+            self.epoch += behind
+            self.slipped += behind
+        if self.answered >= 0:
+            self._judge_pace(now)
+
+    def _judge_pace(self, now: float) -> None:
+        """See twice a second whether this computer keeps up; the simulated time waits for as long as it does not."""
+        due = (now - self.epoch + self.slipped) / self.period
+        before = self.pace.complaint
+        if self.pace.look(now, due, self.cycle + 1 - self.missed):
+            self.waiting = bool(self.pace.complaint)
+            if self.pace.complaint != before:
+                self.report_change()
 
     def _take(self) -> None:
         if self.cycle not in self.disturbances:
@@ -113,14 +162,17 @@ class PlantSimNode(PlantNode):
 
     def figures(self) -> dict[str, Any]:
         """Return figures for diagnostics."""
-        own = {"cycle": self.cycle, "late": self.late, "dense_event_steps": self.dense}
-        return {**super().figures(), **own}
+        own = {"cycle": self.cycle, "late": self.late, "dense_event_steps": self.dense, "slipped_s": self.slipped}
+        return {**super().figures(), **own, **self.pace.figures()}
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say how the cycles go."""
         level, message, figures = super().health()
         if not np.all(np.isfinite(self.simulator.y)):
             return ERROR, "the plant's state is no longer finite: a smaller integration_step may help", figures
+        if self.pace.complaint and self._active.is_set():
+            slow = f"{self.pace.complaint}: {ADVICE}"
+            return (ERROR, f"{message}; {slow}", figures) if level == ERROR else (WARN, slow, figures)
         return level, message, figures
 
 
