@@ -1,154 +1,101 @@
-"""Realtime that does not starve the machine: whoever keeps ordinary work from a processor gives SCHED_FIFO back for a while.
+"""Realtime that does not starve the machine: a loop that wants a processor all the time gives SCHED_FIFO back for a while.
 
-A canary, a process of ordinary priority that does nothing but read what it is sent, waits where the loop runs. What it has
-not read after :data:`LIMIT`, nobody else of ordinary priority could have done there either. It is a process and no thread,
-for a thread that is kept from running while it holds the interpreter would keep the loop waiting in its turn.
+What counts is what the loop wants, not what it gets: time it ran and time it stood in the queue behind others of its kind. So
+several loops that are each kept from running by the others are found out as one that has a processor to itself.
 """
 
-import ctypes
-import fcntl
 import os
-import subprocess
-import termios
 from collections.abc import Mapping
-from contextlib import suppress
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any
 
 from ehls_ros.hardware.realtime import step_back, step_forward
 
-LOOK = 0.1
-"""How often the loop looks after the canary [s]."""
-
-LIMIT = 0.3
-"""Time for which a loop may keep ordinary work from a processor [s]."""
+WINDOW = 0.3
+"""Time for which a loop may want a processor all the time [s]."""
 
 REST = 10.0
 """Time after which SCHED_FIFO is asked for again [s]."""
 
-READER = "/bin/cat"
-"""What reads all that comes and ends with whoever sends."""
-
-
-class Canary(Protocol):
-    """What has to be able to run."""
-
-    def waits(self) -> bool:
-        """Tell whether it has not yet been able to run where it was sent."""
-
-    def send(self, processor: int) -> None:
-        """Ask it to run on a processor."""
-
-    def close(self) -> None:
-        """Let it go."""
-
-
-class Reader:
-    """A canary that is a process."""
-
-    def __init__(self) -> None:
-        """Start it, with a session of its own, so that Ctrl-C does not reach it."""
-        read, self._pipe = os.pipe()
-        try:
-            self._process = subprocess.Popen([READER], stdin=read, stdout=subprocess.DEVNULL, start_new_session=True)
-        finally:
-            os.close(read)
-        os.sched_setscheduler(self._process.pid, os.SCHED_OTHER, os.sched_param(0))
-
-    def waits(self) -> bool:
-        """Tell whether there is something it has not read."""
-        unread = fcntl.ioctl(self._pipe, termios.FIONREAD, bytes(4))
-        return any(unread)
-
-    def send(self, processor: int) -> None:
-        """Move it to a processor and give it something to read, unless there still is something."""
-        # It may have been killed; a processor may be forbidden.
-        with suppress(OSError):
-            os.sched_setaffinity(self._process.pid, {processor})
-            if not self.waits():
-                os.write(self._pipe, b"\n")
-
-    def close(self) -> None:
-        """End it."""
-        os.close(self._pipe)
-        self._process.kill()
-        self._process.wait()
-
 
 class Courtesy:
-    """Looks, from inside a loop with SCHED_FIFO, whether ordinary work still gets its turn.
+    """Looks, from inside a loop with SCHED_FIFO, what part of a processor the loop wants.
 
     Attributes:
+        wanted: part of a processor the loop wanted over the last window.
         given_back: how often SCHED_FIFO was given back.
         complaint: what there is to say now; empty while the process has what it asked for.
     """
 
-    def __init__(self, canary: Canary, now: float) -> None:
+    def __init__(self, share: float, statistics: Path) -> None:
         """Begin.
 
         Args:
-            canary: what has to be able to run; it is closed with this.
-            now: time of a clock that is never set [s].
+            share: part of a processor the loop may want; with 1 there is no limit.
+            statistics: the file where the system says how long the loop's thread ran and how long it waited for a processor.
+
+        Raises:
+            OSError: the system does not tell.
         """
-        self._canary = canary
-        self._processor = -1
-        self._sent = self._next = now
+        self._share = share
+        self._statistics = os.open(statistics, os.O_RDONLY)
+        self._start: tuple[float, float] | None = None
         self._had: Mapping[int, int] = {}
         self._until = 0.0
+        self.wanted = 0.0
         self.given_back = 0
         self.complaint = ""
 
     def look(self, now: float) -> bool:
-        """Look, if it is time; give SCHED_FIFO back or take it again.
+        """Look, once a window is over; give SCHED_FIFO back or take it again.
 
         Args:
-            now: as above [s].
+            now: time of a clock that is never set [s].
 
         Returns:
             Whether :attr:`complaint` is another than before.
         """
-        if now < self._next:
+        if self._start is None:
+            self._start = now, self._wanted_so_far()
             return False
-        self._next = now + LOOK
+        elapsed = now - self._start[0]
+        if elapsed < WINDOW:
+            return False
+        wanted = self._wanted_so_far()
+        self.wanted = (wanted - self._start[1]) / elapsed
+        self._start = now, wanted
         if self.complaint:
-            return self._resume(now)
-        here = processor()
-        waits = self._canary.waits()
-        if waits and here == self._processor:
-            return now - self._sent >= LIMIT and self._yield(now)
-        if not waits or now - self._sent >= LIMIT:
-            # Where the loop is not any more, another one is in the way, and looks for itself.
-            self._canary.send(here)
-            self._processor, self._sent = here, now
-        return False
+            return now >= self._until and self._resume()
+        return self._share < 1.0 and self.wanted > self._share and self._yield(now)
+
+    def _wanted_so_far(self) -> float:
+        ran, waited = os.pread(self._statistics, 100, 0).split()[:2]
+        return 1e-9 * (int(ran) + int(waited))
 
     def _yield(self, now: float) -> bool:
         self._had = step_back()
         self._until = now + REST
         self.given_back += 1
-        waited = f"{1e3 * (now - self._sent):.0f} ms"
         self.complaint = (
-            f"ordinary work got no time on processor {self._processor} for {waited}: SCHED_FIFO is given back "
-            f"for {REST:.0f} s; run fewer nodes here, or ask for fewer cycles a second"
+            f"the loop wants {100 * self.wanted:.0f} % of a processor, processor_share is {100 * self._share:.0f} %: "
+            f"SCHED_FIFO is given back for {REST:.0f} s; run fewer nodes here, or choose a longer control_period"
         )
         return True
 
-    def _resume(self, now: float) -> bool:
-        if now < self._until:
-            return False
+    def _resume(self) -> bool:
         step_forward(self._had)
         self._had, self.complaint = {}, ""
-        self._processor = -1
         return True
 
     def figures(self) -> dict[str, Any]:
         """Return figures for diagnostics."""
-        return {"priority_given_back": self.given_back}
+        return {"processor_wanted": self.wanted, "priority_given_back": self.given_back}
 
     def close(self) -> None:
-        """Let the canary go."""
-        self._canary.close()
+        """Look no more."""
+        os.close(self._statistics)
 
 
-def processor() -> int:
-    """Return the processor this thread runs on."""
-    return int(ctypes.CDLL(None).sched_getcpu())
+def statistics_of(thread: int) -> Path:
+    """Return the file that tells about a thread of this process, by its native id."""
+    return Path(f"/proc/self/task/{thread}/schedstat")

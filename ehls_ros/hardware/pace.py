@@ -14,6 +14,12 @@ ENOUGH = 0.98
 CHANGE = 0.1
 """Part of the cycles due by which their number has to change to be told anew."""
 
+ADVICE = (
+    "stop other work, permit realtime priority (ehls doctor looks whether it is), choose a longer control_period, or run in "
+    "lockstep"
+)
+"""What to do about a computer that is too slow."""
+
 
 class Pace:
     """Counts cycles and says when a computer is too slow for them.
@@ -66,8 +72,8 @@ class Pace:
     def _judge(self) -> None:
         least = (ENOUGH if self.complaint else LEAST) * self.asked
         if not 0.0 < self.reached < least:
-            self.complaint, self._told = "", 0.0
-        elif abs(self.reached - self._told) > CHANGE * self.asked:
+            self.complaint = ""
+        elif not self.complaint or abs(self.reached - self._told) > CHANGE * self.asked:
             self.complaint, self._told = f"too slow: {self.reached:.0f} of {self.asked:.0f} cycles/s", self.reached
 
     def figures(self) -> dict[str, Any]:

@@ -26,7 +26,7 @@ DEEP_STACK = 2**22
 LARGE = 2**25
 """Size from which on a piece of memory is asked from the system by itself and given back; the largest glibc allows [B]."""
 
-HARDLY = 0.125
+HARDLY = 0.25
 """A file of which no more than this part is in memory is hardly used."""
 
 COMPILER = "libllvmlite"

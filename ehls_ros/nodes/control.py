@@ -21,7 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, load_rig, load_spec
-from ehls_ros.hardware.courtesy import Courtesy, Reader
+from ehls_ros.hardware.courtesy import Courtesy, statistics_of
 from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.process import end
@@ -58,9 +58,10 @@ class Common(NamedTuple):
         int,
         quantity("1", "in realtime: priority of SCHED_FIFO, with memory locked; 0: neither", minimum=0, maximum=99),
     ] = 0
-    yields: Annotated[
-        bool, text("with a priority: give it back for some seconds when ordinary work has got no time beside this loop")
-    ] = True
+    processor_share: Annotated[
+        float,
+        quantity("1", "part of a processor beyond which the loop gives its priority back; 1: never", minimum=0.05, maximum=1.0),
+    ] = 0.9
     autostart: Annotated[bool, text("configure and activate at start, as when started by hand")] = True
 
 
@@ -149,8 +150,9 @@ class ControlNode(LifecycleNode):
         loops = () if self.answers else [thread.native_id for thread in threading.enumerate() if thread.native_id]
         priority = 0 if self.lockstep else int(self.get_parameter("priority").value)
         self.not_permitted = claim(priority, loops)
-        if priority and self.get_parameter("yields").value:
-            self.courtesy = Courtesy(Reader(), time.monotonic())
+        if priority:
+            # The loop is the main thread's.
+            self.courtesy = Courtesy(float(self.get_parameter("processor_share").value), statistics_of(os.getpid()))
         self.configured = True
         return TransitionCallbackReturn.SUCCESS
 

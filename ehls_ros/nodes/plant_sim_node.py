@@ -9,7 +9,7 @@ import numpy as np
 from ehls_msgs.msg import Disturbance
 from ehls_ros.experiments.loop import simulator_of
 from ehls_ros.hardware.gate_parameters import SIMULATED
-from ehls_ros.hardware.pace import Pace
+from ehls_ros.hardware.pace import ADVICE, Pace
 from ehls_ros.nodes.control import ERROR, WAIT, WARN, run_node
 from ehls_ros.nodes.plant import PlantNode
 from ehls_ros.nodes.transport import Inbox, Waiter
@@ -21,11 +21,8 @@ BEARABLE = 2
 HOPE = 0.1
 """How long the simulated time waits for an answer before whoever answers is taken to be gone [s]."""
 
-ADVICE = (
-    "the simulated time runs slower than the wall's; stop other work, give the nodes a priority, choose a longer "
-    "control_period, or run in lockstep"
-)
-"""What goes with the complaint that this computer is too slow."""
+SPARE = 0.25
+"""Where the simulated time waits for answers: how long everybody rests after one, as part of the time it took."""
 
 
 class PlantSimNode(PlantNode):
@@ -106,6 +103,10 @@ class PlantSimNode(PlantNode):
             answered: whether its answer is there.
         """
         now = time.perf_counter()
+        if self.waiting and answered and now > deadline:
+            # Nodes that take turns without a rest would leave the machine nothing.
+            time.sleep(SPARE * (now - self.published))
+            now = time.perf_counter()
         if answered:
             self.unanswered = 0
         elif self.answered >= 0:
@@ -171,7 +172,7 @@ class PlantSimNode(PlantNode):
         if not np.all(np.isfinite(self.simulator.y)):
             return ERROR, "the plant's state is no longer finite: a smaller integration_step may help", figures
         if self.pace.complaint and self._active.is_set():
-            slow = f"{self.pace.complaint}: {ADVICE}"
+            slow = f"{self.pace.complaint}, the simulated time runs slower than the wall's: {ADVICE}"
             return (ERROR, f"{message}; {slow}", figures) if level == ERROR else (WARN, slow, figures)
         return level, message, figures
 
