@@ -1,7 +1,8 @@
 """Realtime that does not starve the machine: a loop that wants a processor all the time gives SCHED_FIFO back for a while.
 
 What counts is what the loop wants, not what it gets: time it ran and time it stood in the queue behind others of its kind. So
-several loops that are each kept from running by the others are found out as one that has a processor to itself.
+several loops that are each kept from running by the others are found out as one that has a processor to itself. Who hardly runs
+at all is in nobody's way, however long it waits behind the rest.
 """
 
 import os
@@ -13,6 +14,9 @@ from ehls_ros.hardware.realtime import step_back, step_forward
 
 WINDOW = 0.3
 """Time for which a loop may want a processor all the time [s]."""
+
+LEAST = 0.1
+"""Part of a processor that a loop has to have had to be in anybody's way."""
 
 REST = 10.0
 """Time after which SCHED_FIFO is asked for again [s]."""
@@ -39,7 +43,7 @@ class Courtesy:
         """
         self._share = share
         self._statistics = os.open(statistics, os.O_RDONLY)
-        self._start: tuple[float, float] | None = None
+        self._start: tuple[float, float, float] | None = None
         self._had: Mapping[int, int] = {}
         self._until = 0.0
         self.wanted = 0.0
@@ -56,21 +60,23 @@ class Courtesy:
             Whether :attr:`complaint` is another than before.
         """
         if self._start is None:
-            self._start = now, self._wanted_so_far()
+            self._start = now, *self._so_far()
             return False
         elapsed = now - self._start[0]
         if elapsed < WINDOW:
             return False
-        wanted = self._wanted_so_far()
-        self.wanted = (wanted - self._start[1]) / elapsed
-        self._start = now, wanted
+        ran, waited = self._so_far()
+        had = (ran - self._start[1]) / elapsed
+        self.wanted = had + (waited - self._start[2]) / elapsed
+        self._start = now, ran, waited
         if self.complaint:
             return now >= self._until and self._resume()
-        return self._share < 1.0 and self.wanted > self._share and self._yield(now)
+        return self._share < 1.0 and self.wanted > self._share and had > LEAST and self._yield(now)
 
-    def _wanted_so_far(self) -> float:
+    def _so_far(self) -> tuple[float, float]:
+        """Return how long the loop's thread ran and how long it waited for a processor [s]."""
         ran, waited = os.pread(self._statistics, 100, 0).split()[:2]
-        return 1e-9 * (int(ran) + int(waited))
+        return 1e-9 * int(ran), 1e-9 * int(waited)
 
     def _yield(self, now: float) -> bool:
         self._had = step_back()

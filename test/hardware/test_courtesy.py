@@ -52,7 +52,8 @@ def test_a_loop_that_never_rests_yields_within_two_windows_whatever_it_gets(thre
 
 
 @pytest.mark.parametrize(
-    ("share", "turn"), [(0.9, (0.0004, 0.0001, 0.0005)), (0.9, (0.0085, 0.0, 0.0015)), (1.0, (0.01, 0.0, 0.0))]
+    ("share", "turn"),
+    [(0.9, (0.0004, 0.0001, 0.0005)), (0.9, (0.0085, 0.0, 0.0015)), (0.9, (0.0005, 0.0095, 0.0)), (1.0, (0.01, 0.0, 0.0))],
 )
 def test_a_loop_that_rests_keeps_what_it_has_and_so_does_one_without_a_limit(thread, share, turn):
     courtesy = Courtesy(share, thread.file)
