@@ -114,7 +114,9 @@ def main() -> None:
         return
     spec = load_spec(config_folder() / "experiments" / "sine_fd2.yaml")
     settings = spec.settings
-    print(f"{platform.machine()}, {os.cpu_count()} processors, Python {platform.python_version()}")
+    print(
+        f"{platform.machine()}, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}, Python {platform.python_version()}"
+    )
 
     lockstep = spec._replace(settings=settings._replace(duration=options.lockstep_seconds))
     rates = []
@@ -122,7 +124,8 @@ def main() -> None:
         trajectory, wall = run(lockstep, "lockstep")
         rates.append((len(trajectory) - 1) * settings.control_period / wall)
         print(f"lockstep {number + 1}: {len(trajectory) / wall:6.0f} cycles/s = {rates[-1]:.2f} x real time")
-    print(f"lockstep median {np.median(rates):.2f} x real time, {min(rates):.2f} to {max(rates):.2f}")
+    if rates:
+        print(f"lockstep median {np.median(rates):.2f} x real time, {min(rates):.2f} to {max(rates):.2f}")
 
     realtime = spec._replace(settings=settings._replace(duration=options.realtime_seconds))
     trajectory, _ = run(realtime, "realtime")
@@ -131,6 +134,9 @@ def main() -> None:
     response = trajectory["response_s"]
     answers = metrics.cycles - metrics.missed_cycles
     print(f"realtime {options.realtime_seconds:.0f} s: {answers} of {metrics.cycles} cycles answered,")
+    kept = "in real time" if metrics.in_real_time else "not in real time"
+    reached, asked = metrics.cycles_per_second_reached or 0.0, metrics.cycles_per_second_asked or 0.0
+    print(f"  {kept}: {reached:.0f} of {asked:.0f} cycles/s, load {os.getloadavg()[0]:.1f},")
     print(f"  {lost} samples lost in the bag, largest error in the last half {metrics.max_error_n:.0f} N")
     print("                                     p50      p99    p99.9      max  [us]")
     answered = response[np.isfinite(response)]

@@ -23,8 +23,14 @@ MOSTLY = 0.5
 """Part of the last half from which on a command is said to have been at its limit all the time."""
 
 
+IN_REAL_TIME = 0.99
+"""Part of the cycles due by the wall's clock that has to be answered for a run to have been in real time."""
+
+
 class Metrics(NamedTuple):
     """Figures of one run; errors are taken over its last half, the steady part, and NaN where no force was to be followed.
+
+    Cycles a second, those due and those answered, and whether that was real time, are told of a run by the wall's clock.
 
     Attributes:
         convergence_s: when the error entered its band for good, from the start; None where it did not do so in the first half.
@@ -39,6 +45,9 @@ class Metrics(NamedTuple):
     cycles: int
     missed_cycles: int
     duration_s: float
+    cycles_per_second_asked: float | None = None
+    cycles_per_second_reached: float | None = None
+    in_real_time: bool | None = None
     wall_s: float | None = None
     bag: str | None = None
     report: str | None = None
@@ -71,24 +80,33 @@ def evaluate(trajectory: Trajectory) -> Metrics:
     late = time >= time[0] + 0.5 * (time[-1] - time[0])
     missed = int(np.sum(~np.isfinite(trajectory["valve_command_m"]))) if "valve_command_m" in trajectory else 0
     told = tuple(_warnings(trajectory, late))
+    asked, reached, in_real_time = _pace(trajectory, missed)
+    metrics = Metrics(
+        max_error_n=np.nan,
+        rms_error_n=np.nan,
+        convergence_s=None,
+        cycles=len(time),
+        missed_cycles=missed,
+        duration_s=float(time[-1] - time[0]),
+        warnings=told,
+        cycles_per_second_asked=asked,
+        cycles_per_second_reached=reached,
+        in_real_time=in_real_time,
+    )
     steady = steady_error(trajectory, "force_n", "force_reference_n")
     if not steady.size:
-        return Metrics(np.nan, np.nan, None, len(time), missed, float(time[-1] - time[0]), warnings=told)
+        return metrics
     error = trajectory["force_n"] - trajectory["force_reference_n"]
     known = np.isfinite(error)
     band = CONVERGENCE_BAND * float(np.nanmax(np.abs(trajectory["force_reference_n"])))
     outside = np.flatnonzero(known & (np.abs(error) > band))
     entered = float(time[min(outside[-1] + 1, len(time) - 1)] - time[0]) if outside.size else 0.0
-    return Metrics(
+    return metrics._replace(
         max_error_n=float(steady.max()),
         rms_error_n=float(np.sqrt(np.mean(steady**2))),
         convergence_s=entered if steady.max() <= band else None,
-        cycles=len(time),
-        missed_cycles=missed,
-        duration_s=float(time[-1] - time[0]),
         convergence_band_n=band,
         oscillation_n=0.5 * float(np.ptp(error[known & late])),
-        warnings=told,
     )
 
 
@@ -121,3 +139,14 @@ def _limits(metadata: Mapping[str, Any]) -> Limits | None:
         return parse(Limits, rig["limits"], "metadata")
     except BadInput:
         return None
+
+
+def _pace(trajectory: Trajectory, missed: int) -> tuple[float | None, float | None, bool | None]:
+    """Return cycles a second asked for and answered, and whether that is real time; None of a run by no wall's clock."""
+    wall = trajectory.metadata.get("wall_s")
+    duration = float(trajectory.time_s[-1] - trajectory.time_s[0])
+    if trajectory.metadata.get("timing") != "realtime" or not isinstance(wall, float) or not (wall > 0.0 < duration):
+        return None, None, None
+    due = len(trajectory) - 1
+    asked, reached = due / duration, (due - missed) / wall
+    return asked, reached, reached >= IN_REAL_TIME * asked

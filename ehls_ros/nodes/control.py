@@ -24,7 +24,8 @@ from rclpy.signals import SignalHandlerOptions
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, check_spec, load_rig, load_spec
-from ehls_ros.hardware.realtime import claim, exact_wake_ups
+from ehls_ros.hardware.courtesy import Courtesy, statistics_of
+from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups
 from ehls_ros.nodes.parameters import declare, refuse_unknown
 from ehls_ros.process import end
 from ehls_ros.schema import quantity, text
@@ -66,6 +67,10 @@ class Common(NamedTuple):
         int,
         quantity("1", "in realtime: priority of SCHED_FIFO, with memory locked; 0: neither", minimum=0, maximum=99),
     ] = 0
+    processor_share: Annotated[
+        float,
+        quantity("1", "part of a processor beyond which the loop gives its priority back; 1: never", minimum=0.05, maximum=1.0),
+    ] = 0.9
     autostart: Annotated[bool, text("configure and activate at start, as when started by hand")] = True
 
 
@@ -94,6 +99,7 @@ class ControlNode(LifecycleNode):
         self.lockstep = timing == LOCKSTEP
         self.configured = False
         self.not_permitted: tuple[str, ...] = ()
+        self.courtesy: Courtesy | None = None
         self._active = threading.Event()
         self._idle = threading.Event()
         self._idle.set()
@@ -155,7 +161,11 @@ class ControlNode(LifecycleNode):
         # The middleware's receivers hold locks that whoever sends to them takes as well: even where the loop goes behind
         # the others, its receivers must never be kept from running while they hold one.
         loops = () if self.answers else [thread.native_id for thread in threading.enumerate() if thread.native_id]
-        self.not_permitted = claim(0 if self.lockstep else int(self.get_parameter("priority").value), loops)
+        priority = 0 if self.lockstep else int(self.get_parameter("priority").value)
+        self.not_permitted = claim(priority, loops)
+        if priority:
+            # The loop is the main thread's.
+            self.courtesy = Courtesy(float(self.get_parameter("processor_share").value), statistics_of(os.getpid()))
         self.configured = True
         return TransitionCallbackReturn.SUCCESS
 
@@ -197,6 +207,9 @@ class ControlNode(LifecycleNode):
         if self.configured:
             self.configured = False
             self.release()
+            if self.courtesy is not None:
+                self.courtesy.close()
+                self.courtesy = None
 
     def start_by_itself(self) -> bool:
         """Configure and activate; return whether that went well, the reason is in the log."""
@@ -230,6 +243,8 @@ class ControlNode(LifecycleNode):
             silence = 0.0 if self._beaten else silence + min(now - turned, LONGEST_TURN)
             self._beaten, turned = False, now
             self.unheard(silence)
+            if self.courtesy is not None and self.courtesy.look(now):
+                self.report_change()
 
     def _beat(self) -> None:
         self._beaten = True
@@ -245,6 +260,10 @@ class ControlNode(LifecycleNode):
         if not self.configured:
             return OK, "unconfigured", {}
         level, message, figures = self.health()
+        if self.courtesy is not None:
+            figures = {**figures, **self.courtesy.figures()}
+            if self.courtesy.complaint:
+                level, message = max(level, WARN), f"{self.courtesy.complaint}; {message}"
         return level, message, {**figures, **{f"not_permitted_{i}": text for i, text in enumerate(self.not_permitted, 1)}}
 
     def report(self) -> None:
@@ -324,6 +343,7 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
     Args:
         make: builds the node, after ROS is up.
     """
+    be_frugal()
     stopping = threading.Event()
 
     def on_signal(number: int, frame: FrameType | None) -> None:

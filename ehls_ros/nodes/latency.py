@@ -10,7 +10,8 @@ class Latency:
 
     def __init__(self) -> None:
         """Start empty."""
-        self._seconds = np.zeros(self.KEPT)
+        # Zeros would only be promised: the loop would wait for each page when it comes to it.
+        self._seconds = np.full(self.KEPT, np.nan)
         self.count = 0
 
     def add(self, seconds: float) -> None:

@@ -11,8 +11,10 @@ from ehls_msgs.msg import Disturbance
 from ehls_ros.experiments.loop import simulator_of
 from ehls_ros.hardware.gate_bounds import Bound
 from ehls_ros.hardware.gate_parameters import SIMULATED
-from ehls_ros.nodes.control import ERROR, WAIT, run_node
-from ehls_ros.nodes.plant import PATIENCE, PlantNode
+from ehls_ros.hardware.pace import ADVICE
+from ehls_ros.hardware.simulated_clock import SimulatedClock
+from ehls_ros.nodes.control import ERROR, WAIT, WARN, run_node
+from ehls_ros.nodes.plant import PlantNode
 from ehls_ros.nodes.transport import Inbox, Waiter
 from ehls_ros.physics.rig import SENSED
 
@@ -36,7 +38,7 @@ class PlantSimNode(PlantNode):
         self.simulator = simulator_of(self.spec)
         self.random = np.random.default_rng(self.spec.settings.seed)
         self.cycle = 0
-        self.late = 0
+        self.time = SimulatedClock(self.period, time.perf_counter())
         self.dense = 0
         self.disturbances: dict[int, tuple[float, float, float, float]] = {}
         self.last_disturbance = (0.0, 0.0, 0.0, 0.0)
@@ -54,7 +56,7 @@ class PlantSimNode(PlantNode):
     def start(self) -> None:
         """Publish the first snapshot."""
         self.set_epoch(self.cycle)
-        self.epoch = time.perf_counter() - self.cycle * self.period
+        self.time = SimulatedClock(self.period, time.perf_counter())
         self.gate.begin()
         self._tell_driving()
         self._snapshot()
@@ -78,22 +80,17 @@ class PlantSimNode(PlantNode):
             self._advance()
 
     def _once_realtime(self) -> None:
-        deadline = self.epoch + (self.cycle + 1) * self.period
-        remaining = deadline - time.perf_counter()
+        remaining = self.time.remaining(time.perf_counter(), answered=self.answered == self.cycle)
         if remaining > 0.0:
             self.answer.wait(min(remaining, WAIT))
             self._take()
             return
         self._take()
-        if self.answered != self.cycle and self.answered >= 0:
-            self.missed += 1
+        changed = self.time.end(time.perf_counter(), answered=self.answered == self.cycle, expected=self.answered >= 0)
+        self.missed = self.time.missed
         self._advance()
-        # A machine that was away for long goes on from now, rather than hurry after.
-        behind = time.perf_counter() - (deadline + self.period)
-        if behind > 0.0:
-            self.late += 1
-            if behind > PATIENCE:
-                self.epoch += behind
+        if changed:
+            self.report_change()
 
     def _take(self) -> None:
         if self.cycle not in self.disturbances:
@@ -131,14 +128,17 @@ class PlantSimNode(PlantNode):
 
     def figures(self) -> dict[str, Any]:
         """Return figures for diagnostics."""
-        own = {"cycle": self.cycle, "late": self.late, "dense_event_steps": self.dense}
-        return {**super().figures(), **own}
+        own = {"cycle": self.cycle, "dense_event_steps": self.dense}
+        return {**super().figures(), **own, **self.time.figures()}
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say how the cycles go."""
         level, message, figures = super().health()
-        if not np.all(np.isfinite(self.simulator.y)):
-            return ERROR, "the plant's state is no longer finite: a smaller integration_step may help", figures
+        if trouble := self.simulator.trouble():
+            return ERROR, trouble, figures
+        if self.time.pace.complaint and self._active.is_set():
+            slow = f"{self.time.pace.complaint}, the simulated time runs slower than the wall's: {ADVICE}"
+            return (ERROR, f"{message}; {slow}", figures) if level == ERROR else (WARN, slow, figures)
         return level, message, figures
 
 

@@ -14,7 +14,7 @@ from rosbags.rosbag2 import Reader
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording import limits
-from ehls_ros.recording.alignment import CYCLE, MessageColumns, align
+from ehls_ros.recording.alignment import CYCLE, SENT, MessageColumns, align
 from ehls_ros.recording.bag_topic import BLOCK, BagTopic
 from ehls_ros.recording.deadline import Deadline
 from ehls_ros.recording.expansion import Allowance, check_chunks, compression_mode, expanded_message, laid_open
@@ -40,7 +40,8 @@ def read_bag(path: Path) -> Trajectory:
         path: folder of the bag, or one storage file (``.mcap``, ``.db3``).
 
     Returns:
-        The trajectory. Its times are the header stamps of the snapshots; those of a wall clock count from the first.
+        The trajectory. Its times are the header stamps of the snapshots; those of a wall clock count from the first. Of a run
+        in real time the metadata say as ``wall_s`` how long it took from the first snapshot to the last.
 
     Raises:
         BadInput: the bag is missing, cut, damaged, never closed, without ``loader_state``, of several runs, or
@@ -63,7 +64,10 @@ def read_bag(path: Path) -> Trajectory:
     if not len(columns[LOADER_STATE.name][CYCLE]):
         raise BadInput(f"there is no message of {LOADER_STATE.name}", where, "one snapshot or more")
     time_s, signals = align(columns, where)
-    return Trajectory(time_s, _recorded(signals, len(time_s), provenance), provenance.configuration if provenance else {})
+    configuration = provenance.configuration if provenance else {}
+    if configuration.get("timing") == "realtime":
+        configuration = {"wall_s": float(np.ptp(columns[LOADER_STATE.name][SENT])) / 1e9, **configuration}
+    return Trajectory(time_s, _recorded(signals, len(time_s), provenance), configuration)
 
 
 def is_closed(folder: Path) -> bool:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.report import figures
 from ehls_ros.report.decimation import BUCKETS
 from ehls_ros.report.page import (
@@ -66,6 +67,7 @@ def write_experiment_report(trajectory: Trajectory, metrics: Mapping[str, Any], 
         blocks=[
             verdict(sentence, good=good),
             *(paragraph(f"Warning: {warning}.") for warning in metrics.get("warnings") or ()),
+            _pace(metrics),
             facts(_facts(trajectory, metrics)),
             _resolution(trajectory),
             figure_blocks(over_time),
@@ -84,8 +86,8 @@ def summary(trajectory: Trajectory, metrics: Mapping[str, Any]) -> tuple[str, bo
         metrics: what ``metrics.json`` holds.
 
     Returns:
-        The sentence, and whether the error converged and stayed inside its bound without a missed cycle or a warning; None
-        if there is no bound to judge it by.
+        The sentence, and whether the error converged and stayed inside its bound without a missed cycle or a warning, and in
+        real time where that was asked for; None if there is no bound to judge it by.
     """
     max_error, converged = metrics.get("max_error_n"), metrics.get("convergence_s")
     missed, cycles = metrics.get("missed_cycles"), metrics.get("cycles")
@@ -109,7 +111,8 @@ def summary(trajectory: Trajectory, metrics: Mapping[str, Any]) -> tuple[str, bo
     share = _share_of_reference(trajectory, float(max_error))
     outside = _cycles_outside_bound(trajectory)
     bound = f" and left its bound (44) in {number(outside)} cycles" if outside else ""
-    flawless = converged is not None and missed == 0 and not outside and not metrics.get("warnings")
+    slow = metrics.get("in_real_time") is False
+    flawless = converged is not None and missed == 0 and not (outside or slow or metrics.get("warnings"))
     return f"{accuracy}{share}{bound}; {convergence}; {loop}.", None if flawless and outside is None else flawless
 
 
@@ -145,10 +148,20 @@ def _facts(trajectory: Trajectory, metrics: Mapping[str, Any]) -> list[tuple[str
         items.append(("Response median, 99 %, max", f"{median} / {late} / {largest} µs"))
     items += [
         ("Duration", _with_unit(metrics.get("duration_s"), "s")),
+        ("In real time", {None: "", True: "yes", False: "no"}[metrics.get("in_real_time")]),
         ("Wall time", _with_unit(trajectory.metadata.get("wall_s", metrics.get("wall_s")), "s")),
         ("Recording", str(metrics.get("bag") or "")),
     ]
     return [(label, value) for label, value in items if value]
+
+
+def _pace(metrics: Mapping[str, Any]) -> str:
+    if metrics.get("in_real_time") is not False:
+        return ""
+    reached, asked = metrics["cycles_per_second_reached"], metrics["cycles_per_second_asked"]
+    return paragraph(
+        f"Not in real time: {number(reached)} of {number(asked)} cycles a second were answered. To be in time: {ADVICE}."
+    )
 
 
 def _resolution(trajectory: Trajectory) -> str:

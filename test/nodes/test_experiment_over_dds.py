@@ -99,6 +99,7 @@ def test_the_run_folder_holds_what_the_contract_says(over_dds):
     assert set(metrics) == {
         "max_error_n", "rms_error_n", "convergence_s", "cycles", "missed_cycles", "duration_s", "wall_s", "bag", "report",
         "convergence_band_n", "oscillation_n", "warnings",
+        "cycles_per_second_asked", "cycles_per_second_reached", "in_real_time",
     }  # fmt: skip
     assert metrics["cycles"] == 501
     assert Path(metrics["report"]).stat().st_size > 1e6
@@ -134,6 +135,12 @@ def test_realtime_keeps_the_wall_clock_and_loses_no_sample(spec_file, tmp_path):
     # A loop that goes faster or slower than the wall's clock comes away from it by as much as it lasts.
     late_s = sent_s - recorded.time_s
     assert np.median(late_s) - late_s.min() < 0.5
+    # However fast the computer is: what is said of the pace is what the bag shows.
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text(encoding="utf-8"))
+    assert metrics["cycles_per_second_asked"] == pytest.approx(100.0)
+    reached = (200 - metrics["missed_cycles"]) / recorded.metadata["wall_s"]
+    assert metrics["cycles_per_second_reached"] == pytest.approx(reached)
+    assert metrics["in_real_time"] is (reached >= 99.0)
 
 
 def long_run_under_way(spec_file, out: Path) -> subprocess.Popen[str]:

@@ -15,6 +15,7 @@ from ehls_ros.experiments.loop import Implausible, run_in_process
 from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, load_spec
+from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import write_trajectory
 from ehls_ros.report.experiment import write_experiment_report
@@ -129,6 +130,12 @@ def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, *, machine: boo
             print(f"  error in the last half swings by{metrics.oscillation_n:10.1f} N to either side")
     print(f"  cycles, of them unanswered      {metrics.cycles:8d}, {metrics.missed_cycles}")
     print(f"  wall time                       {wall:10.2f} s ({metrics.duration_s / wall:.1f} x real time)")
+    if metrics.in_real_time is not None:
+        kept = "yes" if metrics.in_real_time else "NO"
+        pace = f"{metrics.cycles_per_second_reached:.0f} of {metrics.cycles_per_second_asked:.0f} cycles/s"
+        print(f"  in real time                    {kept:>10}: {pace}")
+    if metrics.in_real_time is False:
+        print(f"  too slow for real time: {ADVICE}")
     print(f"  bag                             {metrics.bag}")
     print(f"  report                          {metrics.report}")
     for warning in metrics.warnings:

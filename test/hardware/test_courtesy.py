@@ -1,0 +1,98 @@
+"""A loop that wants a processor all the time gives SCHED_FIFO back; one that rests keeps it."""
+
+import os
+import threading
+import time
+
+import pytest
+
+from ehls_ros.hardware.courtesy import REST, WINDOW, Courtesy, statistics_of
+
+
+class Thread:
+    """A thread's statistics, written by hand: time it ran and time it waited for a processor."""
+
+    def __init__(self, file):
+        self.file = file
+        self.ran = self.waited = self.now = 0.0
+        self.spend(0.0, 0.0, 0.0)
+
+    def spend(self, ran: float, waited: float, slept: float) -> float:
+        self.ran, self.waited = self.ran + ran, self.waited + waited
+        self.now += ran + waited + slept
+        self.file.write_text(f"{round(1e9 * self.ran)} {round(1e9 * self.waited)} 12\n")
+        return self.now
+
+
+@pytest.fixture
+def thread(tmp_path):
+    return Thread(tmp_path / "schedstat")
+
+
+def changes(courtesy: Courtesy, thread: Thread, seconds: float, turn: tuple[float, float, float]) -> list[float]:
+    """Return after how long the complaint came or went while the loop takes turns of time run, waited and slept."""
+    start = thread.now
+    found = []
+    while thread.now - start < seconds:
+        if courtesy.look(thread.spend(*turn)):
+            found.append(thread.now - start)
+    return found
+
+
+# Alone on a processor; one of three such loops on two processors; one of five on one.
+@pytest.mark.parametrize("turn", [(0.01, 0.0, 0.0), (0.006, 0.004, 0.0), (0.002, 0.008, 0.0), (0.0095, 0.0, 0.0005)])
+def test_a_loop_that_never_rests_yields_within_two_windows_whatever_it_gets(thread, turn):
+    courtesy = Courtesy(0.9, thread.file)
+    told = changes(courtesy, thread, 1.0, turn)
+    assert len(told) == 1
+    assert told[0] < 2 * WINDOW
+    assert "processor_share is 90 %" in courtesy.complaint
+    assert courtesy.given_back == 1
+    courtesy.close()
+
+
+@pytest.mark.parametrize(
+    ("share", "turn"),
+    [(0.9, (0.0004, 0.0001, 0.0005)), (0.9, (0.0085, 0.0, 0.0015)), (0.9, (0.0005, 0.0095, 0.0)), (1.0, (0.01, 0.0, 0.0))],
+)
+def test_a_loop_that_rests_keeps_what_it_has_and_so_does_one_without_a_limit(thread, share, turn):
+    courtesy = Courtesy(share, thread.file)
+    assert changes(courtesy, thread, 3.0, turn) == []
+    assert courtesy.figures()["priority_given_back"] == 0
+    courtesy.close()
+
+
+def test_after_a_rest_it_is_asked_for_again_and_given_back_where_nothing_has_changed(thread):
+    courtesy = Courtesy(0.9, thread.file)
+    changes(courtesy, thread, 2 * WINDOW, (0.01, 0.0, 0.0))
+    [resumed, yielded] = changes(courtesy, thread, REST + 2 * WINDOW, (0.01, 0.0, 0.0))
+    assert REST - 2 * WINDOW < resumed <= REST + WINDOW
+    assert yielded - resumed < 2 * WINDOW
+    assert courtesy.given_back == 2
+    courtesy.close()
+
+
+def test_the_system_tells_a_busy_thread_from_one_that_sleeps():
+    wanted = {}
+    over = threading.Event()
+
+    def work(name, turn):
+        courtesy = Courtesy(1.0, statistics_of(threading.get_native_id()))
+        while not courtesy.wanted and not over.is_set():
+            turn()
+            courtesy.look(time.monotonic())
+        wanted[name] = courtesy.wanted
+        courtesy.close()
+
+    sleeper = threading.Thread(target=work, args=("sleeper", lambda: time.sleep(0.05)))
+    sleeper.start()
+    sleeper.join()
+    work("busy", lambda: None)
+    assert wanted["sleeper"] < 0.5
+    assert wanted["busy"] > 0.9
+
+
+def test_where_the_system_does_not_tell_there_is_an_error(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        Courtesy(0.9, tmp_path / "nothing")
+    assert statistics_of(os.getpid()).exists()

@@ -1,0 +1,111 @@
+"""Realtime nodes take no more of the machine than they need: little memory, and no processor for themselves."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+
+from diagnostic_msgs.msg import DiagnosticArray
+from test_priorities import PRIORITY, needs_permission, priorities
+
+from ehls_msgs.msg import LoaderState, ValveCommand
+from ehls_ros.hardware.realtime import Part, memory
+
+OVERLOADED = Path(__file__).resolve().parents[2] / "benchmarks" / "realtime_citizens.py"
+
+MEMORY = 200.0
+"""Most that a node may lock, and have in memory [MiB]."""
+
+
+def memory_of(process: int, key: str) -> float:
+    status = dict(line.split(":", 1) for line in Path(f"/proc/{process}/status").read_text().splitlines())
+    return int(status[key].split()[0]) / 1024
+
+
+@needs_permission
+def test_a_node_locks_what_it_uses_and_not_what_it_reserves(graph, participant, spec_file):
+    process = graph.start("reference_node", spec=spec_file(), timing="realtime", priority=PRIORITY)
+    heard = participant.collect(DiagnosticArray, "/diagnostics")
+    participant.until(lambda: any(status.message == "running" for array in heard for status in array.status), 120.0)
+    locked, resident = memory_of(process.pid, "VmLck"), memory_of(process.pid, "VmRSS")
+    assert 50.0 < locked < MEMORY
+    assert resident < MEMORY
+    values = {value.key for array in heard for status in array.status for value in status.values}
+    assert not any(key.startswith("not_permitted") for key in values)
+
+
+@needs_permission
+def test_an_overloaded_loop_gives_its_priority_back(graph, participant):
+    heard = participant.collect(DiagnosticArray, "/diagnostics")
+    process = graph.run("overloaded", [str(OVERLOADED), "--be-overloaded", "--ros-args", "-p", f"priority:={PRIORITY}"])
+    participant.until(lambda: any("processor_share is 90 %" in s.message for array in heard for s in array.status), 60.0)
+    found = priorities(process.pid)
+    assert set.union(*found.values()) == {(os.SCHED_OTHER, 0)}
+    participant.until(lambda: "SCHED_FIFO is given back" in graph.log("overloaded"))
+
+
+def test_the_memory_of_a_process_is_all_there():
+    parts = memory()
+    assert all(isinstance(part, Part) and part.length > 0 for part in parts)
+    assert any(part.file == sys.executable or "python" in part.file for part in parts)
+    assert sum(part.resident for part in parts) / 1024 == pytest.approx(memory_of(os.getpid(), "VmRSS"), rel=0.1)
+
+
+def test_frugality_does_not_keep_threads_from_working():
+    deep = "t = threading.Thread(target=lambda: json.loads('[' * 900 + ']' * 900)); t.start(); t.join(); print('done')"
+    script = f"import json, threading; from ehls_ros.hardware.realtime import be_frugal; be_frugal(); {deep}"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout == "done\n"
+
+
+class SlowController:
+    """Answers the newest snapshot with a valve that is closed, long after it came."""
+
+    DELAY = 0.004
+
+    def __init__(self, participant) -> None:
+        from ehls_ros.nodes.transport import Inbox, Outbox
+
+        self.states = Inbox(participant.node, LoaderState, "loader_state")
+        self.commands = Outbox(participant.node, ValveCommand, "valve_command", frame_id="slow")
+
+    def turn(self) -> None:
+        newest = None
+        while (state := self.states.take()) is not None:
+            newest = state
+        if newest is not None:
+            time.sleep(self.DELAY)
+            self.commands.send(newest[0], newest[1], 0.0)
+
+
+def figures(heard) -> list[dict[str, str]]:
+    return [{v.key: v.value for v in s.values} | {"message": s.message} for array in heard for s in array.status]
+
+
+def test_a_simulated_rig_waits_for_a_controller_that_is_too_slow_and_says_so(graph, participant, spec_file):
+    heard = participant.collect(DiagnosticArray, "/diagnostics")
+    controller = SlowController(participant)
+    graph.start("plant_sim_node", spec=spec_file(duration=1000.0), timing="realtime")
+
+    def until(condition) -> None:
+        deadline = time.monotonic() + 120.0
+        while not condition():
+            controller.turn()
+            participant.executor.spin_once(timeout_sec=0.0)
+            assert time.monotonic() < deadline
+
+    until(lambda: any("too slow: " in each["message"] for each in figures(heard)))
+    slow = figures(heard)[-1]
+    assert "the simulated time runs slower than the wall's" in slow["message"]
+    assert float(slow["cycles_per_second_reached"]) < 0.9 * float(slow["cycles_per_second_asked"])
+    until(lambda: int(figures(heard)[-1]["cycle"]) > int(slow["cycle"]) + 200)
+    later = figures(heard)[-1]
+    # A command that is held for a cycle or two was a late one; now each cycle waits for its own.
+    assert int(later["missed"]) - int(slow["missed"]) < 0.1 * (int(later["cycle"]) - int(slow["cycle"]))
+    assert float(later["slipped_s"]) > float(slow["slipped_s"])
+    assert "tripped" not in later["message"]
