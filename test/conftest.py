@@ -42,7 +42,7 @@ def test_session() -> str:
 
 @pytest.fixture(scope="session")
 def domains_used() -> set[int]:
-    """ROS domains of the tests run so far."""
+    """ROS domains reserved for several tests together: what is left in them is cleared away after the last test."""
     return set()
 
 
@@ -75,11 +75,10 @@ def nothing_left_behind(test_session: str, domains_used: set[int]) -> Iterator[N
 
 
 @pytest.fixture(autouse=True)
-def ros_domain_id(monkeypatch: pytest.MonkeyPatch, domains_used: set[int]) -> Iterator[int]:
+def ros_domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """Give the test a ROS domain that no other test on this machine uses, and keep its discovery on this machine."""
     domain, lock = reserve_domain()
     with lock:
-        domains_used.add(domain)
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         began = time.time()

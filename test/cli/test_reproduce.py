@@ -1,5 +1,7 @@
 """`ehls reproduce` from the command line."""
 
+import contextlib
+import io
 import json
 from pathlib import Path
 
@@ -10,10 +12,17 @@ from ehls_ros.cli.valid_json import valid_json
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    out = tmp_path_factory.mktemp("reproduce")
-    assert main(["reproduce", "--quick", "--out", str(out)]) == 0
-    return out
+def reproduced(tmp_path_factory) -> tuple[Path, list[str]]:
+    """The folder of one run, and the lines it printed."""
+    out, printed = tmp_path_factory.mktemp("reproduce"), io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert main(["reproduce", "--quick", "--json", "--out", str(out)]) == 0
+    return out, printed.getvalue().splitlines()
+
+
+@pytest.fixture(scope="module")
+def folder(reproduced) -> Path:
+    return reproduced[0]
 
 
 def test_table_3_holds_the_papers_number_beside_ours(folder):
@@ -37,11 +46,10 @@ def test_everything_and_the_report_are_there(folder):
     assert (folder / "report.html").stat().st_size > 1e5
 
 
-def test_the_table_is_printed_with_the_times(tmp_path, capsys):
-    assert main(["reproduce", "--quick", "--json", "--out", str(tmp_path)]) == 0
-    *_, last = out = capsys.readouterr().out.splitlines()
-    assert json.loads(last) == json.loads((tmp_path / "table3.json").read_text())
-    printed = "\n".join(out)
+def test_the_table_is_printed_with_the_times(reproduced):
+    folder, lines = reproduced
+    assert json.loads(lines[-1]) == json.loads((folder / "table3.json").read_text())
+    printed = "\n".join(lines)
     assert "(91.3)" in printed
     assert "to compile or load the kernels" in printed
 

@@ -48,6 +48,13 @@ def alone(spec: Path, folder: Path):
     return read_bag(folder / "bag")
 
 
+def feeling_the_loader(spec: Path):
+    """Let a position servo disturb the rig."""
+    servo = "disturbance: {name: position_servo, signal: {name: sine, amplitude: 0.05, frequency: 0.5}}"
+    lines = [servo if line.startswith("disturbance") else line for line in spec.read_text().splitlines()]
+    spec.write_text("\n".join(lines))
+
+
 @pytest.fixture(scope="module")
 def over_dds(write_spec, tmp_path_factory):
     """Return a function that returns the spec and the outcome of half a second under a controller, run once for all tests."""
@@ -57,8 +64,9 @@ def over_dds(write_spec, tmp_path_factory):
         folder = tmp_path_factory.mktemp(controller)
         spec = write_spec(folder, controller=controller)
         if controller == "fasmc_output_feedback":
-            # Where it is meant for; and of these loops, which take longest to compile, config/experiments/ has the same.
-            spec.write_text(f"{spec.read_text()}effects: [{{name: command_delay, delay: 1.0e-3}}]\n")
+            # What it is meant for; of these loops, which take longest to compile, config/experiments/ has the same.
+            feeling_the_loader(spec)
+            spec.write_text(f"{spec.read_text()}\neffects: [{{name: command_delay, delay: 1.0e-3}}]\n")
         return spec, ehls("experiment", spec, "--out", folder / "run", "--json")
 
     return run
@@ -111,9 +119,7 @@ def test_the_run_folder_holds_what_the_contract_says(over_dds):
 
 def test_a_position_servo_feels_the_loader(spec_file, tmp_path):
     spec = spec_file(duration=0.3)
-    servo = "disturbance: {name: position_servo, signal: {name: sine, amplitude: 0.05, frequency: 0.5}}"
-    lines = [servo if line.startswith("disturbance") else line for line in spec.read_text().splitlines()]
-    spec.write_text("\n".join(lines))
+    feeling_the_loader(spec)
     recorded = trajectory_of(ehls("experiment", spec, "--out", tmp_path / "dds", "--json"))
     assert np.abs(recorded["disturbance_displacement_m"]).max() > 0.01
     assert_same(recorded, alone(spec, tmp_path / "alone"), relative=1e-9)
