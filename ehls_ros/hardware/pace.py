@@ -8,8 +8,8 @@ WINDOW = 0.5
 LEAST = 0.9
 """Part of the cycles that has to be answered; with less, the computer is too slow."""
 
-ENOUGH = 0.98
-"""Part of them after which it is not too slow any more."""
+CLEAR = 0.8
+"""Part of the way from there to all of them after which it is not too slow any more."""
 
 CHANGE = 0.1
 """Part of the cycles due by which their number has to change to be told anew."""
@@ -32,8 +32,13 @@ class Pace:
         complaint: `too slow: 720 of 1000 cycles/s`; empty while it is not.
     """
 
-    def __init__(self) -> None:
-        """Start without a verdict; the first call of :meth:`look` opens the first window."""
+    def __init__(self, least: float = LEAST) -> None:
+        """Start without a verdict; the first call of :meth:`look` opens the first window.
+
+        Args:
+            least: fraction of the cycles that has to be answered.
+        """
+        self._least = least
         self._start: float | None = None
         self._due = 0.0
         self._answered = 0
@@ -70,7 +75,7 @@ class Pace:
         self._start, self._due, self._answered = now, due, answered
 
     def _judge(self) -> None:
-        least = (ENOUGH if self.complaint else LEAST) * self.asked
+        least = (self._least + CLEAR * (1.0 - self._least) if self.complaint else self._least) * self.asked
         if not 0.0 < self.reached < least:
             self.complaint = ""
         elif not self.complaint or abs(self.reached - self._told) > CHANGE * self.asked:

@@ -10,6 +10,7 @@ from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.hardware.backends.base import Reading
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
+from ehls_ros.hardware.pace import ADVICE, LEAST, Pace
 from ehls_ros.hardware.safety_gate import DISABLED
 from ehls_ros.hardware.sample_clock import SampleClock
 from ehls_ros.nodes.control import ERROR, OK, WARN, run_node
@@ -39,6 +40,10 @@ class Parameters(NamedTuple):
         float,
         quantity("1", "part of the period that a cycle waits for its answer", above=0.0, maximum=1.0),
     ] = 0.8
+    least_answered: Annotated[
+        float,
+        quantity("1", "fraction of the samples that has to be answered before the gate opens", minimum=0.0, maximum=1.0),
+    ] = LEAST
 
 
 class HardwareBridgeNode(PlantNode):
@@ -91,6 +96,8 @@ class HardwareBridgeNode(PlantNode):
         self.first = self.cycle + 1
         self.set_epoch(self.first)
         self.samples.begin()
+        self.pace = Pace(float(self.get_parameter("least_answered").value))
+        self.in_time = 0
         self.gate.begin()
 
     def stop(self) -> None:
@@ -115,12 +122,31 @@ class HardwareBridgeNode(PlantNode):
         while self.answered != self.cycle and (remaining := deadline - time.perf_counter()) > 0.0:
             self.answer.wait(remaining)
             self.take_commands(self.cycle)
-        if self.answered != self.cycle and self.answered >= self.first:
-            self.missed += 1
+        if self.answered >= self.first:
+            in_time = self.answered == self.cycle
+            self.in_time += in_time
+            # Samples that nobody saw were not answered either.
+            self.missed += self.elapsed - in_time
+            self._keep_pace()
         self._write(self.gate.step(self._time()))
         self.tell_telemetry()
         if self.cycles and self.cycle - self.first + 1 >= self.cycles:
             self.end_cycles()
+
+    def _keep_pace(self) -> None:
+        """Look whether samples are answered as fast as they come."""
+        before = self.pace.complaint
+        ended = not self.lockstep and self.pace.look(time.perf_counter(), self.cycle - self.first + 1, self.in_time)
+        if ended and self.pace.complaint != before:
+            self.report_change()
+
+    def refusal(self) -> str | None:
+        """Return why the gate must not be opened yet: this computer, or the controller, is too slow for the rig."""
+        if self.lockstep:
+            return None
+        if self.pace.asked == 0.0 and not self.pace.complaint:
+            return "no fresh command: answers are not yet counted"
+        return f"{self.pace.complaint}: {ADVICE}" if self.pace.complaint else None
 
     def _time(self) -> float:
         """Return the gate's time [s]: that of the wall, or of the cycles where the device waits for their answers."""
@@ -164,7 +190,8 @@ class HardwareBridgeNode(PlantNode):
         """Return figures for diagnostics."""
         counted = {f"device_{name}": count for name, count in self.device.figures().items()}
         own = {"cycle": self.cycle, "device_began_anew": self.began_anew, "device_at_null": self.at_null}
-        return {**super().figures(), **own, **counted}
+        pace = self.pace.figures() if self._active.is_set() else {}
+        return {**super().figures(), **own, **counted, **pace}
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say how device, gate and cycles are."""
@@ -173,6 +200,8 @@ class HardwareBridgeNode(PlantNode):
             return ERROR, self.failure, figures
         if level == OK and self.at_null and self.gate.state != DISABLED:
             return WARN, "the device keeps the valve closed: commands do not reach it", figures
+        if level != ERROR and self._active.is_set() and self.pace.complaint:
+            return WARN, f"{self.pace.complaint}: {ADVICE}", figures
         if level == OK and self.saturated:
             return WARN, f"converter at the end of its range: {', '.join(self.saturated)}", figures
         return level, message, figures

@@ -197,7 +197,11 @@ class PlantNode(ControlNode):
         if not request.data:
             self.gate.disable()
             return self._answered(response, None, "disabled")
-        return self._answered(response, self.gate.enable(), "enabled")
+        return self._answered(response, self.refusal() or self.gate.enable(), "enabled")
+
+    def refusal(self) -> str | None:
+        """Return why the gate must not be opened now, for reasons that the gate does not know of; None: nothing."""
+        return None
 
     def _answered(self, response: Any, refusal: str | None, message: str) -> Any:
         """Fill a service's response, and tell diagnostics at once."""

@@ -59,7 +59,14 @@ class CommandedRig:
     """Emulator, bridge and commander; the test itself is a participant beside them."""
 
     def __init__(
-        self, graph: Any, participant: Any, folder: Path, pace: Pace = SLOW, bridge: str = "", net: Sequence[str] = ()
+        self,
+        graph: Any,
+        participant: Any,
+        folder: Path,
+        pace: Pace = SLOW,
+        bridge: str = "",
+        net: Sequence[str] = (),
+        **gate: Any,
     ) -> None:
         self.graph, self.participant, self.folder, self.pace = graph, participant, folder, pace
         rig = yaml.safe_load((ROOT / "config" / "rig_paper_measured.yaml").read_text(encoding="utf-8"))
@@ -73,7 +80,14 @@ class CommandedRig:
         wiring["backend"]["watchdog"] = pace.watchdog
         self.wiring = self._write("wiring.yaml", wiring)
         times = {"command_timeout": pace.timeout, "sensor_timeout": pace.timeout, "hold_time": pace.ramp}
-        self.gate = {**times, "ramp_time": pace.ramp, "limit_time": 2.0 * pace.period, "enable_time": pace.enable}
+        self.gate = {
+            **times,
+            "ramp_time": pace.ramp,
+            "limit_time": 2.0 * pace.period,
+            "enable_time": pace.enable,
+            "least_answered": 0.1,
+            **gate,
+        }
         self.bridge_script, self.net = bridge, net
         self.stop = ""
         self.states: list[Any] = participant.collect(LoaderState, "loader_state")

@@ -1,7 +1,8 @@
 """A controller of the simplest kind, which answers each snapshot as the last line on stdin says.
 
 ``sine A F`` commands A sin(2 pi F t) [m, Hz] and a little towards the middle of the stroke, ``constant U`` commands U [m],
-``mute`` nothing. The one argument is the control period [s]. It says ``up`` once it is there.
+``mute`` nothing, ``skip N`` null in every Nth cycle only. The one argument is the control period [s]. It says ``up`` once it
+is there.
 """
 
 import math
@@ -38,6 +39,9 @@ def main() -> None:
                     turn = (float(frequency) * period * cycle) % 1.0
                     back = max(-MOST, min(MOST, -STIFFNESS * state[2]))
                     outbox.send(stamp, cycle, float(amplitude) * math.sin(2.0 * math.pi * turn) + back)
+                case ["skip", count]:
+                    if cycle % int(count) == 0:
+                        outbox.send(stamp, cycle, 0.0)
                 case ["constant", value]:
                     outbox.send(stamp, cycle, float(value))
     for part in (waiter, inbox, outbox):

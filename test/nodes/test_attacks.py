@@ -285,6 +285,18 @@ def test_parameters_take_no_protection_away(rig):
     judge("gate disabled for weaker parameters", running.finish(), closed, SLOW.ramp + SETTLED)
 
 
+def test_a_computer_too_slow_for_the_rig_does_not_open_the_valve(rig):
+    running = rig(least_answered=0.5)
+    assert running.ask(SetBool, "enable", data=False).success
+    closed = time.monotonic()
+    running.command("skip 4")
+    running.participant.until(lambda: "too slow: " in running.said()["message"], PATIENCE)
+    refused = running.enable()
+    assert not refused.success
+    assert refused.message.startswith("too slow: ")
+    judge("gate disabled, and controller too slow", running.finish(), closed, SLOW.ramp + SETTLED)
+
+
 # Emergency stop
 
 
