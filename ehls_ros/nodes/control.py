@@ -39,7 +39,7 @@ LOCKSTEP, REALTIME = TIMINGS = ("lockstep", "realtime")
 DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 """Variable by which the middleware is told how far nodes look for each other."""
 
-CLOSING = 10.0
+CLOSING = 30.0
 """Time the middleware has for closing what the node had open [s]."""
 
 WAIT = 0.1
