@@ -16,6 +16,7 @@ from collections import Counter
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "test" / "nodes"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "test"))
 
 from commanded_rig import FAST, CommandedRig
 from conftest import Graph, Participant

@@ -44,13 +44,13 @@ RECORDER = "recorder_node"
 
 DISTURBANCE = "disturbance_node"
 
-UP_TIME = 300.0
+UP_TIME = 600.0
 """Longest time a node may take to come up and compile [s]."""
 
-SHUTDOWN_TIME = 40.0
+SHUTDOWN_TIME = 60.0
 """Time a node is given to end by itself after SIGINT, and to say what keeps it [s]."""
 
-ENABLE_TIME = 30.0
+ENABLE_TIME = 60.0
 """Longest time until a rig's gate finds everything in order [s]."""
 
 BACKGROUND = (RECORDER, "reference_node", DISTURBANCE)

@@ -20,6 +20,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from emulated_rig import ROOT, free_port
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from patience import PATIENCE
 from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.msg import LoaderState
@@ -27,8 +28,6 @@ from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.hardware.safety_gate import STOP_TIME
 
 BRIDGE = "hardware_bridge_node"
-PATIENCE = 120.0
-"""Longest wait for anything, on a computer that is slow and busy [s]."""
 
 
 class Pace(NamedTuple):

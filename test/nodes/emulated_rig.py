@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from patience import PATIENCE
 from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.srv import AcknowledgeStop
@@ -80,9 +81,9 @@ class EmulatedRig:
             self.emulator = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors)
         assert b"listening" in self.emulator.stdout.readline(), (self.folder / "emulator.err").read_text()
 
-    def enable(self, seconds: float = 90.0) -> None:
+    def enable(self) -> None:
         """Let the commands through, as soon as the gate agrees."""
-        deadline = time.monotonic() + seconds
+        deadline = time.monotonic() + PATIENCE
         while True:
             if self.stop and self.acknowledge().success:
                 self.stop = ""
@@ -122,7 +123,7 @@ class EmulatedRig:
     def stop_emulator(self, number: int = signal.SIGINT) -> dict[str, Any]:
         """End the emulator and return its counts."""
         self.emulator.send_signal(number)
-        output, _ = self.emulator.communicate(timeout=20)
+        output, _ = self.emulator.communicate(timeout=PATIENCE)
         return json.loads(output.splitlines()[-1]) if number == signal.SIGINT else {}
 
     def seen(self) -> dict[str, np.ndarray]:

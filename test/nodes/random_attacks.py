@@ -12,7 +12,8 @@ from random import Random
 from typing import Any, NamedTuple
 
 import numpy as np
-from commanded_rig import BRIDGE, PATIENCE, CommandedRig, Pace, Truth
+from commanded_rig import BRIDGE, CommandedRig, Pace, Truth
+from patience import PATIENCE
 from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.srv import AcknowledgeStop

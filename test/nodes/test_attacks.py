@@ -12,9 +12,10 @@ import pytest
 
 pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
 
-from commanded_rig import BRIDGE, COMMANDED, PATIENCE, SLOW, CommandedRig
+from commanded_rig import BRIDGE, COMMANDED, SLOW, CommandedRig
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from patience import PATIENCE
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from std_srvs.srv import SetBool, Trigger
@@ -308,7 +309,7 @@ def test_an_emergency_stop_outlasts_spammed_resets_and_enables(rig):
     clients.append(node.create_client(AcknowledgeStop, "acknowledge_stop"))
     requests = [Trigger.Request(), SetBool.Request(data=True), AcknowledgeStop.Request(stop="stop")]
     for client in clients:
-        assert client.wait_for_service(60.0)
+        assert client.wait_for_service(PATIENCE)
     sent = 0
     while time.monotonic() < stopped + 2.0:
         for client, request in zip(clients, requests, strict=True):

@@ -20,6 +20,7 @@ pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` 
 
 from diagnostic_msgs.msg import DiagnosticArray
 from emulated_rig import PERIOD, EmulatedRig
+from patience import PATIENCE
 from rosbags.rosbag2 import Reader
 
 from ehls_msgs.msg import LoaderState
@@ -86,19 +87,19 @@ class Trial:
         self.run(700)
         self.rig.diagnostics.clear()
 
-    def run(self, cycles, seconds=60.0):
+    def run(self, cycles):
         """Let the rig run on for some cycles."""
         states = self.rig.states
         seen = states[-1].cycle if states else 0
-        self.rig.participant.until(lambda: bool(states) and states[-1].cycle >= seen + cycles, seconds)
+        self.rig.participant.until(lambda: bool(states) and states[-1].cycle >= seen + cycles, PATIENCE)
 
-    def told(self, words, seconds=30.0):
+    def told(self, words):
         """Wait until diagnostics say something."""
 
         def said(status):
             return words in status.message or any(words in pair.key for pair in status.values)
 
-        self.rig.participant.until(lambda: any(said(s) for array in self.rig.diagnostics for s in array.status), seconds)
+        self.rig.participant.until(lambda: any(said(s) for array in self.rig.diagnostics for s in array.status), PATIENCE)
 
     def trips_it(self, fault, put_in, limit, end=lambda: None, span=0.0):
         """Put a fault in, see the gate trip, end the fault, and go on; ``put_in`` may return when exactly it was in."""

@@ -6,6 +6,7 @@ pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` 
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from patience import PATIENCE
 
 from ehls_msgs.msg import ControllerStatus
 
@@ -23,7 +24,7 @@ def test_a_node_that_is_shut_down_while_active_publishes_no_more(graph, particip
     for name in TOPICS:
         graph.start(name, spec=spec, timing="lockstep")
     statuses = participant.collect(ControllerStatus, "controller_status")
-    participant.until(lambda: len(statuses) > 200, 240.0)
+    participant.until(lambda: len(statuses) > 200, PATIENCE)
 
     def transition(name, label):
         request = ChangeState.Request(transition=Transition(label=label))
@@ -32,7 +33,7 @@ def test_a_node_that_is_shut_down_while_active_publishes_no_more(graph, particip
     for name, topic in TOPICS.items():
         assert transition(name, "shutdown"), name
         assert participant.call(GetState, f"{name}/get_state", GetState.Request()).current_state.label == "finalized"
-        participant.until(lambda topic=topic: participant.node.count_publishers(topic) == 0, 60.0)
+        participant.until(lambda topic=topic: participant.node.count_publishers(topic) == 0, PATIENCE)
         assert not transition(name, "configure")
     for name in TOPICS:
         assert graph.stop(name) == 0, graph.log(name)
