@@ -23,6 +23,7 @@ from conftest import Graph, Participant
 from random_attacks import LARGEST, RandomAttacks, Worst, judge
 
 from ehls_ros.nodes.graph import free_domain
+from ehls_ros.nodes.shared_memory import leftovers
 
 BATCH = 50
 """Sequences between two fresh starts."""
@@ -53,8 +54,9 @@ def run_batch(folder: Path, seed: int, sequences: int) -> tuple[Worst, RandomAtt
         rig.close()
         for name in list(graph.processes):
             graph.stop(name)
-        graph.clear_orphans()
         participant.close()
+        for file in leftovers():
+            file.unlink(missing_ok=True)
 
 
 def broken(worst: Worst) -> list[str]:

@@ -109,6 +109,7 @@ class RandomAttacks:
     def sequence(self) -> None:
         """Take some actions, then bring the rig back to where it is open."""
         self.come_back()
+        self.rig.participant.rest(1.5 * self.rig.pace.enable)
         for _ in range(ACTIONS):
             [action] = self.random.choices(list(self._actions), list(self._actions.values()))
             self.done[action.__name__] += 1
