@@ -16,6 +16,7 @@ from typing import Annotated, Any, NamedTuple, NoReturn
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
@@ -104,10 +105,12 @@ class ControlNode(LifecycleNode):
         self._idle = threading.Event()
         self._idle.set()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.reported: tuple[bytes, str] | None = None
+        self._reported: tuple[bytes, str] | None = None
         self._beaten = False
-        self.create_timer(1.0, self.report)
-        self.create_timer(BEAT, self._beat)
+        # By a clock that nobody can stop, as they can ROS time.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self.report, clock=steady)
+        self.create_timer(BEAT, self._beat, clock=steady)
 
     @property
     def clock_topic(self) -> str:
@@ -283,14 +286,14 @@ class ControlNode(LifecycleNode):
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
-        if (level, message) != self.reported and level != OK:
+        if (level, message) != self._reported and level != OK:
             self.get_logger().warning(message)
-        self.reported = (level, message)
+        self._reported = (level, message)
 
     def report_change(self) -> None:
         """Publish diagnostics at once when level or message are other than last time."""
         level, message, _ = self._health()
-        if (level, message) != self.reported:
+        if (level, message) != self._reported:
             self.report()
 
 
@@ -309,17 +312,18 @@ def survive_requests(node: Node, service: Any) -> None:
         except Exception as error:  # noqa: BLE001
             reason = f"{type(error).__name__}: {error}"
             node.get_logger().error(f"{service.srv_name}: a request was refused: {reason}")
-            return _refusal(request, service.srv_type.Response(), reason)
+            return _refusal(request, response, reason)
 
     service.callback = answer_or_refuse
 
 
 def _refusal(request: Any, response: Any, reason: str) -> Any:
-    """Fill in a response that says no: an untouched one does where it can, and has the reason where it has room for one."""
+    """Fill in a response that says no: most do by themselves, and have the reason where they have room for one."""
     fields = response.get_fields_and_field_types()
     no = SetParametersResult(successful=False, reason=reason)
     if fields.get("results") == "sequence<rcl_interfaces/SetParametersResult>":
-        response.results = [no] * len(request.parameters)
+        # What stood before the parameter that cannot be has been set.
+        response.results = [*response.results, *[no] * (len(request.parameters) - len(response.results))]
     if fields.get("result") == "rcl_interfaces/SetParametersResult":
         response.result = no
     if "message" in fields:
