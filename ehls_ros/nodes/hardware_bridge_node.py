@@ -85,6 +85,7 @@ class HardwareBridgeNode(PlantNode):
         self.failure = ""
         self.elapsed = 1
         self.lockstep_time = 0.0
+        self._count_anew()
 
     def release(self) -> None:
         """Close the valve, the device and the topics."""
@@ -96,8 +97,7 @@ class HardwareBridgeNode(PlantNode):
         self.first = self.cycle + 1
         self.set_epoch(self.first)
         self.samples.begin()
-        self.pace = Pace(float(self.get_parameter("least_answered").value))
-        self.in_time = 0
+        self._count_anew()
         self.gate.begin()
 
     def stop(self) -> None:
@@ -132,6 +132,10 @@ class HardwareBridgeNode(PlantNode):
         self.tell_telemetry()
         if self.cycles and self.cycle - self.first + 1 >= self.cycles:
             self.end_cycles()
+
+    def _count_anew(self) -> None:
+        self.pace = Pace(float(self.get_parameter("least_answered").value))
+        self.in_time = 0
 
     def _keep_pace(self) -> None:
         """Look whether samples are answered as fast as they come."""
