@@ -20,7 +20,7 @@ from ehls_ros.physics.rig import SENSED
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import quantity, text
 
-LOCKSTEP_PATIENCE = 0.2
+LOCKSTEP_PATIENCE = 0.1
 """In lockstep the gate's time goes on without a sample or an answer after this, longer than a busy machine hesitates [s]."""
 
 SILENCE = 2.0
