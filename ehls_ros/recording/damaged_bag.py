@@ -3,6 +3,7 @@
 import json
 import shutil
 import sqlite3
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from mmap import ACCESS_READ, mmap
@@ -18,6 +19,7 @@ from ehls_ros.recording.mcap_salvage import names_in_mcap, salvage_mcap
 from ehls_ros.recording.provenance import Provenance, provenance_in
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import Flushed, read_note
+from ehls_ros.recording.regular_file import check_regular
 from ehls_ros.recording.salvage import Found, Loss
 from ehls_ros.recording.sqlite_salvage import names_in_sqlite, salvage_sqlite
 from ehls_ros.recording.storage_file import MCAP_MAGIC, METADATA_FILE, SQLITE_MAGIC, parse_metadata
@@ -93,6 +95,7 @@ def damaged_bag(file: Path, folder: Path) -> Iterator[tuple[DamagedBag, Ledger]]
     Raises:
         BadInput: the file is empty or cannot be read.
     """
+    check_regular(file, sys.maxsize, RECOVERABLE)
     try:
         beginning = _beginning(file)
         mcap = beginning.startswith(MCAP_MAGIC) or (file.suffix == ".mcap" and not beginning.startswith(SQLITE_MAGIC))

@@ -14,6 +14,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.provenance import checksum_of
 from ehls_ros.recording.reason import reason
+from ehls_ros.recording.regular_file import check_regular
 
 NOTE = "being_recorded.json"
 """Name of the note in the bag's folder."""
@@ -85,6 +86,7 @@ def read_note(folder: Path) -> Note:
         BadInput: there is none, or it is not as it was written.
     """
     path = folder / NOTE
+    check_regular(path, LARGEST, AS_WRITTEN, "the note")
     try:
         with path.open("rb") as stream:
             written = _WRITTEN.validate_json(stream.read(LARGEST))

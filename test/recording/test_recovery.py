@@ -485,6 +485,7 @@ def test_the_new_bag_may_lie_in_new_folders(tmp_path: Path):
         (lambda _: None, "it does not exist"),
         (Path.mkdir, "there is no storage file"),
         (Path.touch, "it is empty"),
+        (os.mkfifo, "it is a"),
         (lambda path: path.write_bytes(bytes(5000)), "no topic loader_state is left"),
         (lambda path: (path.mkdir(), (path / "a.mcap").touch(), (path / "b.db3").touch()), "2 storage files: a.mcap, b.db3"),
     ],
