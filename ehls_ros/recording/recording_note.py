@@ -5,6 +5,7 @@ recorder left behind.
 """
 
 import json
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -86,7 +87,7 @@ def read_note(folder: Path) -> Note:
         BadInput: there is none, or it is not as it was written.
     """
     path = folder / NOTE
-    check_regular(path, LARGEST, AS_WRITTEN, "the note")
+    check_regular(path, sys.maxsize, AS_WRITTEN, "the note")
     try:
         with path.open("rb") as stream:
             written = _WRITTEN.validate_json(stream.read(LARGEST))
