@@ -302,20 +302,21 @@ class Link:
     def change_state(self, node: str, transition: int, patience: float, hopeless: Callable[[], bool]) -> Answer:
         """Ask a lifecycle node for a transition, for as long as there is hope of an answer.
 
-        What is asked can get lost: a node that was ended a moment ago seems to be there still. So the node is asked where it is
-        when it stays silent; one that is at it answers only then.
+        What is asked can get lost: a node that was ended a moment ago seems to be there still. So a node that stays silent is
+        asked where it is, which it says once it is there and not at it any more, and then asked again if it has not got there.
         """
         request = ChangeState.Request(transition=Transition(id=transition))
         deadline = time.monotonic() + patience
-        while (left := deadline - time.monotonic()) > 0.0:
-            response = self.call(ChangeState, f"{node}/change_state", request, left, min(left, LOST), hopeless)
-            if response is not None:
-                return Answer(response.success, "" if response.success else f"{node} refused to go on")
-            left = deadline - time.monotonic()
-            state = self.call(GetState, f"{node}/get_state", GetState.Request(), left, left, hopeless)
-            if state is None:
-                break
-            if state.current_state.id == GOALS[transition]:
+        ask = True
+        while (left := deadline - time.monotonic()) > 0.0 and not (self._closing.is_set() or hopeless()):
+            patient = min(left, LOST)
+            if ask:
+                response = self.call(ChangeState, f"{node}/change_state", request, left, patient, hopeless)
+                if response is not None:
+                    return Answer(response.success, "" if response.success else f"{node} refused to go on")
+            state = self.call(GetState, f"{node}/get_state", GetState.Request(), patient, patient, hopeless)
+            ask = state is not None
+            if state is not None and state.current_state.id == GOALS[transition]:
                 return Answer(done=True, message="")
         return Answer(done=False, message=f"{node} did not answer in {patience:.0f} s")
 
