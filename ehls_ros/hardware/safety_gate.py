@@ -30,7 +30,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.hardware.command_intake import HOLD_REACTION, ROUNDING, CommandIntake
 from ehls_ros.hardware.detectors import Detector, Readings, sensor_detectors
 from ehls_ros.hardware.gate_bounds import Bound, bounds_of, out_of_bounds, within
-from ehls_ros.hardware.gate_parameters import REACTIONS, Parameters, changes
+from ehls_ros.hardware.gate_parameters import REACTIONS, Change, Parameters, changes
 from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.schema import parse
 
@@ -223,8 +223,8 @@ class Gate:
         for detector in self._all:
             detector.look(False, 0.0, detector.limit)
 
-    def retune(self, parameters: Parameters) -> None:
-        """Put other limits and reactions in force from the next call on.
+    def retune(self, parameters: Parameters) -> list[Change]:
+        """Put other limits and reactions in force from the next call on, and return what is other than before.
 
         Raises:
             BadInput: one of them is out of its range, or :meth:`objection` has something against them; the old ones stay.
@@ -234,9 +234,11 @@ class Gate:
             wrong = self._objection(chosen)
             if wrong is not None:
                 raise wrong
-            self._changes.extend(f"{change} at {self._time:.3f} s" for change in changes(self.parameters, chosen))
+            changed = list(changes(self.parameters, chosen))
+            self._changes.extend(f"{change} at {self._time:.3f} s" for change in changed)
             self._readings.retune(chosen)
             self._put_in_force(chosen)
+            return changed
 
     def objection(self, parameters: Parameters) -> BadInput | None:
         """Return what speaks against other parameters now: the rig does not stand them, or they weaken an open gate."""

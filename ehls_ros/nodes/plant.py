@@ -17,7 +17,6 @@ from ehls_msgs.msg import ForceReference, LoaderState, ValveCommand
 from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.hardware.gate_bounds import Bound
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
-from ehls_ros.hardware.gate_parameters import changes
 from ehls_ros.hardware.safety_gate import STOP_TIME, Gate
 from ehls_ros.nodes.codec import NANOSECONDS, Decoder
 from ehls_ros.nodes.control import OK, WARN, ControlNode
@@ -173,9 +172,7 @@ class PlantNode(ControlNode):
         self.trigger_deactivate()
 
     def _retune(self, parameters: GateParameters) -> None:
-        changed = list(changes(self.gate.parameters, parameters))
-        self.gate.retune(parameters)
-        for change in changed:
+        for change in self.gate.retune(parameters):
             self.get_logger().warning(f"safety gate: {change}")
         self.report()
 

@@ -13,7 +13,7 @@ import time
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -62,12 +62,10 @@ class Served:
 
 
 @contextlib.contextmanager
-def served(host: str = "127.0.0.1") -> Iterator[Served]:
-    """Run the server; it has to end well by itself after Ctrl-C."""
+def running(command: Sequence[str], folder: Path | None = None) -> Iterator[Served]:
+    """Run a server by its command; it has to end well by itself after Ctrl-C."""
     pipe = subprocess.PIPE
-    process = subprocess.Popen(
-        [sys.executable, str(STAND_IN), host], text=True, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT
-    )
+    process = subprocess.Popen(command, cwd=folder, text=True, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT)
     server = None
     try:
         server = Served(process)
@@ -83,6 +81,11 @@ def served(host: str = "127.0.0.1") -> Iterator[Served]:
             process.stdin.close()
             process.stdout.close()
     assert code == 0
+
+
+def served(host: str = "127.0.0.1") -> contextlib.AbstractContextManager[Served]:
+    """Run the server of the stand-in."""
+    return running([sys.executable, str(STAND_IN), host])
 
 
 def until(true: Callable[[], Any], what: str) -> None:

@@ -2,8 +2,6 @@
 
 import contextlib
 import re
-import signal
-import subprocess
 import sys
 import time
 
@@ -18,7 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from headless_browser import CHROMIUM, browser
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
-from served import PATIENCE, Served, answer, own_address, served, until
+from served import answer, own_address, running, served, until
 
 from ehls_msgs.msg import FrictionEstimate
 from ehls_ros.dashboard.words import FIGURES, NAME, SENTENCE, figures, line
@@ -129,27 +127,9 @@ def report(*statuses):
     return array
 
 
-@contextlib.contextmanager
 def dashboard(folder):
     """Run `ehls dashboard` where no graph is."""
-    command = [sys.executable, "-m", "ehls_ros.cli.main", "dashboard", "--port", "0"]
-    pipe = subprocess.PIPE
-    process = subprocess.Popen(command, cwd=folder, text=True, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT)
-    server = None
-    try:
-        server = Served(process)
-        yield server
-    finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            code = process.wait(PATIENCE)
-        finally:
-            process.kill()
-            if server is not None:
-                server.reader.join()
-            process.stdin.close()
-            process.stdout.close()
-    assert code == 0
+    return running([sys.executable, "-m", "ehls_ros.cli.main", "dashboard", "--port", "0"], folder)
 
 
 @pytest.fixture
