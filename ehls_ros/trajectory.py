@@ -15,8 +15,7 @@ class Signal(NamedTuple):
     unit: str
 
 
-SIGNALS: dict[str, Signal] = {
-    # measured: the names of the data contract
+MEASURED: dict[str, Signal] = {
     "valve_command_m": Signal("valve command u", "m"),
     "spool_m": Signal("spool displacement xv", "m"),
     "load_pressure_pa": Signal("load pressure pL", "Pa"),
@@ -26,6 +25,11 @@ SIGNALS: dict[str, Signal] = {
     "force_n": Signal("driving force Ac·pL", "N"),
     "disturbance_force_n": Signal("disturbance force fd", "N"),
     "oil_temperature_k": Signal("oil temperature", "K"),
+}
+"""Measured signals of the data contract: finite or missing."""
+
+SIGNALS: dict[str, Signal] = {
+    **MEASURED,
     # known to the experiment
     "disturbance_force_rate_n_s": Signal("rate of the disturbance force", "N/s"),
     "disturbance_displacement_m": Signal("displacement of the position servo", "m"),

@@ -1,1 +1,1 @@
-"""The way to the real rig: DAQ backends, calibration, safety gate, and the emulator that stands in for it."""
+"""Interface to the real rig: DAQ backends, calibration, safety gate, and the emulator that replaces the rig in tests."""

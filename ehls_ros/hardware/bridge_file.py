@@ -1,4 +1,4 @@
-"""The bridge file: which DAQ backend, which channels, what they mean."""
+"""The bridge file: DAQ backend, channels and their calibration."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ SECTIONS = ("backend", "channels", "command")
 
 
 class Bridge(NamedTuple):
-    """How this computer is wired to the rig."""
+    """The backend, its parameters and the calibration of the channels."""
 
     backend: str
     parameters: Any
@@ -31,14 +31,14 @@ class Bridge(NamedTuple):
 
 
 def bridge_from_mapping(data: Any, where: str) -> Bridge:
-    """Check a bridge file's content.
+    """Check a parsed bridge file.
 
     Args:
-        data: the parsed file, with the sections of :data:`SECTIONS`.
+        data: a mapping with the sections of :data:`SECTIONS`.
         where: the file, for errors.
 
     Raises:
-        BadInput: the first key that is missing, unknown or out of range.
+        BadInput: a key is missing, unknown or out of range; the first one is named.
     """
     if not isinstance(data, Mapping):
         raise BadInput(f"a bridge is {type(data).__name__}", where, f"a mapping with the sections {', '.join(SECTIONS)}")
@@ -75,7 +75,7 @@ def _inputs(data: Mapping[str, Any], where: str) -> dict[str, Input]:
         check_channel(inputs[signal], place)
         other = taken.setdefault(inputs[signal].channel, signal)
         if other != signal:
-            raise BadInput(f"channel is {inputs[signal].channel}, which {other} has", place, "a channel of its own")
+            raise BadInput(f"channel is {inputs[signal].channel}, already used by {other}", place, "a channel of its own")
     if not inputs:
         raise BadInput("no signal is wired", where, f"at least one of {', '.join(SENSED)}")
     return inputs

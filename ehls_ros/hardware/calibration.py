@@ -1,11 +1,11 @@
-"""What raw converter values mean: gain, offset and range of each sensor's channel and of the valve's."""
+"""Calibration of the converters: gain, offset and range of each sensor channel and of the valve channel."""
 
 import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, NamedTuple
 
 from ehls_ros.errors import BadInput
-from ehls_ros.hardware.backends.base import Channel, Wiring
+from ehls_ros.hardware.backends.base import Channel, Wiring, permitted
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.schema import quantity, text
 
@@ -21,26 +21,26 @@ class Input(NamedTuple):
 
 
 class Output(NamedTuple):
-    """The valve's channel: spool command = scale (raw - offset)."""
+    """The valve channel: spool command = scale (raw - offset)."""
 
     channel: Annotated[int, quantity("1", "number of the channel, from 0", minimum=0, maximum=31)]
     scale: Annotated[float, quantity("m/raw", "spool command per raw unit")]
     offset: Annotated[float, quantity("raw", "raw value at which the valve is closed")] = 0.0
-    range: Annotated[tuple[float, float], text("smallest and largest raw value the valve is given")] = (-5.0, 5.0)
+    range: Annotated[tuple[float, float], text("smallest and largest raw value sent to the valve")] = (-5.0, 5.0)
     bits: Annotated[int, quantity("1", "resolution of the converter", minimum=8, maximum=32)] = 16
 
 
 def step(channel: Input | Output) -> float:
-    """Return the raw value of one step of a channel's converter."""
+    """Return the step of a channel's converter, in raw units."""
     low, high = channel.range
     return math.ldexp(high - low, -channel.bits)
 
 
 def check_channel(channel: Input | Output, where: str) -> None:
-    """Check what the fields of a channel say together.
+    """Check that the fields of a channel agree.
 
     Raises:
-        BadInput: the range or the scale cannot be.
+        BadInput: the range is empty, the scale is 0, or the output's offset is out of range.
     """
     low, high = channel.range
     if not -math.inf < low < high < math.inf:
@@ -48,17 +48,19 @@ def check_channel(channel: Input | Output, where: str) -> None:
     if channel.scale == 0.0:
         raise BadInput("scale is 0", where, "a factor other than 0")
     if isinstance(channel, Output) and not low < channel.offset < high:
-        raise BadInput(f"offset is {channel.offset:g}", where, f"the closed valve's value within the range [{low:g}, {high:g}]")
+        raise BadInput(
+            f"offset is {channel.offset:g}", where, f"the value of the closed valve, in the range [{low:g}, {high:g}]"
+        )
 
 
 class Calibration:
-    """Turns raw values into signals and the command into its raw value.
+    """Converts raw values to signals and the spool command to a raw value.
 
     Attributes:
         wiring: the channels, for a backend; inputs in the order of ``SENSED``.
         wired: the signals that have a channel, in the same order.
         inputs: their channels.
-        output: the valve's.
+        output: the valve channel.
     """
 
     def __init__(self, inputs: Mapping[str, Input], output: Output) -> None:
@@ -66,7 +68,7 @@ class Calibration:
 
         Args:
             inputs: channels by signal of ``SENSED``; a signal left out is not wired and reads NaN.
-            output: the valve's channel.
+            output: the valve channel.
         """
         self.wired = tuple(signal for signal in SENSED if signal in inputs)
         self.inputs = tuple(inputs[signal] for signal in self.wired)
@@ -75,11 +77,11 @@ class Calibration:
         self.wiring = Wiring(channels, Channel(output.channel, output.range), output.offset)
         self._rows = tuple(SENSED.index(signal) for signal in self.wired)
         self._lines = tuple((used.scale, used.offset) for used in self.inputs)
-        # A converter's largest code stands for a value one step below its range's end.
+        # The largest code is one step below the upper end of the range.
         self._rails = tuple((used.range[0] + 0.5 * step(used), used.range[1] - 1.5 * step(used)) for used in self.inputs)
 
     def signals(self, values: Sequence[float]) -> tuple[float, ...]:
-        """Return a reading's values as signals.
+        """Convert the raw values of one sample to signals.
 
         Args:
             values: raw values in the order of the wiring's inputs.
@@ -93,7 +95,7 @@ class Calibration:
         return tuple(signals)
 
     def saturated(self, values: Sequence[float]) -> tuple[str, ...]:
-        """Return the signals whose converter is at an end of its range, or beyond: their values are not to be trusted.
+        """Return the signals whose converter is at or beyond an end of its range, so that their values mean nothing.
 
         Args:
             values: raw values in the order of the wiring's inputs.
@@ -102,8 +104,5 @@ class Calibration:
         return tuple(signal for signal, value, (low, high) in ends if not low < value < high)
 
     def command(self, spool: float) -> float:
-        """Return the raw command for a spool command [m]: within the range, null for what is no number."""
-        if not math.isfinite(spool):
-            return self.output.offset
-        low, high = self.output.range
-        return min(max(spool / self.output.scale + self.output.offset, low), high)
+        """Return the raw command for a spool command [m], clipped to the range; null for NaN and infinity."""
+        return permitted(spool / self.output.scale + self.output.offset, self.wiring)

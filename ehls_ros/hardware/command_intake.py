@@ -1,4 +1,4 @@
-"""Which of the commands that come in count: whose they are, what they answer, and whether the valve may follow them."""
+"""Which incoming commands are accepted: by sender, by the cycle they answer, and by value."""
 
 import math
 
@@ -12,14 +12,14 @@ ROUNDING = 1e-9
 
 
 class CommandIntake:
-    """The last command that counts, and its sender.
+    """The last accepted command and its sender.
 
     Attributes:
-        owner: whose commands are taken; None: whoever comes first.
-        value: the last one that counts [m].
+        owner: sender whose commands are accepted; None: the first to come.
+        value: the last accepted command [m].
         answered: the cycle it answers; -1 before the first.
-        fresh: whether it came since the last :meth:`grow_old`.
-        detectors: of what is wrong with commands.
+        fresh: whether it arrived since the last :meth:`grow_old`.
+        detectors: of faults in commands.
     """
 
     def __init__(self, limit: float, period: float) -> None:
@@ -40,7 +40,7 @@ class CommandIntake:
         self.begin()
 
     def begin(self) -> None:
-        """Forget what came: cycles are counted anew."""
+        """Forget all commands: the cycle count restarts."""
         self.owner: str | None = None
         self.value = 0.0
         self.answered = -1
@@ -48,45 +48,45 @@ class CommandIntake:
         self._age = math.inf
 
     def retune(self, parameters: Parameters) -> None:
-        """Put other limits in force."""
+        """Apply other limits."""
         self._p = parameters
         self._range.limit, self._rate.limit = self._limit, parameters.command_rate
 
     def take(self, cycle: int | None, spool: float, sender: str, newest: int, *, followed: bool) -> bool:
-        """Take a command that came in.
+        """Accept or refuse a command.
 
         Args:
-            cycle: the cycle it answers; None where it names none.
+            cycle: the cycle it answers; None if it names none.
             spool: spool command [m].
             sender: who sent it.
-            newest: the newest cycle there is.
-            followed: whether the output follows commands at once, so that their rate counts.
+            newest: the newest cycle.
+            followed: whether the output follows commands at once, so that their rate matters.
 
         Returns:
-            Whether it counts; if not, a detector says why.
+            Whether it is accepted; if not, a detector says why.
         """
         if cycle is None:
-            self._order.again(math.nan, float(newest), "no cycle")
+            self._order.flag(math.nan, float(newest), "no cycle")
             return False
         return self._is_owner(sender) and self._is_due(cycle, newest) and self._is_sound(cycle, spool, followed)
 
     def grow_old(self, elapsed: float) -> None:
-        """Let the command age [s], unless it is new."""
+        """Age the command by a time [s], unless it has just arrived."""
         self._age = 0.0 if self.fresh else self._age + elapsed
         self.fresh = False
 
     def age(self, newest: int, snapshot_age: float) -> float:
-        """Return the age of what is followed [s]: since it came, or since the snapshot it answers if that is more.
+        """Return the age of the command in use [s]: since its arrival or since the snapshot it answers, whichever is larger.
 
         Args:
-            newest: the newest cycle there is.
-            snapshot_age: age of its snapshot [s].
+            newest: the newest cycle.
+            snapshot_age: age of that cycle's snapshot [s].
         """
         came = 0.0 if self.fresh else self._age
         return max(came, (newest - self.answered) * self._period + snapshot_age)
 
     def messages_seen(self) -> None:
-        """End the faults that last for one message."""
+        """Clear the faults that last for one message."""
         self._order.raised = self._stranger.raised = False
 
     def _is_owner(self, sender: str) -> bool:
@@ -94,26 +94,26 @@ class CommandIntake:
         if self.owner is None or silent:
             self.owner = sender
         elif sender != self.owner:
-            self._stranger.again(math.nan, math.nan, sender)
+            self._stranger.flag(math.nan, math.nan, sender)
             return False
         return True
 
     def _is_due(self, cycle: int, newest: int) -> bool:
-        """Tell whether a command answers a cycle that is neither to come, nor answered, nor long past."""
+        """Tell whether a command answers a cycle that is neither in the future, nor answered already, nor too old."""
         if cycle > newest:
-            self._order.again(float(cycle - newest), 0.0, "to come")
+            self._order.flag(float(cycle - newest), 0.0, "in the future")
         elif cycle == self.answered:
-            self._order.again(0.0, 1.0, "duplicate")
+            self._order.flag(0.0, 1.0, "duplicate")
         elif cycle < self.answered:
-            self._order.again(float(cycle - self.answered), 1.0, "out of order")
+            self._order.flag(float(cycle - self.answered), 1.0, "out of order")
         elif (newest - cycle) * self._period >= self._p.command_timeout - ROUNDING:
-            self._order.again(float(newest - cycle), self._p.command_timeout / self._period, "too old")
+            self._order.flag(float(newest - cycle), self._p.command_timeout / self._period, "too old")
         else:
             return True
         return False
 
     def _is_sound(self, cycle: int, value: float, followed: bool) -> bool:
-        """Tell whether a command's value may be followed, and keep it if so."""
+        """Tell whether a command's value is acceptable, and keep it if so."""
         finite = math.isfinite(value)
         self._not_finite.look(not finite, value, math.inf)
         if not finite:
@@ -124,7 +124,7 @@ class CommandIntake:
             return False
         value = min(max(value, -self._limit), self._limit)
         rate = abs(value - self.value) / ((cycle - self.answered) * self._period)
-        # Where it does not act, and while it is blended in, a command may jump: the output does not.
+        # While the gate is closed or blends in, a command may jump; the output does not.
         fast = rate > self._p.command_rate and self.answered >= 0 and followed
         self._rate.look(fast, rate, self._p.command_rate)
         if fast and self._rate.reaction >= HOLD_REACTION:

@@ -1,8 +1,7 @@
-"""Realtime that does not starve the machine: a loop that wants a processor all the time gives SCHED_FIFO back for a while.
+"""Keeps realtime loops from starving the machine: a loop that demands a processor all the time gives up SCHED_FIFO for a while.
 
-What counts is what the loop wants, not what it gets: time it ran and time it stood in the queue behind others of its kind. So
-several loops that are each kept from running by the others are found out as one that has a processor to itself. Who hardly runs
-at all is in nobody's way, however long it waits behind the rest.
+Demand is the time the loop ran plus the time it queued for a processor. So several loops that block one another are caught,
+just as one that has a processor to itself. A loop that hardly runs is in nobody's way, however long it queues.
 """
 
 import os
@@ -10,36 +9,36 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ehls_ros.hardware.realtime import step_back, step_forward
+from ehls_ros.hardware.realtime import drop_priority, restore_priority
 
 WINDOW = 0.3
-"""Time for which a loop may want a processor all the time [s]."""
+"""Time over which the demand is averaged [s]."""
 
 LEAST = 0.1
-"""Part of a processor that a loop has to have had to be in anybody's way."""
+"""Fraction of a processor below which a loop is in nobody's way."""
 
 REST = 10.0
-"""Time after which SCHED_FIFO is asked for again [s]."""
+"""Time after which SCHED_FIFO is requested again [s]."""
 
 
 class Courtesy:
-    """Looks, from inside a loop with SCHED_FIFO, what part of a processor the loop wants.
+    """Measures a loop's demand for processor time from inside the loop.
 
     Attributes:
-        wanted: part of a processor the loop wanted over the last window.
-        given_back: how often SCHED_FIFO was given back.
-        complaint: what there is to say now; empty while the process has what it asked for.
+        wanted: demand over the last window, as a fraction of a processor.
+        given_back: how often SCHED_FIFO was given up.
+        complaint: why SCHED_FIFO is given up; empty while it is not.
     """
 
     def __init__(self, share: float, statistics: Path) -> None:
-        """Begin.
+        """Open the statistics.
 
         Args:
-            share: part of a processor the loop may want; with 1 there is no limit.
-            statistics: the file where the system says how long the loop's thread ran and how long it waited for a processor.
+            share: largest demand, as a fraction of a processor; 1: no limit.
+            statistics: the thread's schedstat file: how long it ran and how long it queued.
 
         Raises:
-            OSError: the system does not tell.
+            OSError: the file cannot be opened.
         """
         self._share = share
         self._statistics = os.open(statistics, os.O_RDONLY)
@@ -51,13 +50,13 @@ class Courtesy:
         self.complaint = ""
 
     def look(self, now: float) -> bool:
-        """Look, once a window is over; give SCHED_FIFO back or take it again.
+        """Evaluate the demand once a window is over; give up SCHED_FIFO or request it again.
 
         Args:
-            now: time of a clock that is never set [s].
+            now: monotonic time [s].
 
         Returns:
-            Whether :attr:`complaint` is another than before.
+            Whether :attr:`complaint` has changed.
         """
         if self._start is None:
             self._start = now, *self._so_far()
@@ -74,22 +73,22 @@ class Courtesy:
         return self._share < 1.0 and self.wanted > self._share and had > LEAST and self._yield(now)
 
     def _so_far(self) -> tuple[float, float]:
-        """Return how long the loop's thread ran and how long it waited for a processor [s]."""
+        """Return how long the loop's thread ran and how long it queued for a processor [s]."""
         ran, waited = os.pread(self._statistics, 100, 0).split()[:2]
         return 1e-9 * int(ran), 1e-9 * int(waited)
 
     def _yield(self, now: float) -> bool:
-        self._had = step_back()
+        self._had = drop_priority()
         self._until = now + REST
         self.given_back += 1
         self.complaint = (
-            f"the loop wants {100 * self.wanted:.0f} % of a processor, processor_share is {100 * self._share:.0f} %: "
+            f"the loop needs {100 * self.wanted:.0f} % of a processor, processor_share is {100 * self._share:.0f} %: "
             f"SCHED_FIFO is given back for {REST:.0f} s; run fewer nodes here, or choose a longer control_period"
         )
         return True
 
     def _resume(self) -> bool:
-        step_forward(self._had)
+        restore_priority(self._had)
         self._had, self.complaint = {}, ""
         return True
 
@@ -98,10 +97,10 @@ class Courtesy:
         return {"processor_wanted": self.wanted, "priority_given_back": self.given_back}
 
     def close(self) -> None:
-        """Look no more."""
+        """Close the statistics."""
         os.close(self._statistics)
 
 
 def statistics_of(thread: int) -> Path:
-    """Return the file that tells about a thread of this process, by its native id."""
+    """Return the schedstat file of a thread of this process, by its native id."""
     return Path(f"/proc/self/task/{thread}/schedstat")

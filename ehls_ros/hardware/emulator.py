@@ -1,4 +1,4 @@
-"""A rig as its converters show it: simulated plant, its disturbance, its sensors and their converters."""
+"""The emulated rig behind its converters: simulated plant, disturbance, sensors and quantisation."""
 
 from typing import Any, Protocol
 
@@ -15,11 +15,11 @@ from ehls_ros.physics.plant import V, X
 from ehls_ros.physics.rig import SENSED
 
 NOISE_BLOCK = 1024
-"""Samples that noise is drawn for at a time."""
+"""Samples of noise drawn at a time."""
 
 
 class Steppable(Protocol):
-    """What is needed of a :class:`ehls_ros.physics.simulator.Simulator`."""
+    """The interface of :class:`ehls_ros.physics.simulator.Simulator` that the emulator uses."""
 
     period: float
     cycle: int
@@ -30,11 +30,11 @@ class Steppable(Protocol):
         """Read the sensors, given standard normal numbers."""
 
     def advance(self, command: float, force: float, force_rate: float, displacement: float, velocity: float) -> Any:
-        """Go on by one period."""
+        """Integrate over one period."""
 
 
 def converted(value: float, channel: Input | Output) -> float:
-    """Return the nearest raw value that a channel's converter knows."""
+    """Return the nearest raw value that a channel's converter can represent."""
     low, high = channel.range
     size = step(channel)
     code = round((min(max(value, low), high) - low) / size)
@@ -42,11 +42,11 @@ def converted(value: float, channel: Input | Output) -> float:
 
 
 class Emulator:
-    """The rig; each cycle is a :meth:`sense` and an :meth:`advance`.
+    """The emulated rig; each cycle is one :meth:`sense` and one :meth:`advance`.
 
     Attributes:
-        faults: of the sensors and the wire.
-        log: what really happened, or None.
+        faults: injected into the sensors and the network.
+        log: the true signals, or None.
     """
 
     def __init__(
@@ -60,16 +60,16 @@ class Emulator:
         disturb_after: float = 0.0,
         log: TruthLog | None = None,
     ) -> None:
-        """Put it together.
+        """Connect the parts.
 
         Args:
             simulator: the plant with its sensors.
             disturbance: the actuator under test.
             calibration: of the rig's channels.
-            seed: of the sensors' noise.
-            disturb_at_once: start the disturbance in cycle 0, not with the first command that opens the valve.
-            disturb_after: time from that command to the disturbance [s].
-            log: where the truth is kept.
+            seed: of the sensor noise.
+            disturb_at_once: start the disturbance in cycle 0 instead of after the first command that opens the valve.
+            disturb_after: time from that command to the start of the disturbance [s].
+            log: records the true signals.
         """
         self.faults = Faults(calibration.wired)
         self.log = log
@@ -97,11 +97,11 @@ class Emulator:
 
     @property
     def cycle(self) -> int:
-        """Number of the present cycle."""
+        """Number of the current cycle."""
         return self._simulator.cycle
 
     def sense(self) -> tuple[float, ...]:
-        """Return the raw values of the present cycle by channel number; a channel without a sensor reads 0."""
+        """Return the raw values of the current cycle by channel number; a channel without a sensor reads 0."""
         if self._drawn == len(self._noise):
             self._noise, self._drawn = self._random.standard_normal((NOISE_BLOCK, len(SENSED))), 0
         signals = self._simulator.measure(self._noise[self._drawn])[self._wired].tolist()
@@ -109,17 +109,17 @@ class Emulator:
         self.faults.spoil(signals)
         for signal, channel in zip(signals, self._calibration.inputs, strict=True):
             raw = signal / channel.scale + channel.offset
-            # What is no number cannot come from a converter; a target that computes its signals could send it.
+            # A converter cannot produce NaN, but a target that computes its signals could send it.
             self._values[channel.channel] = converted(raw, channel) if raw == raw else raw  # noqa: PLR0124
         return tuple(self._values)
 
     def advance(self, raw: float, status: Status, now: float) -> None:
-        """Go on by one cycle; :meth:`sense` has been called.
+        """Advance by one cycle, after :meth:`sense`.
 
         Args:
-            raw: the valve's raw command, held.
-            status: why it is at null, for the log.
-            now: the computer's time, for the log [s].
+            raw: raw valve command, held over the cycle.
+            status: why the command is at null, for the log.
+            now: time of this computer, for the log [s].
         """
         simulator, output = self._simulator, self._calibration.output
         raw = converted(raw, output)

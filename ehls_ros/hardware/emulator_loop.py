@@ -1,4 +1,4 @@
-"""The emulated rig on the wire: on its own clock, or waiting for the answer to each cycle."""
+"""The emulator's loop: on its own clock, or waiting for the answer to each cycle."""
 
 import time
 from collections import deque
@@ -12,23 +12,23 @@ from ehls_ros.hardware.target import Target
 from ehls_ros.hardware.wire import Wire
 
 GIVEN_UP = 1.0
-"""Delay behind the clock beyond which time is let go rather than made up for [s]."""
+"""Lag behind the clock beyond which the schedule is shifted instead of caught up [s]."""
 
 LOOK = 0.05
-"""Time between two looks at whether to stop, where packets are waited for [s]."""
+"""Interval at which a stop is checked for while waiting for packets [s]."""
 
 SLOWEST = 10_000
-"""Delays of the wake-up are counted up to so many microseconds."""
+"""Largest wake-up delay that is resolved [us]."""
 
 
 class Run(NamedTuple):
-    """How long to run, and what is asked in between.
+    """How long to run, and the links to the caller.
 
     Attributes:
         cycles: number of cycles to run.
         stopped: tells whether to stop.
-        lines: faults to put in, added to by another thread.
-        tell: called with each fault put in, or what is wrong with its line, and the time of it [s].
+        lines: faults to inject, appended by another thread.
+        tell: called with each injected fault, or the error in its line, and the time [s].
     """
 
     cycles: int
@@ -38,10 +38,10 @@ class Run(NamedTuple):
 
 
 class Delays:
-    """Delays of the wake-ups behind their deadlines, in steps of a microsecond."""
+    """Histogram of the wake-up delays, in steps of a microsecond."""
 
     def __init__(self) -> None:
-        """Start with none."""
+        """Start empty."""
         self._counts = [0] * (SLOWEST + 1)
         self.largest = 0.0
 
@@ -50,25 +50,25 @@ class Delays:
         self._counts[min(int(1e6 * delay), SLOWEST)] += 1
         self.largest = max(self.largest, delay)
 
-    def quantile(self, part: float) -> float:
-        """Return the delay that a part of all lie below [s], to a microsecond."""
-        wanted, seen = part * sum(self._counts), 0
+    def quantile(self, fraction: float) -> float:
+        """Return the delay not exceeded by a fraction of all wake-ups [s], to a microsecond."""
+        rank, seen = fraction * sum(self._counts), 0
         for delay, count in enumerate(self._counts):
             seen += count
-            if seen >= wanted:
+            if seen >= rank:
                 return 1e-6 * delay
         return 1e-6 * SLOWEST
 
 
 def run_realtime(emulator: Emulator, target: Target, wire: Wire, run: Run, delays: Delays) -> None:
-    """Run on the computer's clock; a command acts from the cycle after it came.
+    """Run on this computer's clock; a command acts from the cycle after its arrival.
 
     Args:
         emulator: the rig.
         target: its side of the protocol.
         wire: its socket.
-        run: how long.
-        delays: where wake-ups are counted.
+        run: how long, and the links to the caller.
+        delays: collects the wake-up delays.
     """
     period = emulator.period
     values = emulator.sense()
@@ -91,17 +91,17 @@ def run_realtime(emulator: Emulator, target: Target, wire: Wire, run: Run, delay
 
 
 def run_lockstep(emulator: Emulator, target: Target, wire: Wire, run: Run, patience: float) -> None:
-    """Wait in each cycle for the command that answers it; it acts in the next one.
+    """Wait in each cycle for its answer, which acts in the next one.
 
     Args:
         emulator: the rig.
         target: its side of the protocol.
         wire: its socket.
-        run: how long.
+        run: how long, and the links to the caller.
         patience: longest wait for an answer [s].
 
     Raises:
-        WorkFailed: no answer came in time.
+        WorkFailed: no answer in time.
     """
     raw, status = target.output(0.0)
     for cycle in range(run.cycles):

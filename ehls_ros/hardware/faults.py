@@ -1,4 +1,4 @@
-"""Faults put into the emulated rig while it runs, for tests: a line of text each."""
+"""Faults injected into the emulated rig while it runs, for tests; one line of text each."""
 
 import math
 from collections.abc import Sequence
@@ -7,37 +7,37 @@ from ehls_ros.errors import BadInput
 
 FAULTS = {
     "stick": "stick SIGNAL: the sensor keeps its last value",
-    "bias": "bias SIGNAL VALUE: the sensor reads so much more",
-    "jump": "jump SIGNAL VALUE: the sensor reads so much more for one sample",
-    "nan": "nan SIGNAL: the sensor's value is no number",
+    "bias": "bias SIGNAL VALUE: VALUE is added to the reading",
+    "jump": "jump SIGNAL VALUE: VALUE is added to the reading for one sample",
+    "nan": "nan SIGNAL: the sensor reads NaN",
     "clock": "clock SECONDS: the target's clock steps",
-    "silent": "silent: no measurement is sent",
-    "deaf": "deaf: no packet is taken",
+    "silent": "silent: no measurements are sent",
+    "deaf": "deaf: no packets are accepted",
     "clear": "clear: all faults end",
 }
 WHERE = "fault"
 
 
 class Faults:
-    """The faults of now.
+    """The active faults.
 
     Attributes:
-        silent: no measurement is sent.
-        deaf: no packet is taken.
-        clock_ns: what is added to the target's time [ns].
+        silent: no measurements are sent.
+        deaf: no packets are accepted.
+        clock_ns: offset added to the target's time [ns].
     """
 
     def __init__(self, wired: Sequence[str]) -> None:
-        """Take the signals in the order of the values to spoil."""
+        """Start without faults; ``wired`` names the signals in the order of the values passed to :meth:`spoil`."""
         self._wired = tuple(wired)
         self.clock_ns = 0
         self._clear()
 
     def apply(self, line: str) -> None:
-        """Do what a line says.
+        """Inject the fault described by a line.
 
         Raises:
-            BadInput: it is none of :data:`FAULTS`, or names a signal that is not wired.
+            BadInput: the line is none of :data:`FAULTS`, or names a signal that is not wired.
         """
         match line.split():
             case ["stick", signal]:
@@ -60,10 +60,10 @@ class Faults:
                 raise BadInput(f"line is {line!r}", WHERE, "; ".join(FAULTS.values()))
 
     def spoil(self, signals: list[float]) -> None:
-        """Change the sensors' signals in place.
+        """Apply the sensor faults in place.
 
         Args:
-            signals: in the order given at the start.
+            signals: one per wired signal [SI].
         """
         for index, bias in self._bias.items():
             signals[index] += bias

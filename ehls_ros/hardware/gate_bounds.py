@@ -1,6 +1,6 @@
-"""What a rig stands: the bounds that keep a gate's parameters from taking its protection away.
+"""Bounds of the gate's parameters on a real rig, so that no setting can defeat the protection.
 
-All of them follow from the rig file's limits, the valve's bandwidth and the control period.
+All follow from the rig file's limits, the valve bandwidth and the control period.
 """
 
 from collections.abc import Iterator, Mapping
@@ -11,25 +11,25 @@ from ehls_ros.hardware.gate_parameters import Parameters
 from ehls_ros.physics.rig import Rig
 
 BLIND_TRAVEL = 0.1
-"""Fraction of its stroke that the piston may travel, at the velocity limit, while a fault is waited for."""
+"""Fraction of the stroke that the piston may travel at the velocity limit before a fault is acted on."""
 
 FASTEST = 5
-"""Periods in which a command may cross the spool's whole range, at least."""
+"""Minimum number of periods in which a command may cross the full spool range."""
 
 VALVE_TIMES = 10.0
-"""Time constants of the valve that enabling takes, at least."""
+"""Minimum enabling time, in time constants of the valve."""
 
 SMOOTH = 50
-"""Periods that enabling takes, at least."""
+"""Minimum enabling time, in control periods."""
 
 
 class Bound(NamedTuple):
-    """What one parameter may be.
+    """The range of one parameter.
 
     Attributes:
         low: smallest value.
         high: largest value.
-        reason: where the bound comes from.
+        reason: origin of the bound.
     """
 
     low: float
@@ -38,10 +38,10 @@ class Bound(NamedTuple):
 
 
 def bounds_of(rig: Rig, period: float) -> dict[str, Bound]:
-    """Return the bounds of a gate's parameters before a real actuator, by name.
+    """Return the bounds of the gate's parameters for a real actuator, by name.
 
     Args:
-        rig: with sound limits.
+        rig: with valid limits.
         period: control period [s].
     """
     limits, endless = rig.limits, float("inf")
@@ -62,7 +62,7 @@ def bounds_of(rig: Rig, period: float) -> dict[str, Bound]:
 
 
 def out_of_bounds(parameters: Parameters, bounds: Mapping[str, Bound]) -> Iterator[BadInput]:
-    """Yield a complaint for each parameter that is out of its bound."""
+    """Yield an error for each parameter that is out of its bounds."""
     for name, (low, high, reason) in bounds.items():
         value = getattr(parameters, name)
         if not low <= value <= high:
@@ -71,6 +71,6 @@ def out_of_bounds(parameters: Parameters, bounds: Mapping[str, Bound]) -> Iterat
 
 
 def within(parameters: Parameters, bounds: Mapping[str, Bound]) -> Parameters:
-    """Return the parameters with each that is out of its bound put onto it; for defaults, which know no rig."""
+    """Clip the parameters to the bounds; for the defaults, which know no rig."""
     held = {name: min(max(getattr(parameters, name), low), high) for name, (low, high, _) in bounds.items()}
     return parameters._replace(**held)

@@ -1,4 +1,4 @@
-"""Whether a computer keeps up with its cycles: how many a second were due, and how many were answered."""
+"""Whether a computer keeps up with its cycles: cycles due per second against cycles answered."""
 
 from typing import Any
 
@@ -6,37 +6,36 @@ WINDOW = 0.5
 """Time over which cycles are counted [s]."""
 
 LEAST = 0.9
-"""Part of the cycles that has to be answered; with less, the computer is too slow."""
+"""Fraction of the cycles that must be answered; below it the computer is too slow."""
 
 CLEAR = 0.8
-"""Part of the way from there to all of them after which it is not too slow any more."""
+"""Hysteresis: the complaint is dropped once the rate has covered this fraction of the gap between the limit and all cycles."""
 
 CHANGE = 0.1
-"""Part of the cycles due by which their number has to change to be told anew."""
+"""Change of the answered rate, as a fraction of the cycles due, at which the complaint is updated."""
 
 ADVICE = (
-    "stop other work, permit realtime priority (ehls doctor looks whether it is), choose a longer control_period, or run in "
-    "lockstep"
+    "stop other work, permit realtime priority (check it with ehls doctor), choose a longer control_period, or run in lockstep"
 )
-"""What to do about a computer that is too slow."""
+"""What to do when the computer is too slow."""
 
 
 class Pace:
-    """Counts cycles and says when a computer is too slow for them.
+    """Counts cycles and reports when the computer is too slow for them.
 
-    That nothing at all is answered is another thing: then whoever answers is not there.
+    A window without any answer does not count as slow: the controller is missing.
 
     Attributes:
-        asked: cycles a second that were due in the last window; 0 before the first.
-        reached: cycles a second that were answered in it.
-        complaint: `too slow: 720 of 1000 cycles/s`; empty while it is not.
+        asked: cycles per second due in the last window; 0 before the first.
+        reached: cycles per second answered in it.
+        complaint: `too slow: 720 of 1000 cycles/s`; empty while the computer keeps up.
     """
 
     def __init__(self, least: float = LEAST) -> None:
-        """Start without a verdict; the first call of :meth:`look` opens the first window.
+        """Start without a complaint; the first call of :meth:`look` opens the first window.
 
         Args:
-            least: fraction of the cycles that has to be answered.
+            least: fraction of the cycles that must be answered.
         """
         self._least = least
         self._start: float | None = None
@@ -48,16 +47,16 @@ class Pace:
         self.complaint = ""
 
     def look(self, now: float, due: float, answered: int) -> bool:
-        """Take note of how far the cycles are; once a window is over, judge it.
+        """Record the progress; evaluate the window once it is over.
 
         Args:
-            now: time of a clock that is never set [s].
-            due: cycles, counted from anywhere, that should have been answered by now: by the wall's clock where the cycles can
-                wait, by the samples that came where they cannot.
-            answered: cycles, counted from anywhere, that were answered.
+            now: monotonic time [s].
+            due: cycles due so far, from any origin: by the wall clock where cycles can wait, by samples received where they
+                cannot.
+            answered: cycles answered so far, from any origin.
 
         Returns:
-            Whether a window ended with this call; :attr:`complaint` is that of the window then.
+            Whether this call ended a window and updated :attr:`complaint`.
         """
         if self._start is None:
             self._open(now, due, answered)
@@ -68,13 +67,13 @@ class Pace:
         self.asked = (due - self._due) / elapsed
         self.reached = (answered - self._answered) / elapsed
         self._open(now, due, answered)
-        self._judge()
+        self._evaluate()
         return True
 
     def _open(self, now: float, due: float, answered: int) -> None:
         self._start, self._due, self._answered = now, due, answered
 
-    def _judge(self) -> None:
+    def _evaluate(self) -> None:
         least = (self._least + CLEAR * (1.0 - self._least) if self.complaint else self._least) * self.asked
         if not 0.0 < self.reached < least:
             self.complaint = ""

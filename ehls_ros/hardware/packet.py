@@ -1,4 +1,4 @@
-"""The UDP packet between this computer and a real-time target; docs/hardware.md has it as a table.
+"""The UDP packet between this computer and a real-time target; also a table in docs/hardware.md.
 
 Version 1, little-endian, 64 + 8 n bytes::
 
@@ -9,19 +9,20 @@ Version 1, little-endian, 64 + 8 n bytes::
          6     2  n, number of values: hello 0, measurement 1 to 32, command 1
          8     8  session of the sender: random, anew each time it starts, never 0
         16     8  session of the receiver as the sender knows it; 0 in a hello that knows none
-        24     8  sequence number of the packet's kind, growing by 1
-        32     8  measurement: sequence number of the last command taken, 0 for none;
+        24     8  sequence number, counted per kind, increasing by 1
+        32     8  measurement: sequence number of the last command accepted, 0 for none;
                   command: sequence number of the measurement it answers
         40     8  sender's time [ns], signed
         48     4  command: time without a valid command after which the target goes to null [us]; otherwise 0
         52     4  measurement: why the output is at null, see Status; otherwise 0
         56   8 n  values, IEEE 754 doubles, finite
-    56 + 8 n   8  CRC-32 of all bytes before (as in zlib), or with a key their BLAKE2b of 8 bytes
+    56 + 8 n   8  tag of all preceding bytes: CRC-32 (as in zlib) or, with a key, keyed BLAKE2b of 8 bytes
 """
 
 import hashlib
 import hmac
 import math
+import secrets
 import struct
 import zlib
 from enum import IntEnum
@@ -30,22 +31,22 @@ from typing import NamedTuple
 MAGIC, VERSION = b"EHLS", 1
 HEADER = struct.Struct("<4sBBHQQQQqII")
 FRAME = struct.Struct("<4sBBH")
-"""How the header begins."""
+"""Start of the header."""
 
 TAG = struct.Struct("<Q")
 MOST_VALUES = 32
 LARGEST = HEADER.size + 8 * MOST_VALUES + TAG.size
-"""Bytes of the longest packet."""
+"""Length of the longest packet [B]."""
 
 LONGEST_KEY = hashlib.blake2b.MAX_KEY_SIZE
-"""Bytes of the longest key."""
+"""Length of the longest key [B]."""
 
 REASONS = ("length", "magic", "version", "kind", "count", "tag", "value", "session", "field")
-"""Why bytes are refused, in the order in which it is looked at."""
+"""Why a datagram is refused, in the order of the checks."""
 
 
 class Kind(IntEnum):
-    """What a packet is for."""
+    """Kind of packet."""
 
     HELLO = 1
     MEASUREMENT = 2
@@ -56,15 +57,15 @@ class Status(IntEnum):
     """Why the target's output is at null."""
 
     COMMANDED = 0
-    """It is not: the last command is held."""
+    """Not at null: the last command is held."""
     WAITING = 1
-    """No command came yet."""
+    """No command yet."""
     WATCHDOG = 2
-    """None came for too long."""
+    """No command for longer than the watchdog time."""
 
 
 class Packet(NamedTuple):
-    """A packet's content; the fields are the module's table."""
+    """Content of a packet; the module's docstring describes the fields."""
 
     kind: int
     session: int
@@ -82,30 +83,31 @@ COUNTS: dict[int, range] = {Kind.HELLO: range(1), Kind.MEASUREMENT: range(1, MOS
 STATUSES: dict[int, range] = {Kind.HELLO: range(1), Kind.MEASUREMENT: range(len(Status)), Kind.COMMAND: range(1)}
 
 
+def random_session() -> int:
+    """Draw a session number, never 0."""
+    return secrets.randbits(64) | 1
+
+
 class Codec:
-    """Makes packets and takes them apart.
+    """Packs and parses packets.
 
     Attributes:
-        refused: number of byte strings refused, by reason.
+        refused: number of datagrams refused, by reason.
     """
 
     def __init__(self, key: bytes = b"") -> None:
-        """Take the key both sides share, of up to 64 bytes; empty: a CRC, which finds damage but no forger."""
+        """Set the shared key, up to 64 bytes; empty: a CRC, which detects damage but not forgery."""
         self._key = key
         self.refused = dict.fromkeys(REASONS, 0)
 
     def pack(self, packet: Packet) -> bytes:
-        """Return a packet's bytes.
-
-        Args:
-            packet: fields that fit the table.
-        """
+        """Return a packet's bytes."""
         values = packet.values
         body = HEADER.pack(MAGIC, VERSION, packet.kind, len(values), *packet[1:8]) + VALUES[len(values)].pack(*values)
         return body + self.tag(body)
 
     def parse(self, data: bytes) -> Packet | None:
-        """Return what bytes from the net hold, or None for anything but a whole, undamaged packet; the reason is counted."""
+        """Return the packet in a datagram; None, with the reason counted, unless it is complete and undamaged."""
         packet = self._parse(data)
         if isinstance(packet, str):
             self.refused[packet] += 1
@@ -125,20 +127,20 @@ class Codec:
             return "value"
         if packet.session == 0:
             return "session"
-        # A field that a kind does not use is 0, so that it can be used one day.
+        # Unused fields must be 0, so that a later version can use them.
         if packet.status not in STATUSES[kind] or (packet.watchdog_us != 0) != (kind == Kind.COMMAND):
             return "field"
         return packet
 
     def tag(self, body: bytes) -> bytes:
-        """Return the eight bytes that end a packet, for those before."""
+        """Return the eight bytes that end a packet, computed from the preceding ones."""
         if self._key:
             return hashlib.blake2b(body, digest_size=TAG.size, key=self._key).digest()
         return TAG.pack(zlib.crc32(body))
 
 
 def _frame(data: bytes) -> str:
-    """Return the reason why bytes cannot be a packet; empty if they can."""
+    """Return why the length or the start of the header cannot be a packet's; empty if they can."""
     if not HEADER.size + TAG.size <= len(data) <= LARGEST:
         return "length"
     magic, version, kind, count = FRAME.unpack_from(data)

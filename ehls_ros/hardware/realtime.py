@@ -1,4 +1,4 @@
-"""A loop on its own clock: absolute deadlines, and what the system lets a process claim for it."""
+"""Realtime loops: absolute deadlines, SCHED_FIFO and locked memory."""
 
 import ctypes
 import gc
@@ -12,25 +12,25 @@ from pathlib import Path
 from typing import NamedTuple
 
 SPIN = 50e-6
-"""Time before a deadline that is spent looking at the clock, since a sleeper wakes late [s]."""
+"""Busy-wait before a deadline, since a sleeper wakes late [s]."""
 
 LOWEST = 1
-"""Lowest priority of SCHED_FIFO: before all ordinary work, behind whoever asked for more."""
+"""Lowest priority of SCHED_FIFO: ahead of all ordinary work, behind every other realtime thread."""
 
 STACK = 2**20
-"""Stack of the middleware's threads, of which each would reserve eight times that [B]."""
+"""Stack of the middleware's threads; the default is eight times as large [B]."""
 
 DEEP_STACK = 2**22
 """Stack of Python's own threads, in which kernels are compiled [B]."""
 
 LARGE = 2**25
-"""Size from which on a piece of memory is asked from the system by itself and given back; the largest glibc allows [B]."""
+"""Size above which an allocation is mapped separately and returned when freed; glibc's maximum [B]."""
 
 HARDLY = 0.25
-"""A file of which no more than this part is in memory is hardly used."""
+"""A file with no more than this fraction in memory is hardly used."""
 
 COMPILER = "libllvmlite"
-"""Part of the file name of what only compiles; once the kernels are there, no loop touches it."""
+"""Substring of the compiler's file name; once the kernels are compiled, no loop touches it."""
 
 MCL_FUTURE, MCL_ONFAULT = 2, 4
 MLOCK_ONFAULT = 1
@@ -40,7 +40,7 @@ PR_SET_TIMERSLACK = 29
 
 
 class Part(NamedTuple):
-    """A part of this process's memory: first address, length [B], permissions, file, and how much of it is there [KiB]."""
+    """One mapping of this process's memory: first address, length [B], permissions, file, resident size [KiB]."""
 
     start: int
     length: int
@@ -56,7 +56,7 @@ def sleep_until(deadline: float) -> float:
         deadline: the time [s].
 
     Returns:
-        The time now, not before the deadline [s].
+        The current time, not before the deadline [s].
     """
     remaining = deadline - time.monotonic() - SPIN
     if remaining > 0.0:
@@ -67,12 +67,12 @@ def sleep_until(deadline: float) -> float:
 
 
 def exact_wake_ups() -> None:
-    """Let this thread's waits end when they should, not up to 50 us later together with others."""
+    """Turn off timer slack for this thread, which delays its wake-ups by up to 50 us."""
     ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
 def threads() -> set[int]:
-    """Return the native ids of this process's threads, those of libraries too."""
+    """Return the native ids of this process's threads, including those of libraries."""
     return {int(task.name) for task in Path("/proc/self/task").iterdir()}
 
 
@@ -92,7 +92,7 @@ def prefer(chosen: Iterable[int], priority: int) -> None:
 
 @contextmanager
 def preferring_what_starts(priority: int) -> Iterator[None]:
-    """Give SCHED_FIFO to the threads that are started meanwhile, if the system permits it.
+    """Give SCHED_FIFO to the threads started inside the block, if the system permits it.
 
     Args:
         priority: 1 to 99.
@@ -104,10 +104,10 @@ def preferring_what_starts(priority: int) -> Iterator[None]:
 
 
 def be_frugal() -> None:
-    """Let this process reserve little memory and keep what it has; to be called before other threads start.
+    """Make this process reserve little memory and keep what it has; call it before other threads start.
 
-    Each thread would else have an arena of its own to allocate from and a stack of 8 MiB, and memory given back to the system
-    would have to be asked for anew in the middle of a cycle.
+    By default each thread has its own allocation arena and a stack of 8 MiB, and freed memory returned to the system would have
+    to be requested again in the middle of a cycle.
     """
     system = ctypes.CDLL(None)
     system.mallopt(M_ARENA_MAX, 1)
@@ -121,7 +121,7 @@ def be_frugal() -> None:
 
 
 def memory() -> list[Part]:
-    """Return the parts of this process's memory."""
+    """Return the mappings of this process's memory."""
     parts: list[Part] = []
     for line in Path("/proc/self/smaps").read_text(encoding="utf-8").splitlines():
         key, *words = line.split(maxsplit=5)
@@ -134,9 +134,9 @@ def memory() -> list[Part]:
 
 
 def lock_memory() -> None:
-    """Keep in memory what is there and what will be touched, page by page, but not the compiler.
+    """Lock the pages in use and those touched later, except the compiler's.
 
-    What was reserved and never touched takes no memory, and what lies in the compiler's file is given back.
+    Pages that were reserved but never touched take no memory; the compiler's code is dropped.
 
     Raises:
         OSError: the system does not permit it.
@@ -145,34 +145,34 @@ def lock_memory() -> None:
     for part in memory():
         area = ctypes.c_void_p(part.start), ctypes.c_size_t(part.length)
         if COMPILER in part.file:
-            # Code can be read from its file again at any time; data may have been written to.
+            # Code can be read from the file again at any time; data may have been modified.
             if "x" in part.permissions:
                 system.madvise(*area, MADV_DONTNEED)
         elif part.permissions.startswith("r") and part.file != "[vsyscall]" and _in_use(part):
-            _done(system.mlock2(*area, MLOCK_ONFAULT))
+            _check(system.mlock2(*area, MLOCK_ONFAULT))
     if resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY or os.geteuid() == 0:
-        # With a limit, memory beyond it would be refused instead of not being locked.
-        _done(system.mlockall(MCL_FUTURE | MCL_ONFAULT))
+        # Under a limit, allocations beyond it would fail instead of staying unlocked.
+        _check(system.mlockall(MCL_FUTURE | MCL_ONFAULT))
 
 
 def _in_use(part: Part) -> bool:
-    """Tell whether a part of the memory is worth locking: what is no file's, and a file that is read more than a bit."""
+    """Tell whether a mapping is worth locking: anonymous memory in use, or a file that is used more than a little."""
     least = HARDLY * part.length if part.file.startswith("/") else 0
     return 1024 * part.resident > least
 
 
-def _done(result: int) -> None:
-    """Turn the result of a system call into an exception where it failed."""
+def _check(result: int) -> None:
+    """Raise OSError if a system call failed."""
     if result != 0:
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
 
 
-def step_back() -> Mapping[int, int]:
-    """Give SCHED_FIFO back, for all threads of this process.
+def drop_priority() -> Mapping[int, int]:
+    """Move all threads of this process from SCHED_FIFO to ordinary scheduling.
 
     Returns:
-        The priorities of the threads that had it, by their native ids.
+        The priorities of the threads that had SCHED_FIFO, by native id.
     """
     had = {}
     for thread in threads():
@@ -183,11 +183,11 @@ def step_back() -> Mapping[int, int]:
     return had
 
 
-def step_forward(had: Mapping[int, int]) -> None:
-    """Ask for SCHED_FIFO again.
+def restore_priority(had: Mapping[int, int]) -> None:
+    """Request SCHED_FIFO again.
 
     Args:
-        had: what :func:`step_back` returned.
+        had: the result of :func:`drop_priority`.
     """
     for thread, priority in had.items():
         with suppress(ProcessLookupError, PermissionError):
@@ -195,18 +195,17 @@ def step_forward(had: Mapping[int, int]) -> None:
 
 
 def claim(priority: int, behind: Collection[int] = ()) -> tuple[str, ...]:
-    """Get this process ready for a loop with deadlines; takes some tenths of a second.
+    """Prepare this process for a loop with deadlines; takes some tenths of a second.
 
-    The objects there are leave garbage collection, which is then off: the loop must not make cycles. The memory in use is
-    locked, and all threads there are, those of the middleware too, get the scheduling class SCHED_FIFO, as far as the system
-    permits.
+    Existing objects are frozen and garbage collection is turned off, so the loop must not create reference cycles. As far as
+    the system permits, the memory in use is locked and all existing threads, including the middleware's, get SCHED_FIFO.
 
     Args:
-        priority: for SCHED_FIFO, 1 to 99; 0 leaves scheduling and memory as they are.
-        behind: threads, by their native ids, that get :data:`LOWEST` instead.
+        priority: for SCHED_FIFO, 1 to 99; 0 leaves scheduling and memory unchanged.
+        behind: threads, by native id, that get :data:`LOWEST` instead.
 
     Returns:
-        What was not permitted, a sentence each.
+        A sentence for each thing that was not permitted.
     """
     gc.collect()
     gc.freeze()

@@ -1,21 +1,21 @@
-"""The safety gate: what stands before every actuator write, simulated or real.
+"""The safety gate in front of every actuator, simulated or real.
 
-Nothing reaches the valve but what :meth:`Gate.step` returns: a finite number within the rig's spool limit, whatever came in.
-Faults are seen by detectors; each has a reaction. ``warn`` says so and goes on. ``hold`` keeps the last safe command and goes
-on once the fault is gone; holding that uses up ``hold_time`` becomes a ramp. ``ramp`` leads to null in ``ramp_time``, ``cut``
-is null at once. Ramp and cut are latched until :meth:`Gate.reset`, and after that the gate has to be enabled again. An
-emergency stop has to be acknowledged by its name before that. docs/hardware.md has a table of all states and transitions.
+The valve receives only what :meth:`Gate.step` returns: a finite number within the rig's spool limit, whatever the input.
+Detectors raise faults; each fault has a reaction. ``warn`` reports it. ``hold`` keeps the last safe command until the fault is
+gone; once ``hold_time`` is used up it becomes a ramp. ``ramp`` moves to null in ``ramp_time``, ``cut`` goes to null at once.
+Ramp and cut are latched until :meth:`Gate.reset`, after which the gate must be enabled again. An emergency stop must first be
+acknowledged by its name. docs/hardware.md has a table of all states and transitions.
 
-The calls, in each cycle's order::
+The calls of a cycle, in order::
 
     gate = Gate(rig, period)
-    gate.begin()                                        # the loop begins; gate.leave() ends it, at null
-    gate.sense(cycle, readings, force_reference)        # a new snapshot, before it is sent out
-    gate.take(cycle_answered, spool, sender)            # for each command that came in
-    gate.enable()                                       # once, when asked to: None, or why not
-    write(gate.step(monotonic_seconds))                 # every cycle, whether a command came or not
+    gate.begin()                                        # the loop starts; gate.leave() ends it, at null
+    gate.sense(cycle, readings, force_reference)        # a new snapshot, before it is published
+    gate.take(cycle_answered, spool, sender)            # for each command received
+    gate.enable()                                       # once, on request: None, or why not
+    write(gate.step(monotonic_seconds))                 # every cycle, with or without a command
 
-Every call may come from any thread, and but for the making and :meth:`Gate.retune` none raises, whatever it is given.
+All calls are thread-safe. Only the constructor and :meth:`Gate.retune` raise; the others accept any argument.
 """
 
 import math
@@ -37,7 +37,7 @@ from ehls_ros.schema import parse
 STATES = DISABLED, ENABLING, ACTIVE, HOLDING, RAMPING, CUT, STOPPED = (
     "disabled", "enabling", "active", "holding", "ramping", "cut", "stopped",
 )  # fmt: skip
-"""Disabled, ramping, cut and stopped end at null and stay there; the last three are latched."""
+"""Disabled, ramping, cut and stopped lead to null and stay there; the last three are latched."""
 
 DRIVING = frozenset({ENABLING, ACTIVE, HOLDING})
 """States in which commands reach the actuator."""
@@ -46,34 +46,35 @@ OK, WARN, ERROR = range(3)
 """Levels of :meth:`Gate.health`."""
 
 WARN_REACTION, _, RAMP_REACTION, CUT_REACTION = range(len(REACTIONS))
+CUT_NAME = REACTIONS[CUT_REACTION]
 
 STOP = "emergency_stop"
 LEFT = "left_active"
-"""Causes that no detector sees: somebody asked for a stop; the loop ended while commands reached the actuator."""
+"""Causes without a detector: an emergency stop was requested; the loop ended while commands reached the actuator."""
 
 STOP_TIME = 1.0
-"""An emergency stop lasts so long at least [s]."""
+"""Shortest duration of an emergency stop [s]."""
 
 DEAF = 1.0
-"""Time in which no service answers after which an emergency stop could not be heard [s]."""
+"""Time without any service answered after which an emergency stop could not get through [s]."""
 
 REACH = 3
-"""However much time has passed, the output moves and is blended in no further than it could in so many periods."""
+"""Largest number of periods by which one step may move or blend in the output, however late it is."""
 
 RECOVERY = 0.1
-"""While commands pass, the time that may be spent holding grows back at this fraction of time's pace."""
+"""Rate at which the used hold time recovers while commands pass [s/s]."""
 
 NOTICE = 2.0
-"""How long diagnostics speak of a fault that is over [s]."""
+"""How long diagnostics keep showing a fault that is over [s]."""
 
 LEAST_STEP = 0.01
-"""A clock that moves by less than this fraction of a period from step to step stands still."""
+"""A clock that advances by less than this fraction of a period per step counts as stopped."""
 
 LARGEST_CYCLE = 2**63
-"""Cycles are numbers of 64 bits."""
+"""Bound of the cycle numbers, which have 64 bits."""
 
 CHANGES_KEPT = 20
-"""Changes of parameters that diagnostics tell."""
+"""Parameter changes kept for the diagnostics."""
 
 NO_READINGS = (math.nan,) * len(SENSED)
 
@@ -83,24 +84,24 @@ class Cause(NamedTuple):
 
     Attributes:
         detector: its name.
-        reaction: what followed.
+        reaction: of the gate.
         time: of the step that tripped, by the caller's clock [s].
-        value: what was seen.
-        limit: what it broke.
+        value: the offending value.
+        limit: the limit it broke.
         unit: of both.
-        subject: the signal or sender, where the detector looks at several.
+        subject: the signal or sender, where the detector watches several.
     """
 
     detector: str
     reaction: str
     time: float
-    value: float
-    limit: float
-    unit: str
-    subject: str
+    value: float = math.nan
+    limit: float = math.nan
+    unit: str = ""
+    subject: str = ""
 
     def __str__(self) -> str:
-        """Return it in a line."""
+        """Return the cause in one line."""
         if self.detector in {STOP, LEFT}:
             return self.detector.replace("_", " ")
         about = f" of {self.subject}" if self.subject else ""
@@ -117,7 +118,7 @@ class Gate:
         parameters: the limits and reactions in force.
         state: one of :data:`STATES`.
         output: the command written last [m].
-        causes: what tripped it, first cause first; empty while it is not tripped.
+        causes: of the trip, in order of occurrence; empty while not tripped.
         detectors: by name.
     """
 
@@ -131,15 +132,15 @@ class Gate:
         bounds: Mapping[str, Bound] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Start disabled, at null, not begun.
+        """Start disabled, at null; the loop has not begun.
 
         Args:
             rig: the rig behind the actuator, for its limits.
             period: control period [s].
-            parameters: limits and reactions; None: the declared defaults, put within the bounds.
-            measured: signals of ``SENSED`` the rig measures; what the others hold is never looked at.
-            bounds: what the parameters may be; None: what the rig stands; empty before what cannot be harmed.
-            clock: of the emergency stop's time [s].
+            parameters: limits and reactions; None: the declared defaults, clipped to the bounds.
+            measured: signals of ``SENSED`` that the rig measures; the others are ignored.
+            bounds: of the parameters; None: those of the rig; empty for an actuator that cannot be damaged.
+            clock: times the emergency stop [s].
 
         Raises:
             BadInput: a parameter, the period, a signal or one of the rig's limits is wrong.
@@ -160,11 +161,12 @@ class Gate:
         self._gap = Detector("gap", "s", "")
         self._shut = Detector("device_null", "", "")
         self._unheard = Detector("services_silent", "s", "")
-        # Of two faults that are as bad the first is named the first cause: without snapshots there are no commands either.
-        whole = (self._gap, self._shut, self._unheard)
-        self._all = (*whole, *self._commands.detectors, *sensor_detectors(), self._blind, self._stale, self._steady)
+        # Of equally severe faults the first in this order is the first cause: without snapshots there are no commands either.
+        sensors = sensor_detectors()
+        without_parameter = (self._gap, self._shut, self._unheard)
+        self._all = (*without_parameter, *self._commands.detectors, *sensors, self._blind, self._stale, self._steady)
         self.detectors = {detector.name: detector for detector in self._all}
-        self._readings = Readings(rig, measured, chosen, self.detectors)
+        self._readings = Readings(rig, measured, chosen, sensors)
         self._put_in_force(chosen)
         self.state = DISABLED
         self.output = 0.0
@@ -183,27 +185,27 @@ class Gate:
 
     @property
     def owner(self) -> str | None:
-        """Whose commands are taken; None: whoever comes first."""
+        """Sender whose commands are accepted; None: the first to come."""
         return self._commands.owner
 
     @property
     def stop(self) -> str:
-        """Name of the emergency stop that is engaged; empty where none is."""
+        """Name of the engaged emergency stop; empty if none is."""
         return f"stop-{self._stops}" if self.state == STOPPED else ""
 
     def begin(self) -> None:
-        """Let the loop begin: cycles and their ages are counted anew; what is latched stays so."""
+        """Start the loop: cycle count and ages restart, latched faults stay latched."""
         with self._lock:
             self._forget_cycles()
             self._begun = True
 
     def leave(self) -> None:
-        """End the loop, at null at once; a gate that was open has to be reset and enabled to go on."""
+        """End the loop, at null at once; an open gate must then be reset and enabled to continue."""
         with self._lock:
             self._begun = False
             self.output = 0.0
             if self.driving:
-                self.causes.append(Cause(LEFT, REACTIONS[CUT_REACTION], self._time, math.nan, math.nan, "", ""))
+                self.causes.append(Cause(LEFT, CUT_NAME, self._time))
             if self.driving or self.state == RAMPING:
                 self.state = CUT
             self._commands.begin()
@@ -224,10 +226,10 @@ class Gate:
             detector.look(False, 0.0, detector.limit)
 
     def retune(self, parameters: Parameters) -> list[Change]:
-        """Put other limits and reactions in force from the next call on, and return what is other than before.
+        """Apply other limits and reactions from the next call, and return what changed.
 
         Raises:
-            BadInput: one of them is out of its range, or :meth:`objection` has something against them; the old ones stay.
+            BadInput: a parameter is out of range, or :meth:`objection` refuses the change; the old parameters stay.
         """
         chosen = _checked(parameters)
         with self._lock:
@@ -241,7 +243,7 @@ class Gate:
             return changed
 
     def objection(self, parameters: Parameters) -> BadInput | None:
-        """Return what speaks against other parameters now: the rig does not stand them, or they weaken an open gate."""
+        """Return why other parameters are refused: out of the rig's bounds, or weaker protection while the gate is open."""
         with self._lock:
             return self._objection(parameters)
 
@@ -250,7 +252,11 @@ class Gate:
         if beyond is not None or not self.driving:
             return beyond
         weaker = next((change for change in changes(self.parameters, parameters) if change.weakens), None)
-        return None if weaker is None else BadInput(f"{weaker}", "safety gate", "a disabled gate for what protects less")
+        return (
+            None
+            if weaker is None
+            else BadInput(f"{weaker}", "safety gate", "a disabled gate, since this weakens the protection")
+        )
 
     def _put_in_force(self, chosen: Parameters) -> None:
         self.parameters = chosen
@@ -270,15 +276,15 @@ class Gate:
         lag: float = 0.0,
         at_null: bool = False,
     ) -> None:
-        """Take a snapshot.
+        """Check a snapshot.
 
         Args:
-            cycle: its number, counted up; one not above the last is no new snapshot.
+            cycle: its number; a snapshot whose number is not above the last one is ignored.
             measured: readings in the order of ``SENSED``, shape (7,).
-            reference: what the force should be in this cycle [N]; NaN where it is not known.
-            elapsed: time since the last one by the rig's own clock [s]; None: as many periods as cycles.
-            lag: how long it was on its way [s].
-            at_null: the device keeps the valve closed by itself.
+            reference: force reference of this cycle [N]; NaN if unknown.
+            elapsed: time since the last snapshot by the rig's clock [s]; None: one period per cycle.
+            lag: transport delay [s].
+            at_null: the device itself keeps the valve closed.
         """
         number = _integer(cycle)
         with self._lock:
@@ -289,12 +295,12 @@ class Gate:
             self._sensed = True
             self._lag = max(_number(lag), 0.0)
             self._shut.look(bool(at_null), math.nan, math.nan)
-            # What is not driven owes no force.
-            wanted = _number(reference) if self.state in {ACTIVE, HOLDING} else math.nan
-            self._readings.look(_readings(measured), periods if elapsed is None else elapsed, self.output, wanted)
+            # A force error means nothing while the loop does not control the force.
+            expected = _number(reference) if self.state in {ACTIVE, HOLDING} else math.nan
+            self._readings.look(_readings(measured), periods if elapsed is None else elapsed, self.output, expected)
 
     def take(self, cycle: int, spool: float, sender: str = "") -> bool:
-        """Take a command that came in.
+        """Accept or refuse a command.
 
         Args:
             cycle: the cycle it answers.
@@ -302,7 +308,7 @@ class Gate:
             sender: who sent it.
 
         Returns:
-            Whether it counts; if not, :meth:`health` says why.
+            Whether it is accepted; if not, :meth:`health` says why.
         """
         number, value = _integer(cycle), _number(spool)
         with self._lock:
@@ -310,15 +316,15 @@ class Gate:
             return self._commands.take(number, value, str(sender), self._newest, followed=followed)
 
     def hear(self, silence: float) -> None:
-        """Tell for how long no service has been answered [s]: while none is, nobody could stop the rig."""
+        """Set the time since a service was last answered [s]: while none is, nobody could stop the rig."""
         with self._lock:
             self._unheard.look(not silence <= DEAF, silence, DEAF)
 
     def step(self, time: float) -> float:
-        """Decide on the command to write; to be called once a cycle, whatever came in.
+        """Return the command to write; call it once per cycle, whatever was received.
 
         Args:
-            time: monotonic time, in lockstep that of the cycle [s].
+            time: monotonic time; in lockstep the time of the cycle [s].
 
         Returns:
             The spool command [m], finite and within the rig's limit.
@@ -334,7 +340,7 @@ class Gate:
             return self.output
 
     def _elapsed(self, time: float) -> float:
-        """Return the time since the last step; where the clock tells none, a period."""
+        """Return the time since the last step; one period if the clock is implausible."""
         elapsed = time - self._time
         sound = LEAST_STEP * self._period < elapsed < math.inf
         first = math.isnan(self._time) and math.isfinite(time)
@@ -347,13 +353,13 @@ class Gate:
         return elapsed
 
     def _age(self, elapsed: float) -> None:
-        """Let command and snapshot age, unless they are new, and look whether they are stale."""
+        """Age command and snapshot, unless they are new, and check whether they are stale."""
         p = self.parameters
         self._commands.grow_old(elapsed)
         self._snapshot_age = self._lag if self._sensed else self._snapshot_age + elapsed
         self._sensed = False
         age = self._age_of_command()
-        # Before it is enabled, nobody need command.
+        # No command is due before the gate is enabled.
         missed = self.state != DISABLED and age >= p.command_timeout - ROUNDING
         self._stale.look(missed, age, p.command_timeout)
         self._blind.look(self._snapshot_age >= p.sensor_timeout - ROUNDING, self._snapshot_age, p.sensor_timeout)
@@ -362,7 +368,7 @@ class Gate:
         return self._commands.age(self._newest, self._lag)
 
     def _worst(self) -> Detector | None:
-        """Return the fault with the strongest reaction; None where nothing is to be done."""
+        """Return the fault with the strongest reaction; None if all only warn."""
         worst, reaction = None, WARN_REACTION
         for detector in self._all:
             if detector.raised:
@@ -388,7 +394,7 @@ class Gate:
                     self._trip(worst, RAMP_REACTION)
 
     def _trip(self, worst: Detector, reaction: int) -> None:
-        """Latch a fault, and whatever else is wrong at the same time; a cut overrides a ramp."""
+        """Latch a fault together with all others present; a cut overrides a ramp."""
         others = [d for d in self._all if d.raised and d.reaction >= HOLD_REACTION and d is not worst]
         for detector in (worst, *others):
             if all(cause.detector != detector.name for cause in self.causes):
@@ -404,26 +410,26 @@ class Gate:
             self._ramp(RAMPING)
 
     def _ramp(self, state: str) -> None:
-        """Begin to lead the output to null."""
+        """Start the ramp to null."""
         self.state = state
         self._slope = abs(self.output) / self.parameters.ramp_time if self.parameters.ramp_time > 0.0 else math.inf
 
     def _move(self, elapsed: float) -> None:
-        """Bring the output where the state wants it."""
+        """Move the output as the state requires."""
         if not self._begun or self.state in {CUT, STOPPED}:
             self.output = 0.0
         elif self.state in {ENABLING, ACTIVE}:
             passed = min(elapsed, REACH * self._period)
-            wanted = self._commands.value
+            goal = self._commands.value
             if self.state == ENABLING:
                 self._blend = self._blended(passed)
-                wanted = self._start + self._blend * (wanted - self._start)
+                goal = self._start + self._blend * (goal - self._start)
                 if self._blend >= 1.0:
-                    self.state, wanted = ACTIVE, self._commands.value
+                    self.state, goal = ACTIVE, self._commands.value
             reach = self.parameters.command_rate * max(passed, self._period)
-            if abs(wanted - self.output) > reach:
-                wanted = self.output + math.copysign(reach, wanted - self.output)
-            self.output = min(max(wanted, -self._limit), self._limit)
+            if abs(goal - self.output) > reach:
+                goal = self.output + math.copysign(reach, goal - self.output)
+            self.output = min(max(goal, -self._limit), self._limit)
         elif self.state != HOLDING:
             left = abs(self.output) - self._slope * elapsed
             self.output = math.copysign(left, self.output) if left > 0.0 else 0.0
@@ -434,10 +440,10 @@ class Gate:
         return min(1.0, self._blend + elapsed / self.parameters.enable_time)
 
     def enable(self) -> str | None:
-        """Let commands through from the next step on, blended in over ``enable_time``.
+        """Let commands through from the next step, blended in over ``enable_time``.
 
         Returns:
-            None, or why that cannot be: tripped, no fresh command or snapshot, or a fault that would trip it at once.
+            None, or why not: tripped, no fresh command or snapshot, or a fault that would trip the gate at once.
         """
         with self._lock:
             if self.driving:
@@ -464,55 +470,55 @@ class Gate:
         return "no fresh command" if self._age_of_command() >= self.parameters.command_timeout - ROUNDING else None
 
     def _fault(self) -> Detector | None:
-        """Return a fault that is there now and would not be let pass."""
+        """Return a present fault that does more than warn, if there is one."""
         return next((d for d in self._all if d.raised and d.reaction >= HOLD_REACTION), None)
 
     def disable(self) -> None:
-        """Lead the output to null and let the actuator's owner go."""
+        """Ramp the output to null and release the owner."""
         with self._lock:
             self._commands.owner = None
             if self.driving:
                 self._ramp(DISABLED)
 
     def emergency_stop(self) -> str:
-        """Cut, and latch until it is acknowledged.
+        """Cut and latch until acknowledged.
 
         Returns:
-            Its name; a stop on top of another has one of its own, and its own time.
+            The name of the stop; a stop during another has its own name and time.
         """
         with self._lock:
             self._stops += 1
             self._stopped_at = self._clock()
             self.state = STOPPED
             if all(cause.detector != STOP for cause in self.causes):
-                self.causes.append(Cause(STOP, REACTIONS[CUT_REACTION], self._time, math.nan, math.nan, "", ""))
+                self.causes.append(Cause(STOP, CUT_NAME, self._time))
             return self.stop
 
     def acknowledge(self, stop: str) -> str | None:
-        """Let go of an emergency stop; the trip stays until it is reset.
+        """Release an emergency stop; the trip stays latched until the reset.
 
         Args:
             stop: its name.
 
         Returns:
-            None, or why that cannot be: it is not the one that is engaged, or not yet :data:`STOP_TIME` old.
+            None, or why not: another stop is engaged, or it is younger than :data:`STOP_TIME`.
         """
         with self._lock:
             if self.state != STOPPED:
                 return "no emergency stop is engaged"
             if stop != self.stop:
-                return f"the stop that is engaged is {self.stop}, not {stop!r}"
+                return f"the engaged stop is {self.stop}, not {stop!r}"
             lasted = self._clock() - self._stopped_at
             if lasted < STOP_TIME:
-                return f"{self.stop} is {lasted:.1f} s old; it lasts {STOP_TIME:g} s at least"
+                return f"{self.stop} is {lasted:.1f} s old; it lasts at least {STOP_TIME:g} s"
             self.state = CUT
             return None
 
     def reset(self) -> str | None:
-        """Clear the trip once its causes are gone; the gate is disabled then, at null.
+        """Clear the trip once its causes are gone; the gate is then disabled, at null.
 
         Returns:
-            None, or why that cannot be.
+            None, or why not.
         """
         with self._lock:
             if not self.causes:
@@ -529,7 +535,7 @@ class Gate:
             return None
 
     def health(self) -> tuple[int, str, dict[str, Any]]:
-        """Return level, message and figures for diagnostics: every limit, reaction and count in force."""
+        """Return level, message and figures for diagnostics, with every limit, reaction and count."""
         with self._lock:
             lately = [d for d in self._all if d.raised or self._now - d.seen < NOTICE]
             if self.causes and self.causes[0].detector == LEFT:
@@ -568,7 +574,7 @@ def _line(detector: Detector) -> str:
 
 
 def _number(value: Any) -> float:
-    """Return a value as a float; what is none becomes NaN."""
+    """Convert a value to float; NaN if that is impossible."""
     try:
         return float(value)
     except (TypeError, ValueError, OverflowError):
@@ -576,13 +582,13 @@ def _number(value: Any) -> float:
 
 
 def _reading(value: Any) -> float:
-    """Return a reading as a float; what is not finite becomes NaN, which is beyond no limit, for it tells nothing."""
+    """Convert a reading to float; NaN if it is not finite, so that it exceeds no limit."""
     number = _number(value)
     return number if math.isfinite(number) else math.nan
 
 
 def _integer(value: Any) -> int | None:
-    """Return a value as an integer of 64 bits; None where it is none."""
+    """Convert a value to an integer of 64 bits; None if that is impossible."""
     try:
         number = operator.index(value)
     except TypeError:
@@ -591,7 +597,7 @@ def _integer(value: Any) -> int | None:
 
 
 def _readings(measured: Any) -> Sequence[float]:
-    """Return a snapshot's readings, finite or NaN; a snapshot of another length holds none."""
+    """Return a snapshot's readings, finite or NaN; all NaN if the length is wrong."""
     try:
         values = [_reading(reading) for reading in measured]
     except TypeError:
@@ -600,13 +606,13 @@ def _readings(measured: Any) -> Sequence[float]:
 
 
 def _checked(parameters: Parameters) -> Parameters:
-    """Return a parameter set once more checked, for it may have been built without."""
+    """Check a parameter set, which may have been built without checks."""
     return parse(Parameters, parameters._asdict(), "safety gate")
 
 
 def _check_rig(rig: Rig, period: float, measured: Collection[str]) -> None:
     if not 0.0 < _number(period) <= 0.1:
-        raise BadInput(f"period is {period!r}", "safety gate", "a number above 0, at most 0.1 s")
+        raise BadInput(f"period is {period!r}", "safety gate", "a number above 0 and at most 0.1 s")
     for signal in measured:
         if signal not in SENSED:
             raise BadInput(f"signal {signal!r} is unknown", "safety gate", f"one of {', '.join(SENSED)}")

@@ -1,23 +1,23 @@
-"""When a device's samples were taken, told by its own clock and count: what waited somewhere on its way is not fresh."""
+"""Age of a device's samples, from its own clock and sequence numbers: a sample that queued on the way is not fresh."""
 
 import math
 
 WINDOW = 1.0
-"""The promptest sample of the last one to two of these is what delay is reckoned from; clocks drift apart meanwhile [s]."""
+"""Delays are relative to the fastest sample of the last one to two windows, since clocks drift apart [s]."""
 
 WANDER = 0.5
-"""The device's clock is believed while it is within this fraction of the time that the sequence numbers say has passed."""
+"""Largest deviation of the device's clock from the sequence numbers, as a fraction of the interval they give."""
 
 
 class SampleClock:
-    """Holds the samples' times against this computer's.
+    """Compares the device's clock with this computer's.
 
-    A device's clock need not agree with this computer's, and may even be set in the middle of a run: only how it advances from
-    one sample to the next counts, and where that cannot be, the sequence numbers count instead.
+    The device's clock may have any offset and may be set during a run. Only its increments are used; an implausible increment
+    is replaced by that of the sequence numbers.
 
     Attributes:
-        elapsed: time from the sample before to the last one [s].
-        lag: how much longer the last sample took to get here than the promptest one of late [s].
+        elapsed: time between the last two samples [s].
+        lag: delay of the last sample relative to the fastest recent one [s].
     """
 
     def __init__(self, period: float) -> None:
@@ -36,11 +36,11 @@ class SampleClock:
         self._least = self._least_before = math.inf
 
     def take(self, sequence: int, time_ns: int, now: float) -> None:
-        """Take a sample.
+        """Account for a sample.
 
         Args:
-            sequence: its number; one no larger than the last: the device began anew.
-            time_ns: its time by the device's clock [ns].
+            sequence: number of the sample; a number not above the last one means that the device restarted.
+            time_ns: time of the sample by the device's clock [ns].
             now: this computer's monotonic time [s].
         """
         if sequence <= self._sequence:

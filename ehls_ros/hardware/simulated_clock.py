@@ -1,8 +1,8 @@
-"""The time of a simulated rig in realtime: the wall's, unless the computer does not keep up with it.
+"""Time of a simulated rig in realtime: wall time, unless the computer cannot keep up.
 
-One late answer, and no more, is met as a rig would meet it: the last command is held. From the second in a row on the simulated
-time waits for the answers, since a loop of ever longer dead times diverges, and does not catch up afterwards. That ends with a
-window in which the cycles kept the wall's pace.
+After one late answer the last command is held, as on a rig. From the second late answer in a row simulated time waits for the
+answers and does not catch up, because a loop with growing dead time diverges. Waiting ends with a window in which the cycles
+kept up with wall time.
 """
 
 from typing import Any
@@ -10,23 +10,23 @@ from typing import Any
 from ehls_ros.hardware.pace import Pace
 
 BEARABLE = 2
-"""Cycles in a row without an answer from which on it is waited for; the law stands no delay of three (docs/measured.md)."""
+"""Unanswered cycles in a row after which simulated time waits; a delay of three makes the law unstable (docs/measured.md)."""
 
 HOPE = 0.1
-"""How long an answer is waited for before whoever answers is taken to be gone [s]."""
+"""Longest wait for an answer; after that the controller is taken to be gone [s]."""
 
 SPARE = 0.25
-"""How long everybody rests after an answer that was waited for, as part of the time it took."""
+"""Idle time after an awaited answer, as a fraction of the time it took."""
 
 
 class SimulatedClock:
-    """Says when a cycle ends. All times are of one clock that is never set [s].
+    """Decides when a cycle ends. All times are monotonic [s].
 
     Attributes:
-        waiting: whether the simulated time waits for answers now.
-        slipped: how far it has fallen behind the wall's [s].
-        missed: cycles that ended without an answer, since there was one.
-        late: cycles that ended more than a period after their time.
+        waiting: whether simulated time is waiting for answers.
+        slipped: lag of simulated time behind wall time [s].
+        missed: unanswered cycles since the first answer.
+        late: cycles that ended more than a period late.
         pace: whether the computer keeps up.
     """
 
@@ -35,7 +35,7 @@ class SimulatedClock:
 
         Args:
             period: of the cycles [s].
-            now: when it begins.
+            now: start of the cycle.
         """
         self._period = period
         self._start = self._began = now
@@ -51,16 +51,16 @@ class SimulatedClock:
         self.pace = Pace()
 
     def remaining(self, now: float, *, answered: bool) -> float:
-        """Return how long the cycle goes on, at most, unless its answer comes [s]; 0 where it is to end.
+        """Return the longest time the cycle may still last if no answer comes [s]; 0: end it now.
 
         Args:
-            now: the time.
-            answered: whether its answer is there.
+            now: current time.
+            answered: whether the cycle has been answered.
         """
         if now < self._end:
             return self._end - now
         if self._overdue and answered:
-            # Nodes that take turns without a rest would leave the machine nothing.
+            # Without a pause the nodes would take turns and leave the machine no idle time.
             if self._rested is None:
                 self._rested = now + SPARE * (now - self._began)
             return max(0.0, self._rested - now)
@@ -73,12 +73,12 @@ class SimulatedClock:
         """End the cycle and begin the next.
 
         Args:
-            now: the time.
-            answered: whether its answer is there.
-            expected: whether anybody has answered yet.
+            now: current time.
+            answered: whether the cycle has been answered.
+            expected: whether any cycle has been answered yet.
 
         Returns:
-            Whether what :attr:`pace` has to say has changed.
+            Whether the complaint of :attr:`pace` has changed.
         """
         if answered:
             self._unanswered = 0
@@ -88,7 +88,7 @@ class SimulatedClock:
         behind = now - self._end
         self.late += behind > self._period
         long_ago = behind > BEARABLE * self._period
-        # Nobody who answers is waited for once it seems to be gone, until it is back.
+        # A controller that seems to be gone is not waited for until it answers again.
         self.waiting = answered if self.waiting else self._unanswered == BEARABLE or (answered and long_ago)
         if self._overdue or long_ago:
             self._end = now
@@ -97,12 +97,12 @@ class SimulatedClock:
         self._began = now
         self._end += self._period
         self._ended += 1
-        return expected and self._judge(now)
+        return expected and self._update_pace(now)
 
-    def _judge(self, now: float) -> bool:
+    def _update_pace(self, now: float) -> bool:
         before = self.pace.complaint
         if self._unanswered > BEARABLE:
-            # Who answers is gone, which is no matter of pace.
+            # A missing controller says nothing about the computer's speed.
             self.pace = Pace()
         elif self.pace.look(now, (now - self._start) / self._period, self._ended - self.missed):
             self.waiting = bool(self.pace.complaint)

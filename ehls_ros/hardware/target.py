@@ -1,46 +1,45 @@
-"""The real-time target's side of the wire: who it listens to, and its watchdog. What firmware has to do, in Python."""
+"""The real-time target's side of the protocol, with its watchdog: what firmware has to do, in Python."""
 
-import secrets
 from typing import Any
 
-from ehls_ros.hardware.packet import Codec, Kind, Packet, Status
+from ehls_ros.hardware.packet import Codec, Kind, Packet, Status, random_session
 
 SILENCE = 0.1
-"""Time without a command of the computer that greeted last, after which another one may greet the target [s]."""
+"""Silence of the computer in command after which another may take over [s]."""
 
 LONGEST_WATCHDOG = 1.0
-"""Time that the target holds a command at most, whatever the command says [s]."""
+"""Longest time that the target holds a command, whatever the command asks for [s]."""
 
 REASONS = ("busy", "stranger", "session", "order", "late", "kind")
-"""Why a whole packet is refused: another computer is in command; it is of another address; of no or an earlier session; no
-newer than the last; it answers a measurement older than the watchdog's time; it is no hello and no command."""
+"""Why a valid packet is refused: another computer is in command; unknown sender address; wrong or earlier session; not newer
+than the last; the measurement it answers is older than the watchdog time; neither hello nor command."""
 
 
 class Target:
     """Sessions, the last command and the watchdog.
 
-    Once the watchdog has closed the valve, or another computer takes over, only a command of null opens the way for others:
-    who has not seen that the valve was closed would open it again in one step.
+    After the watchdog has closed the valve, or another computer has taken over, a null command must come first: a controller
+    that did not notice would otherwise reopen the valve in one step.
 
     Attributes:
         address: where measurements go; None before the first hello.
-        answered: sequence number of the measurement that the last command answers; -1 before the first command.
-        commanded: number of commands taken since the hello.
-        greeted: a hello came since this was last set to False.
+        answered: sequence number of the measurement answered by the last command; -1 before the first command.
+        commanded: sequence number of the last command accepted since the hello.
+        greeted: a hello has arrived since this was last set to False.
     """
 
     def __init__(self, codec: Codec, period: float, null: float) -> None:
         """Start with a new session.
 
         Args:
-            codec: with the shared key, if there is one.
+            codec: with the shared key, if any.
             period: time between two measurements [s].
-            null: output where there is no command.
+            null: raw output that closes the valve.
         """
         self._codec = codec
         self._period = period
         self._null = null
-        self._session = secrets.randbits(64) | 1
+        self._session = random_session()
         self._peer = 0
         self._heard = 0.0
         self._command = null
@@ -55,7 +54,7 @@ class Target:
         self._counts = dict.fromkeys(("commands", "watchdog", *REASONS), 0)
 
     def receive(self, data: bytes, sender: Any, now: float, cycle: int) -> None:
-        """Take a packet from the net, or refuse it.
+        """Accept or refuse a datagram.
 
         Args:
             data: its bytes.
@@ -71,7 +70,7 @@ class Target:
             self._counts[wrong] += 1
 
     def output(self, now: float) -> tuple[float, Status]:
-        """Return the raw output of now and why it is at null, if it is.
+        """Return the current raw output and, if it is at null, why.
 
         Args:
             now: time on the target's clock [s].
@@ -86,7 +85,7 @@ class Target:
         return self._command, Status.COMMANDED
 
     def measurement(self, cycle: int, time_ns: int, status: Status, values: tuple[float, ...]) -> bytes:
-        """Return the packet of a measurement.
+        """Pack a measurement.
 
         Args:
             cycle: its sequence number.
@@ -98,7 +97,7 @@ class Target:
         return self._codec.pack(packet)
 
     def figures(self) -> dict[str, int]:
-        """Return counts: commands taken, times the watchdog acted, packets refused by reason."""
+        """Return counts: commands accepted, watchdog trips, packets refused by reason."""
         damaged = {f"refused_{reason}": count for reason, count in self._codec.refused.items()}
         return {**self._counts, **damaged}
 
@@ -126,7 +125,7 @@ class Target:
         return ""
 
     def _unfit(self, packet: Packet, sender: Any, cycle: int) -> str:
-        """Return the reason why a command is not taken; empty if it is."""
+        """Return why a command is refused; empty if it is accepted."""
         if packet.kind != Kind.COMMAND:
             return "kind"
         if sender != self.address:

@@ -1,45 +1,38 @@
-"""What really happened on the emulated rig, cycle by cycle, kept in memory until it is over."""
+"""The true signals of the emulated rig, cycle by cycle, kept in memory until the end of the run."""
 
 from pathlib import Path
 
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.trajectory import MEASURED
 
 COLUMNS = (
     "time_s",
-    "valve_command_m",
-    "spool_m",
-    "load_pressure_pa",
-    "supply_pressure_pa",
-    "position_m",
-    "velocity_m_s",
-    "force_n",
-    "disturbance_force_n",
-    "oil_temperature_k",
+    *MEASURED,
     "disturbance_displacement_m",
     "disturbance_velocity_m_s",
     "output_raw",
     "output_status",
     "monotonic_s",
 )
-"""Names of the data contract; raw output, its status (:class:`ehls_ros.hardware.packet.Status`), and the computer's clock."""
+"""Names of the data contract; raw output, its status (:class:`ehls_ros.hardware.packet.Status`) and this computer's clock."""
 
 BLOCK = 4096
-"""Rows that memory is taken for at a time, few enough that it takes no noticeable time."""
+"""Rows allocated at a time, few enough not to delay a cycle."""
 
 
 class TruthLog:
     """Rows of :data:`COLUMNS`."""
 
     def __init__(self) -> None:
-        """Take the first block of memory."""
+        """Allocate the first block."""
         self._blocks: list[Array] = []
         self._next = BLOCK
         self._grow()
 
     def add(self, row: tuple[float, ...]) -> None:
-        """Keep a row."""
+        """Append a row."""
         if self._next == BLOCK:
             self._grow()
         self._blocks[-1][self._next] = row
@@ -50,7 +43,7 @@ class TruthLog:
         return np.concatenate([*self._blocks[:-1], self._blocks[-1][: self._next]])
 
     def write(self, path: Path) -> None:
-        """Write them as CSV.
+        """Write the rows as CSV.
 
         Raises:
             OSError: the file cannot be written.
@@ -60,7 +53,7 @@ class TruthLog:
             stream.writelines(",".join(map(repr, row)) + "\n" for row in self.rows().tolist())
 
     def _grow(self) -> None:
-        # Zeros written, so that no page is missing when a row comes.
+        # Written at once, so that adding a row causes no page fault.
         block = np.empty((BLOCK, len(COLUMNS)))
         block.fill(0.0)
         self._blocks.append(block)

@@ -1,4 +1,4 @@
-"""The emulated rig's end of the net: a UDP socket, and one behind which the net is bad."""
+"""The emulated rig's end of the network: a UDP socket, and one with network impairments."""
 
 import contextlib
 import heapq
@@ -13,41 +13,41 @@ from ehls_ros.hardware.realtime import sleep_until
 from ehls_ros.schema import quantity
 
 MOST_AT_ONCE = 256
-"""Packets taken in one go, so that a flood cannot hold the loop."""
+"""Most packets received in one go, so that a flood cannot block the loop."""
 
 Datagram = tuple[bytes, Any]
 """Bytes and the address they came from."""
 
 
 class Impairments(NamedTuple):
-    """What a bad net does to packets, either way."""
+    """Impairments of the network, applied in both directions."""
 
-    latency: Annotated[float, quantity("s", "time every packet takes", minimum=0.0, maximum=1.0)] = 0.0
-    jitter: Annotated[float, quantity("s", "largest further time, evenly distributed", minimum=0.0, maximum=1.0)] = 0.0
-    loss: Annotated[float, quantity("1", "share of packets lost", minimum=0.0, maximum=1.0)] = 0.0
-    duplicate: Annotated[float, quantity("1", "share of packets that come twice", minimum=0.0, maximum=1.0)] = 0.0
-    reorder: Annotated[float, quantity("1", "share of packets that the next one overtakes", minimum=0.0, maximum=1.0)] = 0.0
-    corrupt: Annotated[float, quantity("1", "share of packets with a bit turned over", minimum=0.0, maximum=1.0)] = 0.0
+    latency: Annotated[float, quantity("s", "delay of every packet", minimum=0.0, maximum=1.0)] = 0.0
+    jitter: Annotated[float, quantity("s", "largest additional delay, uniformly distributed", minimum=0.0, maximum=1.0)] = 0.0
+    loss: Annotated[float, quantity("1", "fraction of packets lost", minimum=0.0, maximum=1.0)] = 0.0
+    duplicate: Annotated[float, quantity("1", "fraction of packets duplicated", minimum=0.0, maximum=1.0)] = 0.0
+    reorder: Annotated[float, quantity("1", "fraction of packets overtaken by the next one", minimum=0.0, maximum=1.0)] = 0.0
+    corrupt: Annotated[float, quantity("1", "fraction of packets with one bit flipped", minimum=0.0, maximum=1.0)] = 0.0
 
 
 class Wire:
-    """A socket that is asked once a cycle."""
+    """A socket that is polled once a cycle."""
 
     def __init__(self, opened: socket.socket) -> None:
-        """Take a bound socket that never blocks."""
+        """Take a bound, non-blocking socket."""
         self._socket = opened
         self.unsent = 0
 
     def wait(self, deadline: float) -> float:
-        """Wait until a time of ``time.monotonic`` [s]; returns the time then."""
+        """Wait until a time of ``time.monotonic`` [s] and return the time."""
         return sleep_until(deadline)
 
     def await_packet(self, timeout: float) -> None:
-        """Wait for a packet, at most for a time [s]."""
+        """Wait for a packet, at most ``timeout`` [s]."""
         select.select((self._socket,), (), (), timeout)
 
     def received(self) -> list[Datagram]:
-        """Return the packets that have come."""
+        """Return the packets that have arrived."""
         packets: list[Datagram] = []
         with contextlib.suppress(BlockingIOError):
             while len(packets) < MOST_AT_ONCE:
@@ -55,7 +55,7 @@ class Wire:
         return packets
 
     def send(self, data: bytes, address: Any) -> None:
-        """Send a packet; what the system does not take is counted."""
+        """Send a packet; refusals by the system are counted."""
         try:
             self._socket.sendto(data, address)
         except OSError:
@@ -63,16 +63,16 @@ class Wire:
 
 
 class BadWire(Wire):
-    """A socket whose packets are late, lost, doubled, overtaken and damaged."""
+    """A socket whose packets are delayed, lost, duplicated, reordered and damaged."""
 
     def __init__(self, opened: socket.socket, impairments: Impairments, period: float, seed: int) -> None:
-        """Take a bound socket that never blocks.
+        """Take a bound, non-blocking socket.
 
         Args:
             opened: the socket.
-            impairments: what happens to the packets.
-            period: time between packets; one that is overtaken takes one and a half of it longer [s].
-            seed: of what is drawn.
+            impairments: of the network.
+            period: time between packets; an overtaken one is delayed by one and a half periods [s].
+            seed: of the random draws.
         """
         super().__init__(opened)
         self._impairments = impairments
@@ -83,7 +83,7 @@ class BadWire(Wire):
         self._outward: list[tuple[float, int, bytes, Any]] = []
 
     def wait(self, deadline: float) -> float:
-        """Wait, and move what comes and what is due meanwhile."""
+        """Wait, moving packets that arrive or fall due meanwhile."""
         while (now := time.monotonic()) < deadline:
             self._move(now)
             due = min(deadline, self._outward[0][0]) if self._outward else deadline
@@ -92,7 +92,7 @@ class BadWire(Wire):
         return now
 
     def received(self) -> list[Datagram]:
-        """Return the packets that have come through."""
+        """Return the packets that have got through."""
         now = time.monotonic()
         self._move(now)
         packets: list[Datagram] = []
@@ -101,7 +101,7 @@ class BadWire(Wire):
         return packets
 
     def send(self, data: bytes, address: Any) -> None:
-        """Send a packet on its way."""
+        """Queue a packet."""
         now = time.monotonic()
         self._impair(self._outward, now, data, address)
         self._move(now)

@@ -25,19 +25,6 @@ class Column(NamedTuple):
     offset: Annotated[float, quantity("SI", "what is added after scaling")] = 0.0
 
 
-MEASURED = (
-    "valve_command_m",
-    "spool_m",
-    "load_pressure_pa",
-    "supply_pressure_pa",
-    "position_m",
-    "velocity_m_s",
-    "force_n",
-    "disturbance_force_n",
-    "oil_temperature_k",
-)
-"""Signals of a sensor, which are finite or missing; what a controller works out, such as a bound, may be infinite."""
-
 Columns = Mapping[str, Column]
 """Columns by the contract's name of what they hold."""
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording import limits
-from ehls_ros.recording.columns import MEASURED, TIME, Column, Columns, element_of, is_contract_name
-from ehls_ros.trajectory import Trajectory
+from ehls_ros.recording.columns import TIME, Column, Columns, element_of, is_contract_name
+from ehls_ros.trajectory import MEASURED, Trajectory
 
 
 def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, Column]:

@@ -169,7 +169,8 @@ def test_the_rate_of_a_command_counts_the_cycles_since_the_last():
 
 
 @pytest.mark.parametrize(
-    ("answers", "value"), [(-1, "duplicate"), (-2, "out of order"), (1, "to come"), (None, "no cycle"), (10**400, "no cycle")]
+    ("answers", "value"),
+    [(-1, "duplicate"), (-2, "out of order"), (1, "in the future"), (None, "no cycle"), (10**400, "no cycle")],
 )
 def test_commands_for_another_cycle_are_ignored_and_counted(answers, value):
     bench = Bench().run(1e-3)

@@ -1,7 +1,7 @@
-"""What a DAQ backend's file provides: ``Parameters`` and ``open``, which gives a :class:`Device`.
+"""Interface of a DAQ backend: its file provides ``Parameters`` and ``open``, which returns a :class:`Device`.
 
-A device moves raw values, those of the converters (V for converter cards; whatever a real-time target was told to send).
-What they mean is the calibration's business (:mod:`ehls_ros.hardware.calibration`).
+A device reads and writes raw values: V for converter cards, the target's own unit for a real-time target. The calibration
+(:mod:`ehls_ros.hardware.calibration`) converts them.
 """
 
 import math
@@ -13,7 +13,7 @@ class Channel(NamedTuple):
     """One converter channel.
 
     Attributes:
-        number: the card's or target's number of the channel, from 0.
+        number: of the channel on the card or target, from 0.
         range: smallest and largest raw value.
     """
 
@@ -25,8 +25,8 @@ class Wiring(NamedTuple):
     """Which channels a rig uses.
 
     Attributes:
-        inputs: the sensors' channels; a reading has its values in this order.
-        output: the valve's channel.
+        inputs: the sensor channels; a reading has its values in this order.
+        output: the valve channel.
         null: raw command at which the valve is closed, within the output's range.
     """
 
@@ -39,10 +39,10 @@ class Reading(NamedTuple):
     """One sample of all inputs.
 
     Attributes:
-        sequence: number of the sample. A gap: samples were lost. A number no larger than the last: the device began anew.
-        time_ns: the device's own time of the sample [ns].
+        sequence: number of the sample. A gap means lost samples, a number not above the last one a restarted device.
+        time_ns: time of the sample by the device's clock [ns].
         values: raw values in the order of the wiring's inputs, all finite.
-        at_null: the device keeps its output at null by itself, for want of valid commands.
+        at_null: the device itself keeps its output at null, because it has no valid command.
     """
 
     sequence: int
@@ -55,20 +55,20 @@ class Device(Protocol):
     """An open device. All methods are called from one thread."""
 
     def read(self, timeout: float) -> Reading | None:
-        """Wait for the next sample; where several wait, the newest is taken.
+        """Wait for the next sample; if several are queued, return the newest.
 
         Args:
             timeout: longest time to wait [s].
 
         Returns:
-            The sample, or None where none came in time.
+            The sample; None on timeout.
 
         Raises:
             WorkFailed: the device is lost.
         """
 
     def write(self, value: float, sequence: int) -> None:
-        """Set the output; a value that is no number sets it to null, one out of range to the range's end.
+        """Set the output; NaN and infinity set it to null, a value out of range to the end of the range.
 
         Args:
             value: raw command.
@@ -79,14 +79,14 @@ class Device(Protocol):
         """
 
     def close(self) -> None:
-        """Set the output to null and let go of the device; a second call does nothing."""
+        """Set the output to null and release the device; a second call does nothing."""
 
     def figures(self) -> Mapping[str, int]:
-        """Return what was counted since the start, such as samples lost, by name."""
+        """Return counts since the start, such as samples lost, by name."""
 
 
 class Backend(Protocol):
-    """The attributes of one backend's file."""
+    """The attributes of a backend's file."""
 
     Parameters: Any
 
@@ -94,7 +94,7 @@ class Backend(Protocol):
         """Open a device, its output at null.
 
         Args:
-            parameters: the backend's own.
+            parameters: an instance of the backend's ``Parameters``.
             wiring: the channels to use.
             period: sampling period [s].
 
@@ -105,7 +105,7 @@ class Backend(Protocol):
 
 
 def permitted(value: float, wiring: Wiring) -> float:
-    """Return the raw command that may go out for one asked for: within the output's range, null for what is no number."""
+    """Clip a raw command to the output's range; return null for NaN and infinity."""
     if not math.isfinite(value):
         return wiring.null
     low, high = wiring.output.range

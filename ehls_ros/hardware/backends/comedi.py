@@ -1,7 +1,7 @@
-"""Converter cards under Linux through comedilib, among them Advantech's; docs/hardware.md says which cards have a driver.
+"""Converter cards under Linux through comedilib, among them Advantech's; docs/hardware.md lists the cards with a driver.
 
-Never exercised on hardware: tested against a stand-in for the library with the same functions. Samples are timed by this
-computer and the channels are read one after another, some 10 us each.
+Never exercised on hardware: tested against a stand-in with the library's functions. This computer times the samples and reads
+the channels one after another, some 10 us each.
 """
 
 import ctypes
@@ -17,10 +17,10 @@ from ehls_ros.schema import quantity, text
 
 UNIT_VOLT = 0
 OUT_OF_RANGE_NUMBER = 0
-"""At an end of its range a channel reads that end; by default comedilib would say NaN, and saturation be no longer seen."""
+"""A saturated channel reads the end of its range; comedilib's default is NaN, which would hide the saturation."""
 
 REFERENCES = {"ground": 0, "common": 1, "differential": 2, "other": 3}
-"""What an input is measured against, as comedi numbers it."""
+"""Comedi's numbers for the reference of an input."""
 
 
 class Range(ctypes.Structure):
@@ -46,22 +46,22 @@ FUNCTIONS: dict[str, tuple[Any, Sequence[Any]]] = {
     "comedi_data_read": (INT, (DEVICE, UINT, UINT, UINT, UINT, ctypes.POINTER(UINT))),
     "comedi_data_write": (INT, (DEVICE, UINT, UINT, UINT, UINT, UINT)),
 }
-"""Result and arguments of comedilib's functions used here."""
+"""Result and argument types of the comedilib functions used."""
 
 
 class Parameters(NamedTuple):
-    """The cards' device files and subdevices; the paper's rig has one card for inputs and one for the output."""
+    """The cards' device files and subdevices; the paper's rig has one card for the inputs and one for the output."""
 
     input_device: Annotated[str, text("device file of the card with the inputs")] = "/dev/comedi0"
     input_subdevice: Annotated[int, quantity("1", "its analog input subdevice", minimum=0, maximum=31)] = 0
-    output_device: Annotated[str, text("device file of the card with the output; empty: that of the inputs")] = ""
+    output_device: Annotated[str, text("device file of the card with the output; empty: same as the inputs")] = ""
     output_subdevice: Annotated[int, quantity("1", "its analog output subdevice", minimum=0, maximum=31)] = 1
-    reference: Annotated[str, text(f"what inputs are measured against: {', '.join(REFERENCES)}")] = "ground"
+    reference: Annotated[str, text(f"reference of the inputs: {', '.join(REFERENCES)}")] = "ground"
     library: Annotated[str, text("shared library")] = "libcomedi.so.0"
 
 
 class Port(NamedTuple):
-    """One channel as comedilib wants it: subdevice, channel, range, reference; and the range for the conversion."""
+    """One channel: the leading arguments of comedilib's read and write, and the range for the conversion."""
 
     device: Any
     subdevice: int
@@ -73,10 +73,10 @@ class Port(NamedTuple):
 
 
 def load_library(name: str) -> ctypes.CDLL:
-    """Return comedilib with its functions declared.
+    """Load comedilib and declare its functions.
 
     Raises:
-        BadInput: it is not installed.
+        BadInput: it is not installed, or too old.
     """
     where = "backend: comedi"
     try:
@@ -147,7 +147,7 @@ class ComediDevice:
                 self._close_cards()
 
     def figures(self) -> Mapping[str, int]:
-        """Return counts: samples read, samples lost because this computer was late, outputs written."""
+        """Return counts: samples read, samples missed because this computer was late, outputs written."""
         return dict(self._figures)
 
     def _card(self, path: str) -> Any:
@@ -162,7 +162,7 @@ class ComediDevice:
         where = f"backend: comedi: subdevice {subdevice}"
         count = self._library.comedi_get_n_channels(card, subdevice)
         if channel.number >= count:
-            raise BadInput(f"channel is {channel.number}", where, f"a number below {max(count, 0)}, the channels there are")
+            raise BadInput(f"channel is {channel.number}", where, f"a number below {max(count, 0)}, the number of channels")
         low, high = channel.range
         index = self._library.comedi_find_range(card, subdevice, channel.number, UNIT_VOLT, low, high)
         if index < 0:
@@ -196,10 +196,10 @@ class ComediDevice:
 
 
 def open(parameters: Parameters, wiring: Wiring, period: float) -> ComediDevice:  # noqa: A001
-    """Open the cards, the valve closed.
+    """Open the cards with the valve closed.
 
     Raises:
-        BadInput: comedilib is not installed, or a channel or range is none of the card's.
+        BadInput: comedilib is not installed, or the card does not have a channel or range.
         WorkFailed: a card cannot be opened.
     """
     return ComediDevice(parameters, wiring, period)

@@ -1,8 +1,8 @@
 """National Instruments cards through NI-DAQmx and its Python package `nidaqmx` (``pip install ehls_ros[nidaqmx]``).
 
-Never exercised on hardware: tested against a stand-in with the package's functions. The card's clock times the samples;
-the output is written at once, as this computer gets to it. A card keeps its last voltage when this process dies: where the
-device has a watchdog for analog outputs, set it up in NI-DAQmx.
+Never exercised on hardware: tested against a stand-in with the package's functions. The card's clock times the samples; the
+output is written immediately, on this computer's timing. A card keeps its last voltage when this process dies: if the device
+has a watchdog for analog outputs, set it up in NI-DAQmx.
 """
 
 import time
@@ -17,18 +17,18 @@ from ehls_ros.hardware.backends.base import Reading, Wiring, permitted
 from ehls_ros.schema import quantity, text
 
 NOT_YET = -200284
-"""NI-DAQmx's error code for samples that have not come in time."""
+"""NI-DAQmx's error code for a read timeout."""
 
 MOST_AT_ONCE = 100
-"""Samples taken from the card's buffer in one go."""
+"""Most samples read from the card's buffer in one go."""
 
 
 class Parameters(NamedTuple):
-    """The card's name."""
+    """The card, its input terminals and its buffer."""
 
     device: Annotated[str, text("name of the device in NI-DAQmx")] = "Dev1"
     terminals: Annotated[str, text("terminal configuration of the inputs: DEFAULT, RSE, NRSE, DIFF or PSEUDO_DIFF")] = "DEFAULT"
-    buffer: Annotated[int, quantity("1", "samples the buffer has room for", minimum=10, maximum=1_000_000)] = 1000
+    buffer: Annotated[int, quantity("1", "length of the sample buffer", minimum=10, maximum=1_000_000)] = 1000
 
 
 def load_package() -> Any:
@@ -42,7 +42,7 @@ def load_package() -> Any:
         for part in ("constants", "errors", "stream_readers"):
             import_module(f"nidaqmx.{part}")
     except ImportError as error:
-        expected = "the extra of the name: pip install ehls_ros[nidaqmx]"
+        expected = "the extra of that name: pip install ehls_ros[nidaqmx]"
         raise BadInput(f"package nidaqmx cannot be imported ({error})", "backend: nidaqmx", expected) from None
     return package
 
@@ -91,7 +91,7 @@ class NidaqmxDevice:
             self._reader.read_one_sample(self._one, timeout)
             taken, newest = 1, self._one
             while (waiting := min(self._inputs.in_stream.avail_samp_per_chan, MOST_AT_ONCE)) > 0:
-                some = np.empty((len(self._one), waiting))  # the reader wants an array of just this size
+                some = np.empty((len(self._one), waiting))  # the reader requires an array of exactly this size
                 self._reader.read_many_sample(some, waiting, timeout)
                 taken, newest = taken + waiting, some[:, -1]
         except self._error as error:
@@ -120,7 +120,7 @@ class NidaqmxDevice:
                 self._close_tasks()
 
     def figures(self) -> Mapping[str, int]:
-        """Return counts: samples read, samples passed over because newer ones were there, outputs written."""
+        """Return counts: samples read, samples skipped in favour of newer ones, outputs written."""
         return dict(self._figures)
 
     def _task(self, package: Any) -> Any:
@@ -138,7 +138,7 @@ def _first_line(error: Exception) -> str:
 
 
 def open(parameters: Parameters, wiring: Wiring, period: float) -> NidaqmxDevice:  # noqa: A001
-    """Set the card's tasks up, the valve closed.
+    """Set up the card's tasks with the valve closed.
 
     Raises:
         BadInput: the package is not installed, or a parameter is wrong.

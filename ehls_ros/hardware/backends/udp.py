@@ -1,12 +1,11 @@
-"""UDP to a real-time target that has the converters; :mod:`ehls_ros.hardware.packet` says what goes over the wire.
+"""UDP to a real-time target with the converters; :mod:`ehls_ros.hardware.packet` defines the packets.
 
-The target sends to whoever greets it with a hello. Its measurements repeat this side's session, a random number, and
-this side's commands repeat the target's: recordings of earlier runs and strangers who only send are refused by that.
-Exercised against ``ehls rig-emulator``, not against a target's firmware.
+The target sends to the computer that greeted it with a hello. Its measurements repeat this side's random session number, and
+this side's commands repeat the target's, so that replayed recordings and senders who cannot read the traffic are refused.
+Exercised against ``ehls rig-emulator``, never against a target's firmware.
 """
 
 import ipaddress
-import secrets
 import select
 import socket
 import time
@@ -15,27 +14,27 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.hardware.backends.base import Reading, Wiring, permitted
-from ehls_ros.hardware.packet import LARGEST, LONGEST_KEY, Codec, Kind, Packet, Status
+from ehls_ros.hardware.packet import LARGEST, LONGEST_KEY, Codec, Kind, Packet, Status, random_session
 from ehls_ros.schema import quantity, text
 
 WHERE = "backend: udp"
 
 HELLO_INTERVAL = 0.02
-"""Time without a measurement after which the target is greeted, and between two greetings [s]."""
+"""Silence of the target after which it is greeted, and interval between greetings [s]."""
 
 MOST_AT_ONCE = 256
-"""Packets taken in one go, so that a flood cannot hold the loop."""
+"""Most packets received in one go, so that a flood cannot block the loop."""
 
 SENDER_REASONS = ("stranger", "session", "order", "channels")
-"""Why a whole packet is refused: it is of another address; of no or an earlier session; no newer than the last; too short."""
+"""Why a valid packet is refused: unknown sender address; wrong or earlier session; not newer than the last; too few values."""
 
 
 class Parameters(NamedTuple):
-    """The target's address, and what both sides agree on."""
+    """Addresses of both sides, the watchdog time and the shared key."""
 
     host: Annotated[str, text("the target's IP address")] = "127.0.0.1"
     port: Annotated[int, quantity("1", "the target's UDP port", minimum=1, maximum=65535)] = 5810
-    bind: Annotated[str, text("IP address of this computer to send from and listen at")] = "127.0.0.1"
+    bind: Annotated[str, text("IP address of this computer to send from and listen on")] = "127.0.0.1"
     local_port: Annotated[int, quantity("1", "UDP port of this computer; 0: any", minimum=0, maximum=65535)] = 0
     watchdog: Annotated[
         float, quantity("s", "time without a valid command after which the target goes to null", minimum=1e-3, maximum=1.0)
@@ -56,7 +55,7 @@ def codec(parameters: Parameters) -> Codec:
 
 
 def bound_socket(host: str, port: int) -> socket.socket:
-    """Return a UDP socket that listens at an address of this computer and never blocks.
+    """Return a non-blocking UDP socket that listens on an address of this computer.
 
     Raises:
         BadInput: it is no address of this computer, or the port is taken.
@@ -82,10 +81,10 @@ def _address(host: str, key: str) -> ipaddress.IPv4Address | ipaddress.IPv6Addre
 
 
 def _check_way(parameters: Parameters) -> None:
-    """Check that packets can get from one address to the other."""
+    """Check that the two addresses can reach each other."""
     target, here = _address(parameters.host, "host"), _address(parameters.bind, "bind")
     if target.version != here.version or target.is_loopback != here.is_loopback:
-        raise BadInput(f"bind is {here}", WHERE, f"this computer's address on the way to the target, {target}")
+        raise BadInput(f"bind is {here}", WHERE, f"this computer's address on the network of the target, {target}")
 
 
 class UdpDevice:
@@ -101,7 +100,7 @@ class UdpDevice:
         self._wiring = wiring
         self._channels = tuple(channel.number for channel in wiring.inputs)
         self._values = max(self._channels) + 1
-        self._session = _random_session()
+        self._session = random_session()
         self._peer = 0
         self._past: set[int] = set()
         self._last = -1
@@ -126,7 +125,7 @@ class UdpDevice:
     def write(self, value: float, sequence: int) -> None:
         """Send a command; see :class:`~ehls_ros.hardware.backends.base.Device`."""
         if self._peer == 0:
-            return  # a target that has not been heard of takes no command
+            return  # no target has answered yet
         self._sent += 1
         command = Packet(
             kind=Kind.COMMAND,
@@ -147,7 +146,7 @@ class UdpDevice:
             self._socket.close()
 
     def figures(self) -> Mapping[str, int]:
-        """Return counts: packets received, lost, superseded; refused by reason; hellos; commands the target has yet to take."""
+        """Return counts: packets received, lost, superseded, refused by reason; hellos; commands not yet acknowledged."""
         refused = {f"refused_{reason}": count for reason, count in self._codec.refused.items()}
         return {**self._figures, **refused, "sent": self._sent, "not_taken": self._sent - self._answered}
 
@@ -190,7 +189,7 @@ class UdpDevice:
         return Reading(packet.sequence, packet.time_ns, values, packet.status != Status.COMMANDED)
 
     def _unfit(self, packet: Packet) -> str:
-        """Return the reason why a whole packet is not taken; empty if it is."""
+        """Return why a valid packet is refused; empty if it is accepted."""
         if packet.kind != Kind.MEASUREMENT or packet.peer != self._session or packet.session in self._past:
             return "session"
         if packet.session == self._peer and packet.sequence <= self._last:
@@ -209,18 +208,14 @@ class UdpDevice:
         try:
             self._socket.sendto(self._codec.pack(packet), self._target)
         except OSError:
-            # The net may come back; until then the target's watchdog keeps the valve closed.
+            # The network may recover; until then the target's watchdog keeps the valve closed.
             self._figures["unsent"] += 1
 
 
-def _random_session() -> int:
-    return secrets.randbits(64) | 1
-
-
 def open(parameters: Parameters, wiring: Wiring, period: float) -> UdpDevice:  # noqa: A001
-    """Open the socket; the target's own clock paces the samples.
+    """Open the socket; the target's clock paces the samples.
 
     Raises:
-        BadInput: an address, port or the key cannot be used.
+        BadInput: an address, the port or the key cannot be used.
     """
     return UdpDevice(parameters, wiring)
