@@ -1,1 +1,1 @@
-"""Bags and CSV files to and from one Trajectory type."""
+"""Reads and writes bags and CSV, MAT and Parquet files as one Trajectory type."""

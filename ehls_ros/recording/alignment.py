@@ -1,4 +1,4 @@
-"""Recorded messages of several topics on one time base: the control cycle they belong to."""
+"""Aligns the recorded messages of all topics by control cycle."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,24 +15,24 @@ NANOSECONDS = "header.stamp.nanosec"
 SENT = "sent_ns"
 
 UNIX_TIME_NS = 10**18
-"""Stamps from here on are a wall clock's. As a float, seconds since 1970 would resolve 0.2 µs only."""
+"""Later stamps are wall-clock times, made relative since seconds since 1970 have a resolution of only 0.2 µs as a float."""
 
 MessageColumns = Mapping[str, NDArray[Any]]
-"""The messages of one topic in order of arrival: their fields and their times of sending :data:`SENT` [ns]."""
+"""The messages of one topic in order of arrival: their fields, and their times of sending as :data:`SENT` [ns]."""
 
 
 def align(topics: Mapping[str, MessageColumns], where: str) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
-    """Put the signals of all topics on the cycles of ``loader_state``.
+    """Align the signals of all topics with the cycles of ``loader_state``.
 
     Args:
-        topics: the messages by the topic's name; ``loader_state`` must be among them and not empty.
+        topics: the messages by the topic's name, with a non-empty ``loader_state``.
         where: the bag, for the error.
 
     Returns:
         The sample times, shape (n,) [s], and the signals, shape (n,) or (n, elements).
 
     Raises:
-        BadInput: the snapshots are those of several runs.
+        BadInput: the snapshots are from several runs.
     """
     loader = topics[LOADER_STATE.name]
     cycles, first = _first_of_each_cycle(loader)
@@ -40,7 +40,7 @@ def align(topics: Mapping[str, MessageColumns], where: str) -> tuple[NDArray[np.
     stamps_ns = loader[SECONDS][first].astype(np.int64) * 10**9 + loader[NANOSECONDS][first]
     backwards = np.flatnonzero(np.diff(stamps_ns) <= 0)
     if len(backwards):
-        what = f"time does not grow from cycle {cycles[backwards[0]]} to cycle {cycles[backwards[0] + 1]}"
+        what = f"time does not increase from cycle {cycles[backwards[0]]} to cycle {cycles[backwards[0] + 1]}"
         raise BadInput(what, where, "the snapshots of one run")
     time_s = (stamps_ns - (stamps_ns[0] if stamps_ns[0] >= UNIX_TIME_NS else 0)) / 1e9
 
@@ -60,13 +60,13 @@ def align(topics: Mapping[str, MessageColumns], where: str) -> tuple[NDArray[np.
 
 
 def _first_of_each_cycle(columns: MessageColumns) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
-    """Return the cycles in their order and, for each, the index of the message that came first."""
+    """Return the cycles in order and, for each, the index of the first message to arrive."""
     cycles, first = np.unique(columns[CYCLE], return_index=True)
     return cycles, first
 
 
 def _check_duplicates(loader: MessageColumns, original: NDArray[np.intp], where: str) -> None:
-    """Refuse two snapshots of a cycle that say different things, since one of them is of another run."""
+    """Refuse differing snapshots of one cycle, since they are from different runs."""
     repeated = np.flatnonzero(original != np.arange(len(original)))
     for field, values in loader.items():
         same = np.array_equal(values[repeated], values[original[repeated]], equal_nan=True)

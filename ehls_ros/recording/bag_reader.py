@@ -1,4 +1,4 @@
-"""Reading of rosbag2: ours or of ROS's own recorder, whole or not at all."""
+"""Reading of rosbag2, from our recorder or ROS's: completely or not at all."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,7 +17,7 @@ from ehls_ros.recording import limits
 from ehls_ros.recording.alignment import CYCLE, SENT, MessageColumns, align
 from ehls_ros.recording.bag_topic import BLOCK, BagTopic
 from ehls_ros.recording.deadline import Deadline
-from ehls_ros.recording.expansion import Allowance, check_chunks, compression_mode, expanded_message, laid_open
+from ehls_ros.recording.expansion import Allowance, check_chunks, compression_mode, expanded_message, uncompressed_bag
 from ehls_ros.recording.provenance import Provenance, provenance_in
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import NOTE
@@ -28,24 +28,26 @@ from ehls_ros.trajectory import SIGNALS, Trajectory
 
 STORAGE_SUFFIXES = (".mcap", ".db3")
 
+EXPECTED = "a folder of a rosbag2, or a file .mcap or .db3"
+
 
 def read_bag(path: Path) -> Trajectory:
     """Read a rosbag2 made by the recorder node, by ``ros2 bag record`` or from a trajectory.
 
-    The samples are the cycles of ``loader_state``, in whatever namespace. Messages of the other topics belong to the
-    sample of their cycle, the first to arrive where there are several. A signal is NaN where its cycle has no message
-    and absent where the whole bag has no value of it.
+    The samples are the cycles of ``loader_state``, in any namespace. Messages on the other topics belong to the sample of their
+    cycle; of several for one cycle the first to arrive counts. A signal is NaN where its cycle has no message, and absent if
+    the bag has no value of it at all.
 
     Args:
         path: folder of the bag, or one storage file (``.mcap``, ``.db3``).
 
     Returns:
-        The trajectory. Its times are the header stamps of the snapshots; those of a wall clock count from the first. Of a run
-        in real time the metadata say as ``wall_s`` how long it took from the first snapshot to the last.
+        The trajectory. Its times are the header stamps of the snapshots, relative to the first if they are wall-clock times.
+        For a realtime run the metadata contain ``wall_s``, the time from the first snapshot to the last.
 
     Raises:
-        BadInput: the bag is missing, cut, damaged, never closed, without ``loader_state``, of several runs, or
-            expands beyond measure.
+        BadInput: the bag is missing, truncated, damaged, unclosed, without ``loader_state``, of several runs, or expands to too
+            much.
     """
     where = str(path)
     with ExitStack() as stack:
@@ -53,7 +55,7 @@ def read_bag(path: Path) -> Trajectory:
             metadata = _metadata(path)
             size = _size(path, metadata)
             allowance, deadline = Allowance(size), Deadline(size, where)
-            bag = stack.enter_context(laid_open(path, metadata, allowance)) if metadata is not None else path
+            bag = stack.enter_context(uncompressed_bag(path, metadata, allowance)) if metadata is not None else path
             custom_data = [_checked(file, allowance, deadline) for file in _storage_files(bag)]
         reader = stack.enter_context(closing(_open(bag)))
         compressed = metadata is not None and compression_mode(metadata) == "message"
@@ -62,7 +64,7 @@ def read_bag(path: Path) -> Trajectory:
         provenance = _provenance([*custom_data, entries if isinstance(entries, dict) else {}], where)
         columns = _read_topics(reader, provenance, deadline, where, expand)
     if not len(columns[LOADER_STATE.name][CYCLE]):
-        raise BadInput(f"there is no message of {LOADER_STATE.name}", where, "one snapshot or more")
+        raise BadInput(f"there is no message on {LOADER_STATE.name}", where, "at least one snapshot")
     time_s, signals = align(columns, where)
     configuration = provenance.configuration if provenance else {}
     if configuration.get("timing") == "realtime":
@@ -71,47 +73,47 @@ def read_bag(path: Path) -> Trajectory:
 
 
 def is_closed(folder: Path) -> bool:
-    """Tell whether the recorder of a bag got to its end."""
+    """Tell whether the recorder closed a bag."""
     return (folder / METADATA_FILE).exists() and not (folder / NOTE).exists()
 
 
 def _metadata(path: Path) -> Any:
-    """Check that a bag is there and closed, and return what its metadata.yaml says; None for a single storage file."""
+    """Check that a bag exists and is closed, and return the content of its metadata.yaml; None for a single storage file."""
     if path.is_dir():
         if (path / NOTE).exists():
             raise BadInput("it is being recorded, or its recorder was killed", str(path), f"`ehls recover {path}` in that case")
         if not (path / METADATA_FILE).exists():
             raise BadInput(f"{METADATA_FILE} is missing", str(path), CLOSED_BAG)
-        # rosbags parses it again, and trusts it
+        # rosbags parses it again without checks.
         return parse_metadata(read_text(path / METADATA_FILE, limits.TEXT, CLOSED_BAG), str(path / METADATA_FILE))
     if not path.exists():
-        raise BadInput("it does not exist", str(path), "a folder of a rosbag2, or a file .mcap or .db3")
+        raise BadInput("it does not exist", str(path), EXPECTED)
     if path.suffix not in STORAGE_SUFFIXES:
-        raise BadInput("it is no bag", str(path), "a folder of a rosbag2, or a file .mcap or .db3")
+        raise BadInput("it is not a bag", str(path), EXPECTED)
     return None
 
 
 def _storage_files(bag: Path) -> list[Path]:
-    """Return the storage files of a folder, or the one that is a bag by itself."""
+    """Return the storage files of a bag's folder, or the given file."""
     return sorted(file for file in bag.iterdir() if file.suffix in STORAGE_SUFFIXES) if bag.is_dir() else [bag]
 
 
 def _size(path: Path, metadata: Any) -> int:
-    """Return what a bag's storage files take on disk [B]."""
+    """Return the size of a bag's storage files [B]."""
     if metadata is None:
         return check_regular(path, limits.BAG, CLOSED_BAG, larger=limits.BAG_LARGER)
     names = [PurePath(name).name for name in metadata["rosbag2_bagfile_information"]["relative_file_paths"]]
     for name in names:
-        # What is named otherwise, or twice, would be read unchecked, or again and again.
+        # Other names would not be checked; a repeated name would be read repeatedly.
         if PurePath(name.removesuffix(".zstd")).suffix not in STORAGE_SUFFIXES or names.count(name) > 1:
             expected = f"files {' or '.join(STORAGE_SUFFIXES)}, each once"
-            raise BadInput(f"it names the storage file {name!r}", str(path / METADATA_FILE), expected)
+            raise BadInput(f"it lists the storage file {name!r}", str(path / METADATA_FILE), expected)
     files = {name: f"the storage file {name}" for name in names}
     return sum(check_regular(path / name, limits.BAG, CLOSED_BAG, what, limits.BAG_LARGER) for name, what in files.items())
 
 
 def _checked(file: Path, allowance: Allowance, deadline: Deadline) -> Mapping[str, str]:
-    """Check that a storage file is whole and does not expand beyond measure, and return the custom data it carries."""
+    """Check that a storage file is complete and does not expand to too much, and return its custom data."""
     check_regular(file, limits.BAG, CLOSED_BAG)
     custom_data = custom_data_in(file, deadline)
     if file.suffix == ".mcap":
@@ -121,7 +123,7 @@ def _checked(file: Path, allowance: Allowance, deadline: Deadline) -> Mapping[st
 
 @contextmanager
 def _damage_reported(where: str) -> Iterator[None]:
-    """Turn whatever rosbags stumbles over in a damaged bag, which can be any exception, into a bad input."""
+    """Convert exceptions of rosbags, which may be of any kind on a damaged bag, to BadInput."""
     try:
         yield
     except BadInput:
@@ -146,17 +148,17 @@ def _messages(
 
 
 def _provenance(custom_data: Sequence[Mapping[str, str]], where: str) -> Provenance | None:
-    """Return what the copies of the metadata agree on."""
+    """Return the provenance on which all copies of the metadata agree."""
     found = [provenance for entries in custom_data if (provenance := provenance_in(entries, where))]
     if any(provenance != found[0] for provenance in found):
-        raise BadInput("its metadata are those of another bag", where, "a bag as it was written")
+        raise BadInput("its metadata are those of another bag", where, "an unaltered bag")
     return found[0] if found else None
 
 
 def _read_topics(
     reader: Reader, provenance: Provenance | None, deadline: Deadline, where: str, expand: Callable[[bytes], bytes] | None
 ) -> dict[str, MessageColumns]:
-    """Return the messages of the cycle topics the bag has, by the topic's name."""
+    """Return the messages on the bag's cycle topics, by the topic's name."""
     by_path: dict[str, list[Connection]] = defaultdict(list)
     for connection in reader.connections:
         if not isinstance(connection.topic, str):
@@ -173,7 +175,7 @@ def _read_topics(
                 topics.append(BagTopic(topic, by_path[name], seals.get(name), f"{where}, {name}"))
             sinks |= {connection.id: topics[-1] for connection in by_path[name]}
         if (name in by_path) != (name in seals) and provenance:
-            raise BadInput(f"topic {name} was not recorded with the others", where, "a bag as it was written")
+            raise BadInput(f"topic {name} was not recorded with the others", where, "an unaltered bag")
     connections = [connection for connection in reader.connections if connection.id in sinks]
     for number, (connection, stamp_ns, message) in enumerate(_messages(reader, connections, where, expand)):
         if number % BLOCK == 0:
@@ -188,16 +190,16 @@ def _namespace(by_path: Mapping[str, Sequence[Connection]], where: str) -> str:
     namespaces = [path.removesuffix(ending) for path in by_path if path.endswith(ending)]
     if not namespaces:
         found = ", ".join(sorted(by_path)) or "none"
-        raise BadInput(f"topic {LOADER_STATE.name} is missing among {found}", where, f"a topic of {LOADER_STATE.type}")
+        raise BadInput(f"topic {LOADER_STATE.name} is missing (found: {found})", where, f"a topic of {LOADER_STATE.type}")
     if len(namespaces) > 1:
-        raise BadInput(f"it holds several rigs: {', '.join(sorted(namespaces))}", where, "one rig a bag")
+        raise BadInput(f"it contains several rigs: {', '.join(sorted(namespaces))}", where, "one rig per bag")
     return namespaces[0]
 
 
 def _recorded(
     signals: Mapping[str, NDArray[np.float64]], samples: int, provenance: Provenance | None
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the signals somebody measured, in the order of the data contract."""
+    """Return the recorded signals, in the order of the data contract."""
     if provenance is not None and provenance.signals is not None:
         return {name: signals.get(name, np.full(samples, np.nan)) for name in SIGNALS if name in provenance.signals}
     return {name: signals[name] for name in SIGNALS if name in signals and not np.isnan(signals[name]).all()}

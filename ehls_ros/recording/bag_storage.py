@@ -1,6 +1,7 @@
-"""rosbags' storages, with what tells sound messages from damaged ones: a ledger in the file, and checksums of mcap's chunks.
+"""rosbags' storages with protection against damage: a ledger in the file, and checksums of mcap's chunks.
 
-Everybody can read the bags: a private record of mcap and a table of its own in SQLite are what other readers pass over.
+The caller enters topics and messages into the ledger; the storage writes its blocks.
+Any reader can read the bags: the ledger is a private record of mcap, or a table of its own in SQLite, which others skip.
 """
 
 import struct
@@ -9,7 +10,6 @@ from pathlib import Path
 from types import MappingProxyType
 from zlib import crc32
 
-from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionMode
 from rosbags.rosbag2.storage_mcap import McapWriter
@@ -20,31 +20,21 @@ from ehls_ros.recording.storage_file import MCAP_CHUNK_CRC, MCAP_LEDGER, MCAP_RE
 
 
 class McapStorage(McapWriter):
-    """An mcap file: each chunk has its checksum, and before it stands what the ledger says of it."""
+    """An mcap file: each chunk has a checksum and is preceded by its part of the ledger."""
 
     def __init__(self, path: Path, compression: CompressionMode) -> None:
-        """Make the file."""
+        """Create the file."""
         super().__init__(path, compression)
         self.ledger = LedgerWriter()
 
-    def add_connection(self, connection: Connection, offered_qos_profiles: str) -> None:
-        """Add a topic."""
-        super().add_connection(connection, offered_qos_profiles)
-        self.ledger.add_topic(connection.id, connection.topic)
-
-    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Write a message."""
-        self.ledger.add(connection.id, timestamp, data)
-        super().write(connection, timestamp, data)
-
-    def keep(self, blocks: Sequence[bytes]) -> None:
-        """Put blocks of the ledger into the file."""
+    def write_blocks(self, blocks: Sequence[bytes]) -> None:
+        """Write blocks of the ledger."""
         for block in blocks:
             self.bio.write(MCAP_RECORD.pack(MCAP_LEDGER, len(block)) + block)
 
     def close_chunk(self) -> None:
-        """Write the chunk; the ledger goes first, so that it vouches for the messages of a chunk that is cut."""
-        self.keep(self.ledger.take())
+        """Write the chunk, after its ledger, which then also covers the messages of a truncated chunk."""
+        self.write_blocks(self.ledger.take())
         start, checksum = self.bio.tell(), crc32(self.chunk.bio.getbuffer())
         super().close_chunk()
         end = self.bio.tell()
@@ -53,48 +43,38 @@ class McapStorage(McapWriter):
         self.bio.seek(end)
 
     def flush(self) -> None:
-        """Hand everything to the operating system."""
+        """Pass everything to the operating system."""
         if self.chunk.bio.tell():
             self.close_chunk()
         self.bio.flush()
 
 
 class SqliteStorage(Sqlite3Writer):
-    """A SQLite file: the ledger is a table of it, and committed with the messages it is about."""
+    """A SQLite file: the ledger is a table, committed together with the messages."""
 
     def __init__(self, path: Path, compression: CompressionMode) -> None:
-        """Make the file."""
+        """Create the file and the table of the ledger."""
         super().__init__(path, compression)
         self.ledger = LedgerWriter()
         self.cursor.execute("CREATE TABLE ehls_ros_ledger(id INTEGER PRIMARY KEY, block BLOB NOT NULL)")
 
-    def add_connection(self, connection: Connection, offered_qos_profiles: str) -> None:
-        """Add a topic."""
-        super().add_connection(connection, offered_qos_profiles)
-        self.ledger.add_topic(connection.id, connection.topic)
-
-    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Write a message."""
-        self.ledger.add(connection.id, timestamp, data)
-        super().write(connection, timestamp, data)
-
-    def keep(self, blocks: Sequence[bytes]) -> None:
-        """Put blocks of the ledger into the file."""
+    def write_blocks(self, blocks: Sequence[bytes]) -> None:
+        """Write blocks of the ledger."""
         self.cursor.executemany("INSERT INTO ehls_ros_ledger(block) VALUES(?)", [(block,) for block in blocks])
 
     def flush(self) -> None:
         """Commit."""
-        self.keep(self.ledger.take())
+        self.write_blocks(self.ledger.take())
         self.conn.commit()
 
     def close(self, version: int, metadata: str) -> None:
         """Write the metadata and close the file."""
-        self.keep(self.ledger.take())
+        self.write_blocks(self.ledger.take())
         super().close(version, metadata)
 
 
 class StorageWriter(Writer):
-    """rosbags' writer onto these storages."""
+    """rosbags' writer with these storages."""
 
     STORAGE_PLUGINS: Mapping[StoragePlugin, type[McapStorage | SqliteStorage]] = MappingProxyType(
         {StoragePlugin.MCAP: McapStorage, StoragePlugin.SQLITE3: SqliteStorage}

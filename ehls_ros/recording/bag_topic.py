@@ -1,4 +1,4 @@
-"""One topic of a bag being read: its messages turned into columns and checked against what the bag says of itself."""
+"""One topic of a bag being read: its messages converted to columns and checked against the bag's seals."""
 
 from collections.abc import Sequence
 from itertools import repeat
@@ -19,30 +19,30 @@ from ehls_ros.recording.topics import Topic
 from ehls_ros.recording.typestore import typestore, typestore_of
 
 BLOCK = 16384
-"""Messages decoded together: enough to hide the overhead, few enough to keep a long bag out of memory."""
+"""Messages decoded together: enough to amortize the overhead, few enough for a small memory footprint."""
 
 
 class BagTopic:
     """The messages of one topic, in order of arrival."""
 
     def __init__(self, topic: Topic, connections: Sequence[Connection], seal: Seal | None, where: str) -> None:
-        """Find out what the messages look like.
+        """Determine the fields of the messages.
 
         Args:
-            topic: which topic it is.
+            topic: the topic.
             connections: the bag's entries for it, one or more.
-            seal: what it was when the bag was closed, where that is known.
+            seal: state of the topic when the bag was closed, if known.
             where: bag and full name of the topic, for errors.
 
         Raises:
-            BadInput: the bag has another type under this name, or a definition that cannot be read.
+            BadInput: the topic has another type in the bag, too many messages, or an unreadable definition.
         """
         self.topic = topic
         self._where = where
         self._path = connections[0].topic
         self._expected = sum(connection.msgcount for connection in connections)
         if self._expected > limits.ROWS:
-            expected = f"at most {limits.ROWS}, in several bags where there are more"
+            expected = f"at most {limits.ROWS}; split a longer recording into several bags"
             raise BadInput(f"it has {self._expected} messages", where, expected)
         self._seal = seal
         self._fields = _fields(topic, connections[0], seal, where)
@@ -55,22 +55,22 @@ class BagTopic:
         self._blocks: list[dict[str, NDArray[Any]]] = []
 
     def add(self, stamp_ns: int, message: bytes) -> None:
-        """Take the next message.
+        """Add the next message.
 
         Args:
             stamp_ns: time of sending [ns].
             message: the message as CDR.
 
         Raises:
-            BadInput: it is larger than any of the topic, or one before is not of the topic's type.
+            BadInput: this message is too large, or an earlier one is not of the topic's type.
         """
         try:
             size = len(message)
         except TypeError as error:
-            # SQLite holds a number or nothing where bytes should be
+            # SQLite may return a number or None instead of bytes.
             raise BadInput(reason(error), self._where, f"messages of type {self.topic.type}") from None
         if size > limits.MESSAGE:
-            expected = f"at most {limits.MESSAGE} in a message of type {self.topic.type}"
+            expected = f"at most {limits.MESSAGE} for type {self.topic.type}"
             raise BadInput(f"a message has {size} bytes", self._where, expected)
         self._stamps_ns.append(stamp_ns)
         self._messages.append(message)
@@ -82,13 +82,13 @@ class BagTopic:
         """Return all messages.
 
         Raises:
-            BadInput: the messages are not those the bag was closed with.
+            BadInput: the messages differ from those in the closed bag.
         """
         self._decode()
         if self._count != self._expected:
             raise BadInput(f"{self._count} of {self._expected} messages are there", self._where, CLOSED_BAG)
         if self._seal is not None and self._seal.checksum != self._checksum:
-            raise BadInput("messages are not as they were written", self._where, "an undamaged bag")
+            raise BadInput("messages have been altered since they were written", self._where, "an undamaged bag")
         return {name: _stacked([block[name] for block in self._blocks]) for name in self._blocks[0]}
 
     def _decode(self) -> None:
@@ -98,7 +98,7 @@ class BagTopic:
             checksums = map(message_checksum, repeat(self._path), self._stamps_ns, self._messages)
             self._checksum = checksum_sum([self._checksum, *checksums])
         except (TypeError, ValueError, OverflowError) as error:
-            # CdrError, or SQLite holds text or nothing where a number or bytes should be
+            # CdrError, or SQLite returns text or None instead of a number or bytes.
             raise BadInput(reason(error), self._where, f"messages of type {self.topic.type}") from None
         self._blocks.append(block)
         self._count += len(self._messages)
@@ -106,7 +106,7 @@ class BagTopic:
 
 
 def _fields(topic: Topic, connection: Connection, seal: Seal | None, where: str) -> list[Field]:
-    """Return the fields of a topic's messages as the bag's own definition has them."""
+    """Return the fields of a topic's messages by the bag's own definition."""
     if connection.msgtype != topic.type:
         raise BadInput(f"its messages are {connection.msgtype}", where, topic.type)
     own = typestore()
@@ -116,7 +116,7 @@ def _fields(topic: Topic, connection: Connection, seal: Seal | None, where: str)
         return own_fields
     store = typestore_of(connection.msgdef, topic.type)
     if type_hash and type_hash != store.hash_rihs01(topic.type):
-        raise BadInput(f"the bag does not hold its definition of {topic.type}", where, f"a type with hash {type_hash}")
+        raise BadInput(f"the bag's definition of {topic.type} is missing or wrong", where, f"a type with hash {type_hash}")
     try:
         fields = flatten(store.fielddefs, topic.type)
     except CdrError as error:
@@ -136,7 +136,7 @@ def _kind(field: Field) -> str:
 
 
 def _stacked(blocks: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Put blocks of messages together, filling up shorter sequences with NaN."""
+    """Concatenate blocks of messages, padding shorter sequences with NaN."""
     longest = max(block.shape[1:] for block in blocks)
     if all(block.shape[1:] == longest for block in blocks):
         return np.concatenate(blocks)

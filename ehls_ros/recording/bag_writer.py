@@ -1,4 +1,4 @@
-"""Writing of rosbag2: message by message as a run goes, or a whole trajectory at once."""
+"""Writing of rosbag2: message by message during a run, or a complete trajectory at once."""
 
 import errno
 import json
@@ -9,6 +9,7 @@ from types import MappingProxyType, TracebackType
 from typing import Any, Literal, NoReturn, Self, get_args
 
 import numpy as np
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin
 
 from ehls_ros.errors import BadInput
@@ -24,26 +25,28 @@ from ehls_ros.trajectory import SIGNALS, Trajectory
 
 Storage = Literal["mcap", "sqlite3"]
 
-NEW_FOLDER = "a folder that does not exist yet, where it may be written"
+NEW_FOLDER = "a new folder in a writable place"
 
 
 class BagWriter:
     """A rosbag2 being written.
 
-    Leaving it as a context manager closes it, also after an exception: what was recorded until then is kept. It
-    belongs to the thread that made it.
+    As a context manager it is closed on exit, also after an exception, and keeps what was recorded so far. Use it only in the
+    thread that made it.
     """
 
     def __init__(self, writer: StorageWriter, topics: Sequence[Topic], namespace: str, provenance: Provenance) -> None:
-        """Take over an open writer; see :meth:`create`."""
+        """Use an open writer; see :meth:`create`."""
         assert writer.storage is not None  # noqa: S101 - it is open
         self._writer = writer
         self._storage = writer.storage
         self._provenance = provenance
-        self._connections = {
-            topic.name: writer.add_connection(topic.resolve(namespace), topic.type, typestore=typestore()) for topic in topics
-        }
-        self._storage.keep(provenance_blocks(json.dumps(provenance.custom_data())))
+        self._connections: dict[str, Connection] = {}
+        for topic in topics:
+            connection = writer.add_connection(topic.resolve(namespace), topic.type, typestore=typestore())
+            self._storage.ledger.add_topic(connection.id, connection.topic)
+            self._connections[topic.name] = connection
+        self._storage.write_blocks(provenance_blocks(json.dumps(provenance.custom_data())))
         self._open = True
 
     @classmethod
@@ -57,29 +60,29 @@ class BagWriter:
         topics: Sequence[Topic] = TOPICS,
         signals: Sequence[str] | None = None,
     ) -> Self:
-        """Make the bag's folder and open it for writing.
+        """Create the bag's folder and open it for writing.
 
         Args:
-            path: folder to make; its parents are made as well.
+            path: folder to create, with its parents.
             storage: rosbag2 storage plugin.
-            metadata: configuration of the run, kept in the bag as JSON.
-            namespace: namespace the topics are in.
-            topics: the topics that will be written.
-            signals: signals of the trajectory the bag is written from, None when it is recorded.
+            metadata: configuration of the run, stored in the bag as JSON.
+            namespace: of the topics.
+            topics: to be written.
+            signals: signals of the trajectory that is written; None for a recording.
 
         Returns:
             The open writer.
 
         Raises:
-            BadInput: the folder exists or cannot be made, or the storage is unknown.
-            TypeError: the metadata hold what JSON does not know.
+            BadInput: the folder exists or cannot be created, or the storage is unknown.
+            TypeError: the metadata cannot be expressed in JSON.
         """
         provenance = Provenance(as_json(metadata), {}, signals)
         if storage not in get_args(Storage):
             raise BadInput(f"storage is {storage!r}", str(path), f"one of {', '.join(get_args(Storage))}")
         if storage == "sqlite3" and set("?#%") & set(str(path)):
-            # rosbags hands SQLite the path as part of a URI without quoting it
-            raise BadInput("the path holds one of ? # %", str(path), "a path without them, or storage mcap")
+            # rosbags puts the path into a URI for SQLite without quoting it.
+            raise BadInput("the path contains ?, # or %", str(path), "a path without them, or storage mcap")
         try:
             if path.exists():
                 raise BadInput("the output exists already", str(path), NEW_FOLDER)
@@ -87,7 +90,7 @@ class BagWriter:
             writer.open()
         except (OSError, sqlite3.Error) as error:
             where = getattr(error, "filename", None) or path
-            raise BadInput(f"the output cannot be made ({reason(error)})", str(where), NEW_FOLDER) from None
+            raise BadInput(f"the output cannot be created ({reason(error)})", str(where), NEW_FOLDER) from None
         return cls(writer, topics, namespace, provenance)
 
     def write(self, topic: str, stamp_ns: int, serialized: bytes) -> None:
@@ -95,21 +98,23 @@ class BagWriter:
 
         Args:
             topic: name of the topic in :data:`~ehls_ros.recording.topics.TOPICS`.
-            stamp_ns: when it was sent, not negative [ns].
+            stamp_ns: time of sending, not negative [ns].
             serialized: the message as CDR.
 
         Raises:
-            OSError: the disk is full or fails; the bag has then been given up.
+            OSError: the disk is full or fails; the bag has been abandoned.
         """
         if stamp_ns < 0:
             raise ValueError(f"stamp of a message on {topic} is {stamp_ns} ns; expected 0 or later")
+        connection = self._connections[topic]
+        self._storage.ledger.add(connection.id, stamp_ns, serialized)
         try:
-            self._writer.write(self._connections[topic], stamp_ns, serialized)
+            self._writer.write(connection, stamp_ns, serialized)
         except (OSError, sqlite3.Error) as error:
-            self._give_up(error)
+            self._abandon(error)
 
-    def tell_of_recovery(self, recovery: Mapping[str, Any]) -> None:
-        """Let the bag's metadata say what was lost of the damaged bag it is made of.
+    def set_recovery(self, recovery: Mapping[str, Any]) -> None:
+        """Record in the metadata what was lost from the damaged bag.
 
         Args:
             recovery: JSON values.
@@ -117,25 +122,25 @@ class BagWriter:
         self._provenance = self._provenance._replace(recovery=as_json(recovery))
 
     def flush(self) -> None:
-        """Make sure that what was written survives the death of this process, and note that it does.
+        """Make what was written survive a crash of this process, and update the note beside the bag.
 
-        :func:`ehls_ros.recording.recovery.recover` then makes a bag of it.
+        :func:`ehls_ros.recording.recovery.recover` can then restore it.
 
         Raises:
-            OSError: the disk is full or fails; the bag has then been given up, up to the last flush it is recoverable.
+            OSError: the disk is full or fails; the bag has been abandoned and can be recovered up to the previous flush.
         """
         try:
             self._storage.flush()
             flushed = {path: Flushed(tally.messages, tally.newest_ns) for path, tally in self._storage.ledger.tallies().items()}
             write_note(self._writer.path, Note(flushed))
         except (OSError, sqlite3.Error) as error:
-            self._give_up(error)
+            self._abandon(error)
 
     def close(self) -> None:
-        """Write what is still in memory and the metadata; a second call does nothing.
+        """Write the remaining messages and the metadata; a second call does nothing.
 
         Raises:
-            OSError: the disk is full or fails; the bag has then been given up.
+            OSError: the disk is full or fails; the bag has been abandoned.
         """
         if not self._open:
             return
@@ -151,16 +156,16 @@ class BagWriter:
             self._writer.close()
             remove_note(self._writer.path)
         except (OSError, sqlite3.Error) as error:
-            self._give_up(error)
+            self._abandon(error)
         self._open = False
 
     def abort(self) -> None:
-        """Stop without metadata, so that nobody takes the rest for a bag; closing does nothing after that."""
+        """Stop without metadata, so that the rest is not mistaken for a bag; closing then does nothing."""
         self._open = False
         try:
             self._writer.abort()
         except (OSError, sqlite3.Error):
-            return  # the error that led here says more
+            return  # the original error says more
 
     def __enter__(self) -> Self:
         """Return the writer itself."""
@@ -170,7 +175,7 @@ class BagWriter:
         """Close the bag."""
         self.close()
 
-    def _give_up(self, error: OSError | sqlite3.Error) -> NoReturn:
+    def _abandon(self, error: OSError | sqlite3.Error) -> NoReturn:
         self.abort()
         written = sum(self._writer.counts.values())
         number = (isinstance(error, OSError) and error.errno) or (errno.ENOSPC if "full" in str(error) else errno.EIO)
@@ -179,18 +184,18 @@ class BagWriter:
 
 
 def write_trajectory(path: Path, trajectory: Trajectory, storage: Storage = "mcap") -> None:
-    """Write a trajectory as the bag that recording the same run would have made.
+    """Write a trajectory as the bag that a recording of the same run would give.
 
-    Header stamps are the sample times rounded to nanoseconds, cycles count from 0. A message is left out where all its
-    signals are NaN.
+    Header stamps are the sample times rounded to nanoseconds; cycles count from 0. A message whose signals are all NaN is
+    omitted.
 
     Args:
-        path: folder to make.
-        trajectory: what to write.
+        path: folder to create.
+        trajectory: to be written.
         storage: rosbag2 storage plugin.
 
     Raises:
-        BadInput: the folder cannot be made, or the trajectory holds what messages cannot express.
+        BadInput: the folder cannot be created, or messages cannot express the trajectory.
         OSError: the disk is full or fails.
     """
     streams = streams_of(trajectory, str(path))

@@ -1,8 +1,8 @@
-"""Messages of one type to arrays and back, thousands at a time.
+"""Converts messages of one type to arrays and back, thousands at a time.
 
-ROS 2 puts messages on the wire and into bags as CDR: an encapsulation of four bytes, then the fields in order, each
-aligned to its own size, strings and sequences preceded by their length. Messages of one type whose strings and
-sequences have the same lengths therefore have the same layout, and each field of all of them is one slice of bytes.
+ROS 2 serializes messages as CDR: an encapsulation of four bytes, then the fields in order, each aligned to its own size,
+strings and sequences preceded by their length. Messages of one type whose strings and sequences have equal lengths share a
+layout, so each field of all of them is one slice of bytes.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -21,7 +21,7 @@ ENCAPSULATION = 4
 LITTLE_ENDIAN = b"\x00\x01"
 BYTE_ORDERS = {LITTLE_ENDIAN: "<", b"\x00\x00": ">"}
 PADDING = 8
-"""A message may be longer than its fields by less than this: senders round up to the largest alignment."""
+"""A message may exceed its fields by less than this: senders round up to the largest alignment [B]."""
 
 NUMPY_TYPES = {
     "bool": "u1",
@@ -42,11 +42,11 @@ NUMPY_TYPES = {
 
 
 class CdrError(ValueError):
-    """Bytes that are no message of the type they are said to be."""
+    """The bytes are not a message of the given type."""
 
 
 class Field(NamedTuple):
-    """A field that holds no further fields.
+    """A field without nested fields.
 
     Attributes:
         name: dotted path from the message, such as ``header.stamp.sec``.
@@ -60,7 +60,7 @@ class Field(NamedTuple):
 
     @property
     def width(self) -> int:
-        """Size of one value, which is also its alignment [bytes]."""
+        """Size of one value, equal to its alignment [B]."""
         return int(NUMPY_TYPES[self.kind][1])
 
 
@@ -77,23 +77,23 @@ class _Place(NamedTuple):
 class _Layout(NamedTuple):
     places: list[_Place]
     lengths: dict[int, int]
-    """Value of each length word by its offset."""
+    """Length words by their offset."""
     size: int
 
 
 def flatten(types: Typesdict, message_type: str, prefix: str = "") -> list[Field]:
-    """List the fields of a message type in their order.
+    """List the fields of a message type in order.
 
     Args:
         types: definitions by type name, such as ``Typestore.fielddefs``.
         message_type: name of the type.
-        prefix: path the type stands under.
+        prefix: path of the enclosing field.
 
     Returns:
-        The fields, nested ones by their dotted path.
+        The fields; nested ones by dotted path.
 
     Raises:
-        CdrError: the type is not defined, or has a field that is no number, text or sequence of numbers.
+        CdrError: the type is undefined, or a field is not a number, a string or a sequence of numbers.
     """
     if message_type not in types:
         raise CdrError(f"type {message_type} is not defined")
@@ -107,29 +107,30 @@ def flatten(types: Typesdict, message_type: str, prefix: str = "") -> list[Field
             case (Nodetype.SEQUENCE, ((Nodetype.BASE, (str(kind), _)), _)) if kind in NUMPY_TYPES and kind != "string":
                 fields.append(Field(prefix + name, kind, many=True))
             case _:
-                raise CdrError(f"field {prefix}{name} of {message_type} is of a kind that is not read here")
+                raise CdrError(
+                    f"field {prefix}{name} of {message_type} is neither a number, a string nor a sequence of numbers"
+                )
     return fields
 
 
 def decode(messages: Sequence[bytes], fields: Sequence[Field], wanted: Collection[str]) -> dict[str, NDArray[Any]]:
-    """Turn messages into one array a field.
+    """Convert messages to one array per field.
 
     Args:
-        messages: serialized messages of one type, n of them.
+        messages: n serialized messages of one type.
         fields: the fields of that type, from :func:`flatten`.
-        wanted: names of the fields to return; none of them a text.
+        wanted: names of the fields to return, none of them a string.
 
     Returns:
-        Arrays of shape (n,) in the field's own type, by name; for a sequence floats of shape (n, longest), NaN after
-        the end of a shorter one.
+        Arrays of shape (n,) in the field's own type, by name; for a sequence floats of shape (n, longest), padded with NaN.
 
     Raises:
-        CdrError: a message is cut, too long, or in no plain CDR; or their texts and sequences are of too many lengths.
+        CdrError: a message is truncated, too long, or not plain CDR, or the lengths of strings and sequences vary too much.
     """
     found = (part for rows, which in _by_size(messages) for part in _decode_equally_long(rows, which, fields, wanted))
     parts = list(islice(found, LAYOUTS + 1))
     if len(parts) > LAYOUTS:
-        raise CdrError(f"messages have texts and sequences of more than {LAYOUTS} different lengths")
+        raise CdrError(f"messages have strings and sequences of more than {LAYOUTS} different lengths")
     arrays: dict[str, NDArray[Any]] = {}
     for field in fields:
         if field.name not in wanted:
@@ -153,7 +154,7 @@ def encode(fields: Sequence[Field], values: Mapping[str, NDArray[Any] | str]) ->
 
     Args:
         fields: the fields of that type, from :func:`flatten`.
-        values: for every field an array of shape (n,), for a sequence (n, length), for a text one text.
+        values: for every field an array of shape (n,), for a sequence (n, length), for a string one text.
 
     Returns:
         The serialized messages.
@@ -195,7 +196,7 @@ def _decode_equally_long(
         first = rows[0].tobytes()
         order = BYTE_ORDERS.get(first[:2])
         if order is None:
-            raise CdrError(f"message starts with {first[:ENCAPSULATION].hex() or 'nothing'}, which is no plain CDR")
+            raise CdrError(f"message starts with {first[:ENCAPSULATION].hex() or 'nothing'}, which is not plain CDR")
         layout = _layout(fields, partial(_length_at, first, order))
         if not layout.size <= len(first) < layout.size + PADDING:
             raise CdrError(f"message has {len(first)} bytes where its fields need {layout.size}")
@@ -222,12 +223,12 @@ def _values(block: NDArray[np.uint8], place: _Place, order: str) -> NDArray[Any]
 def _length_at(message: bytes, order: str, _: Field, offset: int) -> int:
     word = message[offset : offset + 4]
     if len(word) < 4:
-        raise CdrError(f"message has {len(message)} bytes and is cut off")
+        raise CdrError(f"message is truncated after {len(message)} bytes")
     return int.from_bytes(word, "little" if order == "<" else "big")
 
 
 def _layout(fields: Sequence[Field], length_at: Callable[[Field, int], int]) -> _Layout:
-    """Place the fields, given the length of each string and sequence and where that length stands."""
+    """Place the fields; ``length_at`` gives the length of a string or sequence from its field and its length word's offset."""
     places: list[_Place] = []
     lengths: dict[int, int] = {}
     end = ENCAPSULATION
@@ -237,7 +238,7 @@ def _layout(fields: Sequence[Field], length_at: Callable[[Field, int], int]) -> 
             end = _aligned(end, 4)
             lengths[end] = length = length_at(field, end)
             end += 4
-        # an empty sequence is not followed by the alignment of its values
+        # No alignment follows an empty sequence.
         start = _aligned(end, field.width) if length else end
         places.append(_Place(field, start, length))
         end = places[-1].stop

@@ -1,4 +1,4 @@
-"""The user's own column names and units, mapped to the names of the data contract."""
+"""Maps the user's own column names and units to the names of the data contract."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,21 +12,21 @@ from ehls_ros.trajectory import SIGNALS
 TIME = "time_s"
 
 ELEMENT_SIGNALS = ("friction_elements_n", "friction_slipping")
-"""Signals with a column for each friction element: ``friction_elements_n_1``, ``friction_elements_n_2`` and so on."""
+"""Signals with one column per friction element: ``friction_elements_n_1``, ``friction_elements_n_2`` and so on."""
 
 EXPECTED_MAP = "a mapping like 'position_m: {name: x, scale: 0.001, offset: 0.0}'"
 
 
 class Column(NamedTuple):
-    """A column of the user's file; the signal is ``scale`` times its values plus ``offset``."""
+    """A column of the user's file; the signal is ``scale`` times its value plus ``offset``."""
 
     name: Annotated[str, text("name of the column in the file")]
     scale: Annotated[float, quantity("1", "SI units per unit of the column")] = 1.0
-    offset: Annotated[float, quantity("SI", "what is added after scaling")] = 0.0
+    offset: Annotated[float, quantity("SI", "added after scaling")] = 0.0
 
 
 Columns = Mapping[str, Column]
-"""Columns by the contract's name of what they hold."""
+"""Columns by contract name."""
 
 
 def read_columns(path: Path) -> Columns:
@@ -43,7 +43,7 @@ def read_columns(path: Path) -> Columns:
     """
     content = read_yaml(path, "map of columns")
     if not isinstance(content, dict):
-        raise BadInput(f"it holds {content!r}", str(path), EXPECTED_MAP)
+        raise BadInput(f"it contains {content!r}", str(path), EXPECTED_MAP)
     return {str(name): _column(str(name), entry, path) for name, entry in content.items()}
 
 
@@ -60,12 +60,12 @@ def _column(name: str, entry: object, path: Path) -> Column:
 
 
 def is_contract_name(name: str) -> bool:
-    """Tell whether a column name is one of the data contract."""
+    """Tell whether a column name belongs to the data contract."""
     return name == TIME or name in SIGNALS or element_of(name) is not None
 
 
 def element_of(name: str) -> tuple[str, int] | None:
-    """Return signal and number, from 1, of the friction element a column is of; None for any other column."""
+    """Return signal and element number, from 1, of a friction element's column; None for any other column."""
     signal, _, number = name.rpartition("_")
     known = signal in ELEMENT_SIGNALS and number.isascii() and number.isdecimal() and not number.startswith("0")
     return (signal, int(number)) if known else None

@@ -1,7 +1,7 @@
-"""Reading by libraries that trust what they read, in a process of its own whose memory and time are bounded.
+"""Reads files with libraries that trust their input, in a separate process with bounded memory and time.
 
-A few kilobytes of a MAT or Parquet file can stand for terabytes, or be nested until the stack overflows. The libraries allocate
-what they are told to, and what is within a call of theirs cannot be interrupted. So the process ends, and not ours.
+A few kilobytes of a MAT or Parquet file can expand to terabytes, or be nested until the stack overflows. The libraries allocate
+whatever a file asks for, and their calls cannot be interrupted; so the reading process ends instead of ours.
 """
 
 import os
@@ -23,40 +23,57 @@ from ehls_ros.trajectory import Trajectory
 
 Read = Callable[[Path, Columns], Trajectory]
 
-SMALLER = "a file whose variables fit into memory, or the data as CSV"
+SMALLER = "a file whose variables fit in memory, or the data as CSV"
 
 
 def contained(read: Read, path: Path, columns: Columns, expected: str) -> Trajectory:
-    """Read a file elsewhere.
+    """Read a file in a separate process.
 
     Args:
-        read: what reads it; a function at the top level of a module.
+        read: the reader, a function at the top level of a module.
         path: the file.
         columns: the user's own names and units.
         expected: what the file should be, for errors.
 
     Returns:
-        What was read.
+        The result of ``read``.
 
     Raises:
-        BadInput: the file is refused, or takes more memory or time than one of its size may, or the reader dies of it.
+        BadInput: the file is refused, takes too much memory or time for its size, or crashes the reader.
         WorkFailed: the process could not be started.
     """
     size = check_regular(path, limits.TABLE, expected, larger=limits.TABLE_LARGER)
     half = os.sysconf("SC_PHYS_PAGES") * resource.getpagesize() // 2
     memory = min(limits.COPIES * min(limits.EXPANDED + limits.EXPANSION * size, 8 * limits.VALUES), half)
     deadline = Deadline(size, str(path))
+    done = _run_reader(pickle.dumps((read, path, columns, memory, deadline.seconds)), path, deadline)
+    if done.returncode == -signal.SIGXCPU:
+        raise deadline.error()
+    if done.returncode or not done.stdout:
+        name = signal.Signals(-done.returncode).name if done.returncode < 0 else f"exit code {done.returncode}"
+        raise BadInput(f"it crashes the reading process ({name})", str(path), expected)
+    result = pickle.loads(done.stdout)  # noqa: S301 - from our own process
+    if isinstance(result, BadInput):
+        raise result
+    if isinstance(result, MemoryError):
+        what = f"its {size} bytes take more than {memory >> 20} MB of memory"
+        raise BadInput(what, str(path), SMALLER)
+    assert isinstance(result, Trajectory)  # noqa: S101 - _serve sends one of these three
+    return result
+
+
+def _run_reader(request: bytes, path: Path, deadline: Deadline) -> subprocess.CompletedProcess[bytes]:
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH")))),
-        "ARROW_DEFAULT_MEMORY_POOL": "system",  # the others reserve more than they use
+        "ARROW_DEFAULT_MEMORY_POOL": "system",  # the other pools reserve more than they use
         "OPENBLAS_NUM_THREADS": "1",
     }
     try:
-        done = subprocess.run(
+        return subprocess.run(
             # Without -P a numpy.py in the current folder would be imported.
             [sys.executable, "-P", "-m", "ehls_ros.recording.contained"],
-            input=pickle.dumps((read, path, columns, memory, deadline.seconds)),
+            input=request,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             timeout=deadline.seconds,
@@ -66,27 +83,14 @@ def contained(read: Read, path: Path, columns: Columns, expected: str) -> Trajec
     except subprocess.TimeoutExpired:
         raise deadline.error() from None
     except OSError as error:
-        raise WorkFailed(f"{path}: no process can be started to read it ({error})") from None
-    if done.returncode == -signal.SIGXCPU:
-        raise deadline.error()
-    if done.returncode or not done.stdout:
-        name = signal.Signals(-done.returncode).name if done.returncode < 0 else f"exit code {done.returncode}"
-        raise BadInput(f"what reads it dies of it ({name})", str(path), expected)
-    result = pickle.loads(done.stdout)  # noqa: S301 - from a process of ours
-    if isinstance(result, BadInput):
-        raise result
-    if isinstance(result, MemoryError):
-        what = f"its {size} bytes take more than {memory >> 20} MB of memory"
-        raise BadInput(what, str(path), SMALLER)
-    assert isinstance(result, Trajectory)  # noqa: S101 - the three things _serve sends
-    return result
+        raise WorkFailed(f"{path}: the process to read it cannot be started ({error})") from None
 
 
 def _serve() -> None:
-    """Read what the process that started this one asks for."""
+    """Serve the request of the parent process."""
     answer = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever a library prints
-    read, path, columns, memory, seconds = pickle.load(sys.stdin.buffer)  # noqa: S301 - from the process that started this one
+    os.dup2(2, 1)  # libraries may print
+    read, path, columns, memory, seconds = pickle.load(sys.stdin.buffer)  # noqa: S301 - from the parent process
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     limit(resource.RLIMIT_AS, pages * resource.getpagesize() + memory)
     limit(resource.RLIMIT_CPU, int(seconds) + 1)
@@ -104,7 +108,7 @@ def _serve() -> None:
 
 
 def limit(kind: int, value: int) -> None:
-    """Lower a limit of this process; one that is lower already stays."""
+    """Lower a resource limit of this process; a lower one stays."""
     soft, hard = resource.getrlimit(kind)
     known = [bound for bound in (value, soft, hard) if bound != resource.RLIM_INFINITY]
     resource.setrlimit(kind, (min(known), hard))

@@ -1,4 +1,4 @@
-"""CSV files by the data contract: a header row with the names of the signals, values in SI units."""
+"""CSV files in the format of the data contract: a header row of signal names, values in SI units."""
 
 import csv
 import math
@@ -26,13 +26,13 @@ from ehls_ros.trajectory import Trajectory
 
 DELIMITERS = ",;\t"
 BLOCK = 16384
-"""Rows written together, and read before the limits are looked at again."""
+"""Rows written together, and read between two checks of the limits."""
 
 
 def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
     """Read a CSV file.
 
-    Columns without a name of the data contract are left out unless the map names them. An empty cell is NaN.
+    Columns whose name is not in the data contract are ignored unless mapped. An empty cell is NaN.
 
     Args:
         path: the file, UTF-8, with a header row; separated by commas, semicolons or tabs.
@@ -42,7 +42,7 @@ def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
         The trajectory, without metadata.
 
     Raises:
-        BadInput: the file cannot be read, a column or cell is wrong, or time does not grow with every row.
+        BadInput: the file cannot be read, a column or cell is wrong, or time does not increase with every row.
     """
     where = str(path)
     deadline = Deadline(check_regular(path, limits.TABLE, "a CSV file", larger=limits.TABLE_LARGER), where)
@@ -52,29 +52,28 @@ def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", where, "a CSV file") from None
     except (UnicodeDecodeError, csv.Error) as error:
-        raise BadInput(f"it is no CSV ({reason(error)})", where, "a CSV file in UTF-8") from None
+        raise BadInput(f"it is not CSV ({reason(error)})", where, "a CSV file in UTF-8") from None
     return assemble(values, chosen, where, _line)
 
 
 def write_csv(path: Path, trajectory: Trajectory) -> None:
-    """Write a CSV file from which :func:`read_csv` gets every bit of every value back.
+    """Write a CSV file from which :func:`read_csv` restores every value exactly.
 
-    Signals of the friction elements become a column for each, such as ``friction_elements_n_1``. Metadata are not
-    written.
+    Signals of the friction elements become one column each, such as ``friction_elements_n_1``. Metadata are not written.
 
     Args:
-        path: the file, replaced where there is one.
-        trajectory: what to write.
+        path: the file; an existing one is replaced.
+        trajectory: to be written.
 
     Raises:
-        BadInput: the file cannot be made.
+        BadInput: the file cannot be created.
         OSError: the disk is full or fails.
     """
     columns = dict(_columns(trajectory))
     try:
         stream = path.open("w", encoding="utf-8", newline="")
     except OSError as error:
-        raise BadInput(f"the output cannot be made ({reason(error)})", str(path), "a file that may be written") from None
+        raise BadInput(f"the output cannot be created ({reason(error)})", str(path), "a writable file") from None
     with stream:
         stream.write(",".join(columns) + "\n")
         for start in range(0, len(trajectory), BLOCK):
@@ -109,10 +108,10 @@ def _read(
             deadline.check()
             check_length(number, len(chosen), where)
         if len(row) != len(header):
-            if not row and _nothing_in(stream):
+            if not row and _only_space_in(stream):
                 break
             line = f"{where}, {_line(len(numbers) // len(chosen))}"
-            raise BadInput(f"the row has {len(row)} cells", line, f"{len(header)} as the header")
+            raise BadInput(f"the row has {len(row)} cells", line, f"{len(header)}, as in the header")
         cells = pick(row)
         try:
             values = list(map(float, cells))
@@ -127,26 +126,26 @@ def _read(
 
 
 def _lines(stream: TextIO, where: str) -> Iterator[str]:
-    """Yield the lines, none of which is read further than it may be long."""
+    """Yield the lines; a longer one is refused without reading all of it."""
     for number in count(1):
         line = stream.readline(limits.LINE + 1)
         if len(line) > limits.LINE:
-            expected = f"a CSV file with a line of at most {limits.LINE} for each sample"
+            expected = f"a CSV file with one line per sample, of at most {limits.LINE}"
             raise BadInput(f"the line has more than {limits.LINE} characters", f"{where}, line {number}", expected)
         if not line:
             return
         yield line
 
 
-def _nothing_in(stream: TextIO) -> bool:
-    """Tell whether there is nothing but space in the rest of a file."""
+def _only_space_in(stream: TextIO) -> bool:
+    """Tell whether the rest of a file is white space."""
     return not any(piece.strip() for piece in iter(partial(stream.read, limits.LINE), ""))
 
 
 def _number(cell: str, column: Column, where: str) -> float:
     if not cell.strip():
         return math.nan
-    # Python reads 1_000 as a number, which nobody who exports data means
+    # Python accepts 1_000 as a number; no data export means that.
     with suppress(ValueError):
         if "_" not in cell:
             return float(cell)
@@ -154,5 +153,5 @@ def _number(cell: str, column: Column, where: str) -> float:
 
 
 def _line(row: int) -> str:
-    """Return how an editor numbers a row of values, the header being line 1."""
+    """Return the line number of a row of values in an editor, with the header on line 1."""
     return f"line {row + 2}"

@@ -1,4 +1,4 @@
-"""What is left of a bag that was damaged or never closed: its messages, and what it says of itself."""
+"""The remains of a damaged or unclosed bag: its messages and its provenance."""
 
 import json
 import shutil
@@ -20,26 +20,26 @@ from ehls_ros.recording.provenance import Provenance, provenance_in
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import Flushed, read_note
 from ehls_ros.recording.regular_file import check_regular
-from ehls_ros.recording.salvage import Found, Loss
+from ehls_ros.recording.salvage import Found, Loss, Salvage
 from ehls_ros.recording.sqlite_salvage import names_in_sqlite, salvage_sqlite
 from ehls_ros.recording.storage_file import MCAP_MAGIC, METADATA_FILE, SQLITE_MAGIC, parse_metadata
 
 RECOVERABLE = "a bag of ROS 2, its folder or its storage file"
 
 LONGEST_PROVENANCE = TEXT * 3 // 4
-"""Characters of what a bag says of where it comes from; its metadata quote it, and are read up to a limit."""
+"""Longest provenance that is copied to the new bag's metadata, which are limited when read [characters]."""
 
 
 class DamagedBag(NamedTuple):
-    """One storage file, as far as it is left.
+    """The remains of one storage file.
 
     Attributes:
         storage: rosbag2 storage plugin.
         content: of the file.
         names: full names of the topics by their number in the file.
-        provenance: where the bag comes from, None where that is lost.
-        expected: how much there was of each topic, by its full name, as far as what lies beside the file tells.
-        remarks: what there is to know beside that, in words.
+        provenance: of the bag; None if it is lost.
+        expected: messages written on each topic, by full name, according to the files beside the storage file.
+        remarks: in words.
     """
 
     storage: Storage
@@ -50,24 +50,16 @@ class DamagedBag(NamedTuple):
     remarks: Sequence[str]
 
     def messages(self, ledger: Ledger, loss: Loss) -> Iterator[Found]:
-        """Find the messages.
-
-        Args:
-            ledger: of the content; it is told what was found.
-            loss: takes what is damaged.
-
-        Yields:
-            What may be kept, in the order it stands in the file.
-        """
-        salvage = salvage_mcap if self.storage == "mcap" else salvage_sqlite
+        """Find the messages; see :data:`~ehls_ros.recording.salvage.Salvage`."""
+        salvage: Salvage = salvage_mcap if self.storage == "mcap" else salvage_sqlite
         yield from salvage(self.content, self.names, ledger, loss)
 
 
 def storage_file(source: Path) -> Path:
-    """Return the one storage file that is meant.
+    """Return the storage file of a bag.
 
     Args:
-        source: that file, or a folder with it, under whatever name.
+        source: the file itself, or a folder that contains it, under any name.
 
     Raises:
         BadInput: there is none, or more than one.
@@ -86,11 +78,11 @@ def storage_file(source: Path) -> Path:
 
 @contextmanager
 def damaged_bag(file: Path, folder: Path) -> Iterator[tuple[DamagedBag, Ledger]]:
-    """Open what is left of a bag, and its ledger.
+    """Open the remains of a bag, and its ledger.
 
     Args:
-        file: its storage file, which stays as it is.
-        folder: may take a copy of it where SQLite has to take back what the recorder was in the middle of.
+        file: its storage file; left unchanged.
+        folder: for a copy of the file, if SQLite has to roll back an unfinished transaction.
 
     Raises:
         BadInput: the file is empty or cannot be read.
@@ -112,7 +104,7 @@ def damaged_bag(file: Path, folder: Path) -> Iterator[tuple[DamagedBag, Ledger]]
         if provenance is None:
             remarks.append("the configuration of the run is lost")
         if ledger.empty:
-            remarks.append("the file has no ledger: what is lost in the middle is not counted")
+            remarks.append("the file has no ledger: messages lost from the middle are not counted")
         elif ledger.damaged_blocks:
             remarks.append(f"{ledger.damaged_blocks} blocks of the file's ledger are damaged")
         yield DamagedBag("mcap" if mcap else "sqlite3", content, names, provenance, expected, remarks), ledger
@@ -128,7 +120,7 @@ def _beginning(file: Path) -> bytes:
 
 
 def _rolled_back(file: Path, folder: Path) -> Path:
-    """Return a copy without what the recorder was in the middle of; the file itself where it was in the middle of nothing."""
+    """Return a copy with the unfinished transaction rolled back; the file itself if there is none."""
     beside = [*file.parent.glob("*-journal"), *file.parent.glob("*-wal")]
     journals = [journal for journal in beside if journal.stat().st_size]
     own = [journal for journal in journals if journal.name.startswith(file.name)] or journals
@@ -137,7 +129,7 @@ def _rolled_back(file: Path, folder: Path) -> Path:
     copy = folder / "copy.db3"
     shutil.copyfile(file, copy)
     shutil.copyfile(own[0], f"{copy}-{own[0].name.rpartition('-')[2]}")
-    # What cannot be rolled back is salvaged as it is.
+    # If this fails, the copy is salvaged as it is.
     with suppress(sqlite3.Error), closing(sqlite3.connect(copy)) as database:
         database.execute("PRAGMA user_version").fetchone()
         database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
@@ -145,8 +137,8 @@ def _rolled_back(file: Path, folder: Path) -> Path:
 
 
 def _expected(folder: Path) -> tuple[Mapping[str, Flushed], list[str]]:
-    """Return how much was written by what lies beside the storage file, and what is to be said of that."""
-    with suppress(Exception):  # there are none, or anything may be wrong in them
+    """Return the messages written on each topic according to metadata.yaml or the note, with remarks."""
+    with suppress(Exception):  # the metadata may be missing, or damaged in any way
         text = (folder / METADATA_FILE).read_text(encoding="utf-8")
         entries = parse_metadata(text, str(folder))["rosbag2_bagfile_information"]["custom_data"]
         closed = provenance_in(entries, str(folder))
@@ -155,17 +147,17 @@ def _expected(folder: Path) -> tuple[Mapping[str, Flushed], list[str]]:
     try:
         return read_note(folder).flushed, []
     except BadInput as error:
-        return {}, [f"{error.what}: what was cut off the end is not counted"]
+        return {}, [f"{error.what}: messages lost from the end are not counted"]
 
 
 def _provenance(ledger: Ledger, where: str) -> Provenance | None:
-    """Return where the bag comes from, None where that is lost or would make the new bag unreadable."""
+    """Return the bag's provenance; None if it is lost or would make the new bag unreadable."""
     text = ledger.provenance
     if text is None or len(text) > LONGEST_PROVENANCE:
         return None
     try:
         provenance = provenance_in(json.loads(text), where)
-        # A NaN is not even itself.
+        # A provenance with NaN differs from itself; reading the new bag would fail on it.
         return provenance if provenance == provenance_in(json.loads(text), where) else None
     except (BadInput, json.JSONDecodeError):
         return None

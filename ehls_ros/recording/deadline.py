@@ -1,4 +1,4 @@
-"""The time a reader has for a file."""
+"""Time limit for reading a file."""
 
 import time
 
@@ -7,13 +7,13 @@ from ehls_ros.recording import limits
 
 
 class Deadline:
-    """When reading has to be done."""
+    """The time by which a file must be read."""
 
     def __init__(self, size: int, where: str) -> None:
-        """Begin to count.
+        """Start the clock.
 
         Args:
-            size: of what is read [B].
+            size: of the file [B].
             where: the file, for the error.
         """
         self.seconds = limits.SECONDS + size / limits.SLOWEST
@@ -25,14 +25,14 @@ class Deadline:
         return time.monotonic() > self._end
 
     def check(self) -> None:
-        """Give up when the time is over.
+        """Raise if the time is over.
 
         Raises:
-            BadInput: it is.
+            BadInput: the time is over.
         """
         if self.passed():
             raise self.error()
 
     def error(self) -> BadInput:
-        """Return what is said then."""
+        """Return the error for an expired time."""
         return BadInput(f"reading it takes more than {self.seconds:.0f} s", self._where, "the recording in smaller files")

@@ -1,8 +1,8 @@
-"""What is compressed in a bag, taken apart within bounds.
+"""Bounded decompression of bags.
 
-A few bytes of zstd or LZ4 can stand for gigabytes, and an index can name one chunk a million times. rosbags expands whatever
-it is told to. So the chunks of an mcap file are looked at before it is opened, and compressed messages and files are
-expanded here, all of them from one allowance: a multiple of the bag's size on disk.
+A few bytes of zstd or LZ4 can expand to gigabytes, and an index can list one chunk a million times; rosbags follows both. So
+the chunks of an mcap file are checked before rosbags opens it, and compressed messages and files are expanded here. All of it
+counts against one allowance, a multiple of the bag's size on disk.
 """
 
 import struct
@@ -38,23 +38,23 @@ else:
     from backports import zstd
 
 PIECE = 1 << 20
-"""What is expanded at a time [B]."""
+"""Bytes expanded at a time."""
 
 STREAMS: Mapping[str, Callable[[BinaryIO], Any]] = {"zstd": zstd.open, "lz4": lz4.frame.open}
 """Readers by the name of the compression."""
 
 MCAP_SKIPPED = (0x09, 0x0C)
-"""Attachments and metadata, of which rosbags reads the length alone."""
+"""Attachments and metadata, whose content rosbags skips."""
 
 CHUNK_HEAD = struct.Struct("<QQQII")
 INDEX_HEAD = struct.Struct("<QQQQI")
 
 
 class Allowance:
-    """What one bag may still expand to."""
+    """Number of bytes to which a bag may still expand."""
 
     def __init__(self, size: int) -> None:
-        """Begin with the whole of it.
+        """Start with the full allowance.
 
         Args:
             size: of the bag on disk [B].
@@ -63,24 +63,24 @@ class Allowance:
         self.left = EXPANDED + EXPANSION * size
 
     def spend(self, count: int, where: str) -> None:
-        """Count what was expanded.
+        """Deduct expanded bytes.
 
         Args:
-            count: how much [B].
-            where: of what.
+            count: how many.
+            where: source of the bytes, for the error.
 
         Raises:
-            BadInput: it is more than the bag may expand to.
+            BadInput: the allowance is exceeded.
         """
         self.left -= count
         if self.left < 0:
             what = f"its {self._size} bytes expand to more than {EXPANDED + EXPANSION * self._size}"
-            expected = f"a bag that is compressed {EXPANSION}-fold at most, or not: `ros2 bag convert` writes such a one"
+            expected = f"compression of at most {EXPANSION}:1, or none: `ros2 bag convert` writes such a bag"
             raise BadInput(what, where, expected)
 
 
 class _Chunk(NamedTuple):
-    """A chunk as itself and the file's index describe it; sizes in bytes."""
+    """A chunk as described by itself and by the index; sizes in bytes."""
 
     compression: str
     compressed: int
@@ -88,19 +88,19 @@ class _Chunk(NamedTuple):
 
 
 def check_chunks(file: Path, allowance: Allowance, deadline: Deadline) -> None:
-    """Look at the chunks of an mcap file: what they expand to, and whether the index names each of them but once.
+    """Check the expanded sizes of an mcap file's chunks, and that the index lists each of them at most once.
 
     Args:
-        file: whole at its end, as :func:`~ehls_ros.recording.storage_file.custom_data_in` finds.
-        allowance: what the bag may still expand to.
-        deadline: until when.
+        file: with an intact end, as checked by :func:`~ehls_ros.recording.storage_file.custom_data_in`.
+        allowance: of the bag.
+        deadline: of the reading.
 
     Raises:
-        BadInput: a chunk expands to something else than it says, or to more than is allowed; the index is another file's; or
-            it makes rosbags hold too many chunks at once.
+        BadInput: a chunk expands to another size than it states, or to too much; the index does not match the chunks; or
+            rosbags would have to hold too many chunks at once.
         OSError: the file cannot be read.
-        ValueError: its records are none.
-        struct.error: likewise.
+        ValueError: a record is invalid.
+        struct.error: a record is invalid.
     """
     with file.open("rb") as stream:
         footer = stream.seek(-MCAP_FOOTER.size, 2)
@@ -113,36 +113,36 @@ def check_chunks(file: Path, allowance: Allowance, deadline: Deadline) -> None:
                 raise BadInput(f"a record has {length} bytes", where, f"at most {limits.CHUNK}: `mcap` writes smaller chunks")
             if kind == MCAP_CHUNK:
                 chunks[start] = _check_chunk(stream, length, allowance, where)
-        named: set[int] = set()
+        listed: set[int] = set()
         spans: list[tuple[int, int, int]] = []
         for kind, _, length in _records(stream, summary, footer):
             if kind == MCAP_CHUNK_INDEX:
                 start, chunk, first, last = _indexed(stream.read(length))
-                if start in named or chunks.get(start) != chunk:
-                    what = f"its index names a chunk at byte {start} that is not there, or twice"
+                if start in listed or chunks.get(start) != chunk:
+                    what = f"its index lists a chunk at byte {start} that is not there or is listed twice"
                     raise BadInput(what, str(file), CLOSED_BAG)
-                named.add(start)
+                listed.add(start)
                 spans.append((first, last, chunk.expanded))
-    if (most := _at_once(spans)) > limits.CHUNKS_AT_ONCE:
+    if (most := _largest_overlap(spans)) > limits.CHUNKS_AT_ONCE:
         what = f"chunks of {most} bytes overlap in time"
         raise BadInput(what, str(file), f"at most {limits.CHUNKS_AT_ONCE}: `mcap sort` writes such a file")
 
 
-def _at_once(spans: Sequence[tuple[int, int, int]]) -> int:
-    """Return the most bytes of chunks, given by first time, last time and size, whose times overlap."""
-    # At one time the chunks that begin go before those that end.
+def _largest_overlap(spans: Sequence[tuple[int, int, int]]) -> int:
+    """Return the largest total size of chunks, given by first time, last time and size, that overlap in time."""
+    # At equal times, starts come before ends.
     begins = [(first, 0, size) for first, _, size in spans]
     ends = [(max(first, last), 1, -size) for first, last, size in spans]
     return max(accumulate(size for _, _, size in sorted(begins + ends)), default=0)
 
 
 def _records(stream: BinaryIO, start: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """Yield kind, start and content's length of the records between two places, the stream being at the content."""
+    """Yield kind, start and content length of the records between two offsets, with the stream at the content."""
     while start < end:
         stream.seek(start)
         kind, length = MCAP_RECORD.unpack(stream.read(MCAP_RECORD.size))
         if start + MCAP_RECORD.size + length > end:
-            raise ValueError("a record goes beyond its section")
+            raise ValueError("a record extends beyond its section")
         yield kind, start, length
         start += MCAP_RECORD.size + length
 
@@ -155,7 +155,7 @@ def _check_chunk(stream: BinaryIO, length: int, allowance: Allowance, where: str
     (compressed,) = struct.unpack_from("<Q", content, at)
     data = content[at + 8 :]
     if len(data) != compressed:
-        raise ValueError("a chunk is not as long as it says")
+        raise ValueError("a chunk's length is wrong")
     if compression and compression not in STREAMS:
         raise BadInput(f"its compression is {compression!r}", where, f"one of {', '.join(STREAMS)}")
     if expanded > limits.CHUNK:
@@ -169,12 +169,12 @@ def _check_chunk(stream: BinaryIO, length: int, allowance: Allowance, where: str
             if found > expanded:
                 break
     if found != expanded:
-        raise BadInput(f"a chunk says that it expands to {expanded} bytes, and does not", where, CLOSED_BAG)
+        raise BadInput(f"a chunk does not expand to {expanded} bytes, as it states", where, CLOSED_BAG)
     return _Chunk(compression, compressed, expanded)
 
 
 def _indexed(content: bytes) -> tuple[int, _Chunk, int, int]:
-    """Return where a chunk index says that a chunk is, what it is, and its first and last time [ns]."""
+    """Return start, description, first and last time [ns] of a chunk from its index record."""
     first, last, start, _, offsets = INDEX_HEAD.unpack_from(content)
     at = INDEX_HEAD.size + offsets + 8
     (name_length,) = struct.unpack_from("<I", content, at)
@@ -193,37 +193,37 @@ def expanded_message(message: bytes, allowance: Allowance, where: str) -> bytes:
     """Expand one compressed message.
 
     Args:
-        message: a frame of zstd.
-        allowance: what the bag may still expand to.
-        where: bag, for the error.
+        message: one zstd frame.
+        allowance: of the bag.
+        where: the bag, for the error.
 
     Raises:
-        BadInput: it expands to more than is allowed, or is no whole frame.
+        BadInput: the message expands to too much, or is not exactly one frame.
     """
     decompressor = zstd.ZstdDecompressor()
     content: bytes = decompressor.decompress(message, allowance.left + 1)
     allowance.spend(len(content), where)
     if not decompressor.eof or decompressor.unused_data:
-        raise BadInput("a compressed message is cut, or has something behind it", where, "one frame of zstd a message")
+        raise BadInput("a compressed message is truncated or has trailing bytes", where, "one zstd frame per message")
     return content
 
 
 @contextmanager
-def laid_open(folder: Path, metadata: Any, allowance: Allowance) -> Iterator[Path]:
-    """Show a compressed bag to rosbags as one that is not, in a folder of its own that goes when this is left.
+def uncompressed_bag(folder: Path, metadata: Any, allowance: Allowance) -> Iterator[Path]:
+    """Present a compressed bag to rosbags as an uncompressed one, in a temporary folder.
 
-    Files that are compressed are expanded there. Compressed messages stay, for :func:`expanded_message`.
+    Compressed files are expanded there. Compressed messages are left to :func:`expanded_message`.
 
     Args:
         folder: of the bag.
-        metadata: what its metadata.yaml says.
-        allowance: what the bag may expand to.
+        metadata: content of its metadata.yaml.
+        allowance: of the bag.
 
     Yields:
-        The folder; the given one where nothing has to be done.
+        The folder to read; the given one if nothing is compressed.
 
     Raises:
-        BadInput: the files expand to more than is allowed, or their compression is not zstd.
+        BadInput: the files expand to too much, or their compression is not zstd.
     """
     information = metadata["rosbag2_bagfile_information"]
     mode = compression_mode(metadata)
@@ -245,16 +245,16 @@ def laid_open(folder: Path, metadata: Any, allowance: Allowance) -> Iterator[Pat
                 for piece in _pieces("zstd", compressed):
                     allowance.spend(len(piece), str(source))
                     plain.write(piece)
-        plainly = {"compression_mode": "", "compression_format": "", "relative_file_paths": names}
-        text = yaml.safe_dump({"rosbag2_bagfile_information": {**information, **plainly}})
+        uncompressed = {"compression_mode": "", "compression_format": "", "relative_file_paths": names}
+        text = yaml.safe_dump({"rosbag2_bagfile_information": {**information, **uncompressed}})
         (Path(temporary) / METADATA_FILE).write_text(text, encoding="utf-8")
         try:
             yield Path(temporary)
         except BadInput as error:
-            # The user knows nothing of this folder.
+            # The user does not know the temporary folder.
             raise BadInput(error.what, error.where.replace(temporary, str(folder)), error.expected) from None
 
 
 def compression_mode(metadata: Any) -> str:
-    """Return what is compressed: ``file``, ``message``, ``storage`` or nothing; of metadata as a metadata.yaml has them."""
+    """Return what is compressed according to a metadata.yaml: ``file``, ``message``, ``storage`` or an empty string."""
     return str(metadata["rosbag2_bagfile_information"].get("compression_mode") or "").lower()

@@ -1,14 +1,13 @@
-"""The ledger in a bag's storage file: which messages were written, each with a checksum of its own.
+"""The ledger in a bag's storage file: a list of the messages written, with a checksum for each.
 
-rosbag2 has no checksum of a message, and its files can be read only while their structure is whole. The ledger stands between
-the messages, in blocks that bear a mark and are small enough for a page of SQLite, so that they are found in whatever is left
-of a file. What a block vouches for is as it was written, wherever in the file it is found; what it names
-and nobody finds is lost.
+rosbag2 has no message checksums, and its files are readable only while their structure is intact. The blocks of the ledger are
+spread between the messages; each starts with a mark and fits a page of SQLite, so that it can be found in any fragment of a
+file. A message that matches an entry is as it was written, wherever it is found; an entry without a message is a loss.
 """
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from mmap import mmap
 from struct import Struct
 from typing import Annotated, Any, NamedTuple
@@ -22,15 +21,15 @@ from pydantic import Field, TypeAdapter, ValidationError
 from ehls_ros.recording.provenance import checksum_of, checksum_sum, message_checksum, message_digest
 
 MOST_PARTS = 255
-"""Blocks that a bag's provenance may take."""
+"""Most blocks of a bag's provenance."""
 
 MARK = b"\x9dLEDGER\x1a"
 
 ROOM = 4000
-"""Largest block [B]: it fits a page of SQLite, 4096 B, with what SQLite puts around it."""
+"""Largest block [B]: fits a SQLite page of 4096 B with its overhead."""
 
 LONGEST_TEXT = 1 << 24
-"""What the text in a block may expand to [B]."""
+"""Size to which the text in a block may expand [B]."""
 
 ENTRY = Struct("<BQ8s")
 ENTRIES = np.dtype([("topic", "u1"), ("stamp_ns", "<u8"), ("checksum", "<u8")])
@@ -39,14 +38,14 @@ MESSAGES, PROVENANCE = 0, 1
 
 _Number = Annotated[int, Field(strict=True, ge=0, le=1 << 53)]
 
-_BEFORE: TypeAdapter[dict[str, tuple[_Number, _Number]]] = TypeAdapter(dict[str, tuple[_Number, _Number]])
+_HEAD: TypeAdapter[dict[str, tuple[_Number, _Number]]] = TypeAdapter(dict[str, tuple[_Number, _Number]])
 
 _FRAME = Struct("<8sQBHH")
 _FRAMED = Struct("<BHH")
 
 
 class Tally(NamedTuple):
-    """What was written of one topic.
+    """Summary of the messages written on one topic.
 
     Attributes:
         messages: number of messages.
@@ -60,10 +59,10 @@ class Tally(NamedTuple):
 
 
 class LedgerWriter:
-    """Keeps the ledger of a file that is being written; whoever writes the file puts the blocks into it."""
+    """Builds the ledger of a file being written; the storage writes the blocks."""
 
     def __init__(self) -> None:
-        """Begin with no topics."""
+        """Start without topics."""
         self._paths: dict[int, str] = {}
         self._tallies: dict[int, Tally] = {}
         self._full: list[bytes] = []
@@ -72,10 +71,10 @@ class LedgerWriter:
         self._room = 0
 
     def add_topic(self, topic: int, path: str) -> None:
-        """Name a topic, before there are messages.
+        """Add a topic before its first message.
 
         Args:
-            topic: its number in the file, 255 at most.
+            topic: its number in the file, at most 255.
             path: its full name.
         """
         self._paths[topic] = path
@@ -95,13 +94,13 @@ class LedgerWriter:
         self._entries += ENTRY.pack(topic, stamp_ns, message_digest(self._paths[topic], stamp_ns, serialized))
 
     def take(self) -> list[bytes]:
-        """Return the blocks of what was entered since the last time."""
+        """Return the blocks of the messages entered since the last call."""
         self._close_block()
         blocks, self._full = self._full, []
         return blocks
 
     def tallies(self) -> dict[str, Tally]:
-        """Return what was entered, by the topic's full name."""
+        """Return the tallies by the topic's full name."""
         self._close_block()
         return {self._paths[topic]: tally for topic, tally in self._tallies.items()}
 
@@ -128,10 +127,10 @@ class LedgerWriter:
 
 
 def provenance_blocks(text: str) -> list[bytes]:
-    """Return the blocks that keep what a bag says of where it comes from; none if it is beyond measure.
+    """Return the blocks that hold a bag's provenance; none if it is too long.
 
     Args:
-        text: as :func:`~ehls_ros.recording.provenance.provenance_in` reads it.
+        text: as read by :func:`~ehls_ros.recording.provenance.provenance_in`.
     """
     packed = compress(text.encode(), 9)
     size = ROOM - _FRAME.size
@@ -139,7 +138,7 @@ def provenance_blocks(text: str) -> list[bytes]:
     if len(parts) > MOST_PARTS:
         return []
     blocks = [_block(PROVENANCE, len(parts) << 8 | number, part, b"") for number, part in enumerate(parts)]
-    return 2 * blocks  # nothing else vouches for it if one is damaged
+    return 2 * blocks  # twice, in case a block is damaged
 
 
 def _block(kind: int, count: int, head: bytes, rest: bytes) -> bytes:
@@ -148,12 +147,12 @@ def _block(kind: int, count: int, head: bytes, rest: bytes) -> bytes:
 
 
 class Range(NamedTuple):
-    """Messages of one topic that are lost in a row.
+    """A gap: consecutive messages of one topic that are lost.
 
     Attributes:
-        messages: how many.
-        first_ns: when the first was sent [ns].
-        last_ns: when the last was sent [ns].
+        messages: number of messages.
+        first_ns: time of sending of the first [ns].
+        last_ns: time of sending of the last [ns].
     """
 
     messages: int
@@ -161,8 +160,31 @@ class Range(NamedTuple):
     last_ns: int
 
 
+class _Block(NamedTuple):
+    """A block found in a file; ``sound`` tells whether its checksum is right."""
+
+    sound: bool
+    checksum: int
+    kind: int
+    entries: int
+    head: bytes
+    rest: bytes
+
+
+def _blocks_in(content: bytes | mmap) -> Iterator[_Block]:
+    for match in re.finditer(re.escape(MARK), content):
+        block = content[match.start() : match.start() + ROOM]
+        if len(block) < _FRAME.size:
+            continue
+        _, checksum, kind, count, length = _FRAME.unpack_from(block)
+        size = length + (count * ENTRY.size if kind == MESSAGES else 0)
+        sound = checksum_of(block[_FRAME.size - _FRAMED.size : _FRAME.size + size]) == checksum
+        body = block[_FRAME.size :]
+        yield _Block(sound, checksum, kind, count, body[:length], body[length:])
+
+
 class Ledger:
-    """The ledger of a file, as far as its blocks are left; it also keeps which of its messages were found."""
+    """The ledger of a file, as far as its blocks survive; it also tracks which messages have been found."""
 
     def __init__(self, content: bytes | mmap) -> None:
         """Find the blocks.
@@ -173,39 +195,32 @@ class Ledger:
         self.names: dict[int, str] = {}
         """Full names of the topics by their number in the file."""
         self.counts: dict[str, int] = {}
-        """How many messages there were, by the topic's full name, as far as sound blocks tell."""
+        """Number of messages written, by the topic's full name, as far as sound blocks show."""
         self.damaged_blocks = 0
         spans: list[tuple[int, int]] = []
         entries: list[NDArray[Any]] = []
         sound: list[NDArray[np.bool_]] = []
         parts: dict[tuple[int, int], bytes] = {}
         seen: set[int] = set()
-        for match in re.finditer(re.escape(MARK), content):
-            block = content[match.start() : match.start() + ROOM]
-            if len(block) < _FRAME.size:
+        for block in _blocks_in(content):
+            if block.sound and block.checksum in seen:
                 continue
-            _, checksum, kind, count, length = _FRAME.unpack_from(block)
-            body = block[_FRAME.size :]
-            size = length + (count * ENTRY.size if kind == MESSAGES else 0)
-            whole = checksum_of(block[_FRAME.size - _FRAMED.size : _FRAME.size + size]) == checksum
-            if whole and checksum in seen:
-                continue
-            seen.add(checksum)
-            before = _before(body[:length]) if whole and kind == MESSAGES else {}
-            whole = whole and before is not None
-            self.damaged_blocks += not whole
-            if whole and kind == PROVENANCE:
-                parts[count >> 8, count & 0xFF] = body[:length]
-            if kind == MESSAGES and length < len(body):
-                listed = np.frombuffer(body[length : length + (len(body) - length) // ENTRY.size * ENTRY.size], ENTRIES)[:count]
+            seen.add(block.checksum)
+            before = _parsed_head(block.head) if block.sound and block.kind == MESSAGES else {}
+            usable = block.sound and before is not None
+            self.damaged_blocks += not usable
+            if usable and block.kind == PROVENANCE:
+                parts[block.entries >> 8, block.entries & 0xFF] = block.head
+            if block.kind == MESSAGES and block.rest:
+                listed = np.frombuffer(block.rest[: len(block.rest) // ENTRY.size * ENTRY.size], ENTRIES)[: block.entries]
                 entries.append(listed)
-                sound.append(np.full(len(listed), whole))
+                sound.append(np.full(len(listed), usable))
                 if before:
                     self._learn(before, listed)
                     first = sum(messages for _, messages in before.values())
                     spans.append((first, first + len(listed)))
         self.provenance = _joined(parts)
-        """Text of :func:`provenance_blocks`, None where it is not whole."""
+        """Text of :func:`provenance_blocks`; None if it is incomplete."""
         self._spans = np.array(sorted(spans), np.int64).reshape(-1, 2)
         listed = np.concatenate([np.zeros(0, ENTRIES), *entries])
         order = np.argsort(listed["checksum"], kind="stable")
@@ -218,17 +233,17 @@ class Ledger:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing in the file vouches for any message."""
+        """Whether the file has no entry for any message."""
         return not len(self._entries)
 
     @property
     def complete(self) -> bool:
-        """Whether it is there from the first message on, so that what it does not name was never written."""
+        """Whether no block is missing between the first and the last, so that a message without an entry was never written."""
         ends = np.concatenate(([0], self._spans[:, 1]))
         return not self.empty and not self.damaged_blocks and bool((self._spans[:, 0] == ends[:-1]).all())
 
     def vouches(self, message: tuple[str, int, bytes]) -> bool:
-        """Tell whether a message is as it was written; each is found but once.
+        """Tell whether a message is as it was written; each entry matches once.
 
         Args:
             message: full name of the topic, time of sending [ns], and the message as CDR.
@@ -236,7 +251,7 @@ class Ledger:
         return self.vouches_for([message])[0]
 
     def vouches_for(self, messages: Sequence[tuple[str, int, bytes]]) -> list[bool]:
-        """Tell of each of n messages whether it is as it was written; see :meth:`vouches`."""
+        """Apply :meth:`vouches` to each of several messages."""
         if self.empty:
             return [False] * len(messages)
         checksums = np.array([message_checksum(*message) for message in messages], np.uint64)
@@ -248,12 +263,12 @@ class Ledger:
         return found
 
     def covers(self, ordinal: int) -> bool:
-        """Tell whether a sound block says which message was written at a place, counted from 0 over all topics."""
+        """Tell whether a sound block lists the message with a number, counted from 0 over all topics."""
         place = int(np.searchsorted(self._spans[:, 0], ordinal, side="right")) - 1
         return place >= 0 and ordinal < self._spans[place, 1]
 
     def lost(self) -> dict[str, list[Range]]:
-        """Return what sound blocks vouch for and was not found, by the topic's full name."""
+        """Return the messages listed by sound blocks but not found, by the topic's full name."""
         within = np.arange(len(self._entries)) - np.repeat(self._starts, self._numbers)
         missing = within >= np.repeat(self._numbers - self._left, self._numbers)
         ranges: dict[str, list[Range]] = {}
@@ -270,17 +285,17 @@ class Ledger:
         return ranges
 
     def _learn(self, before: Mapping[str, tuple[int, int]], listed: NDArray[Any]) -> None:
-        """Take the names and numbers from a sound block."""
+        """Update names and counts from a sound block."""
         for path, (number, messages) in before.items():
             self.names[number] = path
             here = int(np.count_nonzero(listed["topic"] == number))
             self.counts[path] = max(self.counts.get(path, 0), messages + here)
 
 
-def _before(head: bytes) -> Mapping[str, tuple[int, int]] | None:
-    """Return number and messages so far of each topic, by its full name, from the head of a block."""
+def _parsed_head(head: bytes) -> Mapping[str, tuple[int, int]] | None:
+    """Return each topic's number and the count of its earlier messages, by full name, from the head of a block."""
     try:
-        return _BEFORE.validate_json(_expanded(head))
+        return _HEAD.validate_json(_expanded(head))
     except (CompressionError, ValidationError):
         return None
 

@@ -1,14 +1,14 @@
-"""How much of a file is read: every bound of every reader.
+"""Limits of all readers.
 
-A recording of a rig stays far below them; what is above them is refused in one line before it takes memory or time. An hour of
-ten columns at 1 kHz has 3.6e7 values and takes 0.7 GB as CSV.
+Recordings of a rig stay far below them; files above them are refused before they cost memory or time. An hour of ten columns at
+1 kHz has 3.6e7 values and takes 0.7 GB as CSV.
 """
 
 TEXT = 4 * 2**20
-"""Longest YAML file, metadata of a bag or reference file; a load spectrum of 10^5 points is shorter [characters]."""
+"""Longest YAML file, bag metadata or reference file; a load spectrum of 10^5 points is shorter [characters]."""
 
 YAML_DEPTH = 50
-"""Collections within each other; a spec has six [1]."""
+"""Deepest nesting of collections; a spec has six levels [1]."""
 
 YAML_NUMBER = 400
 """Longest number; the largest float has 309 digits [characters]."""
@@ -25,7 +25,7 @@ ROWS = 20_000_000
 """Most samples of a recording: 5.5 h at 1 kHz [1]."""
 
 VALUES = 200_000_000
-"""Most numbers of a table, rows times columns: an hour at 1 kHz of every signal there is [1]."""
+"""Most numbers of a table, rows times columns: an hour of all signals at 1 kHz [1]."""
 
 BAG = 64 * 2**30
 """Largest bag [B]; an hour of ours takes 4 GB."""
@@ -39,31 +39,31 @@ MESSAGE = 2**16
 """Largest message of a topic that is read; ours have some hundred bytes [B]."""
 
 GATHERED = 2**26
-"""Messages that are decoded together [B]."""
+"""Messages decoded together [B]."""
 
 LAYOUTS = 64
-"""Most different lengths, among messages decoded together, of a topic's texts and sequences; ours has one or two [1]."""
+"""Most layouts, by the lengths of strings and sequences, among messages decoded together; ours have one or two [1]."""
 
 SUMMARY = 2**26
-"""Largest summary of an mcap file, and largest record of its that is no chunk; a bag of 4 GB has 3 MB [B]."""
+"""Largest summary of an mcap file and largest record other than a chunk; a bag of 4 GB has 3 MB [B]."""
 
 CHUNK = 2**26
 """Largest chunk of an mcap file, compressed or not; recorders write 1 to 4 MB [B]."""
 
 CHUNKS_AT_ONCE = 2**28
-"""What may be in memory at a time of chunks whose times overlap [B]."""
+"""Largest total of chunks that overlap in time and so are in memory together [B]."""
 
 EXPANSION = 100
-"""Expanded bytes for a byte on disk; a run compresses two- to fivefold, one in which nothing moves elevenfold [1]."""
+"""Largest compression ratio; a run compresses two- to fivefold, one in which nothing moves elevenfold [1]."""
 
 EXPANDED = 2**26
-"""What any file may expand to [B]."""
+"""Size to which any file may expand, whatever its ratio [B]."""
 
 COPIES = 4
-"""How often a library may hold what a MAT or Parquet file expands to [1]."""
+"""Copies of an expanded MAT or Parquet file that a library may hold [1]."""
 
 SECONDS = 60.0
 """Time to read any file [s]."""
 
 SLOWEST = 1e6
-"""Rate at which a larger one has to be read; a computer that is busy reads ten times as fast [B/s]."""
+"""Slowest reading rate of a larger file; even a busy computer is ten times as fast [B/s]."""

@@ -1,4 +1,4 @@
-"""Recorded or measured data in any of the formats of the data contract."""
+"""Loads recorded or measured data in any format of the data contract."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -20,23 +20,23 @@ TABLES: Mapping[str, Callable[[Path, Columns], Trajectory]] = {
 
 
 def load(path: Path, columns: Columns | None = None) -> Trajectory:
-    """Read data from whatever holds them.
+    """Read data in any supported format.
 
     Args:
         path: folder of a rosbag2, or a file ``.mcap``, ``.db3``, ``.csv``, ``.mat`` or ``.parquet``.
-        columns: the user's own names and units; for files with named columns only.
+        columns: the user's own names and units; not for bags.
 
     Returns:
         The trajectory.
 
     Raises:
-        BadInput: there are no data in any of these formats.
+        BadInput: the data cannot be read in any of these formats.
     """
     suffix = path.suffix.lower()
     if suffix in TABLES:
         return TABLES[suffix](path, columns or {})
     if columns:
-        raise BadInput("a map of columns is given for a bag", str(path), "a .csv, .mat or .parquet file with it")
+        raise BadInput("a bag has no columns to map", str(path), "a map of columns only with a .csv, .mat or .parquet file")
     if suffix not in STORAGE_SUFFIXES and _is_file(path):
         expected = f"the folder of a rosbag2 or a file {', '.join((*STORAGE_SUFFIXES, *TABLES))}"
         raise BadInput("its format is unknown", str(path), expected)
@@ -47,4 +47,4 @@ def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
     except OSError:
-        return False  # reading it says why
+        return False  # reading it will say why

@@ -1,4 +1,4 @@
-"""MATLAB files by the data contract: a variable for each signal."""
+"""MATLAB files in the format of the data contract: one variable per signal."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -15,27 +15,27 @@ from ehls_ros.recording.reason import reason
 from ehls_ros.recording.table import assemble, choose
 from ehls_ros.trajectory import Trajectory
 
-EXPECTED_FILE = "a MAT file as MATLAB's save -v7 writes it"
+EXPECTED_FILE = "a MAT file as written by MATLAB's save -v7"
 
 
 def read_mat(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
     """Read a MAT file of version 4 to 7.
 
     Args:
-        path: the file. A variable is a column; the fields of a structure ``s`` are columns ``s.field``.
+        path: the file. Each variable is a column; the fields of a structure ``s`` are columns ``s.field``.
         columns: the user's own names and units.
 
     Returns:
         The trajectory, without metadata.
 
     Raises:
-        BadInput: the file cannot be read, a column is wrong, or time does not grow with every sample.
+        BadInput: the file cannot be read, a column is wrong, or time does not increase with every sample.
     """
     return contained(read_here, path, columns, EXPECTED_FILE)
 
 
 def read_here(path: Path, columns: Columns) -> Trajectory:
-    """Read a MAT file in this process, whatever it takes of memory; see :func:`read_mat`."""
+    """Read a MAT file in this process, without a memory limit; see :func:`read_mat`."""
     where = str(path)
     try:
         with path.open("rb") as stream:
@@ -46,8 +46,8 @@ def read_here(path: Path, columns: Columns) -> Trajectory:
         raise BadInput("it is a MAT file of version 7.3", where, EXPECTED_FILE) from None
     except MemoryError:
         raise
-    except Exception as error:  # noqa: BLE001 - scipy raises whatever it stumbles over in a damaged file
-        raise BadInput(f"it is no MAT file ({reason(error)})", where, EXPECTED_FILE) from None
+    except Exception as error:  # noqa: BLE001 - scipy raises any exception on a damaged file
+        raise BadInput(f"it is not a MAT file ({reason(error)})", where, EXPECTED_FILE) from None
     chosen = choose(list(variables), columns, where)
     values = {name: np.atleast_1d(np.asarray(variables[column.name])) for name, column in chosen.items()}
     return assemble(values, chosen, where, lambda row: f"sample {row + 1}")

@@ -1,8 +1,8 @@
-"""Messages out of an mcap file of which only parts are left.
+"""Finds the messages in the remains of an mcap file.
 
-Chunks are found by their heads, which say their length twice, and not by walking from record to record, which one wrong length
-would lead astray. A chunk whose checksum is right is taken as it is. In everything else each place that looks like a message is
-tried: where the file has a ledger, the ledger says what is one.
+Chunks are found by their headers, which contain the length twice, not by walking from record to record, where one wrong length
+would mislead. A chunk with a correct checksum is used as it is. Everywhere else each byte sequence that looks like a message is
+tried and checked against the ledger, if the file has one.
 """
 
 import re
@@ -21,16 +21,16 @@ MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 CHANNEL_HEAD = struct.Struct("<BQHHI")
 
 LONGEST_NAME = 8
-"""Letters in the name of a compression."""
+"""Longest name of a compression [characters]."""
 
-# A record's kind and a length below 16 MiB; what follows is checked by hand.
+# A record's kind and a length below 16 MiB; the rest is checked in code.
 _CHUNK = re.compile(rb"\x06[\s\S]{5}\x00{3}")
 _MESSAGE = re.compile(rb"\x05[\s\S]{3}\x00{5}")
 _CHANNEL = re.compile(rb"\x04[\s\S]{2}\x00{6}[\s\S]{4}([\s\S]{2})\x00\x00")
 
 
 class _Chunk(NamedTuple):
-    """Where a chunk begins, where its records begin and end, and what its head says of them."""
+    """A chunk: offsets of its start, of its records and of its end, and the checksum and compression from its header."""
 
     start: int
     records: int
@@ -40,7 +40,7 @@ class _Chunk(NamedTuple):
 
 
 def names_in_mcap(content: mmap) -> dict[int, str]:
-    """Return the topics that an mcap file describes."""
+    """Return the topics described in an mcap file."""
     names: dict[int, str] = {}
     for match in _CHANNEL.finditer(content):
         _, length, channel, _, size = CHANNEL_HEAD.unpack_from(content, match.start())
@@ -51,33 +51,23 @@ def names_in_mcap(content: mmap) -> dict[int, str]:
 
 
 def salvage_mcap(content: mmap, names: Names, ledger: Ledger, loss: Loss) -> Iterator[Found]:
-    """Find the messages of an mcap file.
-
-    Args:
-        content: of the file.
-        names: its topics.
-        ledger: what vouches for messages.
-        loss: takes what is damaged.
-
-    Yields:
-        What may be kept, in the order it stands in the file.
-    """
+    """Find the messages of an mcap file; see :data:`~ehls_ros.recording.salvage.Salvage`."""
     behind = 0
     while (chunk := _next_chunk(content, behind)) is not None:
-        yield from _tried(content[behind : chunk.start], names, ledger)
+        yield from _searched(content[behind : chunk.start], names, ledger)
         behind = chunk.end
         records = content[chunk.records : chunk.end]
         if chunk.compressed:
             loss.places.append(f"the chunk at byte {chunk.start} is compressed")
         elif chunk.checksum and crc32(records) == chunk.checksum:
-            yield from _taken(records, names, ledger)
+            yield from _from_sound_chunk(records, names, ledger)
         elif chunk.checksum and ledger.empty:
             loss.places.append(f"the chunk at byte {chunk.start} is damaged")
             for topic, _, _ in _messages(records, names):
                 loss.count(topic)
         else:
-            yield from _tried(records, names, ledger)
-    yield from _tried(content[behind:], names, ledger)
+            yield from _searched(records, names, ledger)
+    yield from _searched(content[behind:], names, ledger)
 
 
 def _next_chunk(content: mmap, behind: int) -> _Chunk | None:
@@ -97,7 +87,7 @@ def _next_chunk(content: mmap, behind: int) -> _Chunk | None:
 
 
 def _messages(records: bytes, names: Names) -> Iterator[tuple[str, int, bytes]]:
-    """Walk from record to record as far as that goes."""
+    """Walk from record to record, as far as the lengths are plausible."""
     offset = 0
     while offset + MCAP_RECORD.size <= len(records):
         kind, length = MCAP_RECORD.unpack_from(records, offset)
@@ -110,18 +100,18 @@ def _messages(records: bytes, names: Names) -> Iterator[tuple[str, int, bytes]]:
         offset = end
 
 
-def _taken(records: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
-    """Take the records of a chunk whose checksum is right."""
+def _from_sound_chunk(records: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
+    """Return the messages of a chunk with a correct checksum."""
     messages = list(_messages(records, names))
-    named = ledger.vouches_for(messages)
+    listed = ledger.vouches_for(messages)
     complete = ledger.complete
-    for message, known in zip(messages, named, strict=True):
+    for message, known in zip(messages, listed, strict=True):
         if known or not complete:
             yield Found(*message, verified=True)
 
 
-def _tried(records: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
-    """Try every place that looks like a message."""
+def _searched(records: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
+    """Try every offset that looks like a message."""
     offset = 0
     while (match := _MESSAGE.search(records, offset)) is not None:
         start = match.start()

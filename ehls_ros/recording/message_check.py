@@ -1,4 +1,4 @@
-"""Whether bytes can be a message of their topic: they decode, and were sent when their neighbours were."""
+"""Plausibility of messages without a checksum: they decode, and were sent at about the same time as their neighbours."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -12,17 +12,17 @@ from ehls_ros.recording.topics import CYCLE_TOPICS, Topic
 from ehls_ros.recording.typestore import typestore
 
 NEIGHBOURS = 17
-"""Messages, itself among them, whose middle one a message's time is compared with."""
+"""Width of the median filter of the times of sending [messages]."""
 
 OUTLYING_NS = 10 * 10**9
-"""How far it may be off that [ns]."""
+"""Largest plausible deviation from the median [ns]."""
 
 
 def well_formed(topic: Topic, messages: Sequence[bytes]) -> list[bool]:
-    """Tell of each message whether it is one of the topic's type.
+    """Tell for each message whether it decodes as the topic's type.
 
     Args:
-        topic: which topic they are said to be of.
+        topic: the topic they are stored under.
         messages: as CDR.
     """
     decodes = _decodes_in_bulk if topic in CYCLE_TOPICS else _decodes_one_by_one
@@ -30,10 +30,10 @@ def well_formed(topic: Topic, messages: Sequence[bytes]) -> list[bool]:
 
 
 def timely(stamps_ns: Sequence[int]) -> NDArray[np.bool_]:
-    """Tell of each message whether it was sent about when those next to it were; a clock that is set stays set.
+    """Tell for each message whether its time agrees with its neighbours'; a lasting step of the clock is plausible.
 
     Args:
-        stamps_ns: times of sending of n messages in the order they were stored [ns].
+        stamps_ns: times of sending of n messages, in storage order [ns].
 
     Returns:
         Flags of shape (n,).
@@ -60,6 +60,6 @@ def _decodes_one_by_one(message_type: str, messages: Sequence[bytes]) -> bool:
     try:
         for message in messages:
             typestore().deserialize_cdr(message, message_type)
-    except Exception:  # noqa: BLE001 - of bytes that are no message, rosbags raises any
+    except Exception:  # noqa: BLE001 - rosbags raises any exception on invalid bytes
         return False
     return True

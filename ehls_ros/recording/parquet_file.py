@@ -1,4 +1,4 @@
-"""Parquet files by the data contract: a column for each signal. Needs pyarrow, which is not installed with ehls_ros."""
+"""Parquet files in the format of the data contract: one column per signal. Needs pyarrow, which ehls_ros does not install."""
 
 from importlib import import_module
 from importlib.util import find_spec
@@ -10,11 +10,11 @@ from ehls_ros.errors import BadInput
 from ehls_ros.recording.columns import Column, Columns
 from ehls_ros.recording.contained import contained
 from ehls_ros.recording.reason import reason
-from ehls_ros.recording.table import assemble, check_length, choose, no_numbers
+from ehls_ros.recording.table import assemble, check_length, choose, not_numeric
 from ehls_ros.trajectory import Trajectory
 
 OLDEST = (14, 0, 1)
-"""The first pyarrow that runs no code out of a file."""
+"""The first pyarrow that does not run code from a file."""
 
 
 def read_parquet(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
@@ -28,21 +28,21 @@ def read_parquet(path: Path, columns: Columns = MappingProxyType({})) -> Traject
         The trajectory, without metadata.
 
     Raises:
-        BadInput: pyarrow is missing, the file cannot be read, a column is wrong, or time does not grow with every row.
+        BadInput: pyarrow is missing, the file cannot be read, a column is wrong, or time does not increase with every row.
     """
-    # Importing it takes as long as reading a file.
+    # Not imported here: that takes as long as reading a file.
     if find_spec("pyarrow") is None or find_spec("pyarrow.parquet") is None:
         raise BadInput("pyarrow is not installed", str(path), "pip install pyarrow, or the data as CSV")
     return contained(read_here, path, columns, "a Parquet file")
 
 
 def read_here(path: Path, columns: Columns) -> Trajectory:
-    """Read a Parquet file in this process, whatever it takes of memory; see :func:`read_parquet`."""
+    """Read a Parquet file in this process, without a memory limit; see :func:`read_parquet`."""
     where = str(path)
     arrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
     if tuple(int(part) for part in arrow.__version__.split(".")[:3]) < OLDEST:
         oldest = ".".join(map(str, OLDEST))
-        raise BadInput(f"pyarrow is {arrow.__version__}, which runs code out of files", where, f"pyarrow {oldest} or later")
+        raise BadInput(f"pyarrow is {arrow.__version__}, which may run code from a file", where, f"pyarrow {oldest} or later")
     try:
         with parquet.ParquetFile(path) as file:
             chosen = _chosen(arrow, file, columns, where)
@@ -50,17 +50,17 @@ def read_here(path: Path, columns: Columns) -> Trajectory:
     except BadInput:
         raise
     except (OSError, ValueError) as error:
-        raise BadInput(f"it is no Parquet file ({reason(error)})", where, "a Parquet file") from None
+        raise BadInput(f"it is not a Parquet file ({reason(error)})", where, "a Parquet file") from None
     values = {name: table.column(column.name).to_numpy() for name, column in chosen.items()}
     return assemble(values, chosen, where, lambda row: f"row {row + 1}")
 
 
 def _chosen(arrow: Any, file: Any, columns: Columns, where: str) -> dict[str, Column]:
-    """Decide which columns are read, and refuse what need not be read for it."""
+    """Select the columns to read, and check their types and length before reading them."""
     chosen = choose(file.schema_arrow.names, columns, where)
     for name, column in chosen.items():
         if not _is_number(arrow, file.schema_arrow.field(column.name).type):
-            raise no_numbers(column, name, where)
+            raise not_numeric(column, name, where)
     check_length(file.metadata.num_rows, len(chosen), where)
     return chosen
 

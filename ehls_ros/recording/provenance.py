@@ -1,7 +1,7 @@
-"""What ehls_ros itself keeps in a bag: the configuration, and seals that show whether every message is as written.
+"""Provenance of a bag: the configuration of the run, and seals that reveal altered messages.
 
-It stands in the ``custom_data`` of the bag's metadata as one JSON text and the checksum of that text. rosbags writes no
-checksums of its own, so that without the seals a flipped bit in a bag would be a measured value.
+It is stored in the ``custom_data`` of the bag's metadata as one JSON text and its checksum. rosbags writes no checksums, so
+without the seals a flipped bit would pass for a measured value.
 """
 
 import json
@@ -22,12 +22,12 @@ _LARGEST = (1 << 64) - 1
 
 
 class Seal(NamedTuple):
-    """What one topic of a bag was when the bag was closed.
+    """State of one topic when the bag was closed.
 
     Attributes:
-        type_hash: RIHS01 hash of its message type.
-        checksum: sum of :func:`message_checksum` over its messages, 64 bits; their order does not matter.
-        messages: number of its messages.
+        type_hash: RIHS01 hash of the message type.
+        checksum: sum of :func:`message_checksum` over the messages, 64 bits; independent of their order.
+        messages: number of messages.
         newest_ns: latest time of sending [ns].
     """
 
@@ -38,14 +38,14 @@ class Seal(NamedTuple):
 
 
 class Provenance(NamedTuple):
-    """Where a bag comes from.
+    """Origin of a bag.
 
     Attributes:
-        configuration: what the run was made with: rig, spec, controller, versions; JSON values.
-        seals: one a topic, by its full name.
-        signals: the signals the bag was written from, when it was written from a trajectory: a message has all its
-            fields even where the trajectory had not all signals.
-        recovery: what was lost, where the bag was made of a damaged one, JSON values.
+        configuration: of the run: rig, spec, controller, versions; JSON values.
+        seals: of the topics, by full name.
+        signals: the trajectory's signals, if the bag was written from one; its messages have all fields even if the trajectory
+            did not have all signals. None for a recording.
+        recovery: what was lost, if the bag was recovered from a damaged one; JSON values.
     """
 
     configuration: Mapping[str, Any]
@@ -64,14 +64,14 @@ _PROVENANCE = TypeAdapter(Provenance)
 
 
 def provenance_in(custom_data: Mapping[str, str], where: str) -> Provenance | None:
-    """Read the entries back.
+    """Read the provenance from a bag's metadata.
 
     Args:
-        custom_data: entries of a bag's metadata, ours or not.
+        custom_data: entries of the metadata of any bag.
         where: the bag, for the error.
 
     Returns:
-        The provenance, or None when another recorder wrote the bag.
+        The provenance; None if another recorder wrote the bag.
 
     Raises:
         BadInput: the entries are damaged.
@@ -80,15 +80,15 @@ def provenance_in(custom_data: Mapping[str, str], where: str) -> Provenance | No
         return None
     content = str(custom_data.get(KEY, ""))
     if custom_data.get(CHECKSUM_KEY) != _text_checksum(content):
-        raise BadInput("the configuration kept in the bag is damaged", where, "a bag as it was written")
+        raise BadInput("the configuration in the bag is damaged", where, "an unaltered bag")
     try:
         return _PROVENANCE.validate_json(content)
     except ValidationError:
-        raise BadInput("the configuration kept in the bag is none of ours", where, "a bag as it was written") from None
+        raise BadInput("the configuration in the bag is not in the format of ehls_ros", where, "an unaltered bag") from None
 
 
 def message_digest(topic: str, stamp_ns: int, serialized: bytes | memoryview) -> bytes:
-    """Return 64 bits of BLAKE2 over one message together with its topic and its time of sending.
+    """Return 64 bits of BLAKE2 over a message, its topic and its time of sending.
 
     Args:
         topic: full name.
@@ -100,33 +100,33 @@ def message_digest(topic: str, stamp_ns: int, serialized: bytes | memoryview) ->
 
 
 def message_checksum(topic: str, stamp_ns: int, serialized: bytes | memoryview) -> int:
-    """Return the :func:`message_digest` as a number."""
+    """Return :func:`message_digest` as a number."""
     return int.from_bytes(message_digest(topic, stamp_ns, serialized), "little")
 
 
 def checksum_sum(checksums: Iterable[int]) -> int:
-    """Return the sum of checksums, in 64 bits."""
+    """Return the sum of checksums modulo 2^64."""
     return sum(checksums) & _LARGEST
 
 
 def checksum_of(content: bytes) -> int:
-    """Return 64 bits of BLAKE2 over some bytes."""
+    """Return 64 bits of BLAKE2 over ``content``."""
     return int.from_bytes(blake2b(content, digest_size=8).digest(), "little")
 
 
 def _text_checksum(content: str) -> str:
-    # the letters keep a YAML parser from taking it for a number
+    # The prefix keeps YAML parsers from reading it as a number.
     return f"crc32-{crc32(content.encode()):08x}"
 
 
 def as_json(configuration: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a configuration as JSON gives it back: tuples as lists, numpy's numbers and arrays as plain ones.
+    """Return a configuration as JSON values: tuples as lists, numpy numbers and arrays as plain ones.
 
     Args:
-        configuration: nested mappings, sequences, texts and numbers.
+        configuration: nested mappings, sequences, strings and numbers.
 
     Raises:
-        TypeError: it holds something else.
+        TypeError: it contains anything else.
     """
     content: dict[str, Any] = json.loads(json.dumps(dict(configuration), default=_plain))
     return content
@@ -137,4 +137,4 @@ def _plain(value: Any) -> Any:
         return dict(value)
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
-    raise TypeError(f"{value!r} in a bag's configuration is no JSON value")
+    raise TypeError(f"{value!r} in a bag's configuration is not a JSON value")

@@ -1,4 +1,4 @@
-"""What a library's exception says, short enough for one line of ours."""
+"""The message of a library's exception, shortened to one line."""
 
 from textwrap import shorten
 
@@ -6,10 +6,10 @@ LONGEST = 160
 
 
 def reason(error: Exception) -> str:
-    """Return the operating system's or the library's own words, on one line.
+    """Return the message of the operating system or library, on one line.
 
     Args:
-        error: what was raised while a file was opened, read or written.
+        error: raised while a file was opened, read or written.
     """
     words = getattr(error, "strerror", None) or str(error) or type(error).__name__
     return shorten(str(words), LONGEST, placeholder=" …")

@@ -1,7 +1,7 @@
-"""The note beside a bag that is being written: how much is safely on the disk.
+"""The note beside a bag being written: how much of it is safely on disk.
 
-Closing the bag removes the note. With it :mod:`ehls_ros.recording.recovery` tells how much is missing of what a killed
-recorder left behind.
+Closing the bag removes the note. From the note of a killed recorder :mod:`ehls_ros.recording.recovery` knows how much is
+missing.
 """
 
 import json
@@ -20,17 +20,17 @@ from ehls_ros.recording.regular_file import check_regular
 NOTE = "being_recorded.json"
 """Name of the note in the bag's folder."""
 
-AS_WRITTEN = "a note as the recorder wrote it"
+AS_WRITTEN = "an unaltered note of the recorder"
 
 LARGEST = 1 << 20
-"""Size of a note at most [B]."""
+"""Largest note [B]."""
 
 
 class Flushed(NamedTuple):
-    """What is known to be on the disk of one topic.
+    """Messages of one topic that are on disk.
 
     Attributes:
-        messages: number of its messages.
+        messages: number of messages.
         newest_ns: latest time of sending [ns].
     """
 
@@ -39,7 +39,7 @@ class Flushed(NamedTuple):
 
 
 class Note(NamedTuple):
-    """What the note says.
+    """Content of the note.
 
     Attributes:
         flushed: by the topic's full name.
@@ -57,11 +57,11 @@ _WRITTEN = TypeAdapter(_Written)
 
 
 def write_note(folder: Path, note: Note) -> None:
-    """Put the note in a bag's folder, in place of the last one, never half of it.
+    """Replace the note in a bag's folder atomically.
 
     Args:
         folder: the bag's folder.
-        note: what it says.
+        note: the new content.
 
     Raises:
         OSError: the disk is full or fails.
@@ -73,7 +73,7 @@ def write_note(folder: Path, note: Note) -> None:
 
 
 def remove_note(folder: Path) -> None:
-    """Take the note away once the bag is whole."""
+    """Remove the note once the bag is complete."""
     (folder / NOTE).unlink(missing_ok=True)
 
 
@@ -84,7 +84,7 @@ def read_note(folder: Path) -> Note:
         folder: the bag's folder.
 
     Raises:
-        BadInput: there is none, or it is not as it was written.
+        BadInput: there is no note, or it has been altered.
     """
     path = folder / NOTE
     check_regular(path, sys.maxsize, AS_WRITTEN, "the note")
@@ -96,7 +96,7 @@ def read_note(folder: Path) -> Note:
     except ValidationError:
         raise BadInput("the note is damaged", str(path), AS_WRITTEN) from None
     if written.checksum != _checksum(written.flushed):
-        raise BadInput("the note is not as it was written", str(path), AS_WRITTEN)
+        raise BadInput("the note has been altered", str(path), AS_WRITTEN)
     return Note(written.flushed)
 
 

@@ -1,8 +1,8 @@
-"""Bags that were damaged or whose recorder died: what is sound in them becomes a whole bag, and what is lost is told.
+"""Recovery of damaged or unclosed bags: sound messages go into a new bag, losses are reported.
 
-A storage file vouches for its messages itself (:mod:`ehls_ros.recording.ledger`), so that neither the names of folder and file
-nor anything beside them is needed. What a checksum contradicts is dropped. What none speaks of is kept where it can be a
-message of its topic, and told. The new bag is read back before it counts.
+A storage file contains checksums of its messages (:mod:`ehls_ros.recording.ledger`), so neither the names of folder and file
+nor other files are needed. Messages that contradict a checksum are dropped. Messages without a checksum are kept if they are
+plausible, and reported as unverified. The new bag is read back before it is accepted.
 """
 
 import shutil
@@ -28,21 +28,21 @@ from ehls_ros.recording.salvage import Found, Loss
 from ehls_ros.recording.topics import LOADER_STATE, TOPICS, Topic
 
 BLOCK = 4096
-"""Messages looked at together."""
+"""Messages processed together."""
 
 LATEST_NS = (1 << 63) - 1
-"""Latest time that a bag can hold [ns]."""
+"""Latest time that a bag can represent [ns]."""
 
 
 class TopicRecovery(NamedTuple):
-    """What became of one topic.
+    """Recovery of one topic.
 
     Attributes:
         recovered: messages in the new bag.
-        unverified: of these, those that no checksum vouches for.
-        lost: messages that were written and are not in the new bag, as far as is known.
-        malformed: of the lost ones, those that were there and are no messages of the topic's type.
-        lost_between: when the lost ones were sent, as far as is known.
+        unverified: recovered messages without a checksum.
+        lost: messages that were written but are not in the new bag, as far as known.
+        malformed: lost messages that were found but are not plausible messages of the topic.
+        lost_between: when the lost messages were sent, as far as known.
     """
 
     recovered: int
@@ -53,14 +53,14 @@ class TopicRecovery(NamedTuple):
 
 
 class Recovery(NamedTuple):
-    """What became of a bag.
+    """Recovery of a bag.
 
     Attributes:
         recovered: messages in the new bag.
-        unverified: of these, those that no checksum vouches for.
-        lost: messages that were written and are not in the new bag, as far as is known.
+        unverified: recovered messages without a checksum.
+        lost: messages that were written but are not in the new bag, as far as known.
         topics: by full name.
-        remarks: what else there is to know, in words.
+        remarks: in words.
     """
 
     recovered: int
@@ -70,7 +70,7 @@ class Recovery(NamedTuple):
     remarks: Sequence[str]
 
     def as_json(self) -> dict[str, Any]:
-        """Return it as JSON values."""
+        """Return the result as JSON values."""
         topics = {
             path: {**topic._asdict(), "lost_between": [between._asdict() for between in topic.lost_between]}
             for path, topic in self.topics.items()
@@ -78,51 +78,51 @@ class Recovery(NamedTuple):
         return {**self._asdict(), "topics": topics}
 
 
-class _UnverifiedMakeNoBag(Exception):
-    """The new bag cannot be read, and has messages that nothing vouches for."""
+class _UnreadableWithUnverified(Exception):
+    """The new bag cannot be read and contains unverified messages."""
 
 
 def recover(source: Path, out: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Recovery:
-    """Make a whole bag of what is sound in a damaged one.
+    """Write the sound messages of a damaged bag to a new one.
 
     Args:
-        source: folder of a bag or its storage file, under whatever name; it stays as it is.
-        out: folder of the new bag, to be made; on failure it is not there.
-        progress: is told how many messages are done, and of how many.
+        source: folder of a bag or its storage file, under any name; left unchanged.
+        out: folder of the new bag, created only on success.
+        progress: called with the number of messages done and the total.
 
     Returns:
         What was recovered and what was lost.
 
     Raises:
-        BadInput: nothing that makes a bag is left there, or the new bag cannot be made.
+        BadInput: not enough is left for a bag, or the new bag cannot be created.
         OSError: the disk is full or fails.
     """
     file = storage_file(source)
     if out.exists():
         raise BadInput("the output exists already", str(out), NEW_FOLDER)
-    with _becoming(out) as unfinished, damaged_bag(file, unfinished.parent) as (bag, ledger):
+    with _moved_on_success(out) as unfinished, damaged_bag(file, unfinished.parent) as (bag, ledger):
         try:
             return _recover(bag, ledger, unfinished, str(source), progress, verified_only=False)
-        except _UnverifiedMakeNoBag as error:
+        except _UnreadableWithUnverified as error:
             shutil.rmtree(unfinished)
-            remark = f"what nothing vouches for is left out, for the bag could not be read with it ({error})"
-            told = bag._replace(remarks=[*bag.remarks, remark])
-            return _recover(told, Ledger(bag.content), unfinished, str(source), progress, verified_only=True)
+            remark = f"unverified messages are left out, since the bag could not be read with them ({error})"
+            remarked = bag._replace(remarks=[*bag.remarks, remark])
+            return _recover(remarked, Ledger(bag.content), unfinished, str(source), progress, verified_only=True)
 
 
 @contextmanager
-def _becoming(out: Path) -> Iterator[Path]:
-    """Yield a folder to be made beside another, which becomes the other unless something goes wrong; then nothing is left."""
+def _moved_on_success(out: Path) -> Iterator[Path]:
+    """Yield a temporary path that is renamed to ``out`` on success and removed on failure."""
     beside = next(parent for parent in out.parents if parent.exists())
     try:
         temporary = TemporaryDirectory(prefix=".recovering-", dir=beside)
     except OSError as error:
-        raise BadInput(f"the output cannot be made ({reason(error)})", str(beside), NEW_FOLDER) from None
+        raise BadInput(f"the output cannot be created ({reason(error)})", str(beside), NEW_FOLDER) from None
     with temporary as unfinished:
         try:
             yield Path(unfinished) / out.name
         except BadInput as error:
-            # The user knows nothing of this folder.
+            # The user does not know the temporary folder.
             raise BadInput(error.what, error.where.replace(unfinished, str(out.parent)), error.expected) from None
         out.parent.mkdir(parents=True, exist_ok=True)
         (Path(unfinished) / out.name).rename(out)
@@ -131,7 +131,7 @@ def _becoming(out: Path) -> Iterator[Path]:
 def _recover(
     bag: DamagedBag, ledger: Ledger, out: Path, where: str, progress: Callable[[int, int], None], *, verified_only: bool
 ) -> Recovery:
-    """Write what is sound into a new bag, read that back and say what became of everything."""
+    """Write the sound messages to a new bag, read it back and account for every message."""
     namespace, topics = _topics(bag, where)
     provenance = bag.provenance
     writer = BagWriter.create(
@@ -145,13 +145,13 @@ def _recover(
     loss, counts, done = Loss(), {path: _Counts() for path in topics}, 0
     try:
         for block in _blocks(bag.messages(ledger, loss)):
-            for found in _sound(block, topics, counts, loss, verified_only=verified_only):
+            for found in _plausible(block, topics, counts, loss, verified_only=verified_only):
                 writer.write(topics[found.topic].name, found.stamp_ns, found.serialized)
                 counts[found.topic].add(found)
             done += len(block)
             progress(done, max(done, sum(ledger.counts.values())))
         recovery = _account(bag, ledger, loss, counts)
-        writer.tell_of_recovery(recovery.as_json())
+        writer.set_recovery(recovery.as_json())
         writer.close()
     except BaseException:
         writer.abort()
@@ -162,25 +162,25 @@ def _recover(
         _read_back(out, {path: count.tally for path, count in counts.items()})
     except BadInput as error:
         if recovery.unverified:
-            raise _UnverifiedMakeNoBag(error.what) from None
-        raise BadInput(f"what is sound in it makes no bag ({error.what})", where, RECOVERABLE) from None
+            raise _UnreadableWithUnverified(error.what) from None
+        raise BadInput(f"its sound messages do not make a readable bag ({error.what})", where, RECOVERABLE) from None
     return recovery
 
 
 def _topics(bag: DamagedBag, where: str) -> tuple[str, dict[str, Topic]]:
-    """Return the namespace, and the topics by their full names."""
+    """Return the namespace, and the topics by full name."""
     paths = set(bag.names.values()) or set(bag.expected)
     ending = f"/{LOADER_STATE.name}"
     namespaces = sorted(path.removesuffix(ending) for path in paths if path.endswith(ending))
     if len(namespaces) != 1:
-        several = f"it holds several rigs: {', '.join(namespaces)}"
+        several = f"it contains several rigs: {', '.join(namespaces)}"
         raise BadInput(several if namespaces else f"no topic {LOADER_STATE.name} is left in it", where, RECOVERABLE)
     known = {topic.resolve(namespaces[0]): topic for topic in TOPICS}
     return namespaces[0], {path: topic for path, topic in known.items() if path in paths}
 
 
 class _Counts:
-    """What is known of one topic while its messages are being written."""
+    """Running counts of one topic."""
 
     def __init__(self) -> None:
         self.tally = Tally(0, 0, 0)
@@ -199,10 +199,10 @@ def _blocks(messages: Iterator[Found]) -> Iterator[list[Found]]:
         yield block
 
 
-def _sound(
+def _plausible(
     block: Sequence[Found], topics: Mapping[str, Topic], counts: Mapping[str, _Counts], loss: Loss, *, verified_only: bool
 ) -> list[Found]:
-    """Return what can be messages of their topics, in the same order, and count the rest."""
+    """Return the verified and the plausible messages, in the same order, and count the rest."""
     in_time = timely([found.stamp_ns for found in block])
     by_topic: dict[str, list[int]] = defaultdict(list)
     for index, found in enumerate(block):
@@ -212,7 +212,7 @@ def _sound(
             by_topic[found.topic].append(index)
         else:
             loss.count(found.topic)
-    sound: list[int] = []
+    kept: list[int] = []
     for path, indices in by_topic.items():
         formed = well_formed(topics[path], [block[index].serialized for index in indices])
         good = [
@@ -221,40 +221,40 @@ def _sound(
             if decodes and block[index].stamp_ns <= LATEST_NS and (block[index].verified or in_time[index])
         ]
         counts[path].malformed += len(indices) - len(good)
-        sound += good
-    return [block[index] for index in sorted(sound)]
+        kept += good
+    return [block[index] for index in sorted(kept)]
 
 
 def _account(bag: DamagedBag, ledger: Ledger, loss: Loss, counts: Mapping[str, _Counts]) -> Recovery:
-    """Say what became of everything."""
+    """Account for every message."""
     known_lost = ledger.lost()
     topics: dict[str, TopicRecovery] = {}
     for path, count in counts.items():
-        beside = bag.expected.get(path)
-        written = max(ledger.counts.get(path, 0), beside.messages if beside else 0)
+        expected = bag.expected.get(path)
+        written = max(ledger.counts.get(path, 0), expected.messages if expected else 0)
         dropped = loss.damaged.get(path, 0) + count.malformed
         missing = max(0, written - count.tally.messages)
-        # What is dropped need not have been of the topic it is on now; where the number is known, it is not asked.
-        lost = missing if beside or ledger.complete else max(missing, dropped)
+        # Damage may have moved a dropped message to this topic, so a known number of messages takes precedence.
+        lost = missing if expected or ledger.complete else max(missing, dropped)
         between = known_lost.get(path, [])
         rest = lost - count.malformed - sum(part.messages for part in between)
-        if beside and rest > 0 and beside.newest_ns > count.tally.newest_ns:
-            between = [*between, Range(rest, count.tally.newest_ns, beside.newest_ns)]
+        if expected and rest > 0 and expected.newest_ns > count.tally.newest_ns:
+            between = [*between, Range(rest, count.tally.newest_ns, expected.newest_ns)]
         topics[path] = TopicRecovery(count.tally.messages, count.unverified, lost, count.malformed, between)
     return Recovery(
         sum(topic.recovered for topic in topics.values()),
         sum(topic.unverified for topic in topics.values()),
         sum(topic.lost for topic in topics.values()),
         topics,
-        [*bag.remarks, *loss.places, *(f"{path} is no topic of ehls_ros and left out" for path in sorted(loss.foreign))],
+        [*bag.remarks, *loss.places, *(f"{path} is not a topic of ehls_ros and is left out" for path in sorted(loss.foreign))],
     )
 
 
 def _read_back(bag: Path, written: Mapping[str, Tally]) -> None:
-    """Read a bag, and compare its messages with what was written.
+    """Read a bag and compare its messages with what was written.
 
     Raises:
-        BadInput: it cannot be read, or has something else in it.
+        BadInput: the bag cannot be read, or its messages differ.
     """
     read_bag(bag)
     counts: dict[str, int] = dict.fromkeys(written, 0)
@@ -265,5 +265,5 @@ def _read_back(bag: Path, written: Mapping[str, Tally]) -> None:
             checksums[connection.topic] += message_checksum(connection.topic, stamp_ns, message)
     for path, tally in written.items():
         if (counts[path], checksum_sum([checksums[path]])) != (tally.messages, tally.checksum):
-            what = f"messages on {path} are not as they were written"
-            raise BadInput(what, str(bag), "a disk that keeps what is written to it")
+            what = f"messages on {path} differ from what was written"
+            raise BadInput(what, str(bag), "a disk without faults")

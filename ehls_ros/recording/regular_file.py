@@ -1,4 +1,4 @@
-"""Files that may be opened: regular ones of bounded size, so that no pipe, device or socket keeps a reader waiting."""
+"""Checks before a file is opened: only regular files of bounded size, so that no pipe, device or socket blocks a reader."""
 
 import os
 import stat
@@ -17,29 +17,29 @@ KINDS = {
 
 
 def check_regular(path: Path, largest: int, expected: str, what: str = "the file", larger: str = "") -> int:
-    """Refuse what is no regular file, or a link to one, or too large.
+    """Check that a path is a regular file, or a link to one, and not too large.
 
-    It is asked of the file system; nothing is opened, which some devices would notice.
+    The file is not opened, since opening some devices has side effects.
 
     Args:
         path: the file.
-        largest: its largest size [B].
-        expected: what it should be, for the error.
-        what: what the file is to the user.
-        larger: what to do with a larger one.
+        largest: largest permitted size [B].
+        expected: what the file should be, for the error.
+        what: name of the file in the error.
+        larger: advice for a larger file, appended to the error.
 
     Returns:
-        Its size [B].
+        The size [B].
 
     Raises:
-        BadInput: it is not there, no regular file, or larger.
+        BadInput: the file is missing, not regular, or too large.
     """
     try:
-        status = os.stat(path)  # noqa: PTH116 - a path with a null in it is told apart there
+        status = os.stat(path)  # noqa: PTH116 - raises ValueError for a path that contains a null
     except (OSError, ValueError) as error:
         raise BadInput(f"{what} cannot be read ({reason(error)})", str(path), expected) from None
     if not stat.S_ISREG(status.st_mode):
-        kind = KINDS.get(stat.S_IFMT(status.st_mode), "no regular file")
+        kind = KINDS.get(stat.S_IFMT(status.st_mode), "not a regular file")
         raise BadInput(f"{what} cannot be read (it is {kind})", str(path), expected)
     if status.st_size > largest:
         raise BadInput(f"{what} has {status.st_size} bytes", str(path), f"{expected} of at most {largest}{larger}")
@@ -47,16 +47,16 @@ def check_regular(path: Path, largest: int, expected: str, what: str = "the file
 
 
 def read_text(path: Path, largest: int, expected: str, what: str = "the file") -> str:
-    """Return what a small text file holds.
+    """Read a small text file.
 
     Args:
-        path: the file, UTF-8.
-        largest: its largest length [characters].
-        expected: what it should be, for the error.
-        what: what the file is to the user.
+        path: the file, in UTF-8.
+        largest: largest permitted length [characters].
+        expected: what the file should be, for the error.
+        what: name of the file in the error.
 
     Raises:
-        BadInput: it cannot be read, is no text, or is longer.
+        BadInput: the file cannot be read, is not text, or is too long.
     """
     check_regular(path, 4 * largest, expected, what)
     try:
@@ -65,7 +65,7 @@ def read_text(path: Path, largest: int, expected: str, what: str = "the file") -
     except OSError as error:
         raise BadInput(f"{what} cannot be read ({reason(error)})", str(path), expected) from None
     except UnicodeDecodeError:
-        raise BadInput(f"{what} is no text", str(path), f"{expected} in UTF-8") from None
+        raise BadInput(f"{what} is not text", str(path), f"{expected} in UTF-8") from None
     if len(text) > largest:
-        raise BadInput(f"{what} has more than {largest} characters", str(path), f"{expected} of at most so many")
+        raise BadInput(f"{what} has more than {largest} characters", str(path), f"{expected} within this limit")
     return text

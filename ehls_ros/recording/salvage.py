@@ -1,7 +1,10 @@
-"""What the salvaging of either storage gives: messages as they are found, each with what is known of its soundness."""
+"""The interface of the salvagers of both storages: messages as they are found, verified or not."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from mmap import mmap
 from typing import NamedTuple
+
+from ehls_ros.recording.ledger import Ledger
 
 
 class Found(NamedTuple):
@@ -9,9 +12,9 @@ class Found(NamedTuple):
 
     Attributes:
         topic: full name.
-        stamp_ns: when it was sent [ns].
+        stamp_ns: time of sending [ns].
         serialized: as CDR.
-        verified: whether a checksum says that it is as it was written; otherwise there is none to ask.
+        verified: whether a checksum confirms it; if not, there is no checksum for it.
     """
 
     topic: str
@@ -21,15 +24,14 @@ class Found(NamedTuple):
 
 
 class Loss:
-    """What was found to be damaged on the way; it is filled while messages are being found."""
+    """Damage found so far; filled while messages are being found."""
 
     def __init__(self) -> None:
-        """Begin with nothing."""
+        """Start without damage."""
         self.damaged: dict[str, int] = {}
-        """Messages that are not as they were written, by the topic's full name."""
+        """Number of altered messages, by the topic's full name."""
         self.places: list[str] = []
-        """Parts of the file that cannot be used, in words."""
-
+        """Unusable parts of the file, in words."""
         self.foreign: set[str] = set()
         """Topics that ehls_ros does not record."""
 
@@ -40,3 +42,9 @@ class Loss:
 
 Names = Mapping[int, str]
 """Full names of topics by their number in a file."""
+
+Salvage = Callable[[mmap, Names, Ledger, Loss], Iterator[Found]]
+"""Finds the messages in a storage file, in file order.
+
+The arguments are the file's content, its topics, the ledger that verifies messages, and the record of damage, which is filled.
+"""

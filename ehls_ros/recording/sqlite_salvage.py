@@ -1,8 +1,8 @@
-"""Messages out of a SQLite file of which only parts are left.
+"""Finds the messages in the remains of a SQLite file.
 
-Every page is looked at by itself, so that neither a damaged tree nor a missing end hides the others. A page that lists its rows
-is read as such; where that gives anything but sound messages and the file has a ledger, each place of the page that looks like
-a row is tried, and the ledger says what is one. Nothing in the file is executed.
+Every page is read separately, so that neither a damaged tree nor a truncated file hides the others. The rows listed by a page
+are read first; unless all of them are sound messages, each offset in the page that looks like a row is tried and checked
+against the ledger, if the file has one. Nothing in the file is executed.
 """
 
 import re
@@ -15,22 +15,22 @@ from ehls_ros.recording.salvage import Found, Loss, Names
 
 DEFAULT_PAGE = 4096
 HEADER = 100
-"""Size of the file's header, at the beginning of its first page [B]."""
+"""Size of the file header, at the start of the first page [B]."""
 
 LONGEST_ROW = 1 << 20
-"""Size of a row at most [B]; a damaged length must not keep us busy."""
+"""Largest row [B]; bounds the work on a damaged length."""
 
 LEAF = 0x0D
-"""Kind of a page that holds rows."""
+"""Kind of a page with rows."""
 
 WIDTHS = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
-"""Size of an integer by its serial type [B]; types 8 and 9 are the numbers 0 and 1 themselves."""
+"""Size of an integer by its serial type [B]; types 8 and 9 are the constants 0 and 1."""
 
 BLOB = 12
 TEXT = 13
-"""Serial types of an empty blob and an empty text; 2 more for each byte."""
+"""Serial types of an empty blob and an empty text; plus 2 per byte."""
 
-# What heads a row: the head's size, no value for the id, two integers, and the size of the message.
+# Header of a row: its size, no value for the id, two integers, and the size of the message.
 _INTEGER = rb"([\x01-\x06\x08\x09])"
 _VARINT = rb"([\x80-\xff]{0,4}[\x00-\x7f])"
 _ROW = re.compile(rb"[\x05-\x09]\x00" + _INTEGER + _INTEGER + _VARINT)
@@ -48,7 +48,7 @@ class _Row(NamedTuple):
 
 
 def names_in_sqlite(content: mmap) -> dict[int, str]:
-    """Return the topics that a SQLite file describes."""
+    """Return the topics described in a SQLite file."""
     names: dict[int, str] = {}
     for match in _TOPIC.finditer(content):
         size = (_varint(match[2]) - TEXT) // 2
@@ -58,21 +58,11 @@ def names_in_sqlite(content: mmap) -> dict[int, str]:
 
 
 def salvage_sqlite(content: mmap, names: Names, ledger: Ledger, loss: Loss) -> Iterator[Found]:
-    """Find the messages of a SQLite file.
-
-    Args:
-        content: of the file.
-        names: its topics.
-        ledger: what vouches for messages.
-        loss: takes what is damaged.
-
-    Yields:
-        What may be kept, in the order it stands in the file.
-    """
+    """Find the messages of a SQLite file; see :data:`~ehls_ros.recording.salvage.Salvage`."""
     size = _page_size(content)
     for start in range(0, len(content), size):
         page = content[start : start + size]
-        rows, whole = _rows(page, HEADER if start == 0 else 0, content, size)
+        rows, all_rows = _rows(page, HEADER if start == 0 else 0, content, size)
         messages = [(names.get(row.topic, f"topic {row.topic}"), row.stamp_ns, row.serialized) for row in rows]
         sound = ledger.vouches_for(messages)
         for row, message, verified in zip(rows, messages, sound, strict=True):
@@ -80,8 +70,8 @@ def salvage_sqlite(content: mmap, names: Names, ledger: Ledger, loss: Loss) -> I
                 yield Found(*message, verified)
             else:
                 loss.count(message[0])
-        if not ledger.empty and not (whole and rows and all(sound)):
-            yield from _tried(page, names, ledger)
+        if not ledger.empty and not (all_rows and rows and all(sound)):
+            yield from _searched(page, names, ledger)
 
 
 def _page_size(content: mmap) -> int:
@@ -91,7 +81,7 @@ def _page_size(content: mmap) -> int:
 
 
 def _rows(page: bytes, start: int, content: mmap, size: int) -> tuple[list[_Row], bool]:
-    """Return the messages that a page lists, and whether all that it lists are messages."""
+    """Return the messages that a page lists, and whether everything it lists is a message."""
     if page[start : start + 1] != bytes([LEAF]):
         return [], False
     count = int.from_bytes(page[start + 3 : start + 5], "big")
@@ -105,37 +95,37 @@ def _row(page: bytes, cell: int, content: mmap, size: int) -> _Row | None:
     match = _CELL.match(page, cell)
     if match is None:
         return None
-    whole = _varint(match[1])
-    if whole > LONGEST_ROW:
+    length = _varint(match[1])
+    if length > LONGEST_ROW:
         return None
     head = match.start(3) - 2
-    here = _stored_here(whole, size)
+    here = _stored_in_page(length, size)
     payload = page[head : head + here]
-    if here < whole:
-        # SQLite puts the rest into pages of their own, each naming the next.
+    if here < length:
+        # The rest is in a linked list of overflow pages.
         following = int.from_bytes(page[head + here : head + here + 4], "big")
-        while following and len(payload) < whole:
+        while following and len(payload) < length:
             at = (following - 1) * size
             if at + 4 > len(content):
                 return None
             payload += content[at + 4 : at + size]
             following = int.from_bytes(content[at : at + 4], "big")
-        payload = payload[:whole]
+        payload = payload[:length]
     row = _unpacked(payload, 0)
     return row and row._replace(ordinal=_varint(match[2]) - 1)
 
 
-def _stored_here(whole: int, size: int) -> int:
-    """Return how much of a row stands in its page, by SQLite's file format."""
+def _stored_in_page(length: int, size: int) -> int:
+    """Return how many bytes of a row are stored in its page, by SQLite's file format."""
     most, least = size - 35, (size - 12) * 32 // 255 - 23
-    if whole <= most:
-        return whole
-    here = least + (whole - least) % (size - 4)
+    if length <= most:
+        return length
+    here = least + (length - least) % (size - 4)
     return here if here <= most else least
 
 
 def _unpacked(payload: bytes, start: int) -> _Row | None:
-    """Return the row that begins at a place, None where there is none."""
+    """Return the row that starts at an offset; None if there is none."""
     match = _ROW.match(payload, start)
     if match is None or match.end() != start + payload[start]:
         return None
@@ -157,8 +147,8 @@ def _unpacked(payload: bytes, start: int) -> _Row | None:
     return _Row(numbers[0], numbers[1], payload[at:end], -1, end)
 
 
-def _tried(page: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
-    """Try every place that looks like a row."""
+def _searched(page: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
+    """Try every offset that looks like a row."""
     offset = 0
     while (match := _ROW.search(page, offset)) is not None:
         offset = match.start() + 1

@@ -1,7 +1,7 @@
-"""What can be told from one storage file of a bag alone: whether it is whole, and the metadata it carries.
+"""Checks of a single storage file of a bag, and the metadata inside it.
 
-A closed bag keeps its metadata twice: in metadata.yaml and within the storage file, where rosbags does not look. With
-the second copy a storage file that was taken out of its folder still tells where it comes from.
+A closed bag has its metadata twice: in metadata.yaml and inside the storage file, where rosbags does not look. The second copy
+gives the provenance of a storage file that was taken out of its folder.
 """
 
 import sqlite3
@@ -20,32 +20,32 @@ from ehls_ros.recording.yaml_text import parse_yaml
 
 METADATA_FILE = "metadata.yaml"
 
-CLOSED_BAG = "a bag whose recorder was closed"
+CLOSED_BAG = "an undamaged bag, closed by its recorder"
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 MCAP_RECORD = struct.Struct("<BQ")
 MCAP_FOOTER = struct.Struct("<BQQQI8s")
 MCAP_CHANNEL, MCAP_MESSAGE, MCAP_CHUNK, MCAP_CHUNK_INDEX, MCAP_METADATA_INDEX = 0x04, 0x05, 0x06, 0x08, 0x0D
 MCAP_LEDGER = 0x80
-"""The first kind of record that the format leaves to applications; readers pass over it."""
+"""The first kind of record reserved for applications; other readers skip it."""
 MCAP_CHUNK_CRC = 24
-"""Where in a chunk's record its checksum stands."""
+"""Offset of the checksum in a chunk's record [B]."""
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 
 
 def custom_data_in(file: Path, deadline: Deadline) -> Mapping[str, str]:
-    """Check that a storage file is whole, and read the custom data it carries.
+    """Check that a storage file is complete, and read its custom data.
 
     Args:
         file: a ``.mcap`` or ``.db3`` file.
-        deadline: until when.
+        deadline: of the reading.
 
     Returns:
-        The entries; none where the recorder stored no metadata in the file.
+        The entries; none if the recorder stored no metadata in the file.
 
     Raises:
-        BadInput: the file is cut, damaged or was never closed, or takes too long.
+        BadInput: the file is truncated, damaged or was never closed, or reading takes too long.
     """
     try:
         text = _mcap_metadata(file) if file.suffix == ".mcap" else _sqlite_metadata(file, deadline)
@@ -55,7 +55,7 @@ def custom_data_in(file: Path, deadline: Deadline) -> Mapping[str, str]:
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", str(file), CLOSED_BAG) from None
     except sqlite3.DataError:
-        raise BadInput("it holds a text of too many bytes", str(file), f"at most {limits.TEXT}") from None
+        raise BadInput("it contains a text of too many bytes", str(file), f"at most {limits.TEXT}") from None
     except (ValueError, struct.error, sqlite3.Error):
         deadline.check()
         raise BadInput("the file is damaged", str(file), CLOSED_BAG) from None
@@ -71,7 +71,7 @@ def parse_metadata(text: str, where: str) -> Any:
         where: its file, for the error.
 
     Raises:
-        BadInput: it is no YAML.
+        BadInput: the text is not YAML.
     """
     try:
         return parse_yaml(text, where, "the metadata")
@@ -80,26 +80,26 @@ def parse_metadata(text: str, where: str) -> Any:
 
 
 def check_database(database: sqlite3.Connection) -> None:
-    """Refuse a database that could go round in circles: with damaged pages, or with tables that compute what they hold.
+    """Refuse a database that could make a query run forever: with damaged pages, views, triggers or computed columns.
 
     Args:
         database: of a bag.
 
     Raises:
-        ValueError: it is such a database.
-        sqlite3.Error: it is none.
+        ValueError: the database is refused.
+        sqlite3.Error: it is not a database.
     """
     for name, definition in database.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL").fetchall():
         if not str(definition).upper().startswith(("CREATE TABLE", "CREATE INDEX")):
             raise ValueError(f"{name} is neither table nor index")
         if database.execute("SELECT 1 FROM pragma_table_xinfo(?) WHERE hidden", (name,)).fetchone():
-            raise ValueError(f"{name} has columns that are computed")
+            raise ValueError(f"{name} has computed columns")
     if database.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
         raise ValueError("quick_check")
 
 
 def _check_contents(database: sqlite3.Connection, file: Path) -> None:
-    """Refuse a database whose topics, or messages of the topics that are read, are too many or too large."""
+    """Refuse a database with too many or too large topics, or too large messages on the topics that are read."""
     names = {topic.name for topic in CYCLE_TOPICS}
     tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     read, rows, size = list[int](), 0, 0
@@ -108,7 +108,7 @@ def _check_contents(database: sqlite3.Connection, file: Path) -> None:
             rows += 1
             size += sum(len(value) for value in row if isinstance(value, str | bytes))
             if rows > limits.TOPICS or size > limits.SUMMARY:
-                what = f"it has {rows} topics and types or more, of {size} bytes"
+                what = f"it has at least {rows} topics and types of {size} bytes"
                 raise BadInput(what, str(file), f"at most {limits.TOPICS}, and {limits.SUMMARY} bytes")
             if table == "topics" and str(row[1]).rpartition("/")[2] in names:
                 read.append(row[0])
@@ -125,7 +125,7 @@ def _cut(file: Path) -> BadInput:
 
 
 def _mcap_metadata(file: Path) -> str:
-    """Return the metadata.yaml within an mcap file, from the last metadata record its summary points to."""
+    """Return the metadata.yaml inside an mcap file, from the last metadata record listed in its summary."""
     with file.open("rb") as stream:
         content_end = stream.seek(0, 2) - MCAP_FOOTER.size
         if content_end < 0:
@@ -154,7 +154,7 @@ def _mcap_metadata(file: Path) -> str:
 
 
 def _mcap_entries(content: bytes) -> dict[str, str]:
-    """Return the entries of a metadata record: a name, the size of what follows, then keys and values."""
+    """Return the entries of a metadata record: a name, the size of the rest, then keys and values."""
     texts: list[str] = []
     _, offset = _mcap_text(content, 0) if content else ("", 0)
     offset += 4
@@ -171,13 +171,13 @@ def _mcap_text(content: bytes, offset: int) -> tuple[str, int]:
 
 
 def _sqlite_metadata(file: Path, deadline: Deadline) -> str:
-    """Return the metadata.yaml within a SQLite file."""
+    """Return the metadata.yaml inside a SQLite file."""
     with file.open("rb") as stream:
         header = stream.read(100)
     if len(header) < 100:
         raise _cut(file)
     if not header.startswith(SQLITE_MAGIC):
-        raise BadInput("the file is no SQLite database", str(file), CLOSED_BAG)
+        raise BadInput("the file is not a SQLite database", str(file), CLOSED_BAG)
     page_size = int.from_bytes(header[16:18], "big")
     pages = int.from_bytes(header[28:32], "big")
     if file.stat().st_size < (page_size if page_size > 1 else 65536) * pages:
@@ -186,7 +186,7 @@ def _sqlite_metadata(file: Path, deadline: Deadline) -> str:
         if Path(journal).exists() and Path(journal).stat().st_size:
             raise BadInput(f"the file was never closed: {Path(journal).name} is beside it", str(file), CLOSED_BAG)
     with closing(sqlite3.connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as database:
-        # A value that is larger cannot be fetched.
+        # Larger values cannot be fetched.
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, limits.TEXT)
         database.set_progress_handler(deadline.passed, 1000)
         check_database(database)

@@ -1,4 +1,4 @@
-"""Named columns of whatever file format, turned into a trajectory by the data contract."""
+"""Converts named columns of any file format to a trajectory, by the data contract."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -14,71 +14,70 @@ from ehls_ros.trajectory import MEASURED, Trajectory
 
 
 def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, Column]:
-    """Decide which columns of a file are read, and as what.
+    """Select the columns to read.
 
     Args:
         available: names of the file's columns.
-        columns: the user's map; columns that carry a name of the contract need no entry.
+        columns: the user's map; columns with a name of the contract need no entry.
         where: the file, for errors.
 
     Returns:
-        The columns by contract name: ``time_s`` and one signal or more.
+        The columns by contract name: ``time_s`` and at least one signal.
 
     Raises:
-        BadInput: a mapped column, the time or every signal is missing, or a name stands twice.
+        BadInput: a mapped column, the time or every signal is missing, or a name occurs twice.
     """
     chosen = {name: Column(name) for name in available if is_contract_name(name)} | dict(columns)
     found = ", ".join(available) or "none"
     count = Counter(available)
     for name, column in chosen.items():
         if column.name not in count:
-            raise BadInput(f"column '{column.name}' for {name} is missing among {found}", where, "a column of that name")
+            raise BadInput(f"column '{column.name}' for {name} is missing (found: {found})", where, "a column of that name")
         if count[column.name] > 1:
-            raise BadInput(f"column '{column.name}' is there more than once", where, "one column of that name")
+            raise BadInput(f"column '{column.name}' occurs more than once", where, "one column of that name")
     if TIME not in chosen:
-        raise BadInput(f"column {TIME} is missing among {found}", where, f"a column {TIME}, or a map (--columns) to it")
+        raise BadInput(f"column {TIME} is missing (found: {found})", where, f"a column {TIME}, or a map (--columns) to it")
     if len(chosen) == 1:
         expected = "a signal by its name in the data contract, or a map (--columns) to one"
-        raise BadInput(f"no signal is among {found}", where, expected)
+        raise BadInput(f"no signal is among the columns {found}", where, expected)
     return chosen
 
 
 def check_length(rows: int, columns: int, where: str) -> None:
-    """Refuse a table that is longer than one that is read.
+    """Refuse a table that is too long.
 
     Args:
-        rows: how many it has.
-        columns: how many of its columns are read.
+        rows: number of rows.
+        columns: number of columns to read.
         where: the file, for the error.
 
     Raises:
-        BadInput: it is longer.
+        BadInput: the table is too long.
     """
     if rows > limits.ROWS or rows * columns > limits.VALUES:
-        expected = f"at most {limits.ROWS} rows and {limits.VALUES} values, in several files where there are more"
-        raise BadInput(f"it has {rows} rows or more in {columns} columns that are read", where, expected)
+        expected = f"at most {limits.ROWS} rows and {limits.VALUES} values; split a longer recording into several files"
+        raise BadInput(f"it has at least {rows} rows in {columns} columns to read", where, expected)
 
 
-def no_numbers(column: Column, name: str, where: str) -> BadInput:
-    """Return the complaint about a column that holds something else."""
-    return BadInput(f"column '{column.name}' for {name} is not of real numbers", where, "a column of real numbers")
+def not_numeric(column: Column, name: str, where: str) -> BadInput:
+    """Return the error for a column that is not numeric."""
+    return BadInput(f"column '{column.name}' for {name} is not numeric", where, "a column of real numbers")
 
 
 def assemble(values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, row_name: Callable[[int], str]) -> Trajectory:
-    """Make a trajectory of columns.
+    """Build a trajectory from columns.
 
     Args:
-        values: what the file holds, by contract name: shape (n,), or (n, elements) for a signal of the friction
-            elements.
-        chosen: the columns by contract name, for their scales.
+        values: raw values by contract name: shape (n,), or (n, elements) for a signal of the friction elements.
+        chosen: the columns by contract name, with scale and offset.
         where: the file, for errors.
-        row_name: how a user finds the row with an index, such as ``line 12``.
+        row_name: the user's name for the row with an index, such as ``line 12``.
 
     Returns:
         The trajectory, without metadata.
 
     Raises:
-        BadInput: a column is no real numbers or has another length, or time is not strictly increasing.
+        BadInput: a column is not numeric or has another length, or time is not strictly increasing.
     """
     check_length(max(map(len, values.values())), len(chosen), where)
     scaled = {name: _scaled(values[name], column, name, where) for name, column in chosen.items()}
@@ -88,15 +87,15 @@ def assemble(values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, ro
         if name in MEASURED:
             _check_finite(signal, name, where, row_name)
         if len(signal) != len(time_s):
-            raise BadInput(f"{name} has {len(signal)} values", where, f"{len(time_s)} as {TIME}")
+            raise BadInput(f"{name} has {len(signal)} values", where, f"{len(time_s)}, as {TIME} has")
     return Trajectory(time_s, _with_elements_joined(scaled, where))
 
 
 def _scaled(values: NDArray[Any], column: Column, name: str, where: str) -> NDArray[np.float64]:
     if values.dtype.kind not in "fiub":
-        raise no_numbers(column, name, where)
+        raise not_numeric(column, name, where)
     if values.ndim != 1 and not (values.ndim == 2 and element_of(f"{name}_1")):
-        raise BadInput(f"column '{column.name}' for {name} has the shape {values.shape}", where, "one value a sample")
+        raise BadInput(f"column '{column.name}' for {name} has the shape {values.shape}", where, "one value per sample")
     numbers = values.astype(np.float64)
     with np.errstate(over="ignore", invalid="ignore"):
         if column.scale != 1:
@@ -107,15 +106,15 @@ def _scaled(values: NDArray[Any], column: Column, name: str, where: str) -> NDAr
 
 
 def _check_finite(signal: NDArray[np.float64], name: str, where: str, row_name: Callable[[int], str]) -> None:
-    endless = np.flatnonzero(np.isinf(signal))
-    if len(endless):
-        place = f"{where}, {row_name(int(endless[0]))}"
-        raise BadInput(f"{name} is {signal[endless[0]]}", place, "a finite number, or an empty cell where there is none")
+    infinite = np.flatnonzero(np.isinf(signal))
+    if len(infinite):
+        place = f"{where}, {row_name(int(infinite[0]))}"
+        raise BadInput(f"{name} is {signal[infinite[0]]}", place, "a finite number, or an empty cell")
 
 
 def _check_time(time_s: NDArray[np.float64], where: str, row_name: Callable[[int], str]) -> None:
     if not len(time_s):
-        raise BadInput("there is no sample", where, "one sample or more")
+        raise BadInput("there is no sample", where, "at least one sample")
     unknown = np.flatnonzero(~np.isfinite(time_s))
     if len(unknown):
         raise BadInput(f"{TIME} is {time_s[unknown[0]]}", f"{where}, {row_name(int(unknown[0]))}", "a finite time")
@@ -123,11 +122,11 @@ def _check_time(time_s: NDArray[np.float64], where: str, row_name: Callable[[int
     if len(backwards):
         row = int(backwards[0]) + 1
         what = f"{TIME} is {time_s[row]} after {time_s[row - 1]}"
-        raise BadInput(what, f"{where}, {row_name(row)}", "a time that grows with every row")
+        raise BadInput(what, f"{where}, {row_name(row)}", "a time that increases with every row")
 
 
 def _with_elements_joined(signals: Mapping[str, NDArray[np.float64]], where: str) -> dict[str, NDArray[np.float64]]:
-    """Put the columns of one friction element each together, shape (n, elements)."""
+    """Join the columns of the friction elements to arrays of shape (n, elements)."""
     joined: dict[str, NDArray[np.float64]] = {}
     elements: dict[str, dict[int, NDArray[np.float64]]] = {}
     for name, values in signals.items():
@@ -139,6 +138,6 @@ def _with_elements_joined(signals: Mapping[str, NDArray[np.float64]], where: str
     for signal, by_number in elements.items():
         if signal in joined or set(by_number) != set(range(1, len(by_number) + 1)):
             numbers = ", ".join(str(number) for number in sorted(by_number))
-            raise BadInput(f"{signal} has columns {numbers}", where, "one column for each element from 1 up")
+            raise BadInput(f"{signal} has columns {numbers}", where, "one column per element, numbered from 1")
         joined[signal] = np.column_stack([by_number[number] for number in sorted(by_number)])
     return joined

@@ -1,11 +1,11 @@
-"""The topics of a run: name, ROS type, and which message field is which signal of a trajectory."""
+"""The topics of a run: name, ROS type, and the trajectory's signal for each message field."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
 NAMESPACE = "/ehls"
-"""Namespace the graph runs in unless a launch file says otherwise."""
+"""Default namespace of the graph."""
 
 
 class Topic(NamedTuple):
@@ -14,7 +14,7 @@ class Topic(NamedTuple):
     Attributes:
         name: name below the namespace, or an absolute name.
         type: ROS message type.
-        signals: names in :data:`ehls_ros.trajectory.SIGNALS` by message field; units are the message's own.
+        signals: names in :data:`ehls_ros.trajectory.SIGNALS` by message field, in the same units.
     """
 
     name: str
@@ -58,7 +58,7 @@ POSITION_REFERENCE = Topic(
     },
 )
 REFERENCE_TOPICS: Mapping[str, Topic] = MappingProxyType({"force": FORCE_REFERENCE, "position": POSITION_REFERENCE})
-"""The reference's topic by what the controller follows; a run has one of them."""
+"""The reference topic by the quantity that the controller follows; a run has one of them."""
 
 DISTURBANCE = Topic(
     "disturbance",
@@ -109,10 +109,10 @@ CYCLE_TOPICS = (
     VALVE_COMMAND,
     CONTROLLER_STATUS,
 )
-"""The topics a trajectory is made of, in the order of one control cycle; every message has a header and a cycle."""
+"""The topics that make up a trajectory, in the order of a control cycle; every message has a header and a cycle."""
 
 DRIVING = Topic("driving", "std_msgs/msg/Bool")
-"""Whether commands reach the valve; told when that changes."""
+"""Whether commands reach the valve; published on change."""
 
 TELEMETRY_TOPICS = (
     DRIVING,
@@ -121,9 +121,9 @@ TELEMETRY_TOPICS = (
     Topic("joint_states", "sensor_msgs/msg/JointState"),
     Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
 )
-"""Recorded for the tools everybody has; what they show is in the cycle topics already."""
+"""Recorded for standard tools; the cycle topics contain the same data."""
 
 TOPICS = (*CYCLE_TOPICS, *TELEMETRY_TOPICS)
 
 RESPONSE = "response_s"
-"""The one signal that is no message field: when a cycle's valve command was sent minus when its snapshot was."""
+"""The one signal that is not a message field: time from sending a cycle's snapshot to sending its valve command [s]."""

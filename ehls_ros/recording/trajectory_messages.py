@@ -1,4 +1,4 @@
-"""The messages that stand for a trajectory."""
+"""Converts a trajectory to messages."""
 
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from ehls_ros.trajectory import Trajectory
 
 FRAME_ID = "loader"
 LATEST_STAMP_NS = 2**31 * 10**9
-"""What the seconds of a ROS time stamp end at."""
+"""End of the range of a ROS time stamp [ns]."""
 
 
 class Stream(NamedTuple):
@@ -31,18 +31,18 @@ class Stream(NamedTuple):
 
 
 def streams_of(trajectory: Trajectory, where: str, first: int = 0) -> list[Stream]:
-    """Make the messages of every cycle topic the trajectory has signals of.
+    """Make the messages of every cycle topic for which the trajectory has signals.
 
     Args:
         trajectory: header stamps are its times rounded to nanoseconds, cycles count its samples.
-        where: what the messages are for, for errors.
+        where: destination of the messages, for errors.
         first: cycle of the first sample.
 
     Returns:
-        The topics with at least one message; a message is left out where all its signals are NaN.
+        The topics with at least one message; a message whose signals are all NaN is omitted.
 
     Raises:
-        BadInput: the trajectory holds what messages cannot express.
+        BadInput: messages cannot express the trajectory.
     """
     stamps_ns = _stamps_ns(trajectory.time_s, where)
     streams = [_stream(topic, trajectory, stamps_ns, where, first) for topic in CYCLE_TOPICS]
@@ -55,7 +55,7 @@ def _stamps_ns(time_s: NDArray[np.float64], where: str) -> NDArray[np.int64]:
         raise BadInput("the trajectory has no samples", where, "one sample or more")
     if not (exact[0] >= 0 and exact[-1] < LATEST_STAMP_NS and (np.diff(exact) > 0).all()):
         what = f"time_s goes from {time_s[0]} to {time_s[-1]}"
-        raise BadInput(what, where, "times from 0 s up that grow by 1 ns or more a sample")
+        raise BadInput(what, where, "times from 0 s that increase by at least 1 ns per sample")
     return exact.astype(np.int64)
 
 
@@ -86,7 +86,7 @@ def _stream(topic: Topic, trajectory: Trajectory, stamps_ns: NDArray[np.int64], 
 
 
 def _present(topic: Topic, signals: list[NDArray[np.float64]], samples: int) -> NDArray[np.bool_]:
-    """Tell at which samples the topic has a message: a snapshot at each, others where they say something."""
+    """Tell which samples have a message of the topic: all for a snapshot, otherwise those with a known signal."""
     if topic is LOADER_STATE:
         return np.ones(samples, np.bool_)
     present = np.zeros(samples, np.bool_)
@@ -100,7 +100,7 @@ def _check_flags(signal: str, values: NDArray[np.float64], rows: NDArray[np.intp
     wrong = np.argwhere(~np.isin(values, (0.0, 1.0)))
     if len(wrong):
         what = f"{signal} is {values[tuple(wrong[0])]} at sample {rows[wrong[0][0]]}"
-        raise BadInput(what, where, "0 or 1 wherever other signals of its topic are known")
+        raise BadInput(what, where, "0 or 1 where other signals of its topic are known")
 
 
 def _response_ns(response_s: NDArray[np.float64], rows: NDArray[np.intp], where: str) -> NDArray[np.int64]:

@@ -21,23 +21,22 @@ def typestore() -> Typestore:
 
 
 def typestore_of(definition: MessageDefinition, message_type: str) -> Typestore:
-    """Return the types a bag itself defines, which another version of ``ehls_msgs`` may have written.
+    """Return the types as the bag itself defines them, perhaps by another version of ``ehls_msgs``.
 
     Args:
-        definition: what the bag says the type looks like, with the types nested in it.
+        definition: of the type and the types nested in it, from the bag.
         message_type: name of the type.
 
     Returns:
-        A store that knows the fields of the type; it is that of :func:`typestore` when the bag defines nothing, as
-        bags older than ROS 2 Iron do.
+        A store with the fields of the type; that of :func:`typestore` if the bag has no definitions, as before ROS 2 Iron.
 
     Raises:
-        rosbags.typesys.TypesysError: the definition is no message definition.
+        rosbags.typesys.TypesysError: the definition is invalid.
     """
     if definition.format is MessageDefinitionFormat.NONE:
         return typestore()
     store = get_typestore(Stores.EMPTY)
-    # not registered: that would run code made from the bag's text
+    # Registering the types would run code generated from the bag's text.
     if definition.format is MessageDefinitionFormat.IDL:
         store.fielddefs.update(get_types_from_idl(definition.data))
     else:

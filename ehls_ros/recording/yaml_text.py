@@ -1,7 +1,7 @@
-"""YAML of any origin: plain data in bounded time and memory, or one line that says where it is wrong.
+"""Safe reading of untrusted YAML: plain data in bounded time and memory, or an error with the line.
 
-PyYAML alone lets the last of several equal keys win, follows aliases that unfold to any size, overflows the stack when
-brackets are nested deeply, and raises whatever a wrong date or number makes Python raise.
+PyYAML alone keeps the last of several equal keys, expands aliases to any size, overflows the stack on deep nesting, and lets
+Python's exceptions through on a wrong date or number.
 """
 
 import re
@@ -19,15 +19,15 @@ from ehls_ros.recording.regular_file import read_text
 
 try:
     from yaml import CSafeLoader as SafeLoader
-except ImportError:  # PyYAML built without libyaml: the same at an eighth of the speed
+except ImportError:  # PyYAML built without libyaml: same result, eight times slower
     from yaml import SafeLoader  # type: ignore[assignment]
 
 NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 
 EXPONENT = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+\Z")
-"""Numbers such as 1e3 and 2.5e6, which are texts to YAML 1.1 and numbers to ROS and to everybody who writes them."""
+"""Numbers such as 1e3 and 2.5e6, which are strings in YAML 1.1 but numbers in ROS."""
 
-EXPECTED = "valid YAML without aliases, each key once"
+EXPECTED = "valid YAML without aliases or duplicate keys"
 
 
 def read_yaml(path: Path, what: str) -> Any:
@@ -35,13 +35,13 @@ def read_yaml(path: Path, what: str) -> Any:
 
     Args:
         path: the file.
-        what: what the file is, such as ``rig file``.
+        what: kind of file, such as ``rig file``.
 
     Returns:
         Mappings, lists and scalars.
 
     Raises:
-        BadInput: it cannot be read, or is refused by :func:`parse_yaml`.
+        BadInput: the file cannot be read, or :func:`parse_yaml` refuses it.
     """
     return parse_yaml(read_text(path, limits.TEXT, "a YAML file", what), str(path), what)
 
@@ -52,13 +52,13 @@ def parse_yaml(text: str, where: str, what: str) -> Any:
     Args:
         text: the document.
         where: its file, for errors.
-        what: what the file is, such as ``rig file``.
+        what: kind of file, such as ``rig file``.
 
     Returns:
         Mappings, lists and scalars.
 
     Raises:
-        BadInput: it is no YAML, too long, nested too deeply, or has an alias or the same key twice in a mapping.
+        BadInput: the text is not YAML, too long or nested too deeply, or has an alias or a duplicate key.
     """
     if len(text) > limits.TEXT:
         raise BadInput(f"{what} has {len(text)} characters", where, f"at most {limits.TEXT}")
@@ -69,11 +69,11 @@ def parse_yaml(text: str, where: str, what: str) -> Any:
         line = getattr(getattr(error, "problem_mark", None), "line", None)
         place = f"{where}:{line + 1}" if line is not None else where
         problem = " ".join(str(getattr(error, "problem", error)).split())
-        raise BadInput(f"{what} is no YAML ({problem})", place, EXPECTED) from None
+        raise BadInput(f"{what} is not valid YAML ({problem})", place, EXPECTED) from None
 
 
 def _check_structure(text: str) -> None:
-    """Refuse what takes more stack or memory than its text is long, before anything is built of it."""
+    """Refuse deep nesting and aliases before anything is constructed."""
     depth = 0
     for event in yaml.parse(text, SafeLoader):
         if isinstance(event, yaml.CollectionStartEvent):
@@ -91,14 +91,14 @@ def _complaint(problem: str, mark: Any) -> ConstructorError:
 
 
 def _misfit(node: Node) -> ConstructorError:
-    return _complaint(f"{str(node.value)[:40]!r} is no {node.tag.rpartition(':')[2]}", node.start_mark)
+    return _complaint(f"{str(node.value)[:40]!r} is not a valid {node.tag.rpartition(':')[2]}", node.start_mark)
 
 
 class _Loader(SafeLoader):
-    """PyYAML's safe loader, which complains with the line about what it otherwise takes or stumbles over."""
+    """PyYAML's safe loader, with an error for every invalid value and duplicate key."""
 
     def construct_object(self, node: Node, deep: bool = False) -> Any:
-        """Build what a node says."""
+        """Construct the value of a node."""
         if node.tag in NUMBERS and len(node.value) > limits.YAML_NUMBER:
             raise _misfit(node)
         try:
@@ -107,13 +107,13 @@ class _Loader(SafeLoader):
             raise _misfit(node) from None
 
     def construct_mapping(self, node: MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """Build a mapping whose keys all differ."""
+        """Construct a mapping with unique keys."""
         mapping = super().construct_mapping(node, deep)
         seen: set[Hashable] = set()
         for key_node, _ in node.value if len(mapping) < len(node.value) else ():
             key = self.construct_object(key_node, deep=True)
             if key in seen:
-                raise _complaint(f"key {key!r} is there twice", key_node.start_mark)
+                raise _complaint(f"duplicate key {key!r}", key_node.start_mark)
             seen.add(key)
         return mapping
 

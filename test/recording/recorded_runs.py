@@ -1,4 +1,4 @@
-"""Runs to record, and bags as somebody else would have recorded them."""
+"""Runs to record, and bags as recorded by others."""
 
 import os
 import tempfile
@@ -18,7 +18,7 @@ METADATA = {"rig": {"moving_mass": 70.5, "note": "a 'quoted':  text\nwith lines 
 
 
 def make_trajectory(samples: int = 20, *, start_s: float = 0.0) -> Trajectory:
-    """Return a trajectory with every signal there is and nothing but noise in it, 1 ms a sample."""
+    """Return a trajectory of 1 ms samples with noise in every signal."""
     random = np.random.default_rng(1)
     signals = {name: random.normal(size=samples) for name in SIGNALS}
     signals["friction_elements_n"] = random.normal(size=(samples, 4))
@@ -31,7 +31,7 @@ def make_trajectory(samples: int = 20, *, start_s: float = 0.0) -> Trajectory:
 
 
 def same(first: Trajectory, second: Trajectory) -> bool:
-    """Tell whether two trajectories are the same to the last bit."""
+    """Tell whether two trajectories are bitwise equal."""
     return (
         list(first.signals) == list(second.signals)
         and first.time_s.tobytes() == second.time_s.tobytes()
@@ -42,14 +42,14 @@ def same(first: Trajectory, second: Trajectory) -> bool:
 
 
 def storage_file(bag: Path) -> Path:
-    """Return the one storage file in a bag's folder."""
+    """Return the only storage file in a bag's folder."""
     (file,) = (file for file in bag.iterdir() if file.suffix in {".mcap", ".db3"})
     return file
 
 
 @contextmanager
 def folder_for_nobody(mode: int) -> Iterator[Path]:
-    """Yield an empty folder whose mode binds this process, also when it runs as root."""
+    """Yield an empty folder whose mode applies to this process even if it runs as root."""
     folder = Path(tempfile.mkdtemp())
     folder.chmod(mode)
     user = os.geteuid()
@@ -63,7 +63,7 @@ def folder_for_nobody(mode: int) -> Iterator[Path]:
 
 
 class Message(NamedTuple):
-    """A message before it is serialized; fields that are not given are 0 or empty."""
+    """A message before serialization; omitted fields are 0 or empty."""
 
     topic: str
     type: str
@@ -81,7 +81,7 @@ def message(topic: str, type_name: str, cycle: int, stamp_ns: int, received_ns: 
 
 
 def loader_state(cycle: int, topic: str = "/ehls/loader_state", stamp_ns: int | None = None, **fields: Any) -> Message:
-    """Return a snapshot, received when it was taken; cycles are 1 ms apart unless the stamp says otherwise."""
+    """Return a snapshot, received when it was taken; cycles are 1 ms apart unless a stamp is given."""
     stamp_ns = cycle * 10**6 if stamp_ns is None else stamp_ns
     return message(topic, "LoaderState", cycle, stamp_ns, stamp_ns, fields)
 
@@ -92,7 +92,7 @@ def valve_command(cycle: int, topic: str = "/ehls/valve_command", delay_ns: int 
 
 
 def serialized(message: Message) -> bytes:
-    """Return a message as CDR, by rosbags."""
+    """Serialize a message with rosbags."""
     store = typestore()
     kinds = {name: kind.name for name, (kind, _) in store.fielddefs[message.type][1]}
     empty = {name: np.zeros(0) if kind == "SEQUENCE" else 0 for name, kind in kinds.items()}
@@ -101,7 +101,7 @@ def serialized(message: Message) -> bytes:
 
 
 def definition_of(type_name: str) -> str:
-    """Return a definition as ROS's own recorder stores it: the file with its comments, then what it refers to."""
+    """Return a definition as ROS's recorder stores it: the file with its comments, then the types it uses."""
     package, _, name = type_name.split("/")
     if package != "ehls_msgs":
         return typestore().generate_msgdef(type_name, ros_version=2)[0]
@@ -120,13 +120,13 @@ def record(
     definitions: Mapping[str, tuple[str, str]] = MappingProxyType({}),
     compression: CompressionMode = CompressionMode.NONE,
 ) -> Path:
-    """Record messages with rosbags alone, as another recorder would.
+    """Record messages with plain rosbags, as another recorder would.
 
     Args:
-        path: folder to make.
-        messages: what to record, in this order.
+        path: folder to create.
+        messages: in order of recording.
         storage: storage plugin.
-        definitions: text and hash by type, where they are not those of ehls_msgs.
+        definitions: text and hash by type, if they differ from those of ehls_msgs.
         compression: what is compressed.
     """
     store = typestore()

@@ -1,4 +1,4 @@
-"""A damaged bag is refused in one line, or it gives what was recorded: never anything else."""
+"""A damaged bag is refused in one line or gives exactly what was recorded."""
 
 import random
 import sqlite3
@@ -20,7 +20,7 @@ TRAJECTORY = make_trajectory(30)
 
 
 def refuses(path: Path) -> str:
-    """Return the one line with which reading is refused."""
+    """Return the one-line refusal."""
     with pytest.raises(BadInput) as caught:
         read_bag(path)
     line = str(caught.value)
@@ -31,13 +31,15 @@ def refuses(path: Path) -> str:
 
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize("kept", [0, 0.001, 0.1, 0.5, 0.9, 0.999])
-def test_a_cut_storage_file_is_refused_with_and_without_its_folder(tmp_path: Path, storage: Storage, kept: float):
+def test_a_truncated_storage_file_is_refused_with_and_without_its_folder(tmp_path: Path, storage: Storage, kept: float):
     write_trajectory(tmp_path / "bag", TRAJECTORY, storage)
     file = storage_file(tmp_path / "bag")
     whole = file.read_bytes()
     file.write_bytes(whole[: int(kept * len(whole))])
     for path in (tmp_path / "bag", file):
-        assert "the file is truncated or still being written; expected a bag whose recorder was closed" in refuses(path)
+        assert "the file is truncated or still being written; expected an undamaged bag, closed by its recorder" in refuses(
+            path
+        )
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -49,18 +51,18 @@ def test_a_storage_file_that_lacks_its_last_byte_is_refused(tmp_path: Path, stor
 
 
 @pytest.mark.parametrize("kept", [0, 0.2, 0.5, 0.8, 0.99])
-def test_cut_metadata_are_refused(tmp_path: Path, kept: float):
+def test_truncated_metadata_are_refused(tmp_path: Path, kept: float):
     write_trajectory(tmp_path / "bag", TRAJECTORY)
     metadata = tmp_path / "bag" / "metadata.yaml"
     whole = metadata.read_bytes()
     metadata.write_bytes(whole[: int(kept * len(whole))])
-    assert "expected a bag whose recorder was closed" in refuses(tmp_path / "bag")
+    assert "expected an undamaged bag, closed by its recorder" in refuses(tmp_path / "bag")
 
 
 def test_a_folder_without_metadata_is_refused(tmp_path: Path):
     write_trajectory(tmp_path / "bag", TRAJECTORY)
     (tmp_path / "bag" / "metadata.yaml").unlink()
-    assert "metadata.yaml is missing; expected a bag whose recorder was closed" in refuses(tmp_path / "bag")
+    assert "metadata.yaml is missing; expected an undamaged bag, closed by its recorder" in refuses(tmp_path / "bag")
     assert same(read_bag(storage_file(tmp_path / "bag")), TRAJECTORY)
 
 
@@ -80,7 +82,7 @@ def test_one_flipped_bit_of_a_value_is_found(tmp_path: Path, storage: Storage, p
     content[content.index(TRAJECTORY["u2"][11].tobytes())] ^= 1
     file.write_bytes(content)
     path = file if part == "file" else tmp_path / "bag"
-    found = "Chunk checksum mismatch" if storage == "mcap" else "/ehls/controller_status: messages are not as they were written"
+    found = "Chunk checksum mismatch" if storage == "mcap" else "/ehls/controller_status: messages have been altered"
     assert found in refuses(path)
 
 
@@ -88,7 +90,7 @@ def test_a_configuration_changed_afterwards_is_found(tmp_path: Path):
     write_trajectory(tmp_path / "bag", TRAJECTORY)
     metadata = tmp_path / "bag" / "metadata.yaml"
     metadata.write_text(metadata.read_text(encoding="utf-8").replace("70.5", "71.5"), encoding="utf-8")
-    assert "the configuration kept in the bag is damaged" in refuses(tmp_path / "bag")
+    assert "the configuration in the bag is damaged" in refuses(tmp_path / "bag")
 
 
 def test_the_metadata_of_another_bag_are_found(tmp_path: Path):
@@ -118,20 +120,23 @@ def test_messages_shorter_than_their_type_are_refused(tmp_path: Path):
     ("make", "complaint"),
     [
         (lambda path: path / "nothing", "it does not exist; expected a folder of a rosbag2, or a file .mcap or .db3"),
-        (lambda path: path, "metadata.yaml is missing; expected a bag whose recorder was closed"),
-        (lambda path: path / "notes.txt", "it is no bag; expected a folder of a rosbag2, or a file .mcap or .db3"),
-        (lambda path: path / "notes.db3", "the file is no SQLite database; expected a bag whose recorder was closed"),
+        (lambda path: path, "metadata.yaml is missing; expected an undamaged bag, closed by its recorder"),
+        (lambda path: path / "notes.txt", "it is not a bag; expected a folder of a rosbag2, or a file .mcap or .db3"),
+        (
+            lambda path: path / "notes.db3",
+            "the file is not a SQLite database; expected an undamaged bag, closed by its recorder",
+        ),
         (lambda path: path / "notes.mcap", "the file is truncated or still being written"),
     ],
 )
-def test_what_is_no_bag_is_refused(tmp_path: Path, make: Callable[[Path], Path], complaint: str):
+def test_anything_but_a_bag_is_refused(tmp_path: Path, make: Callable[[Path], Path], complaint: str):
     for name in ("notes.txt", "notes.db3", "notes.mcap"):
         (tmp_path / name).write_bytes(b"not a recording at all" * 20)
     assert complaint in refuses(make(tmp_path))
 
 
 def mutated(content: bytes, dice: random.Random) -> bytes:
-    """Return the content with one thing wrong: bits, a cut, zeros, a gap, an insertion, or a part somewhere else."""
+    """Damage the content in one way: flipped bits, truncation, zeros, a gap, an insertion, or a displaced block."""
     result = bytearray(content)
     position, length = dice.randrange(len(content)), dice.choice([1, 4, 16, 200])
     match dice.randrange(6):
@@ -153,7 +158,7 @@ def mutated(content: bytes, dice: random.Random) -> bytes:
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_whatever_happens_to_a_bag_it_is_refused_or_right(tmp_path: Path, storage: Storage):
+def test_a_randomly_damaged_bag_is_refused_or_right(tmp_path: Path, storage: Storage):
     dice = random.Random(4)
     write_trajectory(tmp_path / "bag", TRAJECTORY, storage)
     file = storage_file(tmp_path / "bag")

@@ -1,4 +1,4 @@
-"""Bags that somebody else recorded: parts of the topics, other namespaces, other versions, runs gone wrong."""
+"""Bags of other recorders: some of the topics, other namespaces, other versions, failed runs."""
 
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ NAN = np.nan
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 @pytest.mark.parametrize("alone", [False, True])
-def test_a_part_of_the_topics_in_another_namespace_at_another_rate(tmp_path: Path, storage: str, alone: bool):
+def test_some_topics_in_another_namespace_at_another_rate(tmp_path: Path, storage: str, alone: bool):
     cycles = range(100, 150)
     states = [
         loader_state(k, "/rig1/ehls/loader_state", stamp_ns=k * 4 * 10**6, force=2.0 * k, position=-0.5 * k) for k in cycles
@@ -46,7 +46,7 @@ def test_the_namespace_may_be_empty(tmp_path: Path):
     assert read_bag(bag)["valve_command_m"].tolist() == [1.0]
 
 
-def test_signals_nobody_measured_are_absent(tmp_path: Path):
+def test_signals_without_values_are_absent(tmp_path: Path):
     bag = record(tmp_path / "theirs", [loader_state(k, oil_temperature=NAN, velocity=NAN if k else 1.0) for k in range(3)])
     trajectory = read_bag(bag)
     assert "oil_temperature_k" not in trajectory
@@ -67,7 +67,7 @@ def test_the_times_of_a_wall_clock_count_from_the_first_snapshot(tmp_path: Path)
     assert read_bag(bag).time_s.tolist() == [0.0, 0.001000001, 0.002000002, 0.003000003]
 
 
-def test_messages_meet_by_cycle_in_whatever_order_they_came(tmp_path: Path):
+def test_messages_are_matched_by_cycle_in_any_order_of_arrival(tmp_path: Path):
     cycles = np.random.default_rng(3).permutation(40)
     states = [loader_state(int(k), force=float(k)) for k in cycles]
     commands = [valve_command(int(k), spool=100.0 + k) for k in cycles[::-1]]
@@ -76,7 +76,7 @@ def test_messages_meet_by_cycle_in_whatever_order_they_came(tmp_path: Path):
     assert trajectory["valve_command_m"].tolist() == [100.0 + k for k in range(40)]
 
 
-def test_cycles_without_a_snapshot_are_no_samples(tmp_path: Path):
+def test_cycles_without_a_snapshot_give_no_samples(tmp_path: Path):
     states = [loader_state(k, force=float(k)) for k in (2, 3, 7)]
     commands = [valve_command(k, spool=float(k)) for k in (0, 1, 2, 3, 4, 7, 8)]
     trajectory = read_bag(record(tmp_path / "theirs", [*states, *commands]))
@@ -96,7 +96,7 @@ def test_the_first_answer_to_a_cycle_counts(tmp_path: Path):
     assert trajectory["response_s"].tolist() == [1e-7, 1e-7]
 
 
-def test_a_snapshot_delivered_twice_is_one(tmp_path: Path):
+def test_a_snapshot_delivered_twice_counts_once(tmp_path: Path):
     states = [loader_state(k, force=float(k), velocity=NAN) for k in (0, 1, 1, 2)]
     assert read_bag(record(tmp_path / "theirs", states))["force_n"].tolist() == [0.0, 1.0, 2.0]
 
@@ -114,16 +114,16 @@ def test_a_snapshot_delivered_twice_is_one(tmp_path: Path):
         ),
         (
             [loader_state(50), loader_state(51), loader_state(0, stamp_ns=9 * 10**7)],
-            "time does not grow from cycle 0 to cycle 50",
+            "time does not increase from cycle 0 to cycle 50",
         ),
         (
             [loader_state(0, "/rig1/ehls/loader_state"), loader_state(0, "/rig2/ehls/loader_state")],
-            "it holds several rigs: /rig1/ehls, /rig2/ehls; expected one rig a bag",
+            "it contains several rigs: /rig1/ehls, /rig2/ehls; expected one rig per bag",
         ),
         (
             [valve_command(0), valve_command(0, "/b/valve_command")],
             (
-                "topic loader_state is missing among /b/valve_command, /ehls/valve_command; "
+                "topic loader_state is missing (found: /b/valve_command, /ehls/valve_command); "
                 "expected a topic of ehls_msgs/msg/LoaderState"
             ),
         ),
@@ -146,7 +146,7 @@ def test_bags_that_are_not_one_run_are_bad_input(tmp_path: Path, messages: list[
 
 def test_a_bag_without_a_snapshot_is_bad_input(tmp_path: Path):
     BagWriter.create(tmp_path / "bag").close()
-    with pytest.raises(BadInput, match="there is no message of loader_state"):
+    with pytest.raises(BadInput, match="there is no message on loader_state"):
         read_bag(tmp_path / "bag")
 
 
@@ -156,7 +156,7 @@ def hash_of(definition: str) -> str:
 
 
 def record_own_version(path: Path, definition: str) -> Path:
-    """Record two snapshots of force 1 and 2 with a definition of LoaderState that is not that of ehls_msgs."""
+    """Record two snapshots of force 1 and 2 with another definition of LoaderState than that of ehls_msgs."""
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg(definition, LOADER_STATE.type))
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
@@ -188,7 +188,7 @@ def test_messages_of_another_version_are_read_by_the_definition_in_the_bag(tmp_p
         ("float64 force ", "float32 force ", "has float32 force in this bag; expected float64 force"),
         ("float64 force ", "string force_unit\nint16 force ", "has int16 force in this bag; expected float64 force"),
         ("uint64 cycle ", "uint64 counter ", "has no field cycle in this bag; expected a header and a cycle"),
-        ("float64 velocity ", "std_msgs/Header[] velocity ", "field velocity of ehls_msgs/msg/LoaderState is of a kind"),
+        ("float64 velocity ", "std_msgs/Header[] velocity ", "field velocity of ehls_msgs/msg/LoaderState is neither a number"),
     ],
 )
 def test_a_version_with_other_types_is_bad_input(tmp_path: Path, old: str, new: str, complaint: str):
@@ -207,7 +207,7 @@ def test_a_definition_that_is_not_the_one_recorded_is_bad_input(tmp_path: Path):
     )
     other = definition_of(LOADER_STATE.type).replace("float64 position ", "float64 x ")
     bag = record(tmp_path / "theirs", [loader_state(0)], definitions={LOADER_STATE.type: (swapped, hash_of(other))})
-    with pytest.raises(BadInput, match="does not hold its definition of ehls_msgs/msg/LoaderState"):
+    with pytest.raises(BadInput, match="definition of ehls_msgs/msg/LoaderState is missing or wrong"):
         read_bag(bag)
 
 
@@ -228,7 +228,7 @@ def test_compressed_bags(tmp_path: Path, storage: str, compression: CompressionM
 
 
 def split_bag(tmp_path: Path) -> Path:
-    """Return a bag of two storage files, as a recorder with a size limit leaves it."""
+    """Return a bag of two storage files, as made by a recorder with a size limit."""
     first, second = (
         record(tmp_path / name, [loader_state(k, force=float(k)) for k in range(start, start + 30)])
         for name, start in (("first", 0), ("second", 30))
@@ -243,7 +243,7 @@ def split_bag(tmp_path: Path) -> Path:
     return first
 
 
-def test_a_bag_of_several_files_is_one(tmp_path: Path):
+def test_a_bag_of_several_files_is_read_as_one(tmp_path: Path):
     assert read_bag(split_bag(tmp_path))["force_n"].tolist() == list(range(60))
 
 

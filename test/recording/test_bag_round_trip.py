@@ -63,7 +63,7 @@ def test_answers_that_overtake_each_other_stay_with_their_cycles(tmp_path: Path,
     assert same(read_bag(tmp_path / "bag"), trajectory)
 
 
-def test_values_no_measurement_has_come_back(tmp_path: Path):
+def test_extreme_values_come_back(tmp_path: Path):
     trajectory = make_trajectory(6)
     trajectory["force_n"][:] = [0.0, -0.0, np.inf, -np.inf, 5e-324, 1.7976931348623157e308]
     write_trajectory(tmp_path / "bag", trajectory)
@@ -83,7 +83,7 @@ def test_values_no_measurement_has_come_back(tmp_path: Path):
     ],
     ids=", ".join,
 )
-def test_signals_that_were_not_there_do_not_appear(tmp_path: Path, names: list[str]):
+def test_absent_signals_stay_absent(tmp_path: Path, names: list[str]):
     whole = make_trajectory()
     part = Trajectory(whole.time_s, {name: whole[name] for name in whole.signals if name in names})
     write_trajectory(tmp_path / "bag", part)
@@ -120,7 +120,7 @@ def test_numpy_values_in_metadata_become_plain_ones(tmp_path: Path):
         ([], "the trajectory has no samples"),
     ],
 )
-def test_times_that_no_stamp_can_hold_are_refused(tmp_path: Path, time_s: list[float], complaint: str):
+def test_times_that_a_stamp_cannot_express_are_refused(tmp_path: Path, time_s: list[float], complaint: str):
     with pytest.raises(BadInput, match=complaint):
         write_trajectory(tmp_path / "bag", Trajectory(np.array(time_s), {}))
     assert not (tmp_path / "bag").exists()
@@ -137,7 +137,7 @@ def test_times_that_no_stamp_can_hold_are_refused(tmp_path: Path, time_s: list[f
         ("response_s", 1e12, "response_s is 1000000000000.0 at sample 4"),
     ],
 )
-def test_values_that_no_message_can_hold_are_refused(tmp_path: Path, signal: str, value: float, complaint: str):
+def test_values_that_a_message_cannot_express_are_refused(tmp_path: Path, signal: str, value: float, complaint: str):
     trajectory = make_trajectory()
     trajectory[signal][4] = value
     with pytest.raises(BadInput, match=complaint):

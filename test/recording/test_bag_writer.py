@@ -33,7 +33,7 @@ def write(writer: BagWriter, message: Message) -> None:
 
 @contextmanager
 def no_file_larger_than(size: int) -> Iterator[None]:
-    """Let writing fail as on a full disk."""
+    """Make writing fail as on a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
@@ -44,7 +44,7 @@ def no_file_larger_than(size: int) -> Iterator[None]:
 
 @pytest.fixture
 def write_protected() -> Iterator[Path]:
-    """Yield a folder in which this process may not write, also when it runs as root."""
+    """Yield a folder in which this process cannot write, even as root."""
     with folder_for_nobody(0o555) as folder:
         yield folder
 
@@ -70,7 +70,7 @@ def test_every_message_is_in_the_bag_with_its_time(tmp_path: Path, storage: Stor
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_the_configuration_stands_in_the_metadata_as_json(tmp_path: Path, storage: Storage):
+def test_the_configuration_is_in_the_metadata_as_json(tmp_path: Path, storage: Storage):
     BagWriter.create(tmp_path / "bag", storage, METADATA).close()
     content = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text(encoding="utf-8"))
     custom_data = content["rosbag2_bagfile_information"]["custom_data"]
@@ -105,7 +105,7 @@ def test_closing_twice_is_closing_once(tmp_path: Path):
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_an_aborted_bag_is_no_bag(tmp_path: Path, storage: Storage):
+def test_an_aborted_bag_is_not_readable(tmp_path: Path, storage: Storage):
     with BagWriter.create(tmp_path / "bag", storage) as writer:
         write(writer, loader_state(0))
         writer.abort()
@@ -152,7 +152,7 @@ def test_an_output_without_write_permission_is_bad_input(write_protected: Path, 
     with pytest.raises(BadInput, match="Permission denied") as caught:
         BagWriter.create(write_protected / "runs" / "bag", storage)
     assert caught.value.where == str(write_protected / "runs")
-    assert caught.value.expected == "a folder that does not exist yet, where it may be written"
+    assert caught.value.expected == "a new folder in a writable place"
 
 
 def a_folder(path: Path) -> Path:
@@ -174,7 +174,7 @@ def a_file(path: Path) -> Path:
         (lambda path: path / ("x" * 300), "File name too long"),
     ],
 )
-def test_an_output_that_cannot_be_made_is_bad_input(tmp_path: Path, make: Callable[[Path], Path], complaint: str):
+def test_an_output_that_cannot_be_created_is_bad_input(tmp_path: Path, make: Callable[[Path], Path], complaint: str):
     with pytest.raises(BadInput, match=complaint):
         BagWriter.create(make(tmp_path / "there"))
 
@@ -186,14 +186,14 @@ def test_an_unknown_storage_is_bad_input(tmp_path: Path):
 
 @pytest.mark.parametrize("name", ["run#1", "run?", "50%25"])
 def test_a_path_that_sqlite_would_misread_is_bad_input(tmp_path: Path, name: str):
-    with pytest.raises(BadInput, match="holds one of"):
+    with pytest.raises(BadInput, match="the path contains"):
         BagWriter.create(tmp_path / name, "sqlite3")
     assert not list(tmp_path.iterdir())
     write_trajectory(tmp_path / name, make_trajectory(1))
     assert len(read_bag(tmp_path / name)) == 1
 
 
-def test_metadata_that_are_no_json_stop_the_recording_before_it_starts(tmp_path: Path):
-    with pytest.raises(TypeError, match="is no JSON value"):
+def test_metadata_without_json_form_stop_the_recording_before_it_starts(tmp_path: Path):
+    with pytest.raises(TypeError, match="is not a JSON value"):
         BagWriter.create(tmp_path / "bag", metadata={"rig": object()})
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""Against rosbags, which reads and writes one message at a time, and against what Fast DDS put on the wire."""
+"""CDR compared with rosbags, which converts one message at a time, and with bytes sent by Fast DDS."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def test_messages_of_different_lengths_and_byte_orders_are_decoded_together():
 
 @pytest.mark.parametrize("elements", [0, 1, 3])
 @pytest.mark.parametrize("frame", ["", "loader", "a frame of another length"])
-def test_what_is_encoded_is_what_rosbags_writes(elements: int, frame: str):
+def test_encoding_gives_the_bytes_of_rosbags(elements: int, frame: str):
     forces = np.random.default_rng(2).normal(size=(5, elements))
     expected = [friction_message(cycle, forces[cycle].tolist(), frame) for cycle in range(5)]
     values = {
@@ -75,7 +75,7 @@ def test_what_is_encoded_is_what_rosbags_writes(elements: int, frame: str):
             [1.0, 2.0, 3.0],
             [1, 0, 1],
         ),
-        (  # the bytes between the fields and after them are whatever was in memory
+        (  # padding holds whatever was in memory
             (
                 "000100000300000007000000070000006c6f61646572000080f257dc0900000000000000000000000000f03f"
                 "000000000000000000000000000000008a7f0000"
@@ -101,7 +101,7 @@ def test_messages_serialized_by_fast_dds(wire: str, elements: list[float], slipp
     assert columns["slipping"].tolist() == [slipping]
 
 
-def test_a_message_that_is_cut_or_too_long_is_refused():
+def test_a_truncated_or_too_long_message_is_refused():
     whole = serialized(loader_state(1))
     assert decode([whole, whole + bytes(7)], LOADER_FIELDS, {"cycle"})["cycle"].tolist() == [1, 1]
     for wrong in [*(whole[:length] for length in range(len(whole))), whole + bytes(8)]:
@@ -114,7 +114,7 @@ def test_other_encapsulations_are_refused():
         decode([bytes.fromhex("00060000") + bytes(60)], FRICTION_FIELDS, {"cycle"})
 
 
-def test_no_messages_are_empty_columns():
+def test_no_messages_give_empty_columns():
     columns = decode([], FRICTION_FIELDS, {"cycle", "element_forces"})
     assert columns["cycle"].shape == (0,)
     assert columns["element_forces"].shape == (0, 0)

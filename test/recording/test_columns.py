@@ -21,10 +21,10 @@ def test_a_map_is_read(tmp_path: Path):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", ": it holds None; expected a mapping like 'position_m: {name: x, scale: 0.001, offset: 0.0}'"),
-        ("- time_s", ": it holds ['time_s']; expected a mapping like"),
-        ("time_s: [", ":2: map of columns is no YAML ("),
-        ("position_m: {name: x}\nposition_m: {name: y}", ":2: map of columns is no YAML (key 'position_m' is there twice)"),
+        ("", ": it contains None; expected a mapping like 'position_m: {name: x, scale: 0.001, offset: 0.0}'"),
+        ("- time_s", ": it contains ['time_s']; expected a mapping like"),
+        ("time_s: [", ":2: map of columns is not valid YAML ("),
+        ("position_m: {name: x}\nposition_m: {name: y}", ":2: map of columns is not valid YAML (duplicate key 'position_m')"),
         ("position_mm: {name: x}", ": name 'position_mm' is unknown; expected one of time_s, valve_command_m,"),
         ("friction_elements_n_0: {name: x}", ": name 'friction_elements_n_0' is unknown; expected one of"),
         ("force_n_1: {name: x}", ": name 'force_n_1' is unknown; expected one of"),
@@ -36,7 +36,7 @@ def test_a_map_is_read(tmp_path: Path):
         ("position_m: {name: x, scale: 0}", ", position_m: scale is 0; expected a factor other than 0"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, text: str, complaint: str):
+def test_an_error_names_its_place(tmp_path: Path, text: str, complaint: str):
     file = tmp_path / "map.yaml"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(BadInput) as caught:
@@ -49,5 +49,5 @@ def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, text: str, complai
 def test_a_map_that_cannot_be_read_is_bad_input(tmp_path: Path, content: bytes | None):
     if content is not None:
         (tmp_path / "map.yaml").write_bytes(content)
-    with pytest.raises(BadInput, match=r"cannot be read|no text"):
+    with pytest.raises(BadInput, match=r"cannot be read|not text"):
         read_columns(tmp_path / "map.yaml")

@@ -32,7 +32,7 @@ def test_a_trajectory_comes_back_to_the_last_bit(tmp_path: Path, samples: int):
     assert set(back.signals) == set(names)
 
 
-def test_values_no_measurement_has_come_back(tmp_path: Path):
+def test_extreme_values_come_back(tmp_path: Path):
     bound_n = np.array([0.0, -0.0, np.inf, -np.inf, 5e-324, 1.7976931348623157e308, np.nan, 0.1 + 0.2])
     write_csv(tmp_path / "data.csv", Trajectory(np.arange(8) / 3, {"force_bound_n": bound_n}))
     back = read_csv(tmp_path / "data.csv")
@@ -59,7 +59,7 @@ def test_the_header_holds_the_names_of_the_contract(tmp_path: Path):
     ],
     ids=["plain", "semicolons", "tabs", "byte order mark and empty end", "quotes and spaces", "other columns and order"],
 )
-def test_what_other_programs_write(tmp_path: Path, text: str):
+def test_dialects_of_other_programs(tmp_path: Path, text: str):
     trajectory = read_csv(csv(tmp_path, text))
     assert trajectory.time_s.tolist() == [0.0, 0.5]
     assert {name: trajectory[name].tolist() for name in trajectory.signals} == {
@@ -68,14 +68,14 @@ def test_what_other_programs_write(tmp_path: Path, text: str):
     }
 
 
-def test_an_empty_cell_is_no_value(tmp_path: Path):
+def test_an_empty_cell_is_nan(tmp_path: Path):
     trajectory = read_csv(csv(tmp_path, "time_s,force_n,position_m\n0,,2\n1,3, \n2,nan,NaN\n"))
     np.testing.assert_array_equal(trajectory["force_n"], [np.nan, 3, np.nan])
     np.testing.assert_array_equal(trajectory["position_m"], [2, np.nan, np.nan])
 
 
 def test_the_columns_map_renames_and_scales(tmp_path: Path):
-    # laid out like the measurements of a positioning axis: time, reference, position, motor voltage
+    # The layout of a positioning axis: time, reference, position, motor voltage.
     text = "t,qg,qm,vir\n0,10,20,-1.5\n1,11,21,2\n2,12,22,0\n"
     columns = {
         "time_s": Column("t", scale=1e-3),
@@ -91,7 +91,7 @@ def test_the_columns_map_renames_and_scales(tmp_path: Path):
     assert len(trajectory.signals) == 3
 
 
-def test_a_mapped_column_goes_before_one_with_the_name_of_the_contract(tmp_path: Path):
+def test_a_mapped_column_takes_precedence_over_one_with_the_contract_name(tmp_path: Path):
     file = csv(tmp_path, "time_s,force_n,cell_kn,spool_m\n0,1,2,3\n")
     trajectory = read_csv(file, {"force_n": Column("cell_kn", scale=1000.0)})
     assert {name: trajectory[name].tolist() for name in trajectory.signals} == {"force_n": [2000.0], "spool_m": [3.0]}
@@ -106,31 +106,34 @@ def test_columns_of_the_friction_elements_become_one_signal(tmp_path: Path):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", ": column time_s is missing among none; expected a column time_s, or a map (--columns) to it"),
-        ("t,force_n\n0,1\n", ": column time_s is missing among t, force_n; expected a column time_s, or a map"),
-        ("0.0,1.0\n0.1,1.0\n", ": column time_s is missing among 0.0, 1.0; expected"),
-        ("time_s,f\n0,1\n", ": no signal is among time_s, f; expected a signal by its name in the data contract, or a map"),
-        ("time_s,force_n\n", ": there is no sample; expected one sample or more"),
-        ("time_s,force_n,force_n\n0,1,1\n", ": column 'force_n' is there more than once; expected one column"),
+        ("", ": column time_s is missing (found: none); expected a column time_s, or a map (--columns) to it"),
+        ("t,force_n\n0,1\n", ": column time_s is missing (found: t, force_n); expected a column time_s, or a map"),
+        ("0.0,1.0\n0.1,1.0\n", ": column time_s is missing (found: 0.0, 1.0); expected"),
+        (
+            "time_s,f\n0,1\n",
+            ": no signal is among the columns time_s, f; expected a signal by its name in the data contract, or",
+        ),
+        ("time_s,force_n\n", ": there is no sample; expected at least one sample"),
+        ("time_s,force_n,force_n\n0,1,1\n", ": column 'force_n' occurs more than once; expected one column"),
         ("time_s,force_n\n0,1\n1,abc\n", ", line 3: column 'force_n' is 'abc'; expected a number"),
         ("time_s,force_n\n0,1_000\n", ", line 2: column 'force_n' is '1_000'; expected a number"),
         ("time_s;force_n\n0;1,5\n", ", line 2: column 'force_n' is '1,5'; expected a number"),
-        ("time_s,force_n\n0,0,1,5\n", ", line 2: the row has 4 cells; expected 2 as the header"),
-        ("time_s,force_n\n0,1\n1\n", ", line 3: the row has 1 cells; expected 2 as the header"),
-        ("time_s,force_n\n0,1\n\n1,2\n", ", line 3: the row has 0 cells; expected 2 as the header"),
+        ("time_s,force_n\n0,0,1,5\n", ", line 2: the row has 4 cells; expected 2, as in the header"),
+        ("time_s,force_n\n0,1\n1\n", ", line 3: the row has 1 cells; expected 2, as in the header"),
+        ("time_s,force_n\n0,1\n\n1,2\n", ", line 3: the row has 0 cells; expected 2, as in the header"),
         ("time_s,force_n\n0,1\n,2\n", ", line 3: time_s is nan; expected a finite time"),
         ("time_s,force_n\n0,1\ninf,2\n", ", line 3: time_s is inf; expected a finite time"),
-        ("time_s,force_n\n0,1\n1,inf\n", ", line 3: force_n is inf; expected a finite number, or an empty cell where there is"),
+        ("time_s,force_n\n0,1\n1,inf\n", ", line 3: force_n is inf; expected a finite number, or an empty cell"),
         ("time_s,spool_m\n0,1e999\n1,0\n", ", line 2: spool_m is inf; expected a finite number"),
         ("time_s,position_m\n0,1\n1,-Infinity\n", ", line 3: position_m is -inf; expected a finite number"),
-        ("time_s,force_n\n0,1\n2,2\n1,3\n", ", line 4: time_s is 1.0 after 2.0; expected a time that grows with every row"),
-        ("time_s,force_n\n0,1\n0,2\n", ", line 3: time_s is 0.0 after 0.0; expected a time that grows"),
-        ('time_s,force_n\n0,"1\n', ": it is no CSV (unexpected end of data); expected a CSV file in UTF-8"),
+        ("time_s,force_n\n0,1\n2,2\n1,3\n", ", line 4: time_s is 1.0 after 2.0; expected a time that increases with every row"),
+        ("time_s,force_n\n0,1\n0,2\n", ", line 3: time_s is 0.0 after 0.0; expected a time that increases"),
+        ('time_s,force_n\n0,"1\n', ": it is not CSV (unexpected end of data); expected a CSV file in UTF-8"),
         ("time_s,friction_elements_n_1,friction_elements_n_3\n0,1,2\n", ": friction_elements_n has columns 1, 3; expected"),
         ("time_s,friction_elements_n,friction_elements_n_1\n0,1,2\n", ": friction_elements_n has columns 1; expected"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, text: str, complaint: str):
+def test_an_error_names_its_place(tmp_path: Path, text: str, complaint: str):
     file = csv(tmp_path, text)
     with pytest.raises(BadInput) as caught:
         read_csv(file)
@@ -139,13 +142,13 @@ def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, text: str, complai
 
 
 def test_a_mapped_column_that_is_missing_is_named(tmp_path: Path):
-    with pytest.raises(BadInput, match="column 'qm' for position_m is missing among time_s, x; expected a column of that name"):
+    with pytest.raises(BadInput, match=r"column 'qm' for position_m is missing \(found: time_s, x\); expected a column"):
         read_csv(csv(tmp_path, "time_s,x\n0,1\n"), {"position_m": Column("qm")})
 
 
 def test_a_file_in_another_encoding_is_bad_input(tmp_path: Path):
     (tmp_path / "data.csv").write_bytes("time_s,force_n,°C\n0,1,2\n".encode("latin-1"))
-    with pytest.raises(BadInput, match=r"it is no CSV .*expected a CSV file in UTF-8"):
+    with pytest.raises(BadInput, match=r"it is not CSV .*expected a CSV file in UTF-8"):
         read_csv(tmp_path / "data.csv")
 
 
@@ -153,12 +156,12 @@ def test_a_file_in_another_encoding_is_bad_input(tmp_path: Path):
 def test_a_file_that_cannot_be_read_or_made_is_bad_input(tmp_path: Path, name: str):
     with pytest.raises(BadInput, match="the file cannot be read"):
         read_csv(tmp_path / name)
-    with pytest.raises(BadInput, match="the output cannot be made"):
+    with pytest.raises(BadInput, match="the output cannot be created"):
         write_csv(tmp_path / name / "nowhere" / "data.csv", make_trajectory(1))
 
 
 def understood(text: str) -> dict[str, list[float]] | None:
-    """Return the columns of a file that has nothing but numbers in it, read the slow way; None for any other."""
+    """Return the columns of a purely numeric file, parsed the slow way; None for any other file."""
     lines = text.removesuffix("\n").split("\n")
     header = lines[0].split(",")
     columns: dict[str, list[float]] = {name: [] for name in header}
@@ -174,7 +177,7 @@ def understood(text: str) -> dict[str, list[float]] | None:
     return columns
 
 
-def test_whatever_happens_to_a_file_it_is_refused_or_read_as_it_stands(tmp_path: Path):
+def test_a_damaged_file_is_refused_or_read_literally(tmp_path: Path):
     dice = random.Random(5)
     whole = "time_s,force_n,position_m\n" + "".join(f"{k / 1000},{dice.gauss(0, 1):.6g},{k * k}\n" for k in range(30))
     refused = 0

@@ -1,4 +1,4 @@
-"""What is read from foreign files is taken or refused in one line, whatever is in it."""
+"""Foreign files are read or refused in one line, whatever they contain."""
 
 import importlib.util
 import json
@@ -47,8 +47,8 @@ def fuzz() -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize(("name", "inputs"), [("csv", 3000), ("yaml", 1500), ("bag", 300)])
-def test_damaged_files_are_taken_or_refused(tmp_path: Path, fuzz: ModuleType, name: str, inputs: int):
+@pytest.mark.parametrize(("name", "inputs"), [("csv", 1000), ("yaml", 500), ("bag", 100)])
+def test_damaged_files_are_read_or_refused(tmp_path: Path, fuzz: ModuleType, name: str, inputs: int):
     outcomes = fuzz.fuzz(fuzz.TARGETS[name](), inputs, 11, tmp_path)
     assert set(outcomes) == {"taken", "refused"}
     assert outcomes["taken"] > inputs / 20
@@ -58,20 +58,20 @@ def test_damaged_files_are_taken_or_refused(tmp_path: Path, fuzz: ModuleType, na
 @pytest.mark.parametrize(
     ("text", "line", "complaint"),
     [
-        ("a: 1\nb: 2\na: 3\n", 3, "key 'a' is there twice"),
-        ("plant:\n  mass: 1\n  area: 2\n  'mass': 3\n", 4, "key 'mass' is there twice"),
+        ("a: 1\nb: 2\na: 3\n", 3, "duplicate key 'a'"),
+        ("plant:\n  mass: 1\n  area: 2\n  'mass': 3\n", 4, "duplicate key 'mass'"),
         ("a: &x [1]\nb: *x\n", 2, "alias *x"),
         ("a: 1\nb: &b [*b]\n", 2, "alias *b"),
         ("[" * (YAML_DEPTH + 1), 1, f"collections are nested {YAML_DEPTH + 1} deep"),
         ("[" * 200_000, 1, f"collections are nested {YAML_DEPTH + 1} deep"),
         ("- " * 200_000, 1, f"collections are nested {YAML_DEPTH + 1} deep"),
-        ("a: 1\nb: 2001-99-99\n", 2, "'2001-99-99' is no timestamp"),
-        ("a: " + "9" * 5000, 1, "is no int"),
-        ("a: 0x" + "f" * 5000, 1, "is no int"),
-        ("a: 1" + ":59" * 500 + ".5", 1, "is no float"),
-        ("a: !!int ''", 1, "'' is no int"),
-        ("a: !!bool maybe", 1, "'maybe' is no bool"),
-        ("a: !!timestamp noon", 1, "'noon' is no timestamp"),
+        ("a: 1\nb: 2001-99-99\n", 2, "'2001-99-99' is not a valid timestamp"),
+        ("a: " + "9" * 5000, 1, "is not a valid int"),
+        ("a: 0x" + "f" * 5000, 1, "is not a valid int"),
+        ("a: 1" + ":59" * 500 + ".5", 1, "is not a valid float"),
+        ("a: !!int ''", 1, "'' is not a valid int"),
+        ("a: !!bool maybe", 1, "'maybe' is not a valid bool"),
+        ("a: !!timestamp noon", 1, "'noon' is not a valid timestamp"),
         ("a: !!python/object:os.system x", 1, "could not determine a constructor"),
     ],
 )
@@ -89,7 +89,7 @@ def test_yaml_up_to_the_limits_is_read():
         parse_yaml("#" * (TEXT + 1), "rig.yaml", "rig file")
 
 
-def test_a_line_made_of_a_foreign_file_stays_one_short_line(tmp_path: Path):
+def test_an_error_that_quotes_a_foreign_file_stays_one_short_line(tmp_path: Path):
     file = tmp_path / "data.csv"
     file.write_text('time_s,"a\nb\x1b[31m\u2028c",' + "x" * 10_000 + "\n0,1,2\n", encoding="utf-8")
     with pytest.raises(BadInput) as caught:
@@ -110,7 +110,7 @@ def test_a_database_that_computes_its_messages_is_refused(tmp_path: Path, script
         read_bag(bag)
 
 
-def test_a_topic_whose_name_is_no_text_is_refused(tmp_path: Path):
+def test_a_topic_whose_name_is_not_text_is_refused(tmp_path: Path):
     bag = record(tmp_path / "theirs", [loader_state(0)], "sqlite3")
     with closing(sqlite3.connect(storage_file(bag))) as database, database:
         database.execute("UPDATE topics SET name = x'00'")
@@ -130,20 +130,20 @@ def test_a_topic_whose_name_is_no_text_is_refused(tmp_path: Path):
         '{"configuration": [], "seals": {}, "signals": null}',
         '{"configuration": {}, "seals": {}, "signals": 3}',
     ],
-    ids=["empty", "cut", "deep", "number", "nothing in it", "seal", "configuration", "signals"],
+    ids=["empty", "truncated", "deep", "number", "empty mapping", "seal", "configuration", "signals"],
 )
-def test_a_configuration_of_another_make_is_refused_though_its_checksum_is_right(tmp_path: Path, content: str):
+def test_an_invalid_configuration_is_refused_even_with_a_correct_checksum(tmp_path: Path, content: str):
     write_trajectory(tmp_path / "bag", make_trajectory(3))
     metadata = tmp_path / "bag" / "metadata.yaml"
     entries = yaml.safe_load(metadata.read_text(encoding="utf-8"))
     entries["rosbag2_bagfile_information"]["custom_data"] = {KEY: content, CHECKSUM_KEY: _text_checksum(content)}
     metadata.write_text(yaml.safe_dump(entries), encoding="utf-8")
-    with pytest.raises(BadInput, match="the configuration kept in the bag is none of ours"):
+    with pytest.raises(BadInput, match="the configuration in the bag is not in the format of ehls_ros"):
         read_bag(tmp_path / "bag")
 
 
 def cut_off(folder: Path, storage: Storage = "mcap") -> Path:
-    """Return what a recorder leaves that is killed after a flush."""
+    """Return the bag of a recorder that was killed after a flush."""
     writer = BagWriter.create(folder / "bag", storage, {}, topics=[LOADER_STATE])
     writer.write(LOADER_STATE.name, 5, serialized(loader_state(0)))
     writer.flush()
@@ -161,17 +161,17 @@ def cut_off(folder: Path, storage: Storage = "mcap") -> Path:
         ("checksum", 7),
     ],
 )
-def test_a_note_that_is_wrong_is_not_believed(tmp_path: Path, key: str, value: object):
+def test_a_wrong_note_is_ignored(tmp_path: Path, key: str, value: object):
     bag = cut_off(tmp_path)
     note = json.loads((bag / NOTE).read_text(encoding="utf-8"))
     (bag / NOTE).write_text(json.dumps({**note, key: value}), encoding="utf-8")
     recovery = recover(bag, tmp_path / "out")
     assert (recovery.recovered, recovery.lost) == (1, 0)
-    assert any("the note is" in remark for remark in recovery.remarks)
+    assert any("the note " in remark for remark in recovery.remarks)
 
 
 @pytest.mark.parametrize("change", ["timestamp = -1", "timestamp = 'noon'", "data = 'text'", "data = 5"])
-def test_a_row_that_is_no_message_is_not_recovered(tmp_path: Path, change: str):
+def test_a_row_that_is_not_a_message_is_not_recovered(tmp_path: Path, change: str):
     bag = cut_off(tmp_path, "sqlite3")
     with closing(sqlite3.connect(storage_file(bag))) as database, database:
         database.execute(f"UPDATE messages SET {change}")

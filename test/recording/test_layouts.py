@@ -1,4 +1,4 @@
-"""The layouts for Foxglove and PlotJuggler show what the graph publishes: every path in them is a field of a message."""
+"""Every path in the layouts for Foxglove and PlotJuggler is a field of a published message."""
 
 import json
 import re
@@ -29,14 +29,14 @@ WANTED = {
     "beta",
     "delta_n",
 }
-"""The signals the panels are there for."""
+"""Signals that the layouts must show."""
 
 Path_ = tuple[str, str]
 """Topic below its namespace, and field."""
 
 
 def fields(message: str) -> dict[str, bool]:
-    """Return the fields of a message of ours, and whether they hold many values."""
+    """Return the fields of a message of ehls_msgs, and whether they are sequences."""
     text = (ROOT / "ehls_msgs" / "msg" / f"{message}.msg").read_text(encoding="utf-8")
     return {match["name"]: match["many"] is not None for match in FIELD.finditer(text)}
 
@@ -47,11 +47,11 @@ PLOTTED: dict[Path_, bool] = {
     if topic.type.startswith("ehls_msgs/")
     for name, many in fields(topic.type.rpartition("/")[2]).items()
 }
-"""What there is to plot, and whether it holds many values."""
+"""Fields that can be plotted, and whether they are sequences."""
 
 
 def signal_at(path: str, namespace: str, separator: str) -> str:
-    """Return the signal a path shows; fail where there is none."""
+    """Return the signal that a path shows; fail if there is none."""
     match = re.fullmatch(rf"{namespace}/(\w+){separator}(\w+)(\[\d\])?", path)
     assert match, path
     topic, field, element = match.groups()
@@ -66,7 +66,7 @@ def panels() -> dict[str, Any]:
 
 
 def curves() -> list[str]:
-    """Return the curves of PlotJuggler, an equation by what it is made of."""
+    """Return the sources of PlotJuggler's curves; for an equation the curve it is computed from."""
     root = ET.parse(LAYOUTS / "plotjuggler.xml").getroot()
     sources = {snippet.attrib["name"]: snippet.findtext("linked_source") for snippet in root.iter("snippet")}
     return [sources.get(curve.attrib["name"]) or curve.attrib["name"] for curve in root.iter("curve")]

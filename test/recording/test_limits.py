@@ -1,4 +1,4 @@
-"""No file keeps a reader waiting or fills its memory; what is above a limit is refused in a line that says which."""
+"""No file blocks a reader or fills its memory; a file above a limit is refused in a line that names the limit."""
 
 import importlib.util
 import os
@@ -22,7 +22,7 @@ from ehls_ros.recording.load import load
 from ehls_ros.trajectory import Trajectory
 
 PROCESSOR = 10.0
-"""Longest time of the processor for any input [s]."""
+"""Longest processor time for any input [s]."""
 
 MEMORY = 1500.0
 """Largest resident set for any input [MB]."""
@@ -38,7 +38,7 @@ MEASURED = {
     "MAT, cells 200000 deep",
     "Parquet, 1.9·10^7 equal rows",
 }
-"""Inputs that take time or memory if anything goes wrong; each is read in a process of its own."""
+"""Inputs that would cost time or memory if a check failed; each is read in a process of its own."""
 
 LARGE = {
     "CSV, 100 MB in the second line",
@@ -55,7 +55,7 @@ LARGE = {
     "MAT, 500000 variables",
     "Parquet, 30000 row groups",
 }
-"""What the benchmark alone reads, since making it takes long."""
+"""Inputs read by the benchmark only, since they take long to make."""
 
 
 def imported(name: str) -> ModuleType:
@@ -71,14 +71,14 @@ HOSTILE = imported("hostile_inputs")
 
 @pytest.fixture(scope="module")
 def table():
-    """A table that is printed as it grows."""
+    """Prints a table row by row."""
     print(f"\n{HOSTILE.HEADER}")
     return lambda name, answer: print(HOSTILE.row(name, answer))
 
 
 @pytest.mark.timeout(150)
 @pytest.mark.parametrize("name", sorted(MEASURED & set(HOSTILE.INPUTS)))
-def test_a_hostile_file_is_refused_soon_and_in_little_memory(table, name: str):
+def test_a_hostile_file_is_refused_quickly_and_in_little_memory(table, name: str):
     with tempfile.TemporaryDirectory() as folder:
         answer = HOSTILE.ask(HOSTILE.INPUTS[name](Path(folder)))
     table(name, answer)
@@ -132,7 +132,7 @@ def test_a_table_that_is_too_large(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_a_csv_with_too_many_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str, most: int):
     path = as_table(tmp_path, ".csv")
     monkeypatch.setattr(limits, limit, most)
-    with pytest.raises(BadInput, match="it has 40 rows or more in 2 columns that are read; expected at most"):
+    with pytest.raises(BadInput, match="it has at least 40 rows in 2 columns to read; expected at most"):
         read_csv(path)
     monkeypatch.setattr(limits, limit, most + 1)
     assert len(read_csv(path)) == 40
@@ -143,7 +143,7 @@ def test_a_csv_with_a_line_that_is_too_long(tmp_path: Path, monkeypatch: pytest.
     path.write_text("time_s,force_n\n0,1\n1,100000000000000\n", encoding="utf-8")
     monkeypatch.setattr(limits, "LINE", 17)
     with pytest.raises(
-        BadInput, match=r"data\.csv, line 3: the line has more than 17 characters; expected a CSV file with a line of"
+        BadInput, match=r"data\.csv, line 3: the line has more than 17 characters; expected a CSV file with one line per sample"
     ):
         read_csv(path)
     monkeypatch.setattr(limits, "LINE", 18)
@@ -159,8 +159,8 @@ def as_bag(folder: Path, storage: str, messages: int = 5) -> Path:
 @pytest.mark.parametrize(
     ("limit", "most", "complaint"),
     [
-        ("BAG", 1000, r"has \d+ bytes; expected a bag .* of at most 1000: `ros2 bag convert` splits it"),
-        ("ROWS", 4, "it has 5 messages; expected at most 4, in several bags"),
+        ("BAG", 1000, r"has \d+ bytes; expected an undamaged bag.* of at most 1000: `ros2 bag convert` splits it"),
+        ("ROWS", 4, "it has 5 messages; expected at most 4; split"),
         ("MESSAGE", 50, r"a message has \d+ bytes; expected at most 50"),
     ],
 )
@@ -174,18 +174,18 @@ def test_a_bag_that_is_too_large(
 
 
 @pytest.mark.parametrize("size", [100, 1 << 26])
-def test_messages_are_decoded_in_as_many_parts_as_fit_into_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int):
+def test_messages_are_decoded_in_parts_that_fit_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int):
     bag = as_bag(tmp_path, "mcap", 50)
     monkeypatch.setattr(limits, "GATHERED", size)
     assert read_bag(bag).time_s.tolist() == [k / 1000 for k in range(50)]
 
 
-def test_a_bag_that_names_a_file_twice(tmp_path: Path):
+def test_a_bag_that_lists_a_file_twice(tmp_path: Path):
     bag = as_bag(tmp_path, "mcap")
     metadata = bag / "metadata.yaml"
     text = metadata.read_text(encoding="utf-8")
     metadata.write_text(text.replace("- bag.mcap\n", "- bag.mcap\n  - bag.mcap\n", 1), encoding="utf-8")
-    with pytest.raises(BadInput, match=r"it names the storage file 'bag\.mcap'; expected files .mcap or .db3, each once"):
+    with pytest.raises(BadInput, match=r"it lists the storage file 'bag\.mcap'; expected files .mcap or .db3, each once"):
         read_bag(bag)
 
 
@@ -197,7 +197,7 @@ def test_a_pipe_beside_the_files_of_a_bag(tmp_path: Path):
 
 
 @pytest.mark.parametrize("form", ["csv", "mat", "mcap", "sqlite3"])
-def test_a_file_whose_time_is_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str):
+def test_a_file_that_takes_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str):
     path = as_table(tmp_path, f".{form}") if form in {"csv", "mat"} else as_bag(tmp_path, form, 2000)
     monkeypatch.setattr(limits, "SECONDS", 0.0)
     monkeypatch.setattr(limits, "SLOWEST", float("inf"))
@@ -231,7 +231,7 @@ def imports(path: Path, columns: Columns) -> Trajectory:
 
 @pytest.fixture
 def elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a process find the functions of this file."""
+    """Make the functions of this file importable in another process."""
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)]))
     monkeypatch.setattr(limits, "SECONDS", 2.0)
 
@@ -240,12 +240,14 @@ def elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("read", "complaint"),
     [
-        (takes_memory, "its 4 bytes take more than 256 MB of memory; expected a file whose variables fit into memory"),
+        (takes_memory, "its 4 bytes take more than 256 MB of memory; expected a file whose variables fit in memory"),
         (takes_time, "reading it takes more than 2 s"),
-        (dies, r"what reads it dies of it \(SIGABRT\); expected a MAT file"),
+        (dies, r"it crashes the reading process \(SIGABRT\); expected a MAT file"),
     ],
 )
-def test_a_library_that_goes_wrong_ends_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read, complaint: str):
+def test_a_failing_library_does_not_take_this_process_down(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read, complaint: str
+):
     if read is not takes_time:
         monkeypatch.setattr(limits, "SECONDS", 120.0)
     (tmp_path / "data").write_bytes(b"data")
@@ -255,7 +257,9 @@ def test_a_library_that_goes_wrong_ends_alone(tmp_path: Path, monkeypatch: pytes
 
 @pytest.mark.usefixtures("elsewhere")
 @pytest.mark.parametrize("read", [prints, imports])
-def test_a_library_elsewhere_neither_disturbs_nor_finds_what_lies_around(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read):
+def test_the_reading_process_ignores_prints_and_modules_in_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read
+):
     monkeypatch.setattr(limits, "SECONDS", 120.0)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "colorsys.py").write_text("planted = True", encoding="utf-8")

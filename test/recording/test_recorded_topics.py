@@ -18,7 +18,7 @@ def test_the_fields_of_a_cycle_topic_are_header_cycle_and_its_signals(topic: Top
     assert fields == ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id", "cycle", *topic.signals]
 
 
-def test_whatever_a_controller_follows_has_a_topic():
+def test_every_quantity_a_controller_follows_has_a_topic():
     assert set(REFERENCE_TOPICS) == {CONTROLLERS.load(name).FOLLOWS for name in CONTROLLERS.names()}
     assert all(topic in CYCLE_TOPICS for topic in REFERENCE_TOPICS.values())
 
