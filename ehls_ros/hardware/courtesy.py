@@ -7,7 +7,6 @@ just as one that has a processor to itself. A loop that hardly runs is in nobody
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from ehls_ros.hardware.realtime import drop_priority, restore_priority
 
@@ -92,7 +91,7 @@ class Courtesy:
         self._had, self.complaint = {}, ""
         return True
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> dict[str, float]:
         """Return figures for diagnostics."""
         return {"processor_wanted": self.wanted, "priority_given_back": self.given_back}
 

@@ -1,7 +1,7 @@
 """Fault detectors of the safety gate, and the checks of the rig's readings."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
 from ehls_ros.hardware.gate_parameters import REACTIONS, Parameters
@@ -122,39 +122,27 @@ class Detector:
         self.look(True, violation.value, violation.limit)
 
 
-class SensorDetectors(NamedTuple):
+class SensorDetectors:
     """The detectors of faults in the readings."""
 
-    force: Detector
-    load_pressure: Detector
-    velocity: Detector
-    position: Detector
-    force_error: Detector
-    not_finite: Detector
-    out_of_range: Detector
-    jump: Detector
-    frozen: Detector
-    force_mismatch: Detector
-    position_mismatch: Detector
-    supply_mismatch: Detector
+    def __init__(self) -> None:
+        """Start without faults."""
+        self.force = Detector("force", "N")
+        self.load_pressure = Detector("load_pressure", "Pa")
+        self.velocity = Detector("velocity", "m/s")
+        self.position = Detector("position", "m")
+        self.force_error = Detector("force_error", "N")
+        self.not_finite = Detector("sensor_not_finite", "")
+        self.out_of_range = Detector("sensor_range", "")
+        self.jump = Detector("sensor_jump", "")
+        self.frozen = Detector("sensor_frozen", "m")
+        self.force_mismatch = Detector("force_mismatch", "N", "on_sensor_mismatch")
+        self.position_mismatch = Detector("position_mismatch", "m", "on_sensor_mismatch")
+        self.supply_mismatch = Detector("supply_mismatch", "Pa", "on_sensor_mismatch")
 
-
-def sensor_detectors() -> SensorDetectors:
-    """Make the detectors that :class:`Readings` updates."""
-    return SensorDetectors(
-        Detector("force", "N"),
-        Detector("load_pressure", "Pa"),
-        Detector("velocity", "m/s"),
-        Detector("position", "m"),
-        Detector("force_error", "N"),
-        Detector("sensor_not_finite", ""),
-        Detector("sensor_range", ""),
-        Detector("sensor_jump", ""),
-        Detector("sensor_frozen", "m"),
-        Detector("force_mismatch", "N", "on_sensor_mismatch"),
-        Detector("position_mismatch", "m", "on_sensor_mismatch"),
-        Detector("supply_mismatch", "Pa", "on_sensor_mismatch"),
-    )
+    def __iter__(self) -> Iterator[Detector]:
+        """Yield all of them."""
+        yield from vars(self).values()
 
 
 class Signal:
@@ -203,7 +191,7 @@ class Readings:
             rig: for its limits, sensor noise and supply pressure.
             measured: the signals of ``SENSED`` that the rig measures.
             parameters: the limits.
-            detectors: from :func:`sensor_detectors`.
+            detectors: to update.
         """
         self._rig = rig
         self._signals = [Signal(i, rig.sensors.get(s, Sensor())) for i, s in enumerate(SENSED) if s in measured]

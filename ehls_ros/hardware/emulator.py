@@ -17,6 +17,12 @@ from ehls_ros.physics.rig import SENSED
 NOISE_BLOCK = 1024
 """Samples of noise drawn at a time."""
 
+LOGGED = [
+    sensors.SPOOL, sensors.LOAD_PRESSURE, sensors.SUPPLY_PRESSURE, sensors.POSITION, sensors.VELOCITY, sensors.FORCE,
+    sensors.OIL_TEMPERATURE,
+]  # fmt: skip
+"""True signals in the order of the log."""
+
 
 class Steppable(Protocol):
     """The interface of :class:`ehls_ros.physics.simulator.Simulator` that the emulator uses."""
@@ -140,18 +146,7 @@ class Emulator:
             self._row = self._disturbance.following(self._disturbed, position, velocity)
 
     def _truth(self, spool: float) -> tuple[float, ...]:
-        truth, row = self._simulator.truth.tolist(), self._row.tolist()
-        return (
-            self._simulator.cycle * self._simulator.period,
-            spool,
-            truth[sensors.SPOOL],
-            truth[sensors.LOAD_PRESSURE],
-            truth[sensors.SUPPLY_PRESSURE],
-            truth[sensors.POSITION],
-            truth[sensors.VELOCITY],
-            truth[sensors.FORCE],
-            row[FORCE],
-            truth[sensors.OIL_TEMPERATURE],
-            row[DISPLACEMENT],
-            row[VELOCITY],
-        )
+        *truth, oil_temperature = self._simulator.truth[LOGGED].tolist()
+        force, displacement, velocity = self._row[[FORCE, DISPLACEMENT, VELOCITY]].tolist()
+        time = self._simulator.cycle * self._simulator.period
+        return (time, spool, *truth, force, oil_temperature, displacement, velocity)

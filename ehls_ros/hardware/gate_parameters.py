@@ -41,7 +41,7 @@ class Parameters(NamedTuple):
     """Limits and times of the gate, and its reaction to each fault."""
 
     command_timeout: Annotated[
-        float, quantity("s", "age at which a command is stale and another sender may take over", minimum=0.002, maximum=0.5)
+        float, quantity("s", "age at which a command is stale and its sender may be replaced", minimum=0.002, maximum=0.5)
     ] = 0.02
     sensor_timeout: Annotated[float, quantity("s", "age at which a snapshot is stale", minimum=0.002, maximum=0.5)] = 0.02
     command_rate: Annotated[float, quantity("m/s", "largest rate of the spool command", above=0.0, maximum=20.0)] = 2.0
@@ -88,9 +88,7 @@ class Parameters(NamedTuple):
     on_command_range: Annotated[str, reaction("command beyond the rig's limit; warn: clamped")] = HOLD
     on_command_rate: Annotated[str, reaction("command too fast; warn: rate-limited")] = HOLD
     on_command_stale: Annotated[str, reaction("no fresh command", least=HOLD)] = CUT
-    on_command_order: Annotated[
-        str, reaction("command for a cycle already answered, too old or in the future; it is ignored")
-    ] = WARN
+    on_command_order: Annotated[str, reaction("command for an answered, too old or future cycle; it is ignored")] = WARN
     on_second_sender: Annotated[str, reaction("command from a second sender; it is ignored")] = WARN
     on_force: Annotated[str, reaction("force beyond its limit", least=RAMP)] = CUT
     on_load_pressure: Annotated[str, reaction("load pressure beyond its limit", least=RAMP)] = CUT

@@ -1,7 +1,5 @@
 """Whether a computer keeps up with its cycles: cycles due per second against cycles answered."""
 
-from typing import Any
-
 WINDOW = 0.5
 """Time over which cycles are counted [s]."""
 
@@ -80,6 +78,6 @@ class Pace:
         elif not self.complaint or abs(self.reached - self._told) > CHANGE * self.asked:
             self.complaint, self._told = f"too slow: {self.reached:.0f} of {self.asked:.0f} cycles/s", self.reached
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> dict[str, float]:
         """Return figures for diagnostics."""
         return {"cycles_per_second_asked": self.asked, "cycles_per_second_reached": self.reached}

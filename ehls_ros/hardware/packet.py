@@ -38,6 +38,9 @@ MOST_VALUES = 32
 LARGEST = HEADER.size + 8 * MOST_VALUES + TAG.size
 """Length of the longest packet [B]."""
 
+MOST_AT_ONCE = 256
+"""Most packets received in one go, so that a flood cannot block a loop."""
+
 LONGEST_KEY = hashlib.blake2b.MAX_KEY_SIZE
 """Length of the longest key [B]."""
 
@@ -99,6 +102,10 @@ class Codec:
         """Set the shared key, up to 64 bytes; empty: a CRC, which detects damage but not forgery."""
         self._key = key
         self.refused = dict.fromkeys(REASONS, 0)
+
+    def figures(self) -> dict[str, int]:
+        """Return the counts of refused datagrams, named for diagnostics."""
+        return {f"refused_{reason}": count for reason, count in self.refused.items()}
 
     def pack(self, packet: Packet) -> bytes:
         """Return a packet's bytes."""

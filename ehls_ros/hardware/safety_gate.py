@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 from ehls_ros.errors import BadInput
 from ehls_ros.hardware.command_intake import HOLD_REACTION, ROUNDING, CommandIntake
-from ehls_ros.hardware.detectors import Detector, Readings, sensor_detectors
+from ehls_ros.hardware.detectors import Detector, Readings, SensorDetectors
 from ehls_ros.hardware.gate_bounds import Bound, bounds_of, out_of_bounds, within
 from ehls_ros.hardware.gate_parameters import REACTIONS, Change, Parameters, changes
 from ehls_ros.physics.rig import SENSED, Rig
@@ -162,17 +162,15 @@ class Gate:
         self._shut = Detector("device_null", "", "")
         self._unheard = Detector("services_silent", "s", "")
         # Of equally severe faults the first in this order is the first cause: without snapshots there are no commands either.
-        sensors = sensor_detectors()
+        sensors = SensorDetectors()
         without_parameter = (self._gap, self._shut, self._unheard)
         self._all = (*without_parameter, *self._commands.detectors, *sensors, self._blind, self._stale, self._steady)
         self.detectors = {detector.name: detector for detector in self._all}
         self._readings = Readings(rig, measured, chosen, sensors)
         self._put_in_force(chosen)
-        self.state = DISABLED
-        self.output = 0.0
+        self.state, self.output = DISABLED, 0.0
         self.causes: list[Cause] = []
-        self._stops = 0
-        self._stopped_at = -math.inf
+        self._stops, self._stopped_at = 0, -math.inf
         self._changes: deque[str] = deque(maxlen=CHANGES_KEPT)
         self._now = 0.0
         self._forget_cycles()
@@ -422,7 +420,8 @@ class Gate:
             passed = min(elapsed, REACH * self._period)
             goal = self._commands.value
             if self.state == ENABLING:
-                self._blend = self._blended(passed)
+                enable_time = self.parameters.enable_time
+                self._blend = min(1.0, self._blend + passed / enable_time) if enable_time > 0.0 else 1.0
                 goal = self._start + self._blend * (goal - self._start)
                 if self._blend >= 1.0:
                     self.state, goal = ACTIVE, self._commands.value
@@ -433,11 +432,6 @@ class Gate:
         elif self.state != HOLDING:
             left = abs(self.output) - self._slope * elapsed
             self.output = math.copysign(left, self.output) if left > 0.0 else 0.0
-
-    def _blended(self, elapsed: float) -> float:
-        if self.parameters.enable_time <= 0.0:
-            return 1.0
-        return min(1.0, self._blend + elapsed / self.parameters.enable_time)
 
     def enable(self) -> str | None:
         """Let commands through from the next step, blended in over ``enable_time``.
@@ -534,7 +528,7 @@ class Gate:
             self.state, self._commands.owner = DISABLED, None
             return None
 
-    def health(self) -> tuple[int, str, dict[str, Any]]:
+    def health(self) -> tuple[int, str, dict[str, float | str]]:
         """Return level, message and figures for diagnostics, with every limit, reaction and count."""
         with self._lock:
             lately = [d for d in self._all if d.raised or self._now - d.seen < NOTICE]
@@ -547,7 +541,7 @@ class Gate:
                 level, message = WARN, f"{self.state}; {', '.join(d.name for d in lately)}"
             else:
                 level, message = OK, self.state
-            figures: dict[str, Any] = {
+            figures: dict[str, float | str] = {
                 "state": self.state,
                 "stop": self.stop,
                 "output_m": self.output,
@@ -581,12 +575,6 @@ def _number(value: Any) -> float:
         return math.nan
 
 
-def _reading(value: Any) -> float:
-    """Convert a reading to float; NaN if it is not finite, so that it exceeds no limit."""
-    number = _number(value)
-    return number if math.isfinite(number) else math.nan
-
-
 def _integer(value: Any) -> int | None:
     """Convert a value to an integer of 64 bits; None if that is impossible."""
     try:
@@ -597,12 +585,12 @@ def _integer(value: Any) -> int | None:
 
 
 def _readings(measured: Any) -> Sequence[float]:
-    """Return a snapshot's readings, finite or NaN; all NaN if the length is wrong."""
+    """Return a snapshot's readings, finite or NaN, so that an infinite one exceeds no limit; all NaN if the length is wrong."""
     try:
-        values = [_reading(reading) for reading in measured]
+        values = [_number(reading) for reading in measured]
     except TypeError:
         return NO_READINGS
-    return values if len(values) == len(SENSED) else NO_READINGS
+    return [value if math.isfinite(value) else math.nan for value in values] if len(values) == len(SENSED) else NO_READINGS
 
 
 def _checked(parameters: Parameters) -> Parameters:

@@ -47,8 +47,8 @@ class SampleClock:
             self.begin()
         if self._sequence >= 0:
             counted = (sequence - self._sequence) * self._period
-            told = 1e-9 * (time_ns - self._time_ns)
-            self.elapsed = told if abs(told - counted) <= WANDER * counted else counted
+            measured = 1e-9 * (time_ns - self._time_ns)
+            self.elapsed = measured if abs(measured - counted) <= WANDER * counted else counted
             self._taken += self.elapsed
         self._sequence, self._time_ns = sequence, time_ns
         delay = now - self._taken

@@ -5,8 +5,6 @@ answers and does not catch up, because a loop with growing dead time diverges. W
 kept up with wall time.
 """
 
-from typing import Any
-
 from ehls_ros.hardware.pace import Pace
 
 BEARABLE = 2
@@ -108,6 +106,6 @@ class SimulatedClock:
             self.waiting = bool(self.pace.complaint)
         return self.pace.complaint != before
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> dict[str, float]:
         """Return figures for diagnostics."""
         return {"late": self.late, "slipped_s": self.slipped, **self.pace.figures()}

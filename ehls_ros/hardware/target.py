@@ -98,8 +98,7 @@ class Target:
 
     def figures(self) -> dict[str, int]:
         """Return counts: commands accepted, watchdog trips, packets refused by reason."""
-        damaged = {f"refused_{reason}": count for reason, count in self._codec.refused.items()}
-        return {**self._counts, **damaged}
+        return {**self._counts, **self._codec.figures()}
 
     def _greet(self, packet: Packet, sender: Any, now: float) -> str:
         if packet.session != self._peer or sender != self.address:

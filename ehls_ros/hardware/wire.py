@@ -8,12 +8,9 @@ import socket
 import time
 from typing import Annotated, Any, NamedTuple
 
-from ehls_ros.hardware.packet import LARGEST
+from ehls_ros.hardware.packet import LARGEST, MOST_AT_ONCE
 from ehls_ros.hardware.realtime import sleep_until
 from ehls_ros.schema import quantity
-
-MOST_AT_ONCE = 256
-"""Most packets received in one go, so that a flood cannot block the loop."""
 
 Datagram = tuple[bytes, Any]
 """Bytes and the address they came from."""

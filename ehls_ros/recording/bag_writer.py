@@ -17,7 +17,7 @@ from ehls_ros.recording.bag_storage import StorageWriter
 from ehls_ros.recording.ledger import provenance_blocks
 from ehls_ros.recording.provenance import Provenance, Seal, as_json
 from ehls_ros.recording.reason import reason
-from ehls_ros.recording.recording_note import Flushed, Note, remove_note, write_note
+from ehls_ros.recording.recording_note import Flushed, remove_note, write_note
 from ehls_ros.recording.topics import NAMESPACE, TOPICS, Topic
 from ehls_ros.recording.trajectory_messages import streams_of
 from ehls_ros.recording.typestore import typestore
@@ -132,7 +132,7 @@ class BagWriter:
         try:
             self._storage.flush()
             flushed = {path: Flushed(tally.messages, tally.newest_ns) for path, tally in self._storage.ledger.tallies().items()}
-            write_note(self._writer.path, Note(flushed))
+            write_note(self._writer.path, flushed)
         except (OSError, sqlite3.Error) as error:
             self._abandon(error)
 

@@ -145,7 +145,7 @@ def _expected(folder: Path) -> tuple[Mapping[str, Flushed], list[str]]:
         if closed is not None:
             return {path: Flushed(seal.messages, seal.newest_ns) for path, seal in closed.seals.items()}, []
     try:
-        return read_note(folder).flushed, []
+        return read_note(folder), []
     except BadInput as error:
         return {}, [f"{error.what}: messages lost from the end are not counted"]
 
@@ -157,7 +157,7 @@ def _provenance(ledger: Ledger, where: str) -> Provenance | None:
         return None
     try:
         provenance = provenance_in(json.loads(text), where)
-        # A provenance with NaN differs from itself; reading the new bag would fail on it.
+        # A configuration with NaN differs from itself; the copies in the new bag would disagree.
         return provenance if provenance == provenance_in(json.loads(text), where) else None
     except (BadInput, json.JSONDecodeError):
         return None

@@ -38,36 +38,26 @@ class Flushed(NamedTuple):
     newest_ns: Annotated[int, Field(strict=True, ge=0, lt=1 << 63)]
 
 
-class Note(NamedTuple):
-    """Content of the note.
-
-    Attributes:
-        flushed: by the topic's full name.
-    """
-
-    flushed: Mapping[str, Flushed]
-
-
-class _Written(NamedTuple):
+class _Note(NamedTuple):
     flushed: Annotated[Mapping[str, Flushed], Field(min_length=1)]
     checksum: str
 
 
-_WRITTEN = TypeAdapter(_Written)
+_NOTE = TypeAdapter(_Note)
 
 
-def write_note(folder: Path, note: Note) -> None:
+def write_note(folder: Path, flushed: Mapping[str, Flushed]) -> None:
     """Replace the note in a bag's folder atomically.
 
     Args:
         folder: the bag's folder.
-        note: the new content.
+        flushed: messages on disk, by the topic's full name.
 
     Raises:
         OSError: the disk is full or fails.
     """
     fresh = folder / f"{NOTE}.new"
-    content = {"flushed": _plain(note.flushed), "checksum": _checksum(note.flushed)}
+    content = {"flushed": _plain(flushed), "checksum": _checksum(flushed)}
     fresh.write_text(json.dumps(content), encoding="utf-8")
     fresh.replace(folder / NOTE)
 
@@ -77,11 +67,14 @@ def remove_note(folder: Path) -> None:
     (folder / NOTE).unlink(missing_ok=True)
 
 
-def read_note(folder: Path) -> Note:
-    """Return the note of a bag's folder.
+def read_note(folder: Path) -> Mapping[str, Flushed]:
+    """Read the note of a bag's folder.
 
     Args:
         folder: the bag's folder.
+
+    Returns:
+        The messages on disk, by the topic's full name.
 
     Raises:
         BadInput: there is no note, or it has been altered.
@@ -90,14 +83,14 @@ def read_note(folder: Path) -> Note:
     check_regular(path, sys.maxsize, AS_WRITTEN, "the note")
     try:
         with path.open("rb") as stream:
-            written = _WRITTEN.validate_json(stream.read(LARGEST))
+            note = _NOTE.validate_json(stream.read(LARGEST))
     except OSError as error:
         raise BadInput(f"the note cannot be read ({reason(error)})", str(path), AS_WRITTEN) from None
     except ValidationError:
         raise BadInput("the note is damaged", str(path), AS_WRITTEN) from None
-    if written.checksum != _checksum(written.flushed):
+    if note.checksum != _checksum(note.flushed):
         raise BadInput("the note has been altered", str(path), AS_WRITTEN)
-    return Note(written.flushed)
+    return note.flushed
 
 
 def _plain(flushed: Mapping[str, Flushed]) -> dict[str, dict[str, int]]:

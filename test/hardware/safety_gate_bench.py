@@ -1,4 +1,4 @@
-"""A safety gate with a rig at rest before it, turned cycle by cycle."""
+"""A safety gate with a rig at rest, advanced cycle by cycle."""
 
 import math
 from pathlib import Path
@@ -21,7 +21,7 @@ class Bench:
         gate: under test.
         cycle: number of the next snapshot.
         time: of the next step [s].
-        wall: the wall's time, that emergency stops go by [s].
+        wall: wall time, which times emergency stops [s].
     """
 
     def __init__(self, measured=SENSED, **parameters):
@@ -33,30 +33,30 @@ class Bench:
         self.time = 100.0
 
     def sense(self, reference=math.nan, **readings):
-        """Hand in a snapshot of the rig at rest, but for some signals; readings that are not given tremble a little."""
+        """Pass a snapshot of the rig at rest except for the given readings; the others change slightly."""
         values = {**REST, **readings}
         tremble = 1e-9 * (self.cycle % 2)
         self.gate.sense(self.cycle, [values.get(signal, tremble) for signal in SENSED], reference)
         self.cycle += 1
 
     def step(self, elapsed=PERIOD):
-        """Return what is written next."""
+        """Return the next output."""
         self.time += elapsed
         return self.gate.step(self.time)
 
     def turn(self, command=1e-3, sender="controller", reference=math.nan, **readings):
-        """Go through one cycle; a command that is None does not come."""
+        """Run one cycle; with None there is no command."""
         self.sense(reference, **readings)
         if command is not None:
             self.gate.take(self.cycle - 1, command, sender)
         return self.step()
 
     def turns(self, count, command=1e-3, **inputs):
-        """Go through some cycles and return what was written."""
+        """Run several cycles and return the outputs."""
         return [self.turn(command, **inputs) for _ in range(count)]
 
     def run(self, command=1e-3, cycles=5, **inputs):
-        """Enable, and go through some cycles of a command."""
+        """Enable the gate and run several cycles with a command."""
         self.turn(command, **inputs)
         assert self.gate.enable() is None
         self.turns(cycles, command, **inputs)
@@ -64,9 +64,9 @@ class Bench:
         return self
 
     def counts(self):
-        """Return how often each fault came up, where it did."""
+        """Return the counts of the faults that occurred."""
         return {name: detector.count for name, detector in self.gate.detectors.items() if detector.count}
 
     def causes_named(self):
-        """Return the names of what tripped it, first first."""
+        """Return the names of the causes of the trip, in order."""
         return [cause.detector for cause in self.gate.causes]

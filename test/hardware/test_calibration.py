@@ -1,4 +1,4 @@
-"""Calibration and the bridge file: signals from raw values, the command's raw value, and what a user may get wrong."""
+"""Calibration and the bridge file: signals from raw values, raw commands, and wrong files."""
 
 import copy
 import math
@@ -69,7 +69,7 @@ def test_configured_bridges_are_valid(file):
     assert file.stem == f"bridge_{bridge.backend}"
     assert bridge.calibration.wiring.output.range == (-5.0, 5.0)
     assert "velocity" not in bridge.calibration.wired
-    # The rig's limits lie within what converters and valve can say.
+    # The rig's limits are within the range of the converters and the valve.
     assert bridge.calibration.command(1e-2) == 5.0
     at_limits = {"position": 0.29, "load_pressure": 7e6, "spool_position": 9.9e-3, "force": 1.82e4}
     for signal, channel in zip(bridge.calibration.wired, bridge.calibration.inputs, strict=True):
@@ -130,7 +130,7 @@ def test_backend_of_another_distribution(content):
     bridge = bridge_from_mapping(content | {"backend": {"name": "acme", "gain": 2}}, "bridge.yaml")
     parameters, wiring, period = bridge.open(1e-3)
     assert (parameters.gain, wiring, period) == (2.0, bridge.calibration.wiring, 1e-3)
-    # It cannot take the place of one that comes with the package.
+    # It cannot replace a backend of the package.
     assert BACKENDS.load("udp").__name__ == "ehls_ros.hardware.backends.udp"
     with pytest.raises(BadInput, match="acme_missing"):
         bridge_from_mapping(content | {"backend": {"name": "broken"}}, "bridge.yaml")

@@ -38,7 +38,7 @@ def compiled(tmp_path_factory):
 
 @pytest.fixture
 def library(compiled, tmp_path):
-    """Give each test a library of its own, so that none inherits another's state."""
+    """Give each test its own copy of the library, so that tests share no state."""
     return shutil.copy(compiled, tmp_path)
 
 
@@ -75,7 +75,7 @@ def test_reading_is_in_volts_in_the_wiring_s_order(stub, device):
     assert seen(stub, "stub_reference") == 2
 
 
-def test_ends_of_the_range_are_numbers(stub, device):
+def test_a_saturated_channel_reads_the_end_of_its_range(stub, device):
     (ctypes.c_uint * 16).in_dll(stub, "stub_codes")[5] = 4095
     assert device.read(1.0).values == (10.0, -10.0)
 
@@ -97,7 +97,7 @@ def test_timeout_before_the_next_sample(parameters):
         assert device.read(0.0).sequence == 0
         begin = time.monotonic()
         assert device.read(0.02) is None
-        # It did not wait for the sample, which comes after an hour.
+        # It did not wait for the sample, due in an hour.
         assert 0.02 <= time.monotonic() - begin < LONG
 
 
@@ -143,7 +143,7 @@ def test_lost_card(stub, device):
         ({}, WIRING._replace(output=Channel(2, (-5.0, 5.0))), BadInput, "channel is 2"),
     ],
 )
-def test_what_does_not_fit_leaves_nothing_open(stub, parameters, change, wiring, error, words):
+def test_a_failed_open_leaves_nothing_open(stub, parameters, change, wiring, error, words):
     with pytest.raises(error, match=words):
         COMEDI.open(parameters._replace(**change), wiring, PERIOD)
     assert stub.stub_open() == 0

@@ -1,4 +1,4 @@
-"""The table of the safety gate's states in docs/hardware.md, field by field, against the gate."""
+"""The gate's table of states and transitions in docs/hardware.md, tested entry by entry."""
 
 import math
 from pathlib import Path
@@ -14,7 +14,7 @@ SHARP = {"acceleration": 1e5, "hold_time": 0.01, "ramp_time": 0.2, "enable_time"
 
 
 def table():
-    """Return what follows each event in each state."""
+    """Return the next state for each event and state."""
     lines = PAGE.read_text(encoding="utf-8").splitlines()
     header = next(line for line in lines if line.startswith("| event |"))
     rows = lines[lines.index(header) + 2 :]
@@ -97,7 +97,7 @@ def from_a_stranger(bench):
 
 
 def cycle_with(bench, elapsed=1e-3, **sample):
-    """Go through a cycle of a rig at rest that is otherwise sound."""
+    """Run an otherwise sound cycle of a rig at rest."""
     bench.gate.sense(bench.cycle, [1e-9 * (bench.cycle % 2)] * 5 + [7e6, 313.0], **sample)
     bench.cycle += 1
     bench.gate.take(bench.cycle - 1, 1e-3, "controller")
@@ -140,7 +140,7 @@ FIELDS = [(event, state) for event, row in TABLE.items() for state in row if row
 
 
 @pytest.mark.parametrize(("event", "state"), FIELDS)
-def test_each_field_of_the_table_is_so(event, state):
+def test_each_entry_of_the_table_is_true(event, state):
     bench = Bench(**SHARP)
     PREPARE[state](bench)
     assert bench.gate.state == state
@@ -153,7 +153,7 @@ def test_each_field_of_the_table_is_so(event, state):
 
 @pytest.mark.parametrize("event", EVENTS)
 @pytest.mark.parametrize("state", STATES)
-def test_while_the_loop_has_ended_nothing_opens_the_valve(state, event):
+def test_nothing_opens_the_valve_after_the_loop_has_ended(state, event):
     bench = Bench(**SHARP)
     PREPARE[state](bench)
     bench.gate.leave()

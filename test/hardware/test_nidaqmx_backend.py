@@ -33,7 +33,7 @@ class AcquisitionType(enum.Enum):
 
 
 class Card:
-    """What the tasks share: samples waiting in the buffer, voltages written, calls in order."""
+    """State shared by the tasks: samples in the buffer, voltages written, calls in order."""
 
     def __init__(self):
         self.waiting, self.written, self.calls, self.open, self.refuses = [], [], [], 0, None
@@ -53,7 +53,7 @@ def package(card):
     class Task:
         def __init__(self):
             card.open += 1
-            # Argument names and defaults as in the package, so that another call would fail.
+            # Argument names and defaults as in the package, so that a wrong call fails.
             self.ai_channels = types.SimpleNamespace(add_ai_voltage_chan=self._input)
             self.ao_channels = types.SimpleNamespace(add_ao_voltage_chan=self._output)
             self.timing = types.SimpleNamespace(cfg_samp_clk_timing=self._timing)

@@ -1,4 +1,4 @@
-"""A computer that is too slow for its cycles is found out within a second; one whose controller is away is not slow."""
+"""A computer too slow for its cycles is detected within a second; a missing controller does not count as slow."""
 
 import pytest
 
@@ -8,7 +8,7 @@ PERIOD = 1e-3
 
 
 def run(pace: Pace, seconds: float, part: float, start: float = 0.0, answered: float = 0.0) -> tuple[float | None, float]:
-    """Let a part of the cycles be answered; return when the first complaint came, and how many are answered in all."""
+    """Answer a fraction of the cycles; return the time of the first complaint and the total number answered."""
     told = None
     for cycle in range(round(seconds / PERIOD)):
         now = start + cycle * PERIOD
@@ -20,7 +20,7 @@ def run(pace: Pace, seconds: float, part: float, start: float = 0.0, answered: f
 
 
 @pytest.mark.parametrize("part", [0.05, 0.33, 0.72, 0.85])
-def test_too_slow_a_computer_is_found_out_within_a_second(part):
+def test_a_slow_computer_is_detected_within_a_second(part):
     pace = Pace()
     told, _ = run(pace, 2.0, part)
     assert told is not None
@@ -31,18 +31,18 @@ def test_too_slow_a_computer_is_found_out_within_a_second(part):
 
 
 @pytest.mark.parametrize("part", [1.0, 0.95, 0.0])
-def test_some_misses_are_no_complaint_and_nobody_there_is_another(part):
+def test_a_few_misses_or_a_missing_controller_cause_no_complaint(part):
     assert run(Pace(), 3.0, part)[0] is None
 
 
-def test_a_stall_shorter_than_the_missing_tenth_of_a_window_is_none():
+def test_a_stall_shorter_than_a_tenth_of_a_window_causes_no_complaint():
     pace = Pace()
     _, answered = run(pace, 0.6, 1.0)
     pace.look(0.6 + 0.08 * WINDOW, 600 + 80 * WINDOW, int(answered))
     assert run(pace, 1.0, 1.0, start=0.6 + 0.08 * WINDOW, answered=answered)[0] is None
 
 
-def test_the_complaint_stays_as_it_was_told_until_the_pace_changes_or_is_well():
+def test_the_complaint_stays_until_the_pace_changes_or_recovers():
     pace = Pace()
     _, answered = run(pace, 1.1, 0.5)
     told = pace.complaint
@@ -50,17 +50,17 @@ def test_the_complaint_stays_as_it_was_told_until_the_pace_changes_or_is_well():
     assert pace.complaint == told
     _, answered = run(pace, 1.1, 0.8, start=2.2, answered=answered)
     assert pace.complaint not in {told, ""}
-    # Enough not to have complained, too little to stop.
+    # Above the limit for a complaint, but below the one for dropping it.
     _, answered = run(pace, 1.1, 0.95, start=3.3, answered=answered)
     assert pace.complaint
     run(pace, 1.1, 1.0, start=4.4, answered=answered)
     assert not pace.complaint
 
 
-def test_where_samples_set_the_pace_a_device_that_pauses_is_not_a_slow_computer():
+def test_a_slow_device_is_not_taken_for_a_slow_computer():
     pace = Pace()
     for sample in range(3000):
-        # Half the samples a second that were agreed on, and each is answered.
+        # Half the agreed sampling rate, with every sample answered.
         pace.look(2.0 * sample * PERIOD, sample, sample)
     assert not pace.complaint
     assert pace.figures()["cycles_per_second_asked"] == pytest.approx(500.0, rel=0.01)

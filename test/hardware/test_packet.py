@@ -1,4 +1,4 @@
-"""The UDP packet: its bytes as documented, and the parser against everything else."""
+"""The UDP packet: bytes as documented, and a parser that refuses everything else."""
 
 import hashlib
 import importlib.util
@@ -17,7 +17,7 @@ KEY = b"a secret of both"
 
 
 def documented(values=(1.5, -2.25, 0.0), **changed):
-    """Return a measurement's bytes, made from the documentation's table and not by the codec; CRC by zlib."""
+    """Return a measurement's bytes, built from the documented table without the codec; CRC by zlib."""
     fields = {
         "magic": b"EHLS",
         "version": 1,
@@ -116,6 +116,6 @@ def test_random_and_damaged_packets():
     assert not outcomes["hang"]
     assert not outcomes["changed"]
     assert sum(outcomes.values()) == 100_000
-    # The inputs get everywhere: each reason came up, and whole packets were taken.
+    # The inputs cover every reason, and valid packets were accepted.
     assert outcomes["taken"] > 10_000
     assert all(outcomes[f"refused_{reason}"] for reason in REASONS)

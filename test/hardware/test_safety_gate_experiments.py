@@ -1,4 +1,4 @@
-"""The safety gate before the simulated rig: the paper's experiments pass as they are, and stops are gentle."""
+"""The safety gate with the simulated rig: the paper's experiments pass unchanged, and stops are gentle."""
 
 from pathlib import Path
 
@@ -43,21 +43,21 @@ def through_the_gate(experiment, rig, parameters):
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_every_experiment_passes_bit_for_bit_before_the_simulated_rig(experiment):
+def test_every_experiment_passes_bit_for_bit_on_the_simulated_rig(experiment):
     commands, written, gate = through_the_gate(experiment, "rig_paper_measured", Parameters(**SIMULATED))
     assert written == commands
     assert {d.name for d in gate.detectors.values() if d.count} == set()
 
 
 @pytest.mark.parametrize("experiment", sorted(set(EXPERIMENTS) - LEAVES_THE_STROKE))
-def test_the_defaults_of_a_real_rig_pass_what_stays_within_the_stroke(experiment):
+def test_the_defaults_of_a_real_rig_pass_experiments_within_the_stroke(experiment):
     commands, written, gate = through_the_gate(experiment, "rig_paper_measured", Parameters(enable_time=0.0))
     assert written == commands
     assert gate.causes == []
 
 
 @pytest.mark.parametrize("experiment", sorted(LEAVES_THE_STROKE))
-def test_the_defaults_of_a_real_rig_stop_what_leaves_the_stroke(experiment):
+def test_the_defaults_of_a_real_rig_stop_experiments_that_leave_the_stroke(experiment):
     _, written, gate = through_the_gate(experiment, "rig_paper_measured", Parameters(enable_time=0.0))
     assert [cause.detector for cause in gate.causes][:1] == ["position"]
     assert written[-1] == 0.0
@@ -79,7 +79,7 @@ class Loop:
         self.written = []
 
     def run(self, cycles, controller=True):
-        """Go on for some cycles; return readings of shape (cycles, signals)."""
+        """Run some cycles; return readings of shape (cycles, signals)."""
         readings = np.empty((cycles, len(SENSED)))
         for row in readings:
             k = self.cycle
@@ -119,5 +119,5 @@ def test_a_controller_that_dies_at_full_speed_harms_nothing(reaction, peak, trav
     assert np.max(np.abs(after[:, FORCE])) < peak
     assert abs(after[-1, POSITION] - after[0, POSITION]) < travel
     at_rest = np.flatnonzero(np.abs(after[:, VELOCITY]) > 0.1)
-    # 20 ms of watchdog, the ramp, and what valve and oil take.
+    # 20 ms of watchdog, the ramp, and the response of valve and oil.
     assert at_rest[-1] < 20 + 20 + 60

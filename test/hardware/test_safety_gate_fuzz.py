@@ -1,4 +1,4 @@
-"""Hostile streams into the safety gate: whatever comes in, nothing harmful comes out."""
+"""Hostile input streams: whatever the safety gate receives, its output is harmless."""
 
 import math
 import random
@@ -21,7 +21,7 @@ FIELDS = list(declarations(Parameters))
 
 
 class Attack:
-    """A stream of everything that can go wrong, from one seed."""
+    """A random stream of everything that can go wrong."""
 
     def __init__(self, seed: int) -> None:
         self.random = random.Random(seed)
@@ -76,7 +76,7 @@ class Attack:
             assert gate.parameters == before
 
     def step(self, gate: Gate) -> tuple[float, float]:
-        """Return what is written and the time the gate may think has passed."""
+        """Return the output and the true elapsed time."""
         before = self.time
         self.time += PERIOD * self.random.uniform(0.2, 3.0)
         told = self.number(self.time) if self.random.random() < 0.05 else self.time
@@ -86,7 +86,7 @@ class Attack:
 
 
 @pytest.mark.parametrize("seed", range(25))
-def test_nothing_harmful_comes_out_and_no_trip_clears_by_itself(seed):
+def test_the_output_is_harmless_and_no_trip_clears_without_a_reset(seed):
     print("seed", seed)
     attack = Attack(seed)
     wall = 0.0
@@ -112,12 +112,12 @@ def test_nothing_harmful_comes_out_and_no_trip_clears_by_itself(seed):
             wall += STOP_TIME
             gate.acknowledge(gate.stop)
             gate.reset()
-    # The attack is worth something only against a gate that is open now and then.
+    # The attack shows something only if the gate is open at times.
     assert enabled > 0 or attack.sane < 0.98
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_whatever_went_before_silence_ends_at_null_in_time(seed):
+def test_silence_ends_at_null_in_time_whatever_came_before(seed):
     print("seed", seed)
     attack = Attack(1000 + seed)
     attack.sane = 0.999

@@ -1,4 +1,4 @@
-"""What the safety gate sees in the readings, and what it rightly does not mind."""
+"""Faults that the safety gate detects in the readings, and harmless readings that it accepts."""
 
 import math
 
@@ -10,7 +10,7 @@ from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import SENSED
 
 QUIET = {"pressure_rate": 1e11, "acceleration": 1e5, "force_mismatch": 1e5, "position_mismatch": 1.0, "supply_mismatch": 1e8}
-"""Nothing but the limit under test."""
+"""Disables all checks except the limit under test."""
 
 UNMEASURED = tuple(signal for signal in SENSED if signal != "velocity")
 
@@ -38,14 +38,14 @@ def test_a_limit_trips_once_it_has_been_exceeded_for_its_time(signal, limit, sid
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_beyond_an_end_of_the_stroke_only_the_way_back_is_open(side):
+def test_beyond_an_end_of_the_stroke_only_commands_back_are_permitted(side):
     bench = Bench().run(side * 1e-3, position=side * 0.27, velocity=0.1 * side)
     while bench.gate.state == "active":
         position = side * (0.27 + 1e-4 * bench.cycle)
         bench.turn(side * 1e-3, position=position, velocity=side * (0.1 + 1e-9 * bench.cycle))
     assert bench.causes_named() == ["position"]
     assert 0.285 < abs(position) < 0.2853
-    # Null as it is, nothing leads further out: it may be reset and driven back, not on.
+    # At null no command leads further out: the gate may be reset and the piston driven back, but not on.
     bench.turns(5, 0.0, position=position)
     assert bench.gate.reset() is None
     bench.turn(-side * 1e-3, position=position)
@@ -57,7 +57,7 @@ def test_beyond_an_end_of_the_stroke_only_the_way_back_is_open(side):
     assert bench.causes_named() == ["position"]
 
 
-def test_velocity_is_taken_from_positions_where_it_is_not_measured():
+def test_velocity_is_computed_from_positions_if_it_is_not_measured():
     bench = Bench(UNMEASURED).run(position=-0.25)
     speed, position = 0.0, -0.25
     while bench.gate.state == "active" and position < 0.25:
@@ -65,7 +65,7 @@ def test_velocity_is_taken_from_positions_where_it_is_not_measured():
         position += speed * PERIOD
         bench.turn(position=position, velocity=math.nan)
     assert bench.causes_named() == ["velocity"]
-    # The smoothing is late by its time constant.
+    # The smoothing delays by its time constant.
     assert 1.8 < speed < 1.8 + 0.02 * 10
 
 
@@ -86,7 +86,7 @@ def test_an_error_of_the_force_must_last():
     assert bench.causes_named() == ["force_error"]
 
 
-def test_no_error_of_the_force_without_a_reference_or_before_it_is_enabled():
+def test_no_force_error_without_a_reference_or_before_enabling():
     bench = Bench()
     bench.turns(5000, reference=1e4)
     assert bench.gate.enable() is None
@@ -94,7 +94,7 @@ def test_no_error_of_the_force_without_a_reference_or_before_it_is_enabled():
     assert bench.counts() == {}
 
 
-def test_after_a_trip_the_force_owes_nothing():
+def test_after_a_trip_there_is_no_force_error():
     bench = Bench(force_error_time=0.1).run()
     bench.turns(200, reference=5e3)
     assert bench.causes_named() == ["force_error"]
@@ -107,7 +107,7 @@ def test_after_a_trip_the_force_owes_nothing():
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("signal", SENSED)
-def test_a_reading_that_is_no_number_is_held_through_and_trips_when_it_lasts(signal, bad):
+def test_a_non_finite_reading_is_bridged_and_trips_when_it_lasts(signal, bad):
     bench = Bench().run(1e-3)
     assert bench.turn(1.5e-3, **{signal: bad}) == 1e-3
     assert bench.turn(1.5e-3) == 1.5e-3
@@ -118,7 +118,7 @@ def test_a_reading_that_is_no_number_is_held_through_and_trips_when_it_lasts(sig
 
 
 @pytest.mark.parametrize("signal", SENSED)
-def test_what_the_rig_does_not_measure_may_be_anything(signal):
+def test_an_unmeasured_signal_is_ignored(signal):
     bench = Bench(tuple(other for other in SENSED if other != signal)).run()
     for value in (math.nan, math.inf, 1e30, -1e30, 0.0) * 20:
         bench.turn(**{signal: value})
@@ -150,14 +150,14 @@ JUMPS = {
 
 
 @pytest.mark.parametrize("signal", JUMPS)
-def test_a_step_the_rig_cannot_make_is_seen_at_once(signal):
+def test_an_implausible_step_is_detected_at_once(signal):
     bench = Bench().run()
     bench.turn(**{signal: JUMPS[signal]})
     assert bench.gate.causes[0].detector == "sensor_jump"
     assert bench.gate.causes[0].subject == signal
 
 
-def test_a_step_is_held_against_the_time_since_the_last_good_reading():
+def test_a_step_is_compared_with_the_time_since_the_last_good_reading():
     bench = Bench(position_mismatch=1.0).run()
     bench.turns(10, position=math.nan, velocity=0.0)
     bench.turn(position=0.03)
@@ -166,7 +166,7 @@ def test_a_step_is_held_against_the_time_since_the_last_good_reading():
     assert bench.counts()["sensor_jump"] == 1
 
 
-def test_noise_is_no_jump():
+def test_noise_is_not_a_jump():
     gate = Gate(RIG._replace(sensors={"position": Sensor(noise_std=1e-3)}), PERIOD)
     gate.begin()
     for k in range(100):
@@ -181,20 +181,20 @@ MOVING = SENSED[:5]
 
 
 @pytest.mark.parametrize("signal", MOVING)
-def test_a_reading_that_repeats_itself_while_the_command_moves_is_frozen(signal):
+def test_an_unchanged_reading_is_frozen_if_the_command_moves(signal):
     bench = Bench().run(0.0)
     for k in range(100):
         bench.turn(1e-5 * k, **{signal: 0.0})
     assert bench.gate.causes[0].detector == "sensor_frozen"
     assert bench.gate.causes[0].subject == signal
-    # Still frozen, though the command stands at null now.
+    # Still frozen, although the command is at null now.
     bench.turns(100, **{signal: 0.0})
     assert bench.gate.reset() == "sensor_frozen persists"
     bench.turns(5)
     assert bench.gate.reset() is None
 
 
-def test_a_rig_at_rest_repeats_its_readings():
+def test_unchanged_readings_of_a_rig_at_rest_are_accepted():
     still = dict.fromkeys(MOVING, 0.0)
     bench = Bench().run(1e-4, **still)
     for k in range(5000):
@@ -209,7 +209,7 @@ def test_a_coarse_reading_that_changes_now_and_then_is_not_frozen():
     assert bench.counts() == {}
 
 
-def test_supply_and_oil_may_stay_as_they_are():
+def test_supply_pressure_and_oil_temperature_may_stay_constant():
     bench = Bench().run(0.0)
     for k in range(2000):
         bench.turn(2e-3 * math.sin(0.01 * k))
@@ -219,7 +219,7 @@ def test_supply_and_oil_may_stay_as_they_are():
 # Readings that contradict each other
 
 
-def test_force_and_load_pressure_belong_together():
+def test_force_and_load_pressure_must_agree():
     bench = Bench(mismatch_time=0.01).run()
     bench.turns(100, force=AREA * 5e5, load_pressure=5e5)
     bench.turns(100, force=AREA * 5e5 + 990.0, load_pressure=5e5)
@@ -230,7 +230,7 @@ def test_force_and_load_pressure_belong_together():
     assert bench.causes_named() == ["force_mismatch"]
 
 
-def test_travel_and_velocity_belong_together():
+def test_travel_and_velocity_must_agree():
     bench = Bench().run(velocity=0.6, cycles=1)
     for k in range(2000):
         bench.turn(position=0.1 * math.sin(0.006 * k), velocity=0.6 * math.cos(0.006 * k))
@@ -241,19 +241,19 @@ def test_travel_and_velocity_belong_together():
     assert bench.causes_named() == ["position_mismatch"]
 
 
-def test_load_pressure_stays_below_the_supply():
+def test_load_pressure_must_stay_below_the_supply():
     bench = Bench(force_mismatch=1e5).run()
     for k in range(1000):
         bench.turn(supply_pressure=7e6 - 6e3 * k, load_pressure=2e6, force=AREA * 2e6)
     assert bench.gate.causes[0].detector == "supply_mismatch"
-    # The supply was then at the load pressure less 0.7 MPa, and a little below for the time a mismatch must last.
+    # The supply was then 0.7 MPa below the load pressure, and fell further during mismatch_time.
     assert 7e5 < bench.gate.causes[0].value < 9e5
 
 
 # Silence
 
 
-def test_snapshots_that_stay_away_are_missed_after_their_timeout():
+def test_missing_snapshots_trip_after_their_timeout():
     bench = Bench(on_command_stale="hold", hold_time=0.1, sensor_timeout=0.01).run(1e-3)
     written = [bench.step() for _ in range(20)]
     assert written[:9] == [1e-3] * 9
@@ -261,7 +261,7 @@ def test_snapshots_that_stay_away_are_missed_after_their_timeout():
     assert bench.causes_named()[0] == "sensor_stale"
 
 
-def test_the_same_snapshot_again_is_no_new_one():
+def test_a_repeated_snapshot_is_not_new():
     bench = Bench(on_command_stale="hold", hold_time=0.1).run(1e-3)
     old = bench.cycle - 1
     for _ in range(25):

@@ -1,4 +1,4 @@
-"""The udp backend and the target's side of its protocol, over real sockets on this host."""
+"""The udp backend and the target's side of the protocol, over real sockets on this host."""
 
 import contextlib
 import math
@@ -106,7 +106,7 @@ def test_recording_of_an_earlier_run_is_refused(end):
         assert second.figures()["session"] == 3
 
 
-def test_target_that_began_anew_is_found_again(end, device):
+def test_restarted_target_is_found_again(end, device):
     end.measure(500)
     assert device.read(PATIENCE).sequence == 500
     old = end.target.measurement(501, 0, Status.COMMANDED, VALUES)
@@ -129,7 +129,7 @@ def test_packet_with_too_few_channels_is_refused(end, device):
 
 
 @pytest.mark.parametrize("key", ["", "another secret"])
-def test_another_key_gets_nowhere(key):
+def test_another_key_is_refused(key):
     end = TargetEnd(b"the secret")
     with end.socket, contextlib.closing(opened(end, key=key)) as device:
         assert device.read(0.03) is None
@@ -138,7 +138,7 @@ def test_another_key_gets_nowhere(key):
         assert end.target.figures()["refused_tag"] >= 1
 
 
-def test_shared_key_gets_through():
+def test_shared_key_is_accepted():
     end = TargetEnd(b"the secret")
     with end.socket, contextlib.closing(opened(end, key="the secret")) as device:
         greeted(end, device)
@@ -146,7 +146,7 @@ def test_shared_key_gets_through():
         assert device.read(PATIENCE).sequence == 0
 
 
-def test_flood_does_not_hold_the_reader(end, device, monkeypatch):
+def test_flood_does_not_block_the_reader(end, device, monkeypatch):
     monkeypatch.setattr(UDP, "MOST_AT_ONCE", 10)
     for _ in range(50):
         end.socket.sendto(b"noise", address_of(end))
@@ -169,14 +169,14 @@ def test_close_commands_null(end):
     assert end.target.output(1.0) == (WIRING.null, Status.COMMANDED)
 
 
-def test_before_the_target_is_heard_of_nothing_is_commanded(end):
+def test_nothing_is_commanded_before_the_target_answers(end):
     with contextlib.closing(opened(end)) as device:
         device.write(4.0, 0)
         end.take()
         assert end.seen == []
 
 
-# --- the target's own last line ---------------------------------------------------------------------------------------
+# --- the target's watchdog --------------------------------------------------------------------------------------------
 
 
 def test_watchdog_goes_to_null_and_back(end, device):
@@ -243,7 +243,7 @@ def test_second_computer_waits_until_the_first_is_silent(end, device):
         assert end.target.output(1.2) == (WIRING.null, Status.WAITING)
 
 
-# --- what a user may get wrong ----------------------------------------------------------------------------------------
+# --- wrong parameters -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

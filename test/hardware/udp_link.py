@@ -1,4 +1,4 @@
-"""A bridge's end and a target's end of one wire in one thread, for the tests."""
+"""Bridge and target on one link in one thread, for the tests."""
 
 import socket
 import time
@@ -31,7 +31,7 @@ class TargetEnd:
         self.target = Target(Codec(key), PERIOD, WIRING.null)
 
     def take(self, now=0.0, cycle=0):
-        """Let the target take the packets that have come."""
+        """Let the target process the packets that have arrived."""
         for data, sender in self.waiting():
             self.target.receive(data, sender, now, cycle)
 
@@ -55,7 +55,7 @@ def opened(end, **parameters):
 
 
 def greeted(end, device, now=0.0):
-    """Let the device greet the target and take the greeting."""
+    """Let the device greet the target and the target process the hello."""
     deadline = time.monotonic() + PATIENCE
     end.target.greeted = False
     while not end.target.greeted:

@@ -278,7 +278,7 @@ def test_recorders_that_die_and_disks_that_are_full(trial, graph, tmp_path):
     running.rig.start(RECORDER, bag=died)
 
     def flushed():
-        return (died / NOTE).exists() and read_note(died).flushed["/ehls/loader_state"].messages
+        return (died / NOTE).exists() and read_note(died)["/ehls/loader_state"].messages
 
     running.rig.participant.until(lambda: flushed() > 1500)
     killed_ns = time.time_ns()

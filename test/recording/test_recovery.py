@@ -25,7 +25,7 @@ from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
 from ehls_ros.recording.ledger import ENTRY, MARK
 from ehls_ros.recording.provenance import KEY, message_checksum
-from ehls_ros.recording.recording_note import NOTE, Flushed, Note, read_note, write_note
+from ehls_ros.recording.recording_note import NOTE, Flushed, read_note, write_note
 from ehls_ros.recording.recovery import recover
 from ehls_ros.recording.topics import DRIVING, LOADER_STATE, VALVE_COMMAND
 
@@ -196,7 +196,7 @@ def test_a_note_with_an_invalid_number_is_refused(tmp_path: Path, key: str, mess
 
 
 def test_a_note_without_topics_is_refused(tmp_path: Path):
-    write_note(tmp_path, Note({}))
+    write_note(tmp_path, {})
     with pytest.raises(BadInput, match="the note is damaged"):
         read_note(tmp_path)
 
@@ -204,7 +204,7 @@ def test_a_note_without_topics_is_refused(tmp_path: Path):
 @STORAGE
 def test_a_note_that_counts_too_few_messages_costs_none(tmp_path: Path, storage: Storage):
     bag = cut_off(tmp_path / "bag", storage)
-    write_note(bag, Note({STATES: Flushed(0, 0)}))
+    write_note(bag, {STATES: Flushed(0, 0)})
     assert recover(bag, tmp_path / "whole").recovered == 600
     assert forces(tmp_path / "whole") == list(range(300))
 

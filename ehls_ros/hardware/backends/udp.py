@@ -14,16 +14,13 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.hardware.backends.base import Reading, Wiring, permitted
-from ehls_ros.hardware.packet import LARGEST, LONGEST_KEY, Codec, Kind, Packet, Status, random_session
+from ehls_ros.hardware.packet import LARGEST, LONGEST_KEY, MOST_AT_ONCE, Codec, Kind, Packet, Status, random_session
 from ehls_ros.schema import quantity, text
 
 WHERE = "backend: udp"
 
 HELLO_INTERVAL = 0.02
 """Silence of the target after which it is greeted, and interval between greetings [s]."""
-
-MOST_AT_ONCE = 256
-"""Most packets received in one go, so that a flood cannot block the loop."""
 
 SENDER_REASONS = ("stranger", "session", "order", "channels")
 """Why a valid packet is refused: unknown sender address; wrong or earlier session; not newer than the last; too few values."""
@@ -147,8 +144,7 @@ class UdpDevice:
 
     def figures(self) -> Mapping[str, int]:
         """Return counts: packets received, lost, superseded, refused by reason; hellos; commands not yet acknowledged."""
-        refused = {f"refused_{reason}": count for reason, count in self._codec.refused.items()}
-        return {**self._figures, **refused, "sent": self._sent, "not_taken": self._sent - self._answered}
+        return {**self._figures, **self._codec.figures(), "sent": self._sent, "not_taken": self._sent - self._answered}
 
     def _newest(self) -> Reading | None:
         newest = None
