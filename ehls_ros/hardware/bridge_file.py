@@ -41,7 +41,7 @@ def bridge_from_mapping(data: Any, where: str) -> Bridge:
         BadInput: a key is missing, unknown or out of range; the first one is named.
     """
     if not isinstance(data, Mapping):
-        raise BadInput(f"a bridge is {type(data).__name__}", where, f"a mapping with the sections {', '.join(SECTIONS)}")
+        raise BadInput(f"it contains a {type(data).__name__}", where, f"a mapping with the sections {', '.join(SECTIONS)}")
     for section in data:
         if section not in SECTIONS:
             raise BadInput(f"section {section!r} is unknown", where, f"one of {', '.join(SECTIONS)}")

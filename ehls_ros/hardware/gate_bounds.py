@@ -44,7 +44,7 @@ def bounds_of(rig: Rig, period: float) -> dict[str, Bound]:
         rig: with valid limits.
         period: control period [s].
     """
-    limits, endless = rig.limits, float("inf")
+    limits, unbounded = rig.limits, float("inf")
     stroke = limits.position[1] - limits.position[0]
     blind = max(BLIND_TRAVEL * stroke / limits.velocity, 3.0 * period)
     travel = f"at the velocity limit the piston travels {100.0 * BLIND_TRAVEL:g} % of its stroke in {blind:.3g} s"
@@ -54,10 +54,10 @@ def bounds_of(rig: Rig, period: float) -> dict[str, Bound]:
     return {
         **dict.fromkeys(("command_timeout", "sensor_timeout", "hold_time", "ramp_time", "limit_time"), waits),
         "command_rate": Bound(
-            slowest, fastest, f"the spool closes within {blind:.3g} s and crosses its range in {FASTEST} periods at least"
+            slowest, fastest, f"the spool closes within {blind:.3g} s and takes at least {FASTEST} periods to cross its range"
         ),
-        "enable_time": Bound(gentle, endless, f"{VALVE_TIMES:g} time constants of the valve and {SMOOTH} periods"),
-        "position_margin": Bound(0.0, endless, "the ends of the rig's stroke"),
+        "enable_time": Bound(gentle, unbounded, f"{VALVE_TIMES:g} time constants of the valve and {SMOOTH} periods"),
+        "position_margin": Bound(0.0, unbounded, "the ends of the rig's stroke"),
     }
 
 

@@ -39,7 +39,7 @@ class Pace:
         self._start: float | None = None
         self._due = 0.0
         self._answered = 0
-        self._told = 0.0
+        self._reported = 0.0
         self.asked = 0.0
         self.reached = 0.0
         self.complaint = ""
@@ -75,8 +75,8 @@ class Pace:
         least = (self._least + CLEAR * (1.0 - self._least) if self.complaint else self._least) * self.asked
         if not 0.0 < self.reached < least:
             self.complaint = ""
-        elif not self.complaint or abs(self.reached - self._told) > CHANGE * self.asked:
-            self.complaint, self._told = f"too slow: {self.reached:.0f} of {self.asked:.0f} cycles/s", self.reached
+        elif not self.complaint or abs(self.reached - self._reported) > CHANGE * self.asked:
+            self.complaint, self._reported = f"too slow: {self.reached:.0f} of {self.asked:.0f} cycles/s", self.reached
 
     def figures(self) -> dict[str, float]:
         """Return figures for diagnostics."""

@@ -56,7 +56,7 @@ STOP_TIME = 1.0
 """Shortest duration of an emergency stop [s]."""
 
 DEAF = 1.0
-"""Time without any service answered after which an emergency stop could not get through [s]."""
+"""Silence of the service thread after which an emergency stop is taken not to get through [s]."""
 
 REACH = 3
 """Largest number of periods by which one step may move or blend in the output, however late it is."""
@@ -314,7 +314,7 @@ class Gate:
             return self._commands.take(number, value, str(sender), self._newest, followed=followed)
 
     def hear(self, silence: float) -> None:
-        """Set the time since a service was last answered [s]: while none is, nobody could stop the rig."""
+        """Set how long the service thread has been silent [s]: without it nobody could stop the rig."""
         with self._lock:
             self._unheard.look(not silence <= DEAF, silence, DEAF)
 

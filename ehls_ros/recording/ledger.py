@@ -242,16 +242,12 @@ class Ledger:
         ends = np.concatenate(([0], self._spans[:, 1]))
         return not self.empty and not self.damaged_blocks and bool((self._spans[:, 0] == ends[:-1]).all())
 
-    def vouches(self, message: tuple[str, int, bytes]) -> bool:
-        """Tell whether a message is as it was written; each entry matches once.
+    def verify(self, messages: Sequence[tuple[str, int, bytes]]) -> list[bool]:
+        """Tell for each message whether it is as it was written; each entry matches only once.
 
         Args:
-            message: full name of the topic, time of sending [ns], and the message as CDR.
+            messages: full name of the topic, time of sending [ns], and the message as CDR.
         """
-        return self.vouches_for([message])[0]
-
-    def vouches_for(self, messages: Sequence[tuple[str, int, bytes]]) -> list[bool]:
-        """Apply :meth:`vouches` to each of several messages."""
         if self.empty:
             return [False] * len(messages)
         checksums = np.array([message_checksum(*message) for message in messages], np.uint64)

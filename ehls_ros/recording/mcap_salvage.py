@@ -103,7 +103,7 @@ def _messages(records: bytes, names: Names) -> Iterator[tuple[str, int, bytes]]:
 def _from_sound_chunk(records: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
     """Return the messages of a chunk with a correct checksum."""
     messages = list(_messages(records, names))
-    listed = ledger.vouches_for(messages)
+    listed = ledger.verify(messages)
     complete = ledger.complete
     for message, known in zip(messages, listed, strict=True):
         if known or not complete:
@@ -123,7 +123,7 @@ def _searched(records: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
         if length < MESSAGE_HEAD.size - MCAP_RECORD.size or end > len(records) or channel not in names:
             continue
         message = names[channel], stamp_ns, records[start + MESSAGE_HEAD.size : end]
-        verified = ledger.vouches(message)
+        [verified] = ledger.verify([message])
         if verified or ledger.empty:
             yield Found(*message, verified)
             offset = end

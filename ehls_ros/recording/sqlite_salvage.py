@@ -64,7 +64,7 @@ def salvage_sqlite(content: mmap, names: Names, ledger: Ledger, loss: Loss) -> I
         page = content[start : start + size]
         rows, all_rows = _rows(page, HEADER if start == 0 else 0, content, size)
         messages = [(names.get(row.topic, f"topic {row.topic}"), row.stamp_ns, row.serialized) for row in rows]
-        sound = ledger.vouches_for(messages)
+        sound = ledger.verify(messages)
         for row, message, verified in zip(rows, messages, sound, strict=True):
             if verified or ledger.empty or not ledger.covers(row.ordinal):
                 yield Found(*message, verified)
@@ -155,7 +155,7 @@ def _searched(page: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
         row = _unpacked(page, match.start())
         if row is not None and row.topic in names:
             message = names[row.topic], row.stamp_ns, row.serialized
-            if ledger.vouches(message):
+            if ledger.verify([message])[0]:
                 yield Found(*message, verified=True)
                 offset = row.end
 

@@ -9,22 +9,22 @@ PERIOD = 1e-3
 
 def run(pace: Pace, seconds: float, part: float, start: float = 0.0, answered: float = 0.0) -> tuple[float | None, float]:
     """Answer a fraction of the cycles; return the time of the first complaint and the total number answered."""
-    told = None
+    complained = None
     for cycle in range(round(seconds / PERIOD)):
         now = start + cycle * PERIOD
         answered += part
         pace.look(now, now / PERIOD, int(answered))
-        if pace.complaint and told is None:
-            told = now - start
-    return told, answered
+        if pace.complaint and complained is None:
+            complained = now - start
+    return complained, answered
 
 
 @pytest.mark.parametrize("part", [0.05, 0.33, 0.72, 0.85])
 def test_a_slow_computer_is_detected_within_a_second(part):
     pace = Pace()
-    told, _ = run(pace, 2.0, part)
-    assert told is not None
-    assert told < 1.0
+    complained, _ = run(pace, 2.0, part)
+    assert complained is not None
+    assert complained < 1.0
     assert pace.asked == pytest.approx(1000.0, rel=0.01)
     assert pace.reached == pytest.approx(1000.0 * part, rel=0.02)
     assert pace.complaint == f"too slow: {pace.reached:.0f} of {pace.asked:.0f} cycles/s"
@@ -45,11 +45,11 @@ def test_a_stall_shorter_than_a_tenth_of_a_window_causes_no_complaint():
 def test_the_complaint_stays_until_the_pace_changes_or_recovers():
     pace = Pace()
     _, answered = run(pace, 1.1, 0.5)
-    told = pace.complaint
+    first = pace.complaint
     _, answered = run(pace, 1.1, 0.55, start=1.1, answered=answered)
-    assert pace.complaint == told
+    assert pace.complaint == first
     _, answered = run(pace, 1.1, 0.8, start=2.2, answered=answered)
-    assert pace.complaint not in {told, ""}
+    assert pace.complaint not in {first, ""}
     # Above the limit for a complaint, but below the one for dropping it.
     _, answered = run(pace, 1.1, 0.95, start=3.3, answered=answered)
     assert pace.complaint

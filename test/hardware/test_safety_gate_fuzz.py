@@ -79,8 +79,8 @@ class Attack:
         """Return the output and the true elapsed time."""
         before = self.time
         self.time += PERIOD * self.random.uniform(0.2, 3.0)
-        told = self.number(self.time) if self.random.random() < 0.05 else self.time
-        written = gate.step(told)
+        given = self.number(self.time) if self.random.random() < 0.05 else self.time
+        written = gate.step(given)
         assert isinstance(written, float)
         return written, self.time - before
 

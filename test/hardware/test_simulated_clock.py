@@ -16,7 +16,7 @@ class Rig:
         self.now = 10.0
         self.clock = SimulatedClock(PERIOD, self.now)
         self.cycles = 0
-        self.told: list[tuple[float, str]] = []
+        self.reported: list[tuple[float, str]] = []
 
     def run(self, cycles: int, takes: float | None) -> float:
         """Run cycles, each answered after a time or never; return their total duration."""
@@ -27,7 +27,7 @@ class Rig:
                 wakes = self.now + remaining
                 self.now = (comes if self.now < comes < wakes else wakes) + LATE
             if self.clock.end(self.now, answered=comes <= self.now, expected=True):
-                self.told.append((self.now - 10.0, self.clock.pace.complaint))
+                self.reported.append((self.now - 10.0, self.clock.pace.complaint))
             self.cycles += 1
         return self.now - start
 
@@ -39,7 +39,7 @@ def rig() -> Rig:
 
 def test_on_a_computer_that_keeps_up_no_time_is_lost(rig):
     assert rig.run(3000, 0.4e-3) == pytest.approx(3.0, abs=2 * LATE)
-    assert (rig.clock.missed, rig.clock.slipped, rig.told) == (0, 0.0, [])
+    assert (rig.clock.missed, rig.clock.slipped, rig.reported) == (0, 0.0, [])
 
 
 def test_a_single_late_answer_costs_no_time(rig):
@@ -57,8 +57,8 @@ def test_time_waits_for_a_slow_computer_and_reports_it_within_a_second(rig, take
     assert rig.clock.missed == 2
     assert took == pytest.approx(1000 * takes * (1.0 + SPARE), rel=0.02)
     assert rig.clock.slipped == pytest.approx(took - 1.0, abs=0.01)
-    assert rig.told[0][0] < 1.0
-    assert rig.told[0][1].startswith("too slow: ")
+    assert rig.reported[0][0] < 1.0
+    assert rig.reported[0][1].startswith("too slow: ")
 
 
 def test_time_stops_waiting_once_the_computer_keeps_up_again(rig):
@@ -68,13 +68,13 @@ def test_time_stops_waiting_once_the_computer_keeps_up_again(rig):
     assert rig.run(2000, 0.4e-3) == pytest.approx(2.0, abs=2 * LATE + PERIOD)
     assert rig.clock.slipped == slipped
     assert not rig.clock.waiting
-    assert rig.told[-1][1] == ""
+    assert rig.reported[-1][1] == ""
 
 
 def test_a_missing_controller_is_waited_for_once(rig):
     rig.run(100, 0.4e-3)
     assert rig.run(1000, None) == pytest.approx(1.0 + HOPE, abs=0.01)
-    assert rig.told == []
+    assert rig.reported == []
     rig.run(100, 0.4e-3)
     assert rig.run(100, None) == pytest.approx(0.1 + HOPE, abs=0.01)
 
