@@ -161,12 +161,16 @@ class Range(NamedTuple):
 
 
 class _Block(NamedTuple):
-    """A block found in a file; ``sound`` tells whether its checksum is right."""
+    """A block found in a file.
+
+    ``sound`` tells whether its checksum is right. ``number`` counts the entries; for provenance it packs the number of blocks
+    and this one's index.
+    """
 
     sound: bool
     checksum: int
     kind: int
-    entries: int
+    number: int
     head: bytes
     rest: bytes
 
@@ -210,9 +214,9 @@ class Ledger:
             usable = block.sound and before is not None
             self.damaged_blocks += not usable
             if usable and block.kind == PROVENANCE:
-                parts[block.entries >> 8, block.entries & 0xFF] = block.head
+                parts[block.number >> 8, block.number & 0xFF] = block.head
             if block.kind == MESSAGES and block.rest:
-                listed = np.frombuffer(block.rest[: len(block.rest) // ENTRY.size * ENTRY.size], ENTRIES)[: block.entries]
+                listed = np.frombuffer(block.rest[: len(block.rest) // ENTRY.size * ENTRY.size], ENTRIES)[: block.number]
                 entries.append(listed)
                 sound.append(np.full(len(listed), usable))
                 if before:

@@ -9,7 +9,7 @@ static card cards[2] = {{0, 16}, {0, 2}};
 static comedi_range volts = {-10.0, 10.0, 0};
 static int out_of_range_nan = 1;
 
-/* What the test sets and looks at. */
+/* Set and read by the test. */
 unsigned int stub_codes[16];
 unsigned int stub_written = 0xdead, stub_writes = 0, stub_channel, stub_reference;
 int stub_broken = 0;
