@@ -56,7 +56,7 @@ def test_a_loop_that_never_rests_yields_within_two_windows(thread, turn):
 )
 def test_a_loop_that_rests_or_has_no_limit_keeps_its_priority(thread, share, turn):
     courtesy = Courtesy(share, thread.file)
-    assert changes(courtesy, thread, 3.0, turn) == []
+    assert changes(courtesy, thread, 5 * WINDOW, turn) == []
     assert courtesy.figures()["priority_given_back"] == 0
     courtesy.close()
 
