@@ -1,4 +1,4 @@
-"""docs/paper.md: its links stand on the lines they name, and its numbers are those of the code and of the rig file."""
+"""docs/paper.md: its links point to the right lines, and its numbers are those of the code and the rig file."""
 
 import math
 import re
@@ -158,22 +158,22 @@ def law_numbers(plant: Plant, p: fasmc.Parameters) -> dict[str, str]:
     return {
         "e1": f"= {e1:.3f} MPa/mm",
         "10 kN": f"10 kN is {step:.3f} MPa",
-        "slope": f"k/(2ξ) = {0.5 * p.k / p.xi:g} MPa/s, which takes 10 kN in {step / (0.5 * p.k / p.xi):.3f} s",
+        "slope": f"k/(2ξ) = {0.5 * p.k / p.xi:g} MPa/s, which covers 10 kN in {step / (0.5 * p.k / p.xi):.3f} s",
         "rate of a small error": f"k g/(4ξ) = {p.k * p.g / (4.0 * p.xi):g} 1/s",
         "b/h": f"b/h = {band:g} MPa/s, {200.0 * band / p.k:.0f} % of the k/2",
         "(44)": f"= {bound:.4f} MPa, times 2600 mm² is {bound * plant.piston_area:.1f} N",
         "(44) among the results": f"allow {bound * plant.piston_area:.1f} N for any reference",
-        "K": f"/0.07 = {power(rate, 2)} 1/s, of which h alone makes {p.h / plant.moving_mass:.0f} 1/s",
+        "K": f"/0.07 = {power(rate, 2)} 1/s; h alone contributes {p.h / plant.moving_mass:.0f} 1/s",
         "K T": f"K·T = {rate * PERIOD:.0f}. An explicit u3 multiplies s by 1 − K T = −{rate * PERIOD - 1.0:.0f}",
         "explicit limit": f"below {math.ceil(2e6 / rate)} µs",
         "slowest": f"k/2 − b/h = {0.5 * p.k - band:.1f} MPa/s: down to 1 % of 10 kN in {slowly():.2f} s",
         "(45)": f"T ≤ {step / (0.5 * p.k / p.xi) + reached(0.5 * p.k):.3f} s for the 10 kN step",
         "(46), step": f"t0 = {1e6 * reached(0.5 * p.k):.0f} µs",
-        "(46), sine": f"|s(0)| = {sine_rate:.1f} MPa/s, and (46) brings it inside b/h within {1e6 * reached(sine_rate):.0f} µs",
+        "(46), sine": f"|s(0)| = {sine_rate:.1f} MPa/s, and (46) brings it below b/h within {1e6 * reached(sine_rate):.0f} µs",
         "held by a stable u3": f"ξ e1 Δf T/(2 m0) = {p.xi * e1 * p.delta_f * PERIOD / (2.0 * plant.moving_mass):.0f} MPa/s",
         "fd known": f"known within {band * plant.moving_mass / (p.xi * e1 * PERIOD):.0f} N",
         "held by |s| = b/h": f"Δf + b/(ξ e1) = {p.delta_f + p.b / (p.xi * e1):.0f} N",
-        "corner": f"jumps there by {4.0 * STEP / plant.piston_area:.1f} MPa/s and takes s with it, "
+        "corner": f"jumps there by {4.0 * STEP / plant.piston_area:.1f} MPa/s, and s with it, "
         f"{4.0 * STEP / plant.piston_area / band:.1f} times b/h",
     }
 

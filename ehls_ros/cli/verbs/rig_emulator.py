@@ -157,7 +157,7 @@ def _spec(options: Namespace) -> Spec:
 
 
 def _without_own_delay(rig: Rig, period: float) -> Rig:
-    """Subtract the cycle by which the wire delays a command from the rig's own delay, so a spec means the same on every plant."""
+    """Subtract the one-cycle delay of the wire from the rig's own command delay, so a spec means the same on every plant."""
     effects = []
     for use in rig.effects:
         if use.name == COMMAND_DELAY:
