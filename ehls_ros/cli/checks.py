@@ -46,30 +46,8 @@ LOCKED_MEMORY = 2**29
 
 CPU = Path("/sys/devices/system/cpu")
 
-ECHO = """
-import rclpy
-from std_msgs.msg import Float64
-rclpy.init()
-node = rclpy.create_node("ehls_doctor_echo")
-publisher = node.create_publisher(Float64, "ehls_doctor_back", 10)
-node.create_subscription(Float64, "ehls_doctor_there", publisher.publish, 10)
-rclpy.spin(node)
-"""
-
-ASKER = """
-import sys, time, rclpy
-from std_msgs.msg import Float64
-rclpy.init()
-node = rclpy.create_node("ehls_doctor")
-trips = []
-publisher = node.create_publisher(Float64, "ehls_doctor_there", 10)
-node.create_subscription(Float64, "ehls_doctor_back", lambda m: trips.append(time.perf_counter() - m.data), 10)
-deadline = time.monotonic() + float(sys.argv[1])
-while len(trips) < 100 and time.monotonic() < deadline:
-    publisher.publish(Float64(data=time.perf_counter()))
-    rclpy.spin_once(node, timeout_sec=0.05)
-print(sorted(trips)[len(trips) // 2] if trips else "", flush=True)
-"""
+ROUND_TRIP = (sys.executable, "-m", "ehls_ros.nodes.round_trip")
+"""Command of the two processes that exchange messages."""
 
 
 class Finding(NamedTuple):
@@ -147,14 +125,10 @@ def discovery() -> Finding:
     except ImportError:
         return Finding("DDS", "note", "not checked without ROS 2")
     environment = graph_environment()
-    echo = subprocess.Popen([sys.executable, "-c", ECHO], env=environment, stderr=subprocess.DEVNULL, text=True)
-    asker = subprocess.Popen(
-        [sys.executable, "-c", ASKER, str(DISCOVERY_TIME)],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    pipe = subprocess.PIPE
+    echo = subprocess.Popen([*ROUND_TRIP, "answer"], env=environment, stderr=subprocess.DEVNULL, text=True)
+    asking = [*ROUND_TRIP, "ask", str(DISCOVERY_TIME)]
+    asker = subprocess.Popen(asking, env=environment, stdout=pipe, stderr=pipe, text=True)
     try:
         found, complaints = _output(asker, DISCOVERY_TIME + STARTING)
     finally:

@@ -37,12 +37,16 @@ def test_two_processes_find_each_other():
     assert "us" in found.found
 
 
-def test_a_process_that_does_not_end_is_ended(monkeypatch, ros_domain_id):
+def test_a_process_that_does_not_exit_is_killed(monkeypatch, tmp_path, ros_domain_id):
     pytest.importorskip("rclpy", reason="needs ROS 2 Jazzy or its wheels")
-    deaf = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
-    monkeypatch.setattr(
-        checks, "ECHO", checks.ECHO.replace("rclpy.spin(node)", f"{deaf}while True:\n    rclpy.spin_once(node)")
+    deaf = tmp_path / "deaf.py"
+    deaf.write_text(
+        "import runpy, signal\nsignal.signal(signal.SIGTERM, lambda *_: None)\n"
+        "import rclpy.signals, rclpy\nstart = rclpy.init\n"
+        "rclpy.init = lambda: start(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)\n"
+        "runpy.run_module('ehls_ros.nodes.round_trip', run_name='__main__')\n"
     )
+    monkeypatch.setattr(checks, "ROUND_TRIP", (sys.executable, str(deaf)))
     monkeypatch.setattr(checks, "ENDING", 0.5)
     assert checks.discovery().level == "ok"
     first = 7400 + 250 * ros_domain_id
