@@ -51,7 +51,7 @@ class Panel(NamedTuple):
 
 PANELS = (
     Panel("Force", "kN", (Line(FORCE_REFERENCE, "reference", 0, 1e-3), Line("force_n", "force", 1, 1e-3))),
-    Panel("Force error", "N", (Line("force_bound_n", "bound of the law", 0, mirrored=True), Line("force_error_n", "error"))),
+    Panel("Force error", "N", (Line("force_bound_n", "bound", 0, mirrored=True), Line("force_error_n", "error"))),
     Panel(
         "Pressure",
         "MPa",
@@ -67,8 +67,8 @@ PANELS = (
         ),
     ),
     Panel("Piston", "mm", (Line("position_reference_m", "reference", 0, 1e3), Line("position_m", "position", 1, 1e3))),
-    Panel("Scales of the friction", "ratio", (Line("alpha", "α̂"), Line("beta", "β̂", 2))),
-    Panel("Force beyond the model", "N", (Line("delta_n", "D̂"),)),
+    Panel("Friction scales", "ratio", (Line("alpha", "α̂"), Line("beta", "β̂", 2))),
+    Panel("Remaining disturbance", "N", (Line("delta_n", "D̂"),)),
     Panel("Loop: snapshot to command", "µs", (Line(RESPONSE, "response"),), logarithmic=True),
 )
 

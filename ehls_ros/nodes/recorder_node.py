@@ -180,7 +180,7 @@ class RecorderNode(ControlNode):
         if self.failure:
             return ERROR, f"not recording: {self.failure}", figures
         if self.lost:
-            return WARN, "messages were lost on their way here", figures
+            return WARN, "messages were lost before they reached the recorder", figures
         return OK, "recording" if self._active.is_set() else "inactive", figures
 
 

@@ -29,7 +29,11 @@ def ask(seconds: float) -> None:
     node = rclpy.create_node("ehls_doctor")
     trips: list[float] = []
     publisher = node.create_publisher(Float64, "ehls_doctor_there", 10)
-    node.create_subscription(Float64, "ehls_doctor_back", lambda sent: trips.append(time.perf_counter() - sent.data), 10)
+
+    def back(message: Float64) -> None:
+        trips.append(time.perf_counter() - message.data)
+
+    node.create_subscription(Float64, "ehls_doctor_back", back, 10)
     deadline = time.monotonic() + seconds
     while len(trips) < TRIPS and time.monotonic() < deadline:
         publisher.publish(Float64(data=time.perf_counter()))

@@ -199,21 +199,27 @@ class RandomAttacks:
         self.rig.participant.set_parameter(BRIDGE, declared.name, value)
 
     def freeze_bridge(self) -> None:
+        begun = time.monotonic()
         asleep = self._freeze(self.rig.bridge, self.random.choice([0.005, 0.02, 0.05, 0.09, 0.3]))
+        self._delayed_since(begun)
         if asleep > self.rig.pace.timeout + self.rig.pace.period:
             # The bridge may have been frozen at the end of a cycle.
             self._closed_by("frozen", 3.0 * self.rig.pace.period)
 
     def freeze_emulator(self) -> None:
+        begun = time.monotonic()
         self._freeze(self.rig.emulator, self.random.choice([0.005, 0.02, 0.09]))
+        self._delayed_since(begun)
 
     def freeze_commander(self) -> None:
         self._freeze(self.rig.graph.processes["commander"], self.random.choice([0.005, 0.02, 0.09]))
 
     def lose_packets(self) -> None:
+        begun = time.monotonic()
         self.rig.fault(self.random.choice(["deaf", "silent"]))
         self.rig.participant.rest(self.random.choice([0.003, 0.012, 0.03, 0.1]))
         self.rig.fault("clear")
+        self._delayed_since(begun)
 
     def spoil_sensor(self) -> None:
         lines = ("stick force", "stick position", "bias force 3000", "bias load_pressure 1.5e6", "bias position 0.05")
@@ -250,6 +256,12 @@ class RandomAttacks:
         asleep = time.monotonic() - begun
         process.send_signal(signal.SIGCONT)
         return asleep
+
+    def _delayed_since(self, begun: float) -> None:
+        """Allow for a closing under way that was delayed: by the duration so far, at most until the rig's watchdog acts."""
+        if self._shut is not None and begun < self._shut[1]:
+            why, since = self._shut
+            self._shut = why, since + min(time.monotonic() - begun, self.rig.pace.watchdog + self.rig.pace.period)
 
     def _closed_by(self, why: str, takes: float = 0.0) -> None:
         if self._shut is None:
