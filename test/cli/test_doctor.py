@@ -1,4 +1,4 @@
-"""`ehls doctor` says what is there and what is not."""
+"""`ehls doctor` reports what works and what does not."""
 
 import fcntl
 import json
@@ -21,7 +21,7 @@ def findings(capsys, *arguments):
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
-    """Give two processes all the time this machine may need to find each other."""
+    """Give two processes all the time this machine may need to discover each other."""
     monkeypatch.setattr(checks, "DISCOVERY_TIME", PATIENCE)
 
 
@@ -54,7 +54,7 @@ def test_a_process_that_does_not_exit_is_killed(monkeypatch, tmp_path, ros_domai
 
 
 @pytest.mark.usefixtures("without_dds")
-def test_every_finding_that_is_not_fine_says_what_to_do(capsys):
+def test_every_finding_that_is_not_ok_gives_advice(capsys):
     code, found = findings(capsys)
     assert code == 0
     assert {"Python", "packages", "shared memory", "processors", "clock", "permissions", "files"} <= set(found)
@@ -70,7 +70,7 @@ def test_a_missing_package_is_a_problem(capsys, monkeypatch):
 
 
 @pytest.mark.usefixtures("without_dds")
-def test_leftovers_are_found_and_cleaned_away(capsys, monkeypatch, tmp_path: Path):
+def test_leftovers_are_found_and_removed(capsys, monkeypatch, tmp_path: Path):
     monkeypatch.setattr(shared_memory, "SHARED_MEMORY", tmp_path)
     dead, alive = tmp_path / f"fastrtps_{uuid.uuid4().hex}", tmp_path / f"fastrtps_{uuid.uuid4().hex}"
     dead.write_bytes(b"x" * 2**20)
@@ -87,7 +87,7 @@ def test_leftovers_are_found_and_cleaned_away(capsys, monkeypatch, tmp_path: Pat
     assert foreign.exists()
 
 
-def test_lock_and_mutex_go_with_their_port_and_not_before(monkeypatch, tmp_path: Path):
+def test_lock_and_mutex_are_leftovers_only_with_their_port(monkeypatch, tmp_path: Path):
     monkeypatch.setattr(shared_memory, "SHARED_MEMORY", tmp_path)
     port = [tmp_path / name for name in ("fastrtps_port7000", "fastrtps_port7000_el", "sem.fastrtps_port7000_mutex")]
     for file in port:
@@ -97,7 +97,7 @@ def test_lock_and_mutex_go_with_their_port_and_not_before(monkeypatch, tmp_path:
     assert shared_memory.leftovers() == sorted(port)
 
 
-def test_what_a_process_out_of_sight_has_locked_is_not_left_over(monkeypatch, tmp_path: Path):
+def test_files_locked_by_an_invisible_process_are_not_leftovers(monkeypatch, tmp_path: Path):
     monkeypatch.setattr(shared_memory, "SHARED_MEMORY", tmp_path)
     monkeypatch.setattr(shared_memory, "used_by", lambda process: set())
     segment = [tmp_path / name for name in ("fastrtps_00ff", "fastrtps_00ff_el")]
