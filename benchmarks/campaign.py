@@ -72,7 +72,7 @@ def campaign(file: Path, *options: str) -> Cost:
         process.returncode = os.waitstatus_to_exitcode(status)
     summary = json.loads(output.splitlines()[-1])
     if summary["failed"] or summary["made"] != summary["runs"]:
-        raise SystemExit(f"the campaign is not whole: {summary}")
+        raise SystemExit(f"the campaign is incomplete: {summary}")
     return Cost(wall, usage.ru_utime + usage.ru_stime, summary["wall_s"], usage.ru_maxrss / 1024)
 
 

@@ -123,7 +123,7 @@ def print_closed_loop(spec: Spec) -> None:
     half = len(exact) // 2
     print(f"2. {spec.settings.title}: difference in force [N] to a step of {FINEST:g} s, {spec.settings.duration:g} s")
     print("   the step is limited to the control period, so 1e-3 s is the coarsest\n")
-    print(f"{'step [s]':>12}{'whole run':>12}{'last half':>12}")
+    print(f"{'step [s]':>12}{'full run':>12}{'last half':>12}")
     for step in STEPS:
         difference = np.abs(closed_loop(spec, step) - exact)
         print(f"{step:12.3g}{difference.max():12.2e}{difference[half:].max():12.2e}")

@@ -176,7 +176,7 @@ def python_version() -> str:
 
 
 def needs_remaking(made: dict[str, str], ros: str, *, python_was_chosen: bool) -> bool:
-    """Say whether the environment has to be made anew.
+    """Return whether the environment must be rebuilt.
 
     Args:
         made: what the environment was made for, empty if it was not or not to its end.
@@ -191,7 +191,7 @@ def needs_remaking(made: dict[str, str], ros: str, *, python_was_chosen: bool) -
     if made["ros"] != ros:
         past = f"with ROS 2 {made['ros']} sourced" if made["ros"] else "without a sourced ROS 2"
         now = f"ROS 2 {ros} is sourced" if ros else "none is sourced"
-        raise SetupError(f".venv was made {past}, and now {now}: use a shell as then, or start anew with `make clean setup`")
+        raise SetupError(f".venv was made {past}, and now {now}: use such a shell again, or start over with `make clean setup`")
     return python_was_chosen and made["python"] != python_version()
 
 

@@ -99,7 +99,7 @@ class Access:
         return sum(each == writes for each in self._pages.values()) < PAGES
 
     def give(self, page: str, *, writes: bool) -> None:
-        """Register a page that is served: whoever knows its id may open its socket."""
+        """Register a served page: knowing its id permits opening its socket."""
         self._pages[page] = writes
 
     def end(self, page: str) -> None:

@@ -56,7 +56,7 @@ class Beginning(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """Outcome of a request: whether it was carried out, and the message of whoever did or refused it."""
+    """Outcome of a request: whether it was carried out, and the message of the node that did or refused it."""
 
     done: bool
     message: str

@@ -75,7 +75,7 @@ class Window:
             self._low[place] = np.fmin(self._low[place], low[kept])
             self._high[place] = np.fmax(self._high[place], high[kept])
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """Clear the window: the graph's time starts again."""
         with self._lock:
             self._low[:] = self._high[:] = np.nan

@@ -454,7 +454,7 @@ class Link:
             if apart <= 0:
                 return
             self._origin_ns = int(stamp_ns[0] - cycle[0] * (stamp_ns[-1] - stamp_ns[0]) // apart)
-            self.window.begin_anew()
+            self.window.restart()
         self._newest = int(cycle[-1])
         self._sent_at[cycle % KEPT] = sent_ns
         self._sent_cycle[cycle % KEPT] = cycle

@@ -81,11 +81,11 @@ class HardwareBridgeNode(PlantNode):
         self.sequence = -1
         self.saturated: tuple[str, ...] = ()
         self.at_null = True
-        self.began_anew = 0
+        self.restarts = 0
         self.failure = ""
         self.elapsed = 1
         self.lockstep_time = 0.0
-        self._count_anew()
+        self._reset_counts()
 
     def release(self) -> None:
         """Close the valve, the device and the topics."""
@@ -97,7 +97,7 @@ class HardwareBridgeNode(PlantNode):
         self.first = self.cycle + 1
         self.set_epoch(self.first)
         self.samples.begin()
-        self._count_anew()
+        self._reset_counts()
         self.gate.begin()
 
     def stop(self) -> None:
@@ -133,7 +133,7 @@ class HardwareBridgeNode(PlantNode):
         if self.cycles and self.cycle - self.first + 1 >= self.cycles:
             self.end_cycles()
 
-    def _count_anew(self) -> None:
+    def _reset_counts(self) -> None:
         self.pace = Pace(float(self.get_parameter("least_answered").value))
         self.in_time = 0
 
@@ -162,7 +162,7 @@ class HardwareBridgeNode(PlantNode):
     def _open_cycle(self, reading: Reading) -> None:
         """Number and publish the sample; lost samples count as cycles, so that the cycles keep the device's time."""
         following = self.sequence >= 0 and reading.sequence > self.sequence
-        self.began_anew += self.sequence >= 0 and not following
+        self.restarts += self.sequence >= 0 and not following
         self.elapsed = reading.sequence - self.sequence if following else 1
         self.cycle += self.elapsed
         self.sequence = reading.sequence
@@ -193,7 +193,7 @@ class HardwareBridgeNode(PlantNode):
     def figures(self) -> dict[str, Any]:
         """Return figures for diagnostics."""
         counted = {f"device_{name}": count for name, count in self.device.figures().items()}
-        own = {"cycle": self.cycle, "device_began_anew": self.began_anew, "device_at_null": self.at_null}
+        own = {"cycle": self.cycle, "device_began_anew": self.restarts, "device_at_null": self.at_null}
         pace = self.pace.figures() if self._active.is_set() else {}
         return {**super().figures(), **own, **counted, **pace}
 

@@ -88,7 +88,7 @@ class RecorderNode(ControlNode):
         for name in self.expected:
             while self.inboxes[name].handle.get_publisher_count() == 0:
                 if time.monotonic() > deadline:
-                    self.get_logger().error(f"nobody publishes {name}")
+                    self.get_logger().error(f"{name} has no publisher")
                     return TransitionCallbackReturn.FAILURE
                 time.sleep(REST)
         return super().on_activate(state)

@@ -63,7 +63,7 @@ def test_missing_cycles_are_gaps_and_a_new_era_starts_from_nothing():
     assert gap[10:20].all()
     assert gap.sum() == 10
     before = window.part(0, -1).era
-    window.begin_anew()
+    window.restart()
     filled(window, 0, 300)
     part = window.part(20, before)
     assert part.era != before

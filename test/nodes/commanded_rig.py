@@ -48,7 +48,7 @@ FAST = Pace(period=0.001, velocity=2.0, timeout=0.03, watchdog=0.01, ramp=0.02, 
 """The pace of a real rig."""
 
 AMPLITUDE, FREQUENCY = 1e-4, 0.7
-"""Commanded sine, small enough not to trip the gate by itself [m, Hz]."""
+"""Commanded sine, too small to trip the gate [m, Hz]."""
 
 COMMANDED = 2.0 * AMPLITUDE
 """Largest command: the commander adds a little towards mid-stroke [m]."""

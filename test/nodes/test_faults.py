@@ -40,7 +40,7 @@ UNTIL_NULL = round((GATE.hold_time + GATE.ramp_time) / PERIOD) + 10
 """Cycles after a trip in which the gate has certainly closed."""
 
 AFTER_CUT = 15
-"""The same when the gate cuts at once because nobody answers; then each cycle takes the bridge's patience."""
+"""The same when the gate cuts at once for lack of answers; then each cycle takes the bridge's patience."""
 
 SEED = random.SystemRandom().randrange(2**32)
 

@@ -85,7 +85,7 @@ def a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, participa
         assert participant.get_parameter("fasmc_node", "k").double_value == 14.0
         goes_on(participant, running)
 
-    # A whole number is taken as the number it is.
+    # An integer is accepted for a float.
     assert participant.set_parameter("fasmc_node", "k", 13).successful
     assert participant.get_parameter("fasmc_node", "k").double_value == 13.0
     goes_on(participant, running)
@@ -125,7 +125,7 @@ def test_in_real_time_an_estimate_that_stays_away_is_waited_for_no_longer_than_f
     node._answer = lambda state: answers.append((clock.now, state[1]))
 
     def wait(seconds):
-        """Let time go on, to the next snapshot at most: one comes every period, as from a plant that waits for nobody."""
+        """Advance the time, at most to the next snapshot: one arrives every period, whether answered or not."""
         cycle = round(clock.now / period)
         clock.now = min(clock.now + seconds, (cycle + 1) * period)
         node.states.messages.append((0, cycle))

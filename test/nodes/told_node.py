@@ -32,7 +32,7 @@ class ToldNode(NamedTuple):
 
 @contextlib.contextmanager
 def told_node(name: str, message: Any, topic: str, first: str) -> Iterator[ToldNode]:
-    """Run a node until SIGINT; ``first`` stands for the line before the first one."""
+    """Run a node until SIGINT; ``first`` is used until a line arrives."""
     lines, stopping = [first], threading.Event()
     threading.Thread(target=lambda: [lines.append(line.strip()) for line in sys.stdin], daemon=True).start()
     signal.signal(signal.SIGINT, lambda *_: stopping.set())
