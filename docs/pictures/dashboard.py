@@ -55,7 +55,11 @@ def shown(folder: Path, environment: Mapping[str, str], *arguments: str) -> Iter
     server = subprocess.Popen(command, env=environment, cwd=folder, stdout=subprocess.PIPE, text=True)
     try:
         address = server.stdout.readline().strip() if server.stdout else ""
-        with tempfile.TemporaryDirectory() as profile, browser(Path(profile)) as chromium, chromium.tab(address) as tab:
+        with (
+            tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile,
+            browser(Path(profile)) as chromium,
+            chromium.tab(address) as tab,
+        ):
             tab.resize(1366, 768)
             tab.prefer("light")
             yield tab
@@ -78,13 +82,16 @@ def take(tab: Tab) -> None:
     tab.click("[data-name=tab-experiment]")
     tab.choose("[data-name=effect]", "dead zone")
     tab.click("[data-name='add effect']")
+    tab.until("document.querySelector('.q-chip')?.innerText.includes('dead zone')")
     tab.choose("[data-name=effect]", "entrained")
+    tab.until("!!document.querySelector('[data-name=effect-chambers]')")
     save(tab, "dashboard_experiment")
 
 
 def save(tab: Tab, name: str) -> None:
     """Write a picture once the page has settled."""
     time.sleep(3.0)
+    tab.until("!document.body.classList.contains('cut-off')")
     path = HERE / f"{name}.png"
     path.write_bytes(tab.picture())
     print(f"{path.relative_to(ROOT)}: {path.stat().st_size} bytes")
