@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import load_spec
-from ehls_ros.hardware.realtime import LOWEST, preferring_what_starts, threads
+from ehls_ros.hardware.realtime import preferring_what_starts, threads
 from ehls_ros.nodes.graph import REALTIME_PRIORITY, SIMULATED, node_parameters
 
 PRIORITY = 7
@@ -49,15 +49,15 @@ def test_an_experiment_requests_the_priority_for_all_its_nodes(spec_file, tmp_pa
     assert {own.get("priority") for own in parameters.values()} == {asked}
 
 
+# test_realtime_citizens.py shows the priorities of a background node.
 @needs_permission
-@pytest.mark.parametrize(("node", "loop"), [("friction_estimator_node", PRIORITY), ("reference_node", LOWEST)])
-def test_a_background_loop_has_lower_priority_but_its_receivers_do_not(graph, participant, spec_file, node, loop):
-    process = graph.start(node, spec=spec_file(), timing="realtime", priority=PRIORITY)
+def test_a_loop_that_answers_and_its_receivers_have_the_priority(graph, participant, spec_file):
+    process = graph.start("friction_estimator_node", spec=spec_file(), timing="realtime", priority=PRIORITY)
     heard = participant.collect(DiagnosticArray, "/diagnostics")
     participant.until(lambda: any(status.message == "running" for array in heard for status in array.status), 120.0)
     found = priorities(process.pid)
     assert found["middleware"] == {(os.SCHED_FIFO, PRIORITY)}
-    assert found["loop"] == {(os.SCHED_FIFO, loop)}
+    assert found["loop"] == {(os.SCHED_FIFO, PRIORITY)}
 
 
 @needs_permission

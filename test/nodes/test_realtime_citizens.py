@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from test_priorities import PRIORITY, needs_permission, priorities
 
 from ehls_msgs.msg import LoaderState, ValveCommand
-from ehls_ros.hardware.realtime import Part, memory
+from ehls_ros.hardware.realtime import LOWEST, Part, memory
 
 OVERLOADED = Path(__file__).resolve().parents[2] / "benchmarks" / "realtime_citizens.py"
 
@@ -28,7 +28,7 @@ def memory_of(process: int, key: str) -> float:
 
 
 @needs_permission
-def test_a_node_locks_the_memory_it_uses_not_what_it_reserves(graph, participant, spec_file):
+def test_a_background_node_locks_only_the_memory_it_uses_and_only_its_loop_has_lower_priority(graph, participant, spec_file):
     process = graph.start("reference_node", spec=spec_file(), timing="realtime", priority=PRIORITY)
     heard = participant.collect(DiagnosticArray, "/diagnostics")
     participant.until(lambda: any(status.message == "running" for array in heard for status in array.status), 120.0)
@@ -37,6 +37,9 @@ def test_a_node_locks_the_memory_it_uses_not_what_it_reserves(graph, participant
     assert resident < MEMORY
     values = {value.key for array in heard for status in array.status for value in status.values}
     assert not any(key.startswith("not_permitted") for key in values)
+    found = priorities(process.pid)
+    assert found["middleware"] == {(os.SCHED_FIFO, PRIORITY)}
+    assert found["loop"] == {(os.SCHED_FIFO, LOWEST)}
 
 
 @needs_permission
