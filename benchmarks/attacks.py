@@ -1,9 +1,9 @@
-"""Thousands of random sequences against a running bridge and emulated rig at 1 kHz, held against the rig's own log.
+"""Thousands of random sequences of attacks on a running bridge and emulated rig at 1 kHz, checked against the rig's log.
 
     python benchmarks/attacks.py --sequences 2000 --seed 1
 
-Every so many sequences the processes are started anew and the log is judged. The table has the worst of each such batch; what
-breaks a rule ends the run with code 1 and leaves the batch's folder.
+After each batch of sequences the log is evaluated and the processes are restarted. The table has the extremes of each batch. A
+broken rule ends the run with code 1 and leaves the batch's folder.
 """
 
 import argparse
@@ -26,13 +26,13 @@ from ehls_ros.nodes.graph import free_domain
 from ehls_ros.nodes.shared_memory import leftovers
 
 BATCH = 50
-"""Sequences between two fresh starts."""
+"""Sequences between two restarts."""
 
 SPEED, FORCE, POSITION = 2.0, 1.82e4, 0.3
 """The rig's limits [m/s, N, m]."""
 
 RESOLUTION = 1e-6
-"""Of the converter [m]."""
+"""Resolution of the converter [m]."""
 
 
 def run_batch(folder: Path, seed: int, sequences: int) -> tuple[Worst, RandomAttacks]:

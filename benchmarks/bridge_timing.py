@@ -1,10 +1,10 @@
-"""Latency and missed cycles of the graph on a rig behind UDP, beside an empty rclpy echo at the same pace.
+"""Latency and missed cycles of the graph on a rig behind UDP, compared with an empty rclpy echo at the same rate.
 
 usage: bridge_timing.py [--seconds 60] [--rounds 1] [--controller fasmc_output_feedback]
 
-Every node is a process of its own over Fast DDS; the rig is `ehls rig-emulator` at 1 kHz on its own clock. A round is an echo,
-then the graph, then an echo: the floor is that of the same minutes. The echo is two processes, one small message there and
-back each millisecond, rclpy's own events executor, reliable, at the realtime priority of the nodes.
+Each node is a process, over Fast DDS; the rig is `ehls rig-emulator` at 1 kHz on its own clock. A round is echo, graph, echo,
+so that both see the same state of the machine. The echo is the round trip of one small, reliable message per millisecond
+between two processes with rclpy's events executor, at the nodes' realtime priority.
 """
 
 import argparse
@@ -39,7 +39,7 @@ SPEC = config_folder() / "experiments" / "measured_sine_fd1.yaml"
 
 
 def be_asker() -> None:
-    """Print the round trips of one message each period [s]."""
+    """Print the round trips of one message per period [s]."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("asker")
     publisher = node.create_publisher(Float64, "there", 10)
@@ -74,7 +74,7 @@ def echo() -> np.ndarray:
 
 
 def graph(seconds: float, controller: str) -> Trajectory:
-    """Run the graph on the emulated rig and return what it recorded."""
+    """Run the graph on the emulated rig and return its recording."""
     spec = load_spec(SPEC)
     spec = spec._replace(
         settings=spec.settings._replace(duration=seconds), controller=spec.controller._replace(name=controller)
@@ -117,7 +117,7 @@ def main() -> None:
         floor = np.concatenate([before, after])
         lost = int(np.sum(~np.isfinite(trajectory["force_n"])))
         print(f"{number + 1} snapshot to command             {percentiles(answered)}")
-        print(f"  empty rclpy echo, there and back{percentiles(floor)}")
+        print(f"  empty rclpy echo, round trip    {percentiles(floor)}")
         ratios = np.percentile(answered, [50, 99]) / np.percentile(floor, [50, 99])
         print(f"  ratio {ratios[0]:.2f} at p50, {ratios[1]:.2f} at p99; {metrics.missed_cycles} of {metrics.cycles} cycles")
         print(f"  unanswered ({100 * metrics.missed_cycles / metrics.cycles:.2f} %), {lost} snapshots lost in the bag,")

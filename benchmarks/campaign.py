@@ -1,12 +1,12 @@
-"""A campaign's wall and processor time: on one process, on two, on a Dask cluster of two, against the bare loop.
+"""A campaign's wall and processor time: one process, two, and a Dask cluster of two, compared with a bare loop.
 
-Two bare loops side by side, each with half of the runs and nothing to start, are what the machine's two processors allow.
+Two bare loops side by side, each with half of the runs and no start-up, are the best the machine's two processors allow.
 
     python benchmarks/campaign.py --repeats 3
 
-The places take turns, so that what else the machine does falls on all of them alike; medians are printed. Processor time
-counts every process of the campaign, start of Python and its imports included; kernels are compiled before.
-On a busy machine the efficiency that matters is that of processor time: what two processes would take with a core each.
+The variants take turns, so that other work on the machine affects all alike; medians are printed. Processor time covers every
+process of the campaign, including the start of Python and its imports; kernels are compiled before.
+On a busy machine, judge by processor time: it is what two processes would take with a core each.
 """
 
 import argparse
@@ -34,7 +34,7 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_TH
 
 
 class Cost(NamedTuple):
-    """What a place took [s], the part of it between start and table [s], largest resident memory of one process [MB]."""
+    """Cost of a variant: total [s], time between start and table [s], largest resident memory of a process [MB]."""
 
     wall: float
     cpu: float
@@ -52,7 +52,7 @@ def bare(specs: list[str]) -> Cost:
 
 
 def side_by_side(specs: list[str]) -> Cost:
-    """Run the specs in two copies of this process at once, each doing half of them."""
+    """Run the specs in two copies of this process, half of them each."""
     start = time.perf_counter()
     with multiprocessing.get_context("fork").Pool(2) as pool:
         halves = pool.map(bare, [specs[::2], specs[1::2]], chunksize=1)
@@ -72,7 +72,7 @@ def campaign(file: Path, *options: str) -> Cost:
         process.returncode = os.waitstatus_to_exitcode(status)
     summary = json.loads(output.splitlines()[-1])
     if summary["failed"] or summary["made"] != summary["runs"]:
-        raise SystemExit(f"the campaign is not whole: {summary}")
+        raise SystemExit(f"the campaign is incomplete: {summary}")
     return Cost(wall, usage.ru_utime + usage.ru_stime, summary["wall_s"], usage.ru_maxrss / 1024)
 
 
@@ -100,7 +100,7 @@ def cluster(workers: int) -> Iterator[tuple[str, list[psutil.Process]]]:
 
 
 def on_dask(file: Path, address: str, processes: list[psutil.Process]) -> Cost:
-    """Run the campaign on a cluster, whose processes' time counts too."""
+    """Run the campaign on a cluster and include its processes' time."""
 
     def used() -> float:
         return sum(sum(process.cpu_times()[:2]) for process in processes)
@@ -114,7 +114,7 @@ def main() -> None:
     """Measure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--draws", type=int, default=250, help="draws at each of the four points (%(default)s)")
-    parser.add_argument("--repeats", type=int, default=3, help="how often each place has its turn (%(default)s)")
+    parser.add_argument("--repeats", type=int, default=3, help="turns of each variant (%(default)s)")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, cluster(2) as (address, processes):
         file = Path(folder, "campaign.yaml")
@@ -139,7 +139,7 @@ def main() -> None:
 
 
 def show(costs: dict[str, list[Cost]], runs: int) -> None:
-    """Print medians: two of a kind are compared by the repeat, one after the other."""
+    """Print medians; variants are compared within each repeat."""
     one, loop = costs["--jobs 1"], costs["bare loop"]
     ceiling = statistics.median(b.wall / (2 * s.wall) for b, s in zip(loop, costs["two bare loops"], strict=True))
     print(f"\n{runs} runs, medians of {len(one)}; two bare loops side by side reach {100 * ceiling:.1f} % of twice one alone")

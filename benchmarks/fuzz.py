@@ -1,9 +1,9 @@
-"""Random and damaged inputs for what reads foreign bytes: nothing may crash, hang, or keep memory.
+"""Random and damaged inputs for the readers of foreign data: none may crash, hang, or leak memory.
 
-python benchmarks/fuzz.py --target csv --inputs 1000000 --keep found
+python benchmarks/fuzz.py --target csv --inputs 1000000 --keep failed
 
-Every input is either taken or refused in one line (``BadInput``). The inputs come from a worker process of its own with limited
-memory, so that a crash within a C library is seen as well; what an input that fails was made of is copied to ``--keep``.
+Every input is either accepted or refused in one line (``BadInput``). A worker process with limited memory reads them, so that a
+crash within a C library is detected too; the files of an input that fails are copied to ``--keep``.
 """
 
 import argparse
@@ -56,38 +56,38 @@ STUCK = 60.0
 """Time without any progress after which the worker is killed [s]."""
 
 MEMORY = 2**29
-"""What an input may take of memory beyond what the worker has at its start [bytes]."""
+"""Most memory an input may take beyond the worker's at its start [bytes]."""
 
 LONGEST = 3 * PART + 100
-"""Length of a line up to which somebody reads it."""
+"""Longest readable error message [characters]."""
 
 FAST = Path("/dev/shm")  # noqa: S108 - a folder in memory; the inputs' own folder in it is made by tempfile
-"""Where the inputs' files are written, where there is such a folder."""
+"""Folder for the inputs' files, if it exists."""
 
 Target = Callable[[random.Random, Path], Callable[[], object]]
-"""Puts one input into a folder and returns what reads it."""
+"""Writes one input to a folder and returns the function that reads it."""
 
 
 class Hang(BaseException):
-    """An input took longer than it may; no handler of errors catches this."""
+    """An input took too long; a BaseException, so that no handler catches it."""
 
 
 def on_time_up(number: int, frame: FrameType | None) -> None:
-    """End what takes too long."""
+    """Interrupt a reader that takes too long."""
     raise Hang
 
 
 def outcome_of(read: Callable[[], object]) -> str:
-    """Read one input and return what came of it: ``taken``, ``refused``, or what is wrong."""
+    """Read one input and return the outcome: ``taken``, ``refused``, or the error."""
     signal.setitimer(signal.ITIMER_PROF, SLOWEST)
     try:
         read()
     except BadInput as error:
         line = str(error)
-        return "refused" if line.isprintable() and len(line) <= LONGEST else "refused, but not in one line one can read"
+        return "refused" if line.isprintable() and len(line) <= LONGEST else "refused, but not in one readable line"
     except Hang:
         return "hang"
-    except Exception as error:  # noqa: BLE001 - whatever it is, it is what is looked for
+    except Exception as error:  # noqa: BLE001 - any exception is a finding
         trace = error.__traceback__
         while trace is not None and trace.tb_next is not None:
             trace = trace.tb_next
@@ -111,15 +111,15 @@ def fuzz(
 
     Args:
         target: makes the inputs.
-        inputs: how many.
-        seed: which.
-        folder: where to put each; it holds the last one afterwards.
-        keep: where to copy one input of each outcome that is wrong.
-        progress: set to the number of the input under way.
-        seconds: time after which no further input comes.
+        inputs: number of inputs.
+        seed: seed of the inputs.
+        folder: folder for the inputs; afterwards it holds the last one.
+        keep: folder for one input of each failure.
+        progress: set to the number of the present input.
+        seconds: time after which no further input is made [s].
 
     Returns:
-        How often which outcome came.
+        Number of inputs by outcome.
     """
     signal.signal(signal.SIGPROF, on_time_up)
     draw = random.Random(seed)  # noqa: S311
@@ -142,7 +142,7 @@ NUMBERS = (0, 1, 2, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**
 
 
 def spoilt(draw: random.Random, whole: bytes) -> bytes:
-    """Return bytes with something wrong: cut, bits turned over, a number overwritten, a part gone, doubled or elsewhere."""
+    """Return damaged bytes: cut, bits flipped, a number overwritten, a section removed, repeated or moved."""
     result = bytearray(whole)
     if not result:
         return draw.randbytes(draw.randint(1, 16))
@@ -172,7 +172,7 @@ def spoilt(draw: random.Random, whole: bytes) -> bytes:
 
 
 def sample_packet(draw: random.Random) -> Packet:
-    """Return a packet that may be on the wire."""
+    """Return a valid packet."""
     kind = draw.choice(list(Kind))
     count = {Kind.HELLO: 0, Kind.COMMAND: 1}.get(kind, draw.randint(1, MOST_VALUES))
     return Packet(
@@ -189,7 +189,7 @@ def sample_packet(draw: random.Random) -> Packet:
 
 
 def spoilt_packets(seed: int, codec: Codec) -> Iterator[bytes]:
-    """Yield bytes without end: noise, noise behind a good header, and packets cut, lengthened, turned over or joined."""
+    """Yield damaged packets without end: noise, noise after a valid header, and packets cut, extended, altered or joined."""
     draw = random.Random(seed)  # noqa: S311
     while True:
         whole = codec.pack(sample_packet(draw))
@@ -208,7 +208,7 @@ def spoilt_packets(seed: int, codec: Codec) -> Iterator[bytes]:
                     turned[draw.randrange(len(turned))] ^= 1 << draw.randrange(8)
                 yield bytes(turned)
             case 5:
-                # A damaged packet whose checksum is right all the same.
+                # A damaged packet with a valid checksum.
                 body = bytearray(whole[:-8])
                 position = draw.randrange(len(body))
                 body[position] = draw.randrange(256)
@@ -222,7 +222,7 @@ def spoilt_packets(seed: int, codec: Codec) -> Iterator[bytes]:
 
 
 def fuzz_packet(inputs: int, seed: int) -> Counter[str]:
-    """Feed the packet's parser; returns how often which outcome came."""
+    """Feed the packet parser; return the number of packets by outcome."""
     codec = Codec()
     outcomes: Counter[str] = Counter()
     for _, data in zip(range(inputs), spoilt_packets(seed, codec), strict=False):
@@ -232,7 +232,7 @@ def fuzz_packet(inputs: int, seed: int) -> Counter[str]:
             outcomes["hang"] += 1
         if packet is None:
             continue
-        # What is taken is whole: packed again it is the same bytes.
+        # An accepted packet is complete: packed again, it gives the same bytes.
         outcomes["taken"] += 1
         outcomes["changed"] += codec.pack(packet) != data
     return outcomes + Counter({f"refused_{reason}": count for reason, count in codec.refused.items()})
@@ -260,13 +260,13 @@ CELLS = (
     *("\ufeff", "a" * 500, "9" * 400, "0." + "1" * 400, "9" * 5000, "9" * 140_000, "time_s", "force_n"),
     *("friction_elements_n_2", "friction_slipping_1"),
 )
-"""What may stand in a cell, and mostly should not."""
+"""Contents of a cell, mostly invalid."""
 
 HEADERS = ("time_s", *SIGNALS, "friction_elements_n_1", "friction_elements_n_2", "friction_elements_n_99", "other")
 
 
 def csv_input(draw: random.Random, folder: Path) -> Callable[[], object]:
-    """Write a table with a few cells, rows, separators or bytes wrong."""
+    """Write a table with a few wrong cells, rows, separators or bytes."""
     names = ["time_s", *draw.sample(HEADERS, draw.randint(1, 4))]
     table = [names, *([repr(0.001 * k), *(repr(draw.gauss(0.0, 1e3)) for _ in names[1:])] for k in range(draw.randrange(6)))]
     for _ in range(draw.choice((0, 1, 1, 1, 2, 3))):
@@ -314,7 +314,7 @@ VALUES = (
     *("|", ">-", "'", '"', "[", "{", "]", "? a", "- 1", "[" * 60 + "]" * 60, "[" * 5000, "{a: " * 3000, "- " * 3000 + "1"),
     *("a" * 2000, "\x1b[31m", "\t", "\u2028", "é", "\U0001f600", "%YAML 9.9"),
 )
-"""What may stand as a value, and mostly should not."""
+"""YAML values, mostly invalid."""
 
 KEYS = (
     *(
@@ -343,7 +343,7 @@ BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
 
 
 def without_comments(text: str) -> str:
-    """Return a YAML text in as few bytes as may be."""
+    """Return a YAML text in the fewest possible bytes."""
     return "\n".join(line.split(" #")[0].rstrip() for line in text.splitlines() if not line.startswith("#")) + "\n"
 
 
@@ -374,7 +374,7 @@ YAML_READERS: Sequence[tuple[str, Callable[[Path], object]]] = (
 
 
 def spoilt_yaml(draw: random.Random, whole: str) -> bytes:
-    """Return a YAML text with values, keys, lines or bytes wrong."""
+    """Return a YAML text with wrong values, keys, lines or bytes."""
     lines = whole.splitlines()
     for _ in range(draw.choice((0, 1, 1, 1, 2, 3))):
         place = draw.randrange(len(lines)) if lines else 0
@@ -409,7 +409,7 @@ def spoilt_yaml(draw: random.Random, whole: str) -> bytes:
 
 
 def yaml_input(draw: random.Random, folder: Path) -> Callable[[], object]:
-    """Write a rig file, spec, bridge file or map of columns with something wrong."""
+    """Write a damaged rig file, spec, bridge file or column map."""
     whole, read = draw.choice(YAML_READERS)
     if not (folder / "points.csv").exists() or draw.random() < 0.05:
         (folder / "points.csv").write_bytes(spoilt(draw, POINTS.encode()) if draw.random() < 0.5 else POINTS.encode())
@@ -420,13 +420,13 @@ def yaml_input(draw: random.Random, folder: Path) -> Callable[[], object]:
 
 
 Files = Mapping[str, bytes]
-"""A bag: the content of its files by their names."""
+"""A bag: its files' contents by name."""
 
 SAMPLES = 3
 
 
 def short_run() -> Trajectory:
-    """Return a run of a few samples."""
+    """Return a run with a few samples."""
     time_s = 0.001 * np.arange(SAMPLES)
     signals = {name: np.linspace(1.0, 2.0, SAMPLES) for name in ("position_m", "force_n")}
     signals["friction_elements_n"] = np.ones((SAMPLES, 2))
@@ -439,13 +439,13 @@ def files_in(folder: Path) -> Files:
 
 
 def own_bag(folder: Path, storage: Storage) -> Files:
-    """Return a bag of ours."""
+    """Return a bag of this project's recorder."""
     write_trajectory(folder / "bag", short_run(), storage)
     return files_in(folder / "bag")
 
 
 def foreign_bag(folder: Path, storage: Storage, compression: CompressionMode) -> Files:
-    """Return a bag as another recorder would have made it: nothing in it vouches for anything."""
+    """Return a bag as another recorder would make it, without checksums."""
     writer = Writer(folder / "bag", version=9, storage_plugin=StoragePlugin[storage.upper()])
     writer.set_compression(compression, CompressionFormat.ZSTD)
     with writer:
@@ -489,7 +489,7 @@ def bags() -> list[Files]:
 
 
 def mcap_records(content: bytes) -> Iterator[tuple[int, int]]:
-    """Yield where the records' contents are, those within chunks that are not compressed as well: start and end."""
+    """Yield start and end of the records' contents, including those in uncompressed chunks."""
     place = 8
     while place + 9 <= len(content) - 8:
         kind, length = struct.unpack_from("<BQ", content, place)
@@ -499,7 +499,7 @@ def mcap_records(content: bytes) -> Iterator[tuple[int, int]]:
 
 
 def spoilt_mcap(draw: random.Random, whole: bytes) -> bytes:
-    """Return an mcap file with a record's kind, length or content wrong; what follows stays where it is."""
+    """Return an mcap file with the kind, length or content of a record altered; the rest keeps its place."""
     result = bytearray(whole)
     for _ in range(draw.choice((1, 1, 2))):
         start, end = draw.choice(list(mcap_records(whole)))
@@ -513,7 +513,7 @@ def spoilt_mcap(draw: random.Random, whole: bytes) -> bytes:
                 content = spoilt(draw, bytes(result[start:end]))[: end - start]
                 result[start : start + len(content)] = content
     if draw.random() < 0.1:
-        # No summary: what is there is found by reading all of it.
+        # Without a summary, a reader must scan the file.
         result[-28:-12] = bytes(16)
     return bytes(result)
 
@@ -560,7 +560,7 @@ SQL_COLUMNS = (
 
 
 def spoilt_sqlite(draw: random.Random, whole: bytes) -> bytes:
-    """Return a sound database that holds what it should not."""
+    """Return an intact database with invalid contents."""
     with closing(sqlite3.connect(":memory:")) as database:
         database.deserialize(whole)
         try:
@@ -590,7 +590,7 @@ JSON_VALUES: tuple[Any, ...] = (
 
 
 def spoilt_json(draw: random.Random, content: str) -> str:
-    """Return a JSON text with values or bytes wrong."""
+    """Return a JSON text with wrong values or bytes."""
     if draw.random() < 0.2:
         return spoilt(draw, content.encode()).decode(errors="replace")
     if draw.random() < 0.05:
@@ -611,7 +611,7 @@ def spoilt_json(draw: random.Random, content: str) -> str:
 
 
 def spoilt_configuration(draw: random.Random, metadata: bytes) -> bytes:
-    """Return metadata whose configuration is wrong although its checksum is right."""
+    """Return metadata with a wrong configuration and a valid checksum."""
     spoilt_text = spoilt_json(draw, json.dumps(Provenance({"seed": 3}, {}, ["force_n"])._asdict()))
     own = Provenance({}, {}, None).custom_data()
     checksum_of = sys.modules[Provenance.__module__]._text_checksum  # noqa: SLF001 - the checksum is no secret
@@ -622,7 +622,7 @@ def spoilt_configuration(draw: random.Random, metadata: bytes) -> bytes:
 
 
 def bag_inputs() -> Target:
-    """Return what writes bags, closed or not, with a file of theirs wrong, and reads or recovers them."""
+    """Return a target that damages a file of a bag, closed or not, and reads or recovers the bag."""
     kinds = bags()
 
     def bag_input(draw: random.Random, folder: Path) -> Callable[[], object]:
@@ -656,11 +656,11 @@ def bag_inputs() -> Target:
 
 
 TARGETS: Mapping[str, Callable[[], Target]] = {"csv": lambda: csv_input, "yaml": lambda: yaml_input, "bag": bag_inputs}
-"""What makes the inputs that are files."""
+"""Makers of inputs that are files."""
 
 
 def work(options: argparse.Namespace, folder: Path, progress: "Synchronized[int]") -> None:
-    """Do the worker's part: a short run that loads all there is to load, then the long one; print the outcomes."""
+    """Run in the worker: a short run that loads all code, then the long one; print the outcomes."""
     target = None if options.target == "packet" else TARGETS[options.target]()
 
     def run(inputs: int) -> Counter[str]:
@@ -678,16 +678,16 @@ def work(options: argparse.Namespace, folder: Path, progress: "Synchronized[int]
     inputs = options.inputs if target is None else outcomes.total()
     for outcome, count in sorted(outcomes.items()):
         print(f"{outcome:60}{count:12d}")
-    rate = f"{inputs / took:.0f} a second of the clock, {inputs / time.process_time():.0f} of the processor"
-    print(f"{options.target}: {inputs} inputs in {took:.1f} s, {rate}, largest memory grew by {growth} KiB")
+    rate = f"{inputs / took:.0f} per second of wall time, {inputs / time.process_time():.0f} of processor time"
+    print(f"{options.target}: {inputs} inputs in {took:.1f} s, {rate}, peak memory grew by {growth} KiB")
 
 
 def main() -> None:
-    """Run a worker and watch it."""
+    """Run a worker and supervise it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--target", choices=("packet", *TARGETS), default="packet")
     parser.add_argument("--inputs", type=int, default=1_000_000)
-    parser.add_argument("--seconds", type=float, default=math.inf, help="time after which no further input comes")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="time after which no further input is made")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder for inputs that fail")
     options = parser.parse_args()

@@ -1,9 +1,9 @@
-"""How fast the node graph answers: lockstep cycles per second, realtime latency, beside an empty rclpy echo.
+"""Speed of the node graph: lockstep cycles per second and realtime latency, compared with an empty rclpy echo.
 
 usage: graph_timing.py [--lockstep-seconds 10] [--realtime-seconds 30] [--rounds 5]
 
-All nodes are processes of their own, over Fast DDS on this host. The echo is the floor: two processes, one small
-message there and back, rclpy's own events executor, reliable; its round trip has two hops where a cycle has three.
+Each node is a process, over Fast DDS on this host. The echo is the lower bound: the round trip of one small, reliable message
+between two processes with rclpy's events executor. It has two hops, a cycle has three.
 """
 
 import argparse
@@ -35,7 +35,7 @@ ECHOES = 5000
 
 
 def run(spec: Spec, timing: str) -> tuple[Trajectory, float]:
-    """Run the graph once and return what it recorded and the wall time of its cycles [s]."""
+    """Run the graph once and return its recording and the wall time of its cycles [s]."""
     with tempfile.TemporaryDirectory() as folder:
         run_folder = RunFolder.create(Path(folder) / "run", "benchmark", overwrite=True)
         run_folder.write_spec(spec)
@@ -49,7 +49,7 @@ def percentiles(seconds: np.ndarray) -> str:
 
 
 def answer_echoes(priority: int = 0) -> None:
-    """Send back whatever comes, until SIGINT, at a realtime priority where one is given."""
+    """Send back every message until SIGINT, at a realtime priority if given."""
     stopping = [False]
     signal.signal(signal.SIGINT, lambda *_: stopping.__setitem__(0, True))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

@@ -1,9 +1,9 @@
-"""Files made to hang a reader or to fill its memory: what each is answered with, after what time and with how much memory.
+"""Files made to hang a reader or exhaust its memory: the answer to each, and the time and memory it takes.
 
 python benchmarks/hostile_inputs.py
 
-Each is read in a process of its own. The time is the processor's, of that process and of those it starts; the memory the
-largest resident set of any of them. A process that has only imported the readers is the first line.
+Each is read in a process of its own. Time is processor time, of that process and its children; memory is the
+largest resident set of any of them. The first line is a process that only imports the readers.
 """
 
 import json
@@ -43,19 +43,19 @@ if find_spec("pyarrow"):
 MB = 10**6
 
 PATIENCE = 120.0
-"""Time after which a reader counts as hanging [s]."""
+"""Time after which a reader counts as hung [s]."""
 
 HEADER = "| input | answer | processor time [s] | wall time [s] | peak memory [MB] |\n|---|---|---|---|---|"
 
 
 class Answer(NamedTuple):
-    """What came of an input.
+    """Outcome of an input.
 
     Attributes:
-        line: what the user is told, or that the file was taken.
+        line: the error message, or that the file was accepted.
         refused: whether it was refused in one line.
-        processor_s: time of the processor [s].
-        wall_s: time on the wall [s].
+        processor_s: processor time [s].
+        wall_s: wall time [s].
         memory_mb: largest resident set [MB].
     """
 
@@ -67,7 +67,7 @@ class Answer(NamedTuple):
 
 
 def read(path: Path) -> None:
-    """Read a file as `ehls` does: YAML as a rig, or as a spec where its name says so, all else as data."""
+    """Read a file as `ehls` does: YAML as a rig, or as a spec if it is named so; everything else as data."""
     if path.suffix == ".yaml":
         (load_spec if path.stem == "spec" else load_rig)(path)
     else:
@@ -91,7 +91,7 @@ def ask(path: Path | None) -> Answer:
 
 
 def read_and_tell(path: str) -> None:
-    """Read a file in this process and print what came of it."""
+    """Read a file in this process and print the outcome."""
     line, refused = "taken", False
     try:
         if path:
@@ -100,7 +100,7 @@ def read_and_tell(path: str) -> None:
         line, refused = str(error).replace(str(Path(path).parent) + "/", ""), True
     usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     used = sum(usage.ru_utime + usage.ru_stime for usage in usages)
-    # What getrusage says of this process began with what started it.
+    # getrusage's peak memory of this process includes its parent's before exec.
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     memory = max(int(status["VmHWM"].split()[0]), usages[1].ru_maxrss) / 1000
     print(json.dumps({"line": line, "refused": refused, "processor_s": used, "memory_mb": memory}))
@@ -110,14 +110,14 @@ def read_and_tell(path: str) -> None:
 
 
 def one_line(folder: Path) -> Path:
-    """A CSV file of 100 MB without a line's end."""
+    """A CSV file of 100 MB without a line break."""
     file = folder / "one_line.csv"
     file.write_text("time_s,force_n," + "1," * (50 * MB))
     return file
 
 
 def one_line_of_data(folder: Path) -> Path:
-    """A CSV file with a header, and 100 MB without a line's end."""
+    """A CSV file with a header and 100 MB without a line break."""
     file = folder / "one_row.csv"
     file.write_text("time_s,force_n\n" + "1," * (50 * MB))
     return file
@@ -131,7 +131,7 @@ def one_cell(folder: Path) -> Path:
 
 
 def one_number(folder: Path) -> Path:
-    """A CSV file with numbers of a quarter of a million digits."""
+    """A CSV file with numbers of 250 000 digits."""
     file = folder / "digits.csv"
     file.write_text("time_s,force_n\n" + "".join(f"{k},{'9' * 262_000}\n" for k in range(100)))
     return file
@@ -160,7 +160,7 @@ def infinite(folder: Path) -> Path:
 
 
 def sparse(folder: Path) -> Path:
-    """A CSV file of 20 GB, none of which is on the disk."""
+    """A sparse CSV file of 20 GB."""
     file = folder / "sparse.csv"
     with file.open("wb") as stream:
         stream.truncate(20 * 10**9)
@@ -168,18 +168,18 @@ def sparse(folder: Path) -> Path:
 
 
 def nulls(folder: Path) -> Path:
-    """A CSV file of 1 GB of nulls, none of which is on the disk."""
+    """A sparse CSV file of 1 GB of null bytes."""
     file = folder / "nulls.csv"
     with file.open("wb") as stream:
         stream.truncate(10**9)
     return file
 
 
-# What is no file
+# Not regular files
 
 
 def pipe(suffix: str) -> Callable[[Path], Path]:
-    """A pipe that nobody writes to."""
+    """A pipe without a writer."""
 
     def make(folder: Path) -> Path:
         file = folder / f"pipe{suffix}"
@@ -225,7 +225,7 @@ def pipe_in_a_bag(folder: Path) -> Path:
 
 
 def pipe_of_another_name(folder: Path) -> Path:
-    """A bag whose metadata name a pipe that does not look like a storage file."""
+    """A bag whose metadata name a pipe without a storage file's suffix."""
     bag = bag_of(folder, 3, "mcap")
     os.mkfifo(bag / "data")
     metadata = bag / "metadata.yaml"
@@ -237,7 +237,7 @@ def pipe_of_another_name(folder: Path) -> Path:
 
 
 def aliases(folder: Path) -> Path:
-    """A rig file that unfolds to 10^9 texts."""
+    """A rig file that expands to 10^9 strings."""
     file = folder / "laughs.yaml"
     lines = ["a: &a [x, x, x, x, x, x, x, x, x, x]"]
     lines += [
@@ -285,7 +285,7 @@ def long_reference(folder: Path) -> Path:
 
 
 def bag_of(folder: Path, messages: int, storage: Any, frame: Callable[[int], str] = lambda _: "rig") -> Path:
-    """Return a bag of snapshots, each with its frame's name."""
+    """Return a bag of snapshots with the given frame names."""
     fields = flatten(typestore().fielddefs, LOADER_STATE.type)
     writer = BagWriter.create(folder / "bag", storage, topics=[LOADER_STATE])
     for k in range(messages):
@@ -352,7 +352,7 @@ def many_topics(folder: Path) -> Path:
 
 
 def many_lengths(storage: str) -> Callable[[Path], Path]:
-    """A bag whose messages all have names of other lengths."""
+    """A bag whose frame names all differ in length."""
 
     def make(folder: Path) -> Path:
         return bag_of(folder, 20_000, storage, lambda k: "x" * (k % 5000))
@@ -364,7 +364,7 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
 def mcap(folder: Path, data: bytes, summary: bytes) -> Path:
-    """Put an mcap file together of its data and its summary."""
+    """Assemble an mcap file from data and summary."""
 
     def record(kind: int, content: bytes) -> bytes:
         return struct.pack("<BQ", kind, len(content)) + content
@@ -413,19 +413,19 @@ def many_records(folder: Path) -> Path:
 
 
 def mat(folder: Path, name: str, content: bytes) -> Path:
-    """Put a MAT file together."""
+    """Assemble a MAT file."""
     file = folder / name
     file.write_bytes(b"MATLAB 5.0 MAT-file".ljust(116) + bytes(8) + struct.pack("<H2s", 0x0100, b"IM") + content)
     return file
 
 
 def element(kind: int, content: bytes, size: int | None = None) -> bytes:
-    """Return an element of a MAT file, which may say another size than it has."""
+    """Return an element of a MAT file, whose stated size may be wrong."""
     return struct.pack("<II", kind, len(content) if size is None else size) + content + bytes(-len(content) % 8)
 
 
 def array_head(kind: int, shape: tuple[int, ...], name: bytes = b"time_s") -> bytes:
-    """Return what an array of a MAT file begins with: flags, shape and name."""
+    """Return the head of an array of a MAT file: flags, shape and name."""
     dimensions = struct.pack(f"<{len(shape)}i", *shape)
     return element(6, struct.pack("<II", kind, 0)) + element(5, dimensions) + element(1, name)
 
@@ -437,7 +437,7 @@ def expanding_array(folder: Path) -> Path:
     compressor = zlib.compressobj()
     begin = compressor.compress(struct.pack("<II", 14, len(head) + size) + head) + compressor.flush(zlib.Z_FULL_FLUSH)
     piece = compressor.compress(bytes(MB)) + compressor.flush(zlib.Z_FULL_FLUSH)
-    # Pieces between full flushes do not depend on each other.
+    # Pieces between full flushes are independent.
     return mat(folder, "expanding.mat", element(15, begin + piece * (size // MB) + compressor.flush()))
 
 
@@ -458,7 +458,7 @@ def huge_structure(folder: Path) -> Path:
 
 
 def nested_cells(folder: Path) -> Path:
-    """A MAT file of cells within each other, 200 thousand deep."""
+    """A MAT file of cells nested 200 000 deep."""
     head, depth = array_head(1, (1, 1), b""), 200_000
     step = len(head) + 8
     content = b"".join(struct.pack("<II", 14, len(head) + step * (depth - k)) + head for k in range(depth))
@@ -472,7 +472,7 @@ def many_variables(folder: Path) -> Path:
 
 
 def huge_old_matrix(folder: Path) -> Path:
-    """A MAT file of version 4 that says it has 10^9 numbers."""
+    """A MAT file of version 4 that claims 10^9 numbers."""
     file = folder / "old.mat"
     file.write_bytes(struct.pack("<5i", 0, 10**9, 1, 0, 7) + b"time_s\0" + bytes(100))
     return file
@@ -489,7 +489,7 @@ def old_sparse_matrix(folder: Path) -> Path:
 
 
 def parquet(name: str, groups: int, **columns: Any) -> Callable[[Path], Path]:
-    """A Parquet file that repeats some columns."""
+    """A Parquet file that repeats columns."""
 
     def make(folder: Path) -> Path:
         table = pa.table({key: column() for key, column in columns.items()})
@@ -564,17 +564,17 @@ MATS: Mapping[str, Callable[[Path], Path]] = {
 
 
 def times(rows: int) -> Callable[[], Any]:
-    """Return what makes a column of so many times."""
+    """Return a maker of a column of times."""
     return lambda: np.arange(rows) / 1000.0
 
 
 def still(rows: int) -> Callable[[], Any]:
-    """Return what makes a column in which nothing moves."""
+    """Return a maker of a constant column."""
     return lambda: np.zeros(rows)
 
 
 def texts(rows: int) -> Callable[[], Any]:
-    """Return what makes a column of one long text, again and again."""
+    """Return a maker of a column that repeats one long text."""
 
     def make() -> Any:
         return pa.DictionaryArray.from_arrays(np.zeros(rows, np.int32), ["x" * MB])
@@ -598,7 +598,7 @@ INPUTS: Mapping[str, Callable[[Path], Path]] = {
     **MATS,
     **(PARQUETS if find_spec("pyarrow") else {}),
 }
-"""What is read, by what it is."""
+"""Makers of the inputs by name."""
 
 
 def row(name: str, answer: Answer) -> str:

@@ -1,8 +1,8 @@
-"""The compiled kernel of the paper's rig against the same scheme written in C.
+"""The compiled kernel of the paper's rig, compared with the same scheme written in C.
 
-Both run the same motion, a large sine of the spool with the disturbance fd2 of the paper, mostly slipping with some
-reversals, with a command each millisecond; and, in one call, the motion under a command held. Runs of all contestants
-are interleaved, so that whatever else the machine does falls on all alike.
+Both run the same motion, a large sine of the spool with the paper's disturbance fd2, mostly slipping with some reversals, with
+one command per millisecond; and, in a single call, a motion under a constant command. All runs are interleaved, so that other
+work on the machine affects all alike.
 """
 
 import argparse
@@ -36,7 +36,7 @@ MARK = 1.1
 
 
 class Motion(NamedTuple):
-    """A motion both sides run: inputs a call, shape (calls, 4), as the plant's first inputs; and steps a call."""
+    """A motion both sides run: the plant's first inputs per call, shape (calls, 4), and the steps per call."""
 
     name: str
     inputs: Array
@@ -44,7 +44,7 @@ class Motion(NamedTuple):
 
 
 def motions(duration: float) -> list[Motion]:
-    """Return the motion commanded each cycle, and one under a command held."""
+    """Return the motion with a command per cycle, and the one under a constant command."""
     t = np.arange(round(duration / PERIOD)) * PERIOD
     omega = 2.0 * np.pi
     commands = np.column_stack(
@@ -58,7 +58,7 @@ def motions(duration: float) -> list[Motion]:
 
 
 class NumbaKernel:
-    """The package's kernel, called from compiled code as the loop in one process calls it."""
+    """The package's kernel, called from compiled code as in the in-process loop."""
 
     def __init__(self, rig: Rig) -> None:
         """Compile."""
@@ -80,14 +80,14 @@ class NumbaKernel:
         self._run = run
 
     def run(self, motion: Motion) -> int:
-        """Run a motion from where the state is."""
+        """Run a motion from the present state."""
         arguments = (self.y, self.mode, self._rest, motion.inputs, DEFAULT_STEP, motion.steps, self._work)
         dense: int = self._run(*arguments)
         return dense
 
 
 class CKernel:
-    """The twin."""
+    """The C version."""
 
     def __init__(self, rig: Rig, command: tuple[str, ...], folder: Path) -> None:
         """Compile with a command and load."""
@@ -99,7 +99,7 @@ class CKernel:
         self._friction = np.hstack([np.atleast_1d(value) for value in rig.friction])
 
     def run(self, motion: Motion) -> int:
-        """Run a motion from where the state is."""
+        """Run a motion from the present state."""
         arrays = (self.y, self.mode, self._plant, self._friction, self.inputs, motion.inputs)
         pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in arrays]
         dense: int = self._function(
@@ -109,13 +109,13 @@ class CKernel:
 
 
 def at_rest(kernel: Any) -> None:
-    """Set the state of a kernel back to rest."""
+    """Reset the state of a kernel to rest."""
     kernel.y[:], kernel.mode[:] = 0.0, 0.0
     kernel.mode[0] = 1.0
 
 
 def deviation(kernel: Any, other: Any, motion: Motion) -> float:
-    """Return how far apart two kernels end each cycle of a motion, relative to each state's range."""
+    """Return the difference of two kernels at the end of each cycle, relative to each state's range."""
     tracks: list[Array] = []
     for contestant in (kernel, other):
         at_rest(contestant)
@@ -128,7 +128,7 @@ def deviation(kernel: Any, other: Any, motion: Motion) -> float:
 
 
 def timed(work: Callable[[Motion], int], motion: Motion) -> float:
-    """Return how long a run takes [s]."""
+    """Return the duration of a run [s]."""
     before = time.perf_counter()
     work(motion)
     return time.perf_counter() - before
@@ -167,7 +167,7 @@ def main() -> None:
                     f"{name:30}{np.median(times[name]):9.1f}{middle:9.3f}{f'{low:.3f}-{high:.3f}':>16}"
                     f"{deviation(ours, twin, motion):12.1e}"
                 )
-        print(f"\nmark: {MARK} x")
+        print(f"\ntarget: {MARK} x")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
-"""How accurate and how fast the plant is, against an independent solution.
+"""Accuracy and speed of the plant, compared with an independent solution.
 
-The other solution, test/physics/reference_solver.py, shares no code with the package: scipy's DOP853 at a relative
-tolerance of 1e-12, started afresh at every change of mode. The rows DOP853 are the same at looser tolerances: how near it
-is itself to the truth, and how fast.
+The reference, test/physics/reference_solver.py, shares no code with the package: scipy's DOP853 at a relative tolerance of
+1e-12, restarted at every change of mode. The rows DOP853 show its accuracy and speed at looser tolerances.
 """
 
 import argparse
@@ -79,7 +78,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--duration", type=float, default=2.0, help="plant time of a case [s], at most 2")
-    parser.add_argument("--runs", type=int, default=31, help="timings a median is taken of")
+    parser.add_argument("--runs", type=int, default=31, help="timings per median")
     options = parser.parse_args()
     print(f"{platform.machine()}, python {platform.python_version()}, numba {numba.__version__}, scipy {scipy.__version__}")
     print("ns/step and x real time of the kernel; 'from Python': called once a cycle of 1 ms; errors relative to each range")

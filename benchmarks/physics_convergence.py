@@ -1,10 +1,10 @@
-"""From which study the default integration step is chosen.
+"""The study behind the default integration step.
 
-1. Order: error in force over steps, with the events located and with modes changed at the ends of steps only, for the
-   paper's Stribeck exponent and for 2. A Stribeck curve with |v|^0.8764 has no derivative at v = 0: the error of a step
-   that slips toward a reversal is of order h^1.8764 there, whatever the method, and takes over at small steps.
-2. Closed loop: the force of config/experiments/sine_fd2.yaml against the same at the smallest step.
-3. Halving: by how much half the step changes the steady max error of constant and sine with fd1 and fd2.
+1. Order: force error over the step, with located events and with mode changes at the ends of steps only, for the paper's
+   Stribeck exponent and for 2. A Stribeck curve with |v|^0.8764 is not differentiable at v = 0: the error of a step that slips
+   toward a reversal is of order h^1.8764 there, for any method, and dominates at small steps.
+2. Closed loop: force of config/experiments/sine_fd2.yaml, compared with the smallest step.
+3. Halving: change of the steady max error of constant and sine with fd1 and fd2 at half the step.
 4. Stability: the largest step at which LuGre, whose bristle relaxes at sigma0 |v|/s(v), stays bounded at the velocity limit.
 """
 
@@ -52,7 +52,7 @@ SMALL = Motion(1.5e-5, 2.0, 0.0, 1.0)
 
 
 def rig(model: str = "gms", exponent: float | None = None) -> Rig:
-    """Return the paper's rig, with another friction model or Stribeck exponent."""
+    """Return the paper's rig with a given friction model and Stribeck exponent."""
     data = yaml.safe_load((ROOT / "config" / "rig_paper.yaml").read_text(encoding="utf-8"))
     data["friction"]["model"] = model
     if exponent is not None:
@@ -122,8 +122,8 @@ def print_closed_loop(spec: Spec) -> None:
     exact = closed_loop(spec, FINEST)
     half = len(exact) // 2
     print(f"2. {spec.settings.title}: difference in force [N] to a step of {FINEST:g} s, {spec.settings.duration:g} s")
-    print("   a step above the control period is cut down to it, so 1e-3 s is the coarsest there is\n")
-    print(f"{'step [s]':>12}{'whole run':>12}{'last half':>12}")
+    print("   the step is limited to the control period, so 1e-3 s is the coarsest\n")
+    print(f"{'step [s]':>12}{'full run':>12}{'last half':>12}")
     for step in STEPS:
         difference = np.abs(closed_loop(spec, step) - exact)
         print(f"{step:12.3g}{difference.max():12.2e}{difference[half:].max():12.2e}")
@@ -132,7 +132,7 @@ def print_closed_loop(spec: Spec) -> None:
 
 def print_halving(spec: Spec) -> None:
     """Print the steady max errors at a step and at half of it."""
-    print("3. Steady max error [N] (last half) and what half the step changes of it\n")
+    print("3. Steady max error [N] (last half) and its change at half the step\n")
     print(f"{'case':>16}" + "".join(f"{f'{step:.3g} s':>14}{'half: %':>9}" for step in STEPS[:6]))
     for reference in ({"name": "constant", "value": 1e4}, {"name": "sine", "amplitude": 1e4, "frequency": 0.5}):
         for name, signal in (("fd1", (2e3, 0.25)), ("fd2", (5e3, 1.0))):
@@ -154,9 +154,9 @@ def print_halving(spec: Spec) -> None:
 
 
 def bristle_grows(step: float, velocity: float) -> bool:
-    """Return whether the bristle of LuGre, at a velocity held, leaves its steady force."""
+    """Return whether LuGre's bristle departs from its steady force at a constant velocity."""
     plant = rig("lugre")
-    # A mass and a leak so large that neither velocity nor pressure moves.
+    # Mass and leakage are so large that velocity and pressure stay constant.
     plant = plant._replace(plant=plant.plant._replace(moving_mass=1e15, gravity=0.0, leakage_coefficient=0.0))
     simulator = Simulator(plant, PERIOD, step)
     simulator.y[1] = velocity

@@ -1,10 +1,10 @@
-"""What the nodes of a realtime graph take from the rest of the machine: memory, page faults, and processors when overloaded.
+"""Load of a realtime graph on the rest of the machine: memory, page faults, and processors when overloaded.
 
 usage: realtime_citizens.py [--seconds 60] [--priority 10] [--skip-share]
 
-First the five nodes of the simulated rig run at SCHED_FIFO: locked and resident memory of each, and the page faults of its loop
-and of its process a second. Then as many overloaded nodes as there are processors, whose loops never rest, beside one
-ordinary busy process on each: what part of its processor that gets, with `processor_share` off and on.
+First, the five nodes of the simulated rig run at SCHED_FIFO: locked and resident memory of each, and page faults per second of
+its loop and its process. Then one overloaded node per processor, whose loop never rests, beside one normal busy process each:
+the share of the processor that process gets, with `processor_share` off and on.
 """
 
 import argparse
@@ -23,24 +23,24 @@ from ehls_ros.nodes.control import ControlNode, run_node
 from ehls_ros.nodes.graph import RECORDER, SIMULATED, graph_environment, node_parameters, node_processes
 
 WARM_UP = 15.0
-"""Time for nodes to come up, load their kernels and fill their queues [s]."""
+"""Time for nodes to start, load their kernels and fill their queues [s]."""
 
 OVERLOAD = 0.005
-"""Time an overloaded loop takes for each turn [s]."""
+"""Duration of one turn of an overloaded loop [s]."""
 
 
 class OverloadedNode(ControlNode):
-    """Works all the time."""
+    """A node whose loop never rests."""
 
     def __init__(self) -> None:
-        """Take the name of this process, so that several do not share one."""
+        """Name the node after its process id, so that names are unique."""
         super().__init__(f"overloaded_{os.getpid()}")
 
     def prepare(self) -> None:
-        """Need nothing."""
+        """Nothing to prepare."""
 
     def once(self) -> None:
-        """Work without a rest."""
+        """Work without pause."""
         end = time.monotonic() + OVERLOAD
         while time.monotonic() < end:
             pass
@@ -80,7 +80,7 @@ def show_memory(seconds: float, priority: int) -> None:
 
 
 def show_share(seconds: float, priority: int, share: float) -> None:
-    """Run overloaded nodes beside ordinary work and print what that got."""
+    """Run overloaded nodes beside normal work and print the shares of both."""
     processors = sorted(os.sched_getaffinity(0))
     arguments = ["--ros-args", "-p", f"priority:={priority}", "-p", f"processor_share:={share}"]
     nodes = [
@@ -98,7 +98,7 @@ def show_share(seconds: float, priority: int, share: float) -> None:
         elapsed = time.monotonic() - start
         parts = [f"{100 * (busy(process.pid) - then) / elapsed:.0f} %" for process, then in zip(watched, before, strict=True)]
         own, theirs = ", ".join(parts[: len(ordinary)]), ", ".join(parts[len(ordinary) :])
-        print(f"processor_share {share}: of a processor, ordinary work got {own}, the overloaded nodes {theirs}", flush=True)
+        print(f"processor_share {share}: normal work got {own} of a processor, the overloaded nodes {theirs}", flush=True)
     finally:
         for process in (*nodes, *ordinary):
             process.terminate()

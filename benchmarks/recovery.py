@@ -1,11 +1,11 @@
-"""Damaged bags: what `ehls recover` makes of them, beside what was recorded.
+"""Damaged bags: result of `ehls recover`, compared with what was recorded.
 
 usage: recovery.py [--truncations 200] [--flips 200] [--notes 30] [--cycles 400] [--seed 1]
 
-A recorder is killed; of what it leaves a file is cut, or a bit of it flipped, or the note edited. The truth is the list of the
-messages that were written, and where in the intact file each of them stands: nothing of it comes from the recovery. Two columns
-tell of sound messages that were lost: beyond the one that is damaged itself, and beyond the chunk of mcap or the page of SQLite
-it is in. `wrong` are recovered messages that were never written; `told wrong` are bags of which a wrong loss is told.
+A recorder is killed; then its file is truncated, a bit of it flipped, or the note edited. The truth is the list of the messages
+written and their places in the intact file, independent of the recovery. Two columns count intact messages that were lost:
+outside the damaged message, and outside the damaged mcap chunk or SQLite page. `wrong` are recovered messages that were never
+written; `wrong losses` are bags with a wrong report of losses.
 """
 
 import argparse
@@ -40,22 +40,22 @@ from ehls_ros.trajectory import SIGNALS, Trajectory
 STORAGES: tuple[Storage, ...] = ("mcap", "sqlite3")
 START_NS = 1_700_000_000 * 10**9
 FLUSHES = 6
-"""How often the recorder flushes before it is killed."""
+"""Flushes before the recorder is killed."""
 
 UNFLUSHED = 0.1
-"""Part of the messages that the recorder does not live to flush."""
+"""Fraction of the messages written after the last flush."""
 
 SNAPSHOTS = "/ehls/loader_state"
 
 FAST = Path("/dev/shm") if Path("/dev/shm").is_dir() else None  # noqa: S108 - a folder of its own in it, if there is one
-"""Where the bags are kept, so that not the disk is measured."""
+"""Folder of the bags in memory, so that the disk is not measured."""
 
 Message = tuple[str, int, bytes]
-"""Full name of the topic, time of sending [ns], and the message as CDR."""
+"""Full topic name, sending time [ns], and the message as CDR."""
 
 
 class Place(NamedTuple):
-    """Where a message stands in the intact file: its own bytes, and those of the chunk or page it is in."""
+    """Place of a message in the intact file: its own bytes, and those of its chunk or page."""
 
     message: Message
     start: int
@@ -65,7 +65,7 @@ class Place(NamedTuple):
 
 
 class Left(NamedTuple):
-    """What a killed recorder leaves, and what is known of it."""
+    """What a killed recorder leaves, and the truth about it."""
 
     folder: Path
     storage: Storage
@@ -76,7 +76,7 @@ class Left(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What became of one damaged bag."""
+    """Result for one damaged bag."""
 
     refused: bool
     recovered: int
@@ -89,7 +89,7 @@ class Outcome(NamedTuple):
 
 
 def messages(cycles: int, seed: int) -> list[tuple[str, int, bytes]]:
-    """Return what a graph sends in some cycles: topic as the writer names it, time of sending, and message; in order."""
+    """Return the messages of a graph over some cycles: the writer's topic name, sending time, and message, in order."""
     draw = np.random.default_rng(seed)
     signals = {name: draw.normal(size=cycles) for name in SIGNALS}
     signals["friction_elements_n"] = draw.normal(size=(cycles, 4))
@@ -126,7 +126,7 @@ def record_and_die(folder: Path, storage: Storage, sent: Sequence[tuple[str, int
 
 
 def left_behind(folder: Path, storage: Storage, cycles: int, seed: int) -> Left:
-    """Return what a recorder leaves that is killed."""
+    """Return what a killed recorder leaves."""
     sent = messages(cycles, seed)
     record_and_die(folder, storage, sent)
     last = int((1 - UNFLUSHED) * len(sent))
@@ -170,13 +170,13 @@ def in_sqlite(content: bytes, written: Sequence[Message]) -> list[Place]:
 
 
 def resealed(note: Any) -> Any:
-    """Return a note with the checksum that belongs to it, by the documented form of the note."""
+    """Return a note with a valid checksum, following the note's documented format."""
     digest = int.from_bytes(blake2b(json.dumps(note["flushed"]).encode(), digest_size=8).digest(), "little")
     return {**note, "checksum": f"blake2b-{digest:016x}"}
 
 
 def edited(draw: random.Random, bag: Path, file: str) -> str:
-    """Edit a bag's note, rename its folder or its file; return what was done."""
+    """Edit a bag's note, or rename its folder or file; return the change."""
     path = bag / NOTE
     whole = json.loads(path.read_bytes())
     topic = draw.choice(list(whole["flushed"]))
@@ -219,14 +219,14 @@ def flipped(path: Path, bit: int) -> None:
 
 
 def judged(left: Left, bag: Path, intact: Callable[[Place], bool], beyond: Callable[[Place], bool], *, told: bool) -> Outcome:
-    """Recover a bag and compare with what was written.
+    """Recover a bag and compare it with what was written.
 
     Args:
-        left: what the bag was before it was damaged.
-        bag: the damaged one.
-        intact: whether a message's own bytes are as they were.
-        beyond: whether those of the chunk or page it is in are.
-        told: whether what is there tells how many messages there were.
+        left: the bag before the damage.
+        bag: the damaged bag.
+        intact: whether a message's own bytes are unchanged.
+        beyond: whether its chunk or page is unchanged.
+        told: whether the bag still tells how many messages it had.
     """
     out = bag.with_name("out")
     began = time.process_time()
@@ -242,7 +242,7 @@ def judged(left: Left, bag: Path, intact: Callable[[Place], bool], beyond: Calla
             unreadable = not len(read_bag(out))
             with Reader(out) as reader:
                 found.update((connection.topic, stamp_ns, data) for connection, stamp_ns, data in reader.messages())
-        except Exception:  # noqa: BLE001 - whatever it is, it cannot be read
+        except Exception:  # noqa: BLE001 - any exception means unreadable
             unreadable = True
     sound = [place for place in left.places if intact(place)]
     # Without a snapshot there is no run.
@@ -264,14 +264,14 @@ def judged(left: Left, bag: Path, intact: Callable[[Place], bool], beyond: Calla
 
 
 def truncated(draw: random.Random, left: Left, bag: Path) -> Outcome:
-    """Cut the storage file somewhere and see."""
+    """Truncate the storage file at random and recover it."""
     size = draw.randrange((bag / left.file).stat().st_size)
     os.truncate(bag / left.file, size)
     return judged(left, bag, lambda place: place.end <= size, lambda place: place.unit_end <= size, told=True)
 
 
 def bit_flipped(draw: random.Random, left: Left, bag: Path) -> Outcome:
-    """Flip a bit of the storage file and see."""
+    """Flip a random bit of the storage file and recover it."""
     bit = draw.randrange(8 * (bag / left.file).stat().st_size)
     flipped(bag / left.file, bit)
     at = bit // 8
@@ -285,7 +285,7 @@ def bit_flipped(draw: random.Random, left: Left, bag: Path) -> Outcome:
 
 
 def note_edited(draw: random.Random, left: Left, bag: Path) -> Outcome:
-    """Edit the note and see."""
+    """Edit the note and recover the bag."""
     what = edited(draw, bag, left.file)
     told = "huge" not in what and "1e" not in what
     return judged(left, bag if bag.exists() else bag.with_name("renamed"), lambda _: True, lambda _: True, told=told)
@@ -299,8 +299,8 @@ TRIALS: dict[str, Callable[[random.Random, Left, Path], Outcome]] = {
 
 
 def tried(left: Left, kind: str, trials: int, seed: int) -> list[Outcome]:
-    """Damage a bag many times, each time anew."""
-    draw = random.Random(f"{seed} {kind}")  # noqa: S311 - it draws damage
+    """Damage fresh copies of a bag many times."""
+    draw = random.Random(f"{seed} {kind}")  # noqa: S311 - random damage
     outcomes = []
     for _ in range(trials):
         with tempfile.TemporaryDirectory(dir=FAST) as folder:
@@ -311,7 +311,7 @@ def tried(left: Left, kind: str, trials: int, seed: int) -> list[Outcome]:
 
 
 def writers_time(storage: Storage, cycles: int, seed: int) -> tuple[float, float]:
-    """Return the time of the processor for one message, flushes within, and for one flush, at the best of five [s]."""
+    """Return the processor time per message, including flushes, and per flush; the best of five [s]."""
     sent, best, flush = messages(cycles, seed), np.inf, np.inf
     every = len(sent) // FLUSHES
     for _ in range(5):
@@ -334,17 +334,17 @@ COLUMNS = (
     "trials",
     "refused",
     "recovered (median)",
-    "sound lost",
-    "beyond unit",
+    "intact lost",
+    "outside chunk or page",
     "wrong",
     "unreadable",
-    "told wrong",
-    "slowest [s of the processor]",
+    "wrong losses",
+    "slowest [processor s]",
 )
 
 
 def row(outcomes: Sequence[Outcome]) -> list[float]:
-    """Sum up."""
+    """Return a row of the table."""
     return [
         len(outcomes),
         sum(outcome.refused for outcome in outcomes),
@@ -376,8 +376,8 @@ def main() -> None:
                 print("|", " | ".join([storage, kind, *(f"{figure:.4g}" for figure in row(outcomes))]), "|", flush=True)
     for storage in STORAGES:
         message, flush = writers_time(storage, options.cycles, options.seed)
-        per_message, per_flush = f"{message * 1e6:.2f} µs a message with flushes", f"{flush * 1e3:.2f} ms a flush"
-        print(f"writing to {storage}, time of the processor: {per_message}, {per_flush}")
+        per_message, per_flush = f"{message * 1e6:.2f} µs per message with flushes", f"{flush * 1e3:.2f} ms per flush"
+        print(f"writing to {storage}, processor time: {per_message}, {per_flush}")
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
 usage: soak.py [--hours 1] [--plant sim|bridge] [--timing lockstep|realtime]
 
-Runs the graph with the recorder on the 10 kN sine, behind the bridge against an emulated rig by default, and takes the memory
-of every process each ten seconds. The bag is removed at the end.
+Runs the graph and the recorder with the 10 kN sine, by default through the bridge on an emulated rig, and samples the memory of
+every process every ten seconds. The bag is removed at the end.
 """
 
 import argparse
@@ -25,11 +25,11 @@ from ehls_ros.nodes.graph import Plant, run_graph
 
 INTERVAL = 10.0
 WARM_UP = 60.0
-"""Time before memory is compared: caches and queues fill [s]."""
+"""Start of the comparison: until then caches and queues fill [s]."""
 
 
 def memory_of_children() -> dict[str, float]:
-    """Return the resident memory of each process started by this one, by its name [MiB]."""
+    """Return the resident memory of each child process by name [MiB]."""
     found = {}
     for status in Path("/proc").glob("[0-9]*/status"):
         try:
@@ -47,7 +47,7 @@ class Watch(threading.Thread):
     """Samples memory until told to stop."""
 
     def __init__(self) -> None:
-        """Start with nothing seen."""
+        """Start without samples."""
         super().__init__(daemon=True)
         self.samples: list[tuple[float, dict[str, float]]] = []
         self.stopped = threading.Event()
@@ -59,7 +59,7 @@ class Watch(threading.Thread):
             self.samples.append((time.monotonic() - start, memory_of_children()))
 
     def table(self) -> None:
-        """Print a line for each process: first, last, largest, and the slope of a straight line."""
+        """Print a line for each process: first, last, largest, and the slope of a linear fit."""
         print("process                          first     last  largest [MiB]   growth [MiB/h]")
         for name in sorted({name for _, sample in self.samples for name in sample}):
             rows = np.array([(when, sample[name]) for when, sample in self.samples if name in sample and when > WARM_UP])
@@ -73,7 +73,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hours", type=float, default=1.0, help="plant time")
-    parser.add_argument("--plant", choices=("sim", "bridge"), default="bridge", help="what stands for the rig")
+    parser.add_argument("--plant", choices=("sim", "bridge"), default="bridge", help="simulated rig or bridge")
     parser.add_argument("--timing", choices=("lockstep", "realtime"), default="lockstep", help="timing mode")
     options = parser.parse_args()
     path = config_folder() / "experiments" / "measured_sine_fd1.yaml"
@@ -105,7 +105,7 @@ def main() -> None:
         if emulator is not None:
             emulator.send_signal(signal.SIGINT)
             emulator.wait(20)
-    print(f"{spec.cycles} cycles in {wall:.0f} s, {spec.cycles / wall:.0f} a second; bag of {size:.0f} MiB")
+    print(f"{spec.cycles} cycles in {wall:.0f} s, {spec.cycles / wall:.0f} per second; bag of {size:.0f} MiB")
     watch.table()
 
 

@@ -1,4 +1,4 @@
-"""Cost of a packet and of a round trip to the emulated rig, and how evenly the emulator wakes at 1 kHz.
+"""Cost of a packet and of a round trip to the emulated rig, and the emulator's wake-up jitter at 1 kHz.
 
 python benchmarks/udp_echo.py --duration 60
 """
@@ -25,7 +25,7 @@ PARTS = (0.5, 0.99, 0.999, 1.0)
 
 
 def packets() -> None:
-    """Print what making and taking apart a packet costs."""
+    """Print the cost of packing and unpacking a packet."""
     packet = Packet(Kind.MEASUREMENT, 7, 9, 41, 40, 5, 0, 0, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
     for name, codec in (("crc", Codec()), ("key", Codec(KEY))):
         data = codec.pack(packet)
@@ -41,7 +41,7 @@ def quantiles(name: str, seconds: np.ndarray) -> None:
 
 
 def clock(duration: float) -> None:
-    """Print how late a thread of this machine that does nothing else wakes: the floor."""
+    """Print the wake-up latency of an otherwise idle thread, the lower bound."""
     late, deadline = [], time.monotonic()
     for _ in range(round(duration / PERIOD)):
         deadline += PERIOD
@@ -51,7 +51,7 @@ def clock(duration: float) -> None:
 
 
 def emulator(duration: float, priority: int) -> None:
-    """Answer each measurement of an emulator at once; print when measurements come and when answers are taken."""
+    """Answer each measurement of an emulator at once; print the times of measurements and answers."""
     bridge = bridge_from_mapping(yaml.safe_load((CONFIG / "bridge_udp.yaml").read_text(encoding="utf-8")), "bridge_udp.yaml")
     arguments = ("--port", "0", "--json", "--duration", str(duration), "--priority", str(priority))
     command = [sys.executable, "-m", "ehls_ros.cli.main", "rig-emulator", *arguments]
@@ -105,7 +105,7 @@ def echo(count: int) -> None:
 def main() -> None:
     """Run everything."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--duration", type=float, default=20.0, help="of the run in real time [s]")
+    parser.add_argument("--duration", type=float, default=20.0, help="length of the realtime run [s]")
     options = parser.parse_args()
     print(f"load {os.getloadavg()[0]:.2f} on {os.cpu_count()} cores")
     packets()

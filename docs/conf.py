@@ -1,7 +1,6 @@
 """The documentation site; `make docs` builds it into build/docs/.
 
-Sphinx, as ROS's rosdoc2 uses, with MyST, so that every page is the Markdown one reads in the repository. The site loads nothing
-from elsewhere.
+Sphinx, as in ROS's rosdoc2, with MyST, so that the pages are the repository's Markdown files. The site loads nothing external.
 """
 
 import sys

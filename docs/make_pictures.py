@@ -1,7 +1,7 @@
-"""Draw the pictures of docs/how_to/tuning.md: `python docs/make_pictures.py`, about a minute.
+"""Draw the plots of docs/how_to/tuning.md: `python docs/make_pictures.py`, about a minute.
 
-One picture a parameter of FASMC: three runs beside each other, and the settled error over the parameter's range with the bound
-(44). The runs hold 10 kN against the paper's large disturbance, all in this process.
+One plot per parameter of FASMC: three runs, and the settled error over the parameter's range with the bound (44). All runs
+apply a constant 10 kN against the paper's large disturbance, in this process.
 """
 
 from collections.abc import Sequence
@@ -21,18 +21,18 @@ FOLDER = Path(__file__).parent / "pictures"
 SPEC = load_spec(Path(__file__).parent.parent / "config" / "experiments" / "constant_fd2.yaml")
 DURATION = 6.0
 SETTLED = 3.0
-"""The error counts as settled from here on [s]."""
+"""Start of the settled part of a run [s]."""
 
 COLOURS = ("#1b6ca8", "#222222", "#c8553d")
 WIDTH, HEIGHT = 760, 300
 PANEL_WIDTH, PANEL_HEIGHT, TOP = 290, 200, 40
 LEFTS = (66, 446)
 FAR_ABOVE = 1e4
-"""Errors above this are drawn at it [N]."""
+"""Upper limit of the error axis; larger errors are drawn there [N]."""
 
 
 class Case(NamedTuple):
-    """One picture: parameter, the three values shown, the range swept, and the stretch of time shown [s]."""
+    """One plot: parameter, the three values shown, the range swept, and the time shown [s]."""
 
     name: str
     shown: tuple[float, float, float]
@@ -88,7 +88,7 @@ def settled_error(trajectory: Trajectory) -> float:
 
 
 def draw(case: Case) -> str:
-    """Return the picture of one parameter as SVG."""
+    """Return the plot of one parameter as SVG."""
     unit = next(d.unit for d in declarations(type(SPEC.controller.parameters)) if d.name == case.name)
     runs = [(value, run(case.name, value)) for value in case.shown]
     values = np.geomspace(*case.sweep, 15)
@@ -162,7 +162,7 @@ def words(x: float, y: float, text: str, colour: str = "#444444", *, anchor: str
 
 
 def svg(parts: Sequence[str]) -> str:
-    """Return the file; white below, for readers in the dark."""
+    """Return the SVG file, with a white background for dark themes."""
     inside = "\n".join(parts)
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" height="{HEIGHT}" '

@@ -1,4 +1,4 @@
-"""What numerical code is written with: the array type and the compiling decorator."""
+"""The array type and the compiling decorator of the numerical code."""
 
 import numpy as np
 from numba import njit
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 kernel = njit(error_model="numpy", forceinline=True)
-"""Compile a per-sample function into whatever compiled function calls it.
+"""Compile a per-sample function and inline it into the compiled function that calls it.
 
-Such a function is not called from Python; :mod:`ehls_ros.physics.composition` makes the entries that are.
+Do not call such a function from Python; :mod:`ehls_ros.physics.composition` makes the callable entry points.
 """

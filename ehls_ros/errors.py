@@ -1,11 +1,11 @@
-"""The two ways work ends early: a user's input was wrong, or the work itself failed."""
+"""The two reasons for work to end early: wrong input, or failure of the work itself."""
 
 LONGEST = 1000
-"""Characters of each part of a line; what is longer is cut in the middle."""
+"""Most characters of each part of a message; longer ones are cut in the middle."""
 
 
 class BadInput(ValueError):
-    """A user's input that cannot be used: one line saying what, where and what was expected.
+    """Unusable input: one line that says what is wrong, where, and what was expected.
 
     The command line prints it and exits with code 2.
     """
@@ -14,8 +14,8 @@ class BadInput(ValueError):
         """Make the one line.
 
         Args:
-            what: the offending thing with its value, such as ``moving_mass is -70``.
-            where: file, section and key it stands in.
+            what: the offending item and its value, such as ``moving_mass is -70``.
+            where: its file, section and key.
             expected: what would have been accepted.
         """
         self.what = _readable(what)
@@ -24,12 +24,12 @@ class BadInput(ValueError):
         super().__init__(f"{self.where}: {self.what}; expected {self.expected}")
 
     def __reduce__(self) -> tuple[type["BadInput"], tuple[str, str, str]]:
-        """Let it travel between processes."""
+        """Support pickling, for worker processes."""
         return BadInput, (self.what, self.where, self.expected)
 
 
 def _readable(text: str) -> str:
-    """Return a text, parts of which may come out of a foreign file, such that it neither breaks the line nor floods it."""
+    """Return a text, which may quote a foreign file, as printable characters of limited length."""
     return _cut("".join(char if char.isprintable() else repr(char)[1:-1] for char in _cut(text)))
 
 
@@ -38,7 +38,7 @@ def _cut(text: str) -> str:
 
 
 class WorkFailed(RuntimeError):
-    """Work that could not be finished though its input was right: one line saying what happened and where to look.
+    """Work that failed although its input was valid: one line that says what happened and where to look.
 
     The command line prints it and exits with code 1.
     """

@@ -1,10 +1,10 @@
-"""A coefficient that was found from data."""
+"""A coefficient estimated from data."""
 
 from typing import NamedTuple
 
 
 class Estimate(NamedTuple):
-    """One coefficient.
+    """An estimated coefficient.
 
     Attributes:
         value: its value.

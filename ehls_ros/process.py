@@ -6,10 +6,10 @@ from typing import NoReturn
 
 
 def end(code: int) -> NoReturn:
-    """End this process now, with everything it printed.
+    """Flush the output and exit at once, without destructors.
 
-    Fast DDS tears its static objects down after Python has gone, against threads of its own that still run; about one
-    exit in thirty then hangs or crashes, long after the work is done. Whoever has closed what it opened skips that.
+    Fast DDS destroys its static objects after Python has finished, while its own threads still run; about one exit in
+    thirty then hangs or crashes. A process that has closed everything it opened can skip that.
 
     Args:
         code: exit code.

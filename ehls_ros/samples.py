@@ -1,4 +1,4 @@
-"""What can be told of a sampled signal by itself: its noise, its outliers, its resolution."""
+"""Properties of a single sampled signal: noise, outliers."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,55 +7,56 @@ from scipy.ndimage import median_filter
 from ehls_ros.arrays import Array
 
 NEIGHBOURS, SIDE = 11, 5
-"""Samples around a sample, and on either side of it, that it is compared with to tell whether it is an outlier."""
+"""Samples around a sample, and on either side of it, with which it is compared to detect an outlier."""
 
 OUTLIER = 6.0
-"""Standard deviations from its neighbours at which a sample is an outlier."""
+"""Deviation from the neighbours above which a sample is an outlier, in standard deviations."""
 
 GAUSS = 1.4826
 """Standard deviation of a normal distribution per median absolute deviation."""
 
 KEPT, KEPT_VARIANCE = 0.98, 0.874
-"""Part of the differences that tell a noise, and the part of a normal distribution's variance that they have."""
+"""Fraction of the smallest differences used to estimate noise, and the fraction of a normal distribution's variance in them."""
 
 Mask = NDArray[np.bool_]
 
 
 def filled(values: Array) -> Array:
-    """Return the signal with straight lines where it is not finite; there must be a finite sample."""
+    """Return the signal with non-finite samples interpolated linearly; at least one sample must be finite."""
     finite = np.isfinite(values)
     return np.where(finite, values, np.interp(np.arange(len(values)), np.flatnonzero(finite), values[finite]))
 
 
 def inliers(values: Array) -> Mask:
-    """Tell which samples are finite and agree with their neighbours, or where the signal moves fast with those of one side."""
+    """Return which samples are finite and agree with their neighbours; in fast motion, with those of one side."""
     finite = np.isfinite(values)
-    whole = filled(values)
-    off = np.abs(whole - median_filter(whole, NEIGHBOURS, mode="nearest"))
-    steps = np.abs(np.diff(whole))
-    usual = max(GAUSS * float(np.median(off)), float(np.median(steps)), 1e-12 * float(np.max(np.abs(whole))))
-    # Where a signal hardly moves against its resolution, the median says nothing: look at what is not zero.
+    gapless = filled(values)
+    off = np.abs(gapless - median_filter(gapless, NEIGHBOURS, mode="nearest"))
+    steps = np.abs(np.diff(gapless))
+    usual = max(GAUSS * float(np.median(off)), float(np.median(steps)), 1e-12 * float(np.max(np.abs(gapless))))
+    # If the signal hardly moves relative to its resolution, the median is zero: use the non-zero deviations.
     moved = off[off > 0.0]
     if moved.size:
         usual = max(usual, float(np.quantile(moved, 0.25)))
-    smooth = median_filter(whole, SIDE, mode="nearest")
+    smooth = median_filter(gapless, SIDE, mode="nearest")
     before, after = _sides(smooth)
-    beside = np.minimum(np.abs(whole - before), np.abs(whole - after))
+    beside = np.minimum(np.abs(gapless - before), np.abs(gapless - after))
     nearby = np.maximum(*_sides(median_filter(np.abs(np.diff(smooth, prepend=smooth[:1])), SIDE, mode="nearest")))
     good: Mask = finite & ((off <= OUTLIER * usual) | (beside <= OUTLIER * np.maximum(usual, nearby)))
     return good
 
 
 def _sides(medians: Array) -> tuple[Array, Array]:
-    """Return, of medians over :data:`SIDE` samples, those just before and just after each sample."""
+    """Return the medians over the :data:`SIDE` samples just before and just after each sample."""
     wide = np.pad(medians, SIDE // 2 + 1, mode="edge")
     return wide[: len(medians)], wide[-len(medians) :]
 
 
 def noise(values: Array) -> float:
-    """Return the standard deviation of white noise from third differences, which a smooth signal has none of.
+    """Return the standard deviation of white noise from the third differences, which vanish for a smooth signal.
 
-    A quantised signal that stands still has no differences at all, so the mean counts, with the largest left out.
+    Most differences of a quantised signal at rest are zero, so the mean square is used rather than the median, without
+    the largest differences.
     """
     differences = np.abs(np.diff(values, 3))
     if not differences.size:

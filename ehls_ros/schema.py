@@ -1,8 +1,8 @@
 """Parameters: declared once with unit, range and help, checked by pydantic.
 
-A parameter set is a ``NamedTuple`` whose fields are annotated with :func:`quantity`. A named tuple is
-what a compiled kernel can take as it is; the annotation is what the YAML check, the ROS descriptors,
-the command line's help and the tables of the documentation are made of.
+A parameter set is a ``NamedTuple`` whose fields are annotated with :func:`quantity`. Compiled kernels accept a named
+tuple directly. YAML checks, ROS descriptors, command-line help and the tables of the documentation are derived from
+the annotations.
 """
 
 from collections.abc import Hashable, Iterator, Mapping
@@ -25,17 +25,17 @@ def quantity(
     maximum: float | None = None,
     above: float | None = None,
 ) -> Any:
-    """Declare a finite number with a unit, for use inside ``Annotated[float, ...]``.
+    """Declare a finite number with a unit, for ``Annotated[float, ...]``.
 
     Args:
-        unit: unit in SI notation, ``1`` for a pure number.
+        unit: SI unit; ``1`` for a dimensionless number.
         description: one sentence of help.
         minimum: smallest accepted value.
         maximum: largest accepted value.
         above: the value must be larger than this.
 
     Returns:
-        The field description pydantic reads.
+        The pydantic field.
     """
     return Field(
         ge=minimum,
@@ -48,12 +48,12 @@ def quantity(
 
 
 def text(description: str) -> Any:
-    """Declare a field that is no number (a name, a list), with one sentence of help."""
+    """Declare a non-numeric field, such as a name or a list, with one sentence of help."""
     return Field(description=description)
 
 
 class Declaration(NamedTuple):
-    """What is declared of one parameter."""
+    """Declaration of one parameter."""
 
     name: str
     kind: Any
@@ -65,13 +65,13 @@ class Declaration(NamedTuple):
 
 
 def declarations(parameters: type) -> Iterator[Declaration]:
-    """Read the declarations of a parameter set, in their order.
+    """Yield the declarations of a parameter set, in order.
 
     Args:
         parameters: a ``NamedTuple`` class whose fields carry :func:`quantity`.
 
     Yields:
-        One entry a field; ``default`` is ``None`` where the field has none.
+        One entry per field; ``default`` is ``None`` if the field has none.
     """
     defaults: Mapping[str, Any] = getattr(parameters, "_field_defaults", {})
     for name, hint in get_type_hints(parameters, include_extras=True).items():
@@ -95,8 +95,8 @@ def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> 
 
     Args:
         parameters: the ``NamedTuple`` class to build.
-        data: what the user wrote; an int stands for a float, and a float without a fraction for an int. Nothing else stands
-            for anything: YAML's yes is no 1, and a number in quotes is a text.
+        data: the user's values. An int is accepted for a float, and a float without a fraction for an int; nothing else
+            is converted: YAML's ``yes`` is not 1, and a quoted number is text.
         where: file and section, for the error.
 
     Returns:
@@ -113,15 +113,15 @@ def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> 
 
 @cache
 def _adapter(parameters: Any) -> TypeAdapter[Any]:
-    """Return the checker of a parameter set; making one takes milliseconds."""
+    """Return the validator of a parameter set; cached, as building one takes milliseconds."""
     return TypeAdapter(parameters, config=ConfigDict(strict=True))
 
 
 def _prepared(parameters: type, data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the data as the checker wants them: lists as tuples, whole numbers as ints where one is declared."""
-    whole = {declared.name for declared in declarations(parameters) if declared.kind is int}
+    """Return the data for the validator: lists as tuples, whole floats as ints where an int is declared."""
+    integers = {declared.name for declared in declarations(parameters) if declared.kind is int}
     return {
-        key: int(value) if key in whole and isinstance(value, float) and value.is_integer() else _frozen(value)
+        key: int(value) if key in integers and isinstance(value, float) and value.is_integer() else _frozen(value)
         for key, value in data.items()
     }
 
@@ -135,9 +135,9 @@ def _as_written(value: Any) -> Any:
 
 
 def bad_input(error: ValidationError, where: str, parameters: type) -> BadInput:
-    """Turn pydantic's first complaint into one line."""
+    """Turn pydantic's first error into one line."""
     first = error.errors(include_url=False)[0]
-    # A position within a list belongs to the list's key.
+    # Drop positions within a list: the list's key is enough.
     location = tuple(part for part in first["loc"] if isinstance(part, str))
     key = ".".join(location)
     explained = _help(parameters, location)
@@ -151,16 +151,16 @@ def bad_input(error: ValidationError, where: str, parameters: type) -> BadInput:
             known = ", ".join(_fields_at(parameters, location[:-1]))
             return BadInput(f"key '{key}' is unknown", where, f"one of {known}" if known else "no such key")
         case _:
-            wanted = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+            expected = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
             advice = _advice(first["type"], first["input"])
-            return BadInput(f"{key} is {written!r}", where, f"{wanted}{advice} {explained}".rstrip())
+            return BadInput(f"{key} is {written!r}", where, f"{expected}{advice} {explained}".rstrip())
 
 
 def _advice(kind: str, value: Any) -> str:
-    """Return what YAML may have made of what the user wrote."""
+    """Return how YAML may have misread the user's value."""
     match kind, value:
         case "float_type" | "int_type", bool():
-            return " (to YAML yes, on, no and off are true and false)"
+            return " (in YAML, yes, on, no and off mean true and false)"
         case "float_type" | "int_type", str():
             return " without quotes"
         case "string_type", bool() | int() | float():

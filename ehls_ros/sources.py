@@ -1,4 +1,4 @@
-"""A digest of the package's own sources, by which results of older code are told from those of this."""
+"""Digest of the package's sources, to tell results of this version from those of an older one."""
 
 import hashlib
 from functools import cache
@@ -9,7 +9,7 @@ PACKAGE = Path(__file__).resolve().parent
 
 @cache
 def sources_digest(*parts: str) -> str:
-    """Return a digest of every source file in some parts of the package, its name included.
+    """Return a digest of the names and contents of all source files in some parts of the package.
 
     Args:
         parts: names of subpackages, and of single files such as ``arrays.py``.

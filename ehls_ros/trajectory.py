@@ -1,4 +1,4 @@
-"""One experiment as arrays: what simulator, bags and CSV files turn into and every analysis starts from."""
+"""One experiment as arrays: the common form of simulations, bags and CSV files, and the input of every analysis."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 class Signal(NamedTuple):
-    """What a signal's name means."""
+    """Label and unit of a signal."""
 
     label: str
     unit: str
@@ -51,13 +51,13 @@ SIGNALS: dict[str, Signal] = {
     "alpha": Signal("scale of the identified friction α̂", "1"),
     "beta": Signal("scale of the viscous friction β̂", "1"),
     "delta_n": Signal("remaining disturbance D̂", "N"),
-    "u1": Signal("adaptive part u1", "t·MPa/s²"),
-    "u2": Signal("model part u2", "t·MPa/s²"),
-    "u3": Signal("robust part u3", "t·MPa/s²"),
+    "u1": Signal("adaptive term u1", "t·MPa/s²"),
+    "u2": Signal("model term u2", "t·MPa/s²"),
+    "u3": Signal("robust term u3", "t·MPa/s²"),
     "force_error_n": Signal("force error", "N"),
     "force_bound_n": Signal("bound (44) of the force error", "N"),
     "saturated": Signal("valve command at its limit", "1"),
-    "friction_fallback": Signal("static friction stood in", "1"),
+    "friction_fallback": Signal("static friction used instead", "1"),
     # timing of the loop
     "response_s": Signal("snapshot to command", "s"),
 }
@@ -66,13 +66,13 @@ SIGNALS: dict[str, Signal] = {
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Signals over one time base.
+    """Signals over a common time base.
 
     Attributes:
         time_s: sample times, shape (n,), strictly increasing [s].
-        signals: arrays of shape (n,), or (n, elements) for the friction elements, by the names in
-            :data:`SIGNALS`; NaN where a cycle has no sample.
-        metadata: the configuration it was made with: rig, spec, versions, seed.
+        signals: arrays by the names in :data:`SIGNALS`, shape (n,), or (n, elements) for the friction elements; NaN
+            where a cycle has no sample.
+        metadata: configuration of the run: rig, spec, versions, seed.
     """
 
     time_s: NDArray[np.float64]
@@ -83,7 +83,7 @@ class Trajectory:
         """Check the shapes against each other.
 
         Raises:
-            ValueError: a signal has an unknown name or another length than the time base.
+            ValueError: a signal has an unknown name, or its length differs from that of the time base.
         """
         for name, values in self.signals.items():
             if name not in SIGNALS:
@@ -96,28 +96,28 @@ class Trajectory:
         return len(self.time_s)
 
     def __contains__(self, name: str) -> bool:
-        """Tell whether a signal was recorded."""
+        """Return whether a signal was recorded."""
         return name in self.signals
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """Return one signal.
 
         Raises:
-            KeyError: it was not recorded.
+            KeyError: the signal was not recorded.
         """
         return self.signals[name]
 
 
 def steady_error(run: Trajectory, signal: str, reference: str) -> NDArray[np.float64]:
-    """Return how far a signal is from its reference over the last half of a run, its steady part.
+    """Return the tracking error over the second half of a run, its steady part.
 
     Args:
         run: the run.
-        signal: name of the signal that follows.
-        reference: name of what it follows.
+        signal: name of the controlled signal.
+        reference: name of its reference.
 
     Returns:
-        Absolute errors where both are known; empty where they never are, or are not in the run.
+        Absolute errors where both are finite, shape (m,); empty if they never are or were not recorded.
     """
     if signal not in run or reference not in run or not len(run):
         return np.empty(0)

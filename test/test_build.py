@@ -1,4 +1,4 @@
-"""The repository builds with colcon, its imports point one way, and its locks and metadata say what they should."""
+"""The repository builds with colcon, its imports point one way, and its locks and metadata are right."""
 
 import ast
 import os
@@ -26,7 +26,7 @@ CORE = ("physics", "control", "identification", "diagnosis")
 
 
 def copy_sources(destination: Path) -> Path:
-    """Copy what belongs to the repository, without environments, builds and caches."""
+    """Copy the sources, without environments, builds and caches."""
     generated = shutil.ignore_patterns(".*", "build", "install", "log", "runs", "__pycache__", "*.egg-info")
     return Path(shutil.copytree(ROOT, destination, ignore=generated))
 
@@ -35,7 +35,7 @@ def copy_sources(destination: Path) -> Path:
 
 
 def ros_environment() -> dict[str, str]:
-    """Return the environment variables colcon and ament need: those of a sourced ROS, or of the wheels' prefix."""
+    """Return the environment variables for colcon and ament: of a sourced ROS, or of the wheels' prefix."""
     environment = dict(os.environ)
     if not environment.get("AMENT_PREFIX_PATH"):
         environment.update(AMENT_PREFIX_PATH=sys.prefix, CMAKE_PREFIX_PATH=sys.prefix)
@@ -44,7 +44,7 @@ def ros_environment() -> dict[str, str]:
 
 
 def files_below(top: Path) -> set[Path]:
-    """Return the paths of all files below a folder, relative to it, but for Python's caches."""
+    """Return the relative paths of all files below a folder except Python's caches."""
     files = (path for path in top.rglob("*") if path.is_file())
     return {path.relative_to(top) for path in files if "__pycache__" not in path.parts}
 
@@ -57,7 +57,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if colcon is None:
         pytest.skip("colcon is not installed")
     top = copy_sources(tmp_path_factory.mktemp("colcon") / "ehls_ros")
-    # Through this interpreter, so that it becomes that of the installed executables.
+    # Run by this interpreter, so that the installed executables use it too.
     build = subprocess.run(
         [sys.executable, colcon, "build"],
         cwd=top,
@@ -148,12 +148,12 @@ def test_a_node_of_the_install_space_comes_up_and_shuts_down(installed_fasmc_nod
 
 
 def settled_lifecycle_state(name: str, process: subprocess.Popen[str], timeout: float = PATIENCE) -> str:
-    """Ask a lifecycle node for its state until it is between two transitions.
+    """Return a lifecycle node's state once it is between two transitions.
 
     Args:
         name: its full name.
-        process: the process it runs in; when that ends there is no use in waiting.
-        timeout: how long that may take [s]; the first transition compiles the controller.
+        process: its process; the wait fails if that ends.
+        timeout: longest wait [s]; the first transition compiles the controller.
 
     Returns:
         The label of the state.

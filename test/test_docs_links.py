@@ -1,4 +1,4 @@
-"""Links of README.md, docs/ and examples/ lead to files, lines and headings that are there; every page is in the site."""
+"""Links in README.md, docs/ and examples/ point to existing files, lines and headings; every page is in the site."""
 
 import importlib
 import re
@@ -20,7 +20,7 @@ PAGES = [
 
 
 class Link(NamedTuple):
-    """A link: the page it stands on, its line, and where it leads."""
+    """A link: its page, line and target."""
 
     page: Path
     line: int
@@ -60,7 +60,7 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def wrong(link: Link, reference: Path) -> str:
-    """Return what is wrong with a link, nothing if it is right."""
+    """Return what is wrong with a link; empty if it is right."""
     name, _, fragment = link.target.partition("#")
     path = (link.page.parent / name).resolve() if name else link.page
     if path.is_relative_to(DOCS / "reference"):
@@ -73,13 +73,13 @@ def wrong(link: Link, reference: Path) -> str:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_links_lead_somewhere(page: Path, reference: Path) -> None:
+def test_links_point_to_existing_targets(page: Path, reference: Path) -> None:
     inside = [link for link in links(page) if not re.match(r"https?://", link.target)]
     assert not [f"{link}: {what}" for link in inside if (what := wrong(link, reference))]
 
 
 @pytest.mark.parametrize("target", ["no_such.md", "design.md#no-such-heading", "../ehls_ros/arrays.py#L99999", "#nowhere"])
-def test_a_dead_link_is_noticed(target: str, reference: Path) -> None:
+def test_a_dead_link_is_detected(target: str, reference: Path) -> None:
     assert wrong(Link(DOCS / "index.md", 1, target), reference)
 
 

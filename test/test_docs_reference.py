@@ -1,4 +1,4 @@
-"""The generated reference holds everything that the code declares."""
+"""The generated reference contains everything the code declares."""
 
 import importlib
 from collections.abc import Iterator
@@ -48,13 +48,13 @@ def test_every_node_message_and_signal_is_there(reference: ModuleType) -> None:
         assert f"| `{name}` |" in signals
 
 
-def test_a_table_tells_what_is_required_and_what_ranges_are(reference: ModuleType) -> None:
+def test_a_table_shows_required_parameters_and_ranges(reference: ModuleType) -> None:
     page = reference.parameters_page()
     assert "| `supply_pressure` | required | Pa |" in page
     assert "| `k` | 12 | MPa/s | 0.1 … 1000 |" in page
     assert "| `spacing` | linear | – | linear, log |" in page
 
 
-def test_services_are_those_of_the_plants_node(reference: ModuleType) -> None:
+def test_services_are_those_of_the_plant_node(reference: ModuleType) -> None:
     names = ("emergency_stop", "acknowledge_stop", "reset_trips", "enable")
     assert {name for name, _, _ in reference.services()} == {f"`/ehls/{name}`" for name in names}

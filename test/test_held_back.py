@@ -1,4 +1,4 @@
-"""tools/held_back.py holds a command back, and ends as it does."""
+"""tools/held_back.py slows a command down and passes on its exit code."""
 
 import os
 import subprocess
@@ -26,12 +26,12 @@ sys.exit(3)
 
 
 @pytest.mark.parametrize("options", [(), ("--stop-and-go",)])
-def test_what_a_command_starts_gets_its_share_and_the_exit_code_is_passed_on(options):
+def test_children_of_a_command_get_its_share_and_the_exit_code_is_passed_on(options):
     first = str(min(os.sched_getaffinity(0)))
     command = ["taskset", "--cpu-list", first, sys.executable, str(TOOL), *options, "0.25", sys.executable, "-c", BUSY]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 3, done.stderr
-    # Where the whole machine is busy, the command gets less; never much more.
+    # On a busy machine the command gets less; never much more.
     assert float(done.stdout) < 0.35
     assert done.stderr.startswith("held back to 0.25 of 1 processors by ")
 

@@ -1,4 +1,4 @@
-"""docs/paper.md: its links stand on the lines they name, and its numbers are those of the code and of the rig file."""
+"""docs/paper.md: its links point to the right lines, and its numbers are those of the code and the rig file."""
 
 import math
 import re
@@ -158,22 +158,22 @@ def law_numbers(plant: Plant, p: fasmc.Parameters) -> dict[str, str]:
     return {
         "e1": f"= {e1:.3f} MPa/mm",
         "10 kN": f"10 kN is {step:.3f} MPa",
-        "slope": f"k/(2ξ) = {0.5 * p.k / p.xi:g} MPa/s, which takes 10 kN in {step / (0.5 * p.k / p.xi):.3f} s",
+        "slope": f"k/(2ξ) = {0.5 * p.k / p.xi:g} MPa/s, which covers 10 kN in {step / (0.5 * p.k / p.xi):.3f} s",
         "rate of a small error": f"k g/(4ξ) = {p.k * p.g / (4.0 * p.xi):g} 1/s",
         "b/h": f"b/h = {band:g} MPa/s, {200.0 * band / p.k:.0f} % of the k/2",
         "(44)": f"= {bound:.4f} MPa, times 2600 mm² is {bound * plant.piston_area:.1f} N",
         "(44) among the results": f"allow {bound * plant.piston_area:.1f} N for any reference",
-        "K": f"/0.07 = {power(rate, 2)} 1/s, of which h alone makes {p.h / plant.moving_mass:.0f} 1/s",
+        "K": f"/0.07 = {power(rate, 2)} 1/s; h alone contributes {p.h / plant.moving_mass:.0f} 1/s",
         "K T": f"K·T = {rate * PERIOD:.0f}. An explicit u3 multiplies s by 1 − K T = −{rate * PERIOD - 1.0:.0f}",
         "explicit limit": f"below {math.ceil(2e6 / rate)} µs",
         "slowest": f"k/2 − b/h = {0.5 * p.k - band:.1f} MPa/s: down to 1 % of 10 kN in {slowly():.2f} s",
         "(45)": f"T ≤ {step / (0.5 * p.k / p.xi) + reached(0.5 * p.k):.3f} s for the 10 kN step",
         "(46), step": f"t0 = {1e6 * reached(0.5 * p.k):.0f} µs",
-        "(46), sine": f"|s(0)| = {sine_rate:.1f} MPa/s, and (46) brings it inside b/h within {1e6 * reached(sine_rate):.0f} µs",
+        "(46), sine": f"|s(0)| = {sine_rate:.1f} MPa/s, and (46) brings it below b/h within {1e6 * reached(sine_rate):.0f} µs",
         "held by a stable u3": f"ξ e1 Δf T/(2 m0) = {p.xi * e1 * p.delta_f * PERIOD / (2.0 * plant.moving_mass):.0f} MPa/s",
         "fd known": f"known within {band * plant.moving_mass / (p.xi * e1 * PERIOD):.0f} N",
         "held by |s| = b/h": f"Δf + b/(ξ e1) = {p.delta_f + p.b / (p.xi * e1):.0f} N",
-        "corner": f"jumps there by {4.0 * STEP / plant.piston_area:.1f} MPa/s and takes s with it, "
+        "corner": f"jumps there by {4.0 * STEP / plant.piston_area:.1f} MPa/s, and s with it, "
         f"{4.0 * STEP / plant.piston_area / band:.1f} times b/h",
     }
 
@@ -202,13 +202,13 @@ def test_numbers_of_the_adaptation(rig: Rig) -> None:
     said = {
         "phi1": f"103 · {e1:.3f} · {coulomb:g} = {power(phi1 * e1 * coulomb, 1)} 1/s, "
         f"{phi1 * e1 * coulomb * PERIOD:.0f} in one cycle of 1 ms. Read as 10³ it is {1e3 * e1 * coulomb * PERIOD:.0f}",
-        "phi1, frequency": f"natural frequency of {power(frequency, 1)} rad/s; stepped explicitly it needs "
+        "phi1, frequency": f"natural frequency of {power(frequency, 1)} rad/s; an explicit step needs "
         f"T < {1e6 * rate / frequency**2:.1f} µs",
         "phi2": f"σ̂f x2 = {math.floor(viscous + 0.5)} N, and (37) moves β̂ by {power(phi2 * e1 * viscous, 1)} 1/s "
-        f"for s = 1 MPa/s; stepped explicitly it needs T < {1e6 * rate / fast**2:.3f} µs",
+        f"for s = 1 MPa/s; an explicit step needs T < {1e6 * rate / fast**2:.3f} µs",
         "phi3": f"(38) moves D̂ by {phi3 * e1:.0f} N/s for s = 1 MPa/s. Against u3 it follows a disturbance at "
         f"φ3 (ξ e1)²/(m0 K) = {follow:.2f} 1/s",
-        "continuous limit": f"gives {steady(2e3, 0.25, 0.0)} N (fd1) and {steady(FD2, 1.0, 0.0)} N (fd2) without D̂, "
+        "continuous limit": f"then give {steady(2e3, 0.25, 0.0)} N (fd1) and {steady(FD2, 1.0, 0.0)} N (fd2) without D̂, "
         f"{steady(2e3, 0.25, follow)} N and {steady(FD2, 1.0, follow)} N with φ3 = 800",
     }
     missing = missing_from_page(said)
@@ -231,7 +231,7 @@ def test_numbers_of_rig_and_friction(rig: Rig) -> None:
     per_mm = 6e4 * load_flow.py_func(1e-3, 1.0, 0.0, plant.supply_pressure, plant)
     weight = plant.moving_mass * plant.gravity
     said = {
-        "weight": f"That is {weight:.0f} N; turning it round moves the piston by "
+        "weight": f"That is {weight:.0f} N; the opposite sign moves the piston by "
         f"2 m0 g/ks = {2e3 * weight / plant.spring_stiffness:.0f} mm",
         "spring": f"(10 kN − m0 g)/ks = {1e3 * (STEP - weight) / plant.spring_stiffness:.0f} mm",
         "bandwidth": f"Table 2 gives the valve {plant.valve_bandwidth / (2.0 * math.pi):.2f} Hz; the cylinder has "
@@ -241,10 +241,10 @@ def test_numbers_of_rig_and_friction(rig: Rig) -> None:
         "force": f"{1e-3 * plant.supply_pressure * plant.piston_area:.1f} kN at 7 MPa and "
         f"{1e-3 * 21e6 * plant.piston_area:.1f} kN at 21 MPa; 76.6 kN would take {76.6e-3 / plant.piston_area:.1f} MPa",
         "speed": f"with Ac, {82 / 6e4 / plant.piston_area:.2f} and {40 / 6e4 / plant.piston_area:.2f} m/s",
-        "valve": f"(1) passes {per_mm:.1f} L/min per mm of spool at the full 7 MPa, "
-        f"so that 40 L/min are {40.0 / per_mm:.2f} mm",
+        "valve": f"(1) gives {per_mm:.1f} L/min per mm of spool at the full 7 MPa, "
+        f"so 40 L/min correspond to {40.0 / per_mm:.2f} mm",
         "spool limit": f"limit of {1e3 * rig.limits.spool:.0f} mm ({1e3 * rig.limits.spool * per_mm:.0f} L/min)",
-        "yield": f"α_i Fc/k_i = {yields['Fc']} mm (with Fs {yields['Fs']} mm): within {spread:.1f} %",
+        "yield": f"α_i Fc/k_i = {yields['Fc']} mm (with Fs {yields['Fs']} mm): they all yield within {spread:.1f} %",
         "yield in N/m": f"α1 Fc/k1 = {yield_as_printed:.3f} m",
         "loop in N/m": f"would build up {2.4e-3 * 1e-3 * sum(friction.element_stiffness):.1f} N over the 2.4 mm",
         "C/s": f"C/s = {friction.attraction_rate / friction.coulomb_force:.1f} 1/s",
@@ -269,9 +269,9 @@ def test_energy_of_the_printed_break_away(rig: Rig) -> None:
     duration = lag * math.log(1.0 + loaded / (share * level))
     given = speed * (lag * loaded - share * level * duration)
     held = loaded**2 / (2.0 * friction.element_stiffness[0])
-    said = f"{share:g} · 800 N, then turned round at 10 mm/s: it would still push along the motion for {duration:.3f} s"
+    said = f"{share:g} · 800 N and then reversed at 10 mm/s, would drive the motion for {duration:.3f} s"
     assert said in PROSE
-    assert f"hand out {given:.3f} J, {given / held:.1f} times the F²/(2k) = {held:.3f} J" in PROSE
+    assert f"deliver {given:.3f} J, {given / held:.1f} times its stored energy F²/(2k) = {held:.3f} J" in PROSE
 
 
 @pytest.mark.parametrize("unit", SIDE_BY_SIDE)
@@ -334,6 +334,6 @@ def test_row_of_what_an_experiment_asks_for(row: re.Match[str]) -> None:
 def test_what_the_flow_table_is_summed_up_to() -> None:
     rows = {row[1]: row for row in FLOW_ROW.finditer(TEXT)}
     flow = max(float(row[3]) for row in rows.values())
-    assert f"up to {flow / 82.0:.1f} times the pump and {flow / 40.0:.1f} times the valve's rating" in PROSE
+    assert f"up to {flow / 82.0:.1f} times the pump's flow and {flow / 40.0:.1f} times the valve's rating" in PROSE
     assert f"The sine against fd2 reaches {rows['sine_fd2'][2]} m/s" in PROSE
-    assert f"with fd2 the piston comes to {rows['constant_fd2'][7]} mm" in PROSE
+    assert f"with fd2 the piston reaches {rows['constant_fd2'][7]} mm" in PROSE

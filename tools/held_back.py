@@ -1,16 +1,15 @@
-"""Run a command on a computer held back to a share of its speed.
+"""Run a command slowed down to a share of the computer's speed.
 
-``python tools/held_back.py 0.33 make test`` gives the command, and all it starts, a third of the time of each processor they
-may run on; with ``taskset -c 0`` before it, a third of one processor. With ``--busy 2`` two endless loops per processor run
-beside it, which are not held back: a loaded computer.
+``python tools/held_back.py 0.33 make test`` gives the command, and everything it starts, a third of the time of each processor;
+with ``taskset -c 0`` before it, a third of one processor. ``--busy 2`` adds two endless loops per processor at full
+speed: a loaded computer.
 
-Where this user may make a control group of Linux's cpu controller (version 1, root as a rule) and other groups have not been
-promised most of the realtime there is, the group's quota holds the command back. A lone thread then gets up to SHARE of all
-processors together; threads with realtime priority have a quota of the same size for themselves. Elsewhere, or with
-``--stop-and-go``, all processes of the command are stopped (SIGSTOP) and let go on (SIGCONT) in turn, which holds back lone
-threads and realtime ones alike.
+If the user may create a control group of Linux's cpu controller (version 1, usually root only) and realtime quota is left, the
+group's quota limits the command. A single thread then gets up to SHARE of all processors together; realtime threads have a
+separate quota of the same size. Otherwise, or with ``--stop-and-go``, all processes of the command are stopped (SIGSTOP) and
+continued (SIGCONT) in turn, which slows down single and realtime threads alike.
 
-Ends with the command's exit code, and says on stderr by which means it was held back and how much processor time it had.
+Exits with the command's exit code, and reports on stderr the method and the processor time used.
 """
 
 import argparse
@@ -42,10 +41,10 @@ def main() -> int:
         print(f"held back to {chosen.share:g} of {processors} processors by {how}", file=sys.stderr)
         begin, before = time.monotonic(), os.times()
         if group is not None:
-            # What this process starts from here on belongs there as well.
+            # Children inherit the group from now on.
             move(os.getpid(), group)
         process = subprocess.Popen(chosen.command)
-        # Ctrl-C reaches the command without this process, which waits for its end.
+        # Ctrl-C reaches the command directly; this process waits for its end.
         signal.signal(signal.SIGINT, lambda *_: None)
         signal.signal(signal.SIGTERM, lambda *_: process.terminate())
         if group is None:
@@ -65,11 +64,11 @@ def parsed() -> argparse.Namespace:
         usage="%(prog)s [--period S] [--busy N] [--stop-and-go] SHARE COMMAND...",
     )
     add = parser.add_argument
-    add("--period", type=float, default=0.1, help="time of one turn of running and standing still [s]; %(default)g")
+    add("--period", type=float, default=0.1, help="period of running and pausing [s]; %(default)g")
     add("--busy", type=int, default=0, help="endless loops per processor beside the command; %(default)d")
-    add("--stop-and-go", action="store_true", help="even where a control group may be made")
-    add("share", type=float, metavar="SHARE", help="of each processor; above 0, at most 1")
-    add("command", nargs=argparse.REMAINDER, metavar="COMMAND", help="what to run, and its arguments")
+    add("--stop-and-go", action="store_true", help="do not use a control group")
+    add("share", type=float, metavar="SHARE", help="share of each processor; above 0, at most 1")
+    add("command", nargs=argparse.REMAINDER, metavar="COMMAND", help="program and its arguments")
     chosen = parser.parse_args()
     if not 0.0 < chosen.share <= 1.0:
         parser.error(f"SHARE is {chosen.share:g}: expected more than 0 and at most 1")
@@ -98,7 +97,7 @@ def busy_loop() -> Iterator[subprocess.Popen[bytes]]:
 
 
 def control_group(share: float, processors: int, period: float) -> Path | None:
-    """Make a control group whose processes get a share of the processors; None where this user may not."""
+    """Make a control group whose processes get a share of the processors; None if the user may not."""
     mounts = [line.split() for line in Path("/proc/mounts").read_text(encoding="utf-8").splitlines()]
     top = next(
         (Path(place) for _, place, kind, options, *_ in mounts if kind == "cgroup" and "cpu" in options.split(",")), None
@@ -110,7 +109,7 @@ def control_group(share: float, processors: int, period: float) -> Path | None:
     quotas = {"cpu.cfs_period_us": turn, "cpu.cfs_quota_us": round(share * processors * turn)}
     try:
         group.mkdir()
-        # Of each processor; a twentieth of it is always left to ordinary work.
+        # Realtime quota of each processor; the kernel always reserves a twentieth for other work.
         if (group / "cpu.rt_runtime_us").exists():
             quotas |= {"cpu.rt_period_us": turn, "cpu.rt_runtime_us": round(min(share, 0.9) * turn)}
         for name, value in quotas.items():
@@ -127,7 +126,7 @@ def move(process: int, group: Path) -> None:
 
 
 def remove(group: Path) -> None:
-    """Remove the group; what still runs in it goes on without being held back."""
+    """Remove the group; processes left in it continue at full speed."""
     with contextlib.suppress(OSError):
         for process in (group / "cgroup.procs").read_text(encoding="ascii").split():
             with contextlib.suppress(ProcessLookupError):
@@ -139,27 +138,27 @@ def remove(group: Path) -> None:
 
 
 def stop_and_go(process: subprocess.Popen[bytes], share: float, period: float, spared: set[int]) -> None:
-    """Let all that descends from this process run for its share of each period until the command ends.
+    """Let all descendants of this process run for a share of each period until the command ends.
 
     Args:
         process: the command.
-        share: of each period.
-        period: of running and standing still [s].
-        spared: descendants that run on.
+        share: share of each period.
+        period: period of running and pausing [s].
+        spared: descendants that are never stopped.
     """
-    # What loses its parent becomes a child of this process, so that all of the command stays within reach.
+    # Orphans become children of this process, so that all of the command's processes stay within reach.
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     let_go = time.monotonic()
     while process.poll() is None:
         time.sleep(share * period)
         stopped: set[int] = set()
-        # Again until nobody is left that has started another one meanwhile.
+        # Repeat until no running process is left that could have started another.
         while found := running(spared) - stopped:
             for number in found:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(number, signal.SIGSTOP)
             stopped |= found
-        # To stop them takes time of its own, during which some still run.
+        # Stopping takes time, during which some still run; count it.
         time.sleep((1.0 - share) / share * (time.monotonic() - let_go))
         let_go = time.monotonic()
         for number in stopped:
@@ -169,7 +168,7 @@ def stop_and_go(process: subprocess.Popen[bytes], share: float, period: float, s
 
 
 def running(spared: set[int]) -> set[int]:
-    """Return the descendants of this process, without those that are dead or that somebody stopped."""
+    """Return the descendants of this process that are neither dead nor stopped."""
     children: dict[int, list[int]] = {}
     state = {}
     for file in Path("/proc").glob("[0-9]*/stat"):
@@ -188,7 +187,7 @@ def running(spared: set[int]) -> set[int]:
 
 
 def reap_others(command: int) -> None:
-    """Reap the children that became this process's when they lost their parents."""
+    """Reap orphans that became children of this process."""
     with contextlib.suppress(ChildProcessError):
         while (ended := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) and ended.si_pid != command:
             os.waitpid(ended.si_pid, 0)

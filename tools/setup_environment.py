@@ -1,10 +1,10 @@
 """Make ``.venv/``: the locked packages, the messages of ehls_msgs and the project itself, editable.
 
-``make setup`` runs it. Each of its four steps leaves a stamp over what it depends on, so a second run does only what has
-changed, and a run after an interruption goes on with the step that was interrupted. Where a ROS 2 installation is sourced the
-environment uses it; elsewhere ROS comes as wheels from the lock.
+``make setup`` runs it. Each of its four steps leaves a stamp of its inputs, so that a second run repeats only what has changed,
+and a run after an interruption continues with the interrupted step. A sourced ROS 2 installation is used; otherwise ROS is
+installed as locked wheels.
 
-Only the standard library is used, and nothing newer than Python 3.8 before the version is checked.
+Uses only the standard library, and nothing newer than Python 3.8 before the version is checked.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ MESSAGES = ROOT / "ehls_msgs"
 
 OLDEST, NEWEST = (3, 11), (3, 13)
 GLIBC = (2, 28)
-# The ROS wheels start Python again with a library path unless this is set; inherited from another environment it is in the way.
+# The ROS wheels restart Python with a library path unless this is set; inherited from another environment, it does harm.
 WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 NO_INDEX = re.compile(
     r"Max retries|NewConnectionError|NameResolutionError|name resolution|Connection refused|timed out|ProxyError|"
@@ -50,11 +50,11 @@ NO_INDEX = re.compile(
 
 
 class SetupError(Exception):
-    """Setup cannot go on; the text says in one line what is wrong and what helps."""
+    """Setup cannot go on; one line says what is wrong and what helps."""
 
 
 class Step(NamedTuple):
-    """One step: its name, a fingerprint of what it depends on, what it says while it works and what it does."""
+    """A step: its name, the fingerprint of its inputs, its progress message and its function."""
 
     name: str
     fingerprint: str
@@ -72,7 +72,7 @@ def main() -> int:
     parser.add_argument(
         "--python-was-chosen",
         action="store_true",
-        help="make the environment anew if it was made with another version of Python than the one running this",
+        help="rebuild the environment if it was made with another version of Python than the one running this",
     )
     arguments = parser.parse_args()
     try:
@@ -82,7 +82,7 @@ def main() -> int:
         print(f"setup: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("\nsetup: interrupted; `make setup` goes on from here", file=sys.stderr)
+        print("\nsetup: interrupted; `make setup` continues from here", file=sys.stderr)
         return 130
     return 0
 
@@ -95,7 +95,7 @@ def one_setup_at_a_time() -> Iterator[None]:
         try:
             fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            print("another setup is at work in this folder: waiting for it", flush=True)
+            print("another setup is running in this folder: waiting for it", flush=True)
             fcntl.flock(folder, fcntl.LOCK_EX)
         yield
     finally:
@@ -106,10 +106,10 @@ def set_up(*, python_was_chosen: bool) -> None:
     """Do the steps whose stamps are missing or out of date.
 
     Args:
-        python_was_chosen: whether the caller asked for the running version of Python.
+        python_was_chosen: whether the caller chose the running version of Python.
 
     Raises:
-        SetupError: something needed is missing or failed.
+        SetupError: a requirement is missing, or a step failed.
     """
     started = time.monotonic()
     ros = sourced_ros()
@@ -176,7 +176,7 @@ def python_version() -> str:
 
 
 def needs_remaking(made: dict[str, str], ros: str, *, python_was_chosen: bool) -> bool:
-    """Say whether the environment has to be made anew.
+    """Return whether the environment must be rebuilt.
 
     Args:
         made: what the environment was made for, empty if it was not or not to its end.
@@ -191,7 +191,7 @@ def needs_remaking(made: dict[str, str], ros: str, *, python_was_chosen: bool) -
     if made["ros"] != ros:
         past = f"with ROS 2 {made['ros']} sourced" if made["ros"] else "without a sourced ROS 2"
         now = f"ROS 2 {ros} is sourced" if ros else "none is sourced"
-        raise SetupError(f".venv was made {past}, and now {now}: use a shell as then, or start anew with `make clean setup`")
+        raise SetupError(f".venv was made {past}, and now {now}: use such a shell again, or start over with `make clean setup`")
     return python_was_chosen and made["python"] != python_version()
 
 
@@ -220,7 +220,7 @@ def check_python(ros: str) -> None:
 
 
 def glibc_version() -> tuple[int, ...]:
-    """Return the version of glibc, ``(0,)`` where the C library is another one."""
+    """Return the version of glibc, ``(0,)`` for another C library."""
     name, version = platform.libc_ver()
     return tuple(int(part) for part in version.split(".")[:2]) if name == "glibc" else (0,)
 
@@ -232,7 +232,7 @@ def check_compilers(ros: str) -> None:
         ros: name of the sourced ROS 2 distribution, or empty.
 
     Raises:
-        SetupError: a compiler is missing, or cmake where the lock does not bring it.
+        SetupError: a compiler is missing, or cmake if it is not in the lock.
     """
     for language, variable, usual in (("C", "CC", ("cc", "gcc", "clang")), ("C++", "CXX", ("c++", "g++", "clang++"))):
         chosen = shlex.split(os.environ.get(variable, ""))[:1]
@@ -244,7 +244,7 @@ def check_compilers(ros: str) -> None:
 
 
 def make_environment(ros: str) -> None:
-    """Make an empty environment in place of the one there, which sees the system's packages if ROS 2 is sourced.
+    """Replace the environment by an empty one, which sees the system's packages if ROS 2 is sourced.
 
     Args:
         ros: name of the sourced ROS 2 distribution, or empty.
@@ -258,7 +258,7 @@ def make_environment(ros: str) -> None:
 
 
 def install_packages(ros: str) -> None:
-    """Install what is locked.
+    """Install the locked packages.
 
     Args:
         ros: name of the sourced ROS 2 distribution, or empty.
@@ -267,20 +267,20 @@ def install_packages(ros: str) -> None:
     base, dev, wheels = (str(REQUIREMENTS / f"{name}.txt") for name in ("base", "dev", "ros"))
     pip("--require-hashes", "--only-binary=:all:", "-r", base, "-r", dev)
     if not ros:
-        # One of them is source only; building it with the locked setuptools keeps everything under the hashes.
+        # One of them exists as source only; building it with the locked setuptools keeps everything hashed.
         pip("--require-hashes", "--no-build-isolation", "-r", wheels)
         point_exports_here()
 
 
 def remove_half_installed() -> None:
-    """Make pip install anew what an interruption left behind: pip writes INSTALLER when a package is complete."""
+    """Remove packages left incomplete by an interruption: pip writes INSTALLER last."""
     for description in Path(python_paths()["purelib"]).glob("*.dist-info"):
         if not (description / "INSTALLER").exists():
             shutil.rmtree(description)
 
 
 def point_exports_here() -> None:
-    """Replace the paths of the machine that built the ROS wheels in their cmake exports by this environment's."""
+    """Replace the build machine's paths in the cmake exports of the ROS wheels by this environment's."""
     paths = python_paths()
     build_machine = re.compile(r"/opt/python/[^/;\"]+/(include|lib)/python3\.\d+(/site-packages)?")
     for export in VENV.glob("share/*/cmake/*rosidl_generator_py*.cmake"):
@@ -291,7 +291,7 @@ def point_exports_here() -> None:
 
 
 def build_messages(ros: str) -> None:
-    """Build ehls_msgs into the environment, in place of what an earlier build put there.
+    """Build ehls_msgs into the environment, replacing an earlier build.
 
     Args:
         ros: name of the sourced ROS 2 distribution, or empty.
@@ -326,13 +326,13 @@ def build_messages(ros: str) -> None:
 
 
 def install_project(ros: str) -> None:
-    """Install ehls_ros so that the checkout's files are what runs.
+    """Install ehls_ros in editable mode.
 
     Args:
         ros: name of the sourced ROS 2 distribution, or empty.
     """
     pip("--no-deps", "--no-build-isolation", "--editable", str(ROOT))
-    # An editable installation leaves out what setup.py lists as data_files.
+    # An editable installation leaves out the data_files of setup.py.
     index = VENV / "share" / "ament_index" / "resource_index" / "packages"
     share = VENV / "share" / "ehls_ros"
     index.mkdir(parents=True, exist_ok=True)
@@ -361,12 +361,12 @@ def pip(*arguments: str) -> None:
 
 
 def run(command: list[str], doing: str, environment: dict[str, str] | None = None) -> None:
-    """Run a command, its output going to the log and, line by line, to the last line of a terminal.
+    """Run a command; its output goes to the log and, line by line, to the last line of a terminal.
 
     Args:
         command: program and arguments.
-        doing: what it does, for the error.
-        environment: environment variables, by default those of this process.
+        doing: description, for the error message.
+        environment: environment variables; by default those of this process.
 
     Raises:
         SetupError: it failed.
@@ -389,7 +389,7 @@ def run(command: list[str], doing: str, environment: dict[str, str] | None = Non
         with LOG.open("a", encoding="utf-8") as log:
             log.writelines([f"$ {shlex.join(command)}\n", *output])
     if process.returncode:
-        raise SetupError(f"{doing} failed: {reason(output)} (all of it in {LOG.relative_to(ROOT)})")
+        raise SetupError(f"{doing} failed: {reason(output)} (full output in {LOG.relative_to(ROOT)})")
 
 
 def show(line: str) -> None:
@@ -400,8 +400,8 @@ def show(line: str) -> None:
 
 
 def reason(output: list[str]) -> str:
-    """Return the line of a failed command's output that says why."""
-    lines = [line.strip() for line in output if line.strip()] or ["it said nothing"]
+    """Return the line of a failed command's output that gives the reason."""
+    lines = [line.strip() for line in output if line.strip()] or ["no output"]
     for number, line in enumerate(lines):
         if line.startswith("CMake Error"):
             return " ".join(lines[number : number + 2])
@@ -411,7 +411,7 @@ def reason(output: list[str]) -> str:
 
 
 def child_environment() -> dict[str, str]:
-    """Return the environment of a program run in ``.venv``."""
+    """Return the environment variables for a program in ``.venv``."""
     environment = dict(os.environ)
     if environment.pop(WHEELS_GUARD, None):
         environment.pop("LD_LIBRARY_PATH", None)
@@ -428,12 +428,12 @@ def python_paths() -> dict[str, str]:
 
 
 def files_below(*folders: Path) -> list[Path]:
-    """Return all files below the folders, but for Python's caches."""
+    """Return all files below the folders except Python's caches."""
     return [path for folder in folders for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts]
 
 
 def fingerprint(paths: Iterable[Path]) -> str:
-    """Return a hash over the names and contents of files; a file that is not there counts as such."""
+    """Return a hash of the names and contents of files; a missing file counts as empty."""
     digest = hashlib.sha256()
     for path in sorted(paths):
         content = path.read_bytes() if path.exists() else b""
@@ -442,7 +442,7 @@ def fingerprint(paths: Iterable[Path]) -> str:
 
 
 def read_stamps() -> dict[str, Any]:
-    """Return the stamps of the steps done, empty if there are none to rely on."""
+    """Return the stamps of the finished steps; empty if there are no valid ones."""
     try:
         stamps = json.loads(STAMPS.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -451,7 +451,7 @@ def read_stamps() -> dict[str, Any]:
 
 
 def write_stamps(stamps: dict[str, Any]) -> None:
-    """Replace the stamps at once, so that an interruption leaves the old or the new ones."""
+    """Replace the stamps atomically, so that an interruption leaves the old or the new ones."""
     fresh = STAMPS.with_suffix(".new")
     fresh.write_text(json.dumps(stamps, indent=1), encoding="utf-8")
     fresh.replace(STAMPS)

@@ -1,7 +1,7 @@
-"""Lets ``.venv/bin/python`` find the shared libraries of ehls_msgs where a ROS 2 installation is sourced.
+"""Lets ``.venv/bin/python`` find the shared libraries of ehls_msgs when a ROS 2 installation is sourced.
 
-``make setup`` copies this file into the environment next to a ``.pth`` file that imports it when Python starts. ROS opens
-the libraries of a message package by name, and the loader reads its search path only once: so Python starts itself again.
+``make setup`` copies this file into the environment, next to a ``.pth`` file that imports it when Python starts. ROS opens
+the libraries of a message package by name, and the loader reads its search path only at start, so Python restarts itself.
 """
 
 import os
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def main() -> None:
-    """Put the environment in front of the search paths of the loader and of ROS, unless it is there."""
+    """Put the environment first in the search paths of the loader and of ROS, unless it is there."""
     library = str(Path(sys.prefix, "lib"))
     known = os.environ.get("LD_LIBRARY_PATH", "")
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "")

@@ -1,4 +1,4 @@
-"""Formulas as MathML, which browsers render by themselves: no script, no fonts from elsewhere."""
+"""Formulas as MathML, which browsers render natively: no scripts, no external fonts."""
 
 import re
 from typing import Any
@@ -13,11 +13,11 @@ logger = logging.getLogger(__name__)
 UNDER = re.compile(
     r"<munderover>\s*(?P<base><mi>[^<]*</mi>)\s*(?P<index><mi>[^<]*</mi>)\s*(?P<accent><mo [^>]*>[^<]</mo>)\s*</munderover>"
 )
-"""How the converter writes an accent and an index: the index below the letter."""
+"""The converter's output for a letter with accent and index, with the index below the letter."""
 
 INDEXED = r"<msub><mover>\g<base>\g<accent></mover>\g<index></msub>"
 ACCENT = ' accent="true"'
-"""Where there is no mathematical font, a browser sets what is marked so into the letter instead of above it."""
+"""Without a mathematical font, browsers draw an element so marked into the letter instead of above it."""
 
 DOTS = str.maketrans({"˙": ".", "¨": ".."})
 
@@ -29,22 +29,22 @@ def setup(app: Any) -> dict[str, bool]:
 
 
 def inline(translator: Any, node: nodes.math) -> None:
-    """Write a formula in a line."""
+    """Write an inline formula."""
     translator.body.append(mathml(node, as_block=False))
     raise nodes.SkipNode
 
 
 def block(translator: Any, node: nodes.math_block) -> None:
-    """Write a formula of its own."""
-    # The room keeps the theme from giving each formula a scroll bar.
+    """Write a displayed formula."""
+    # Without the padding the theme gives each formula a scroll bar.
     translator.body.append(f'<div style="padding: 0.5em 0">{mathml(node, as_block=True)}</div>\n')
     raise nodes.SkipNode
 
 
 def mathml(node: nodes.Element, *, as_block: bool) -> str:
-    """Return a formula's MathML; a formula that cannot be read is a warning."""
+    """Return a formula's MathML; warn and return nothing if it cannot be parsed."""
     try:
         return UNDER.sub(INDEXED, tex2mathml(node.astext(), as_block=as_block)).replace(ACCENT, "").translate(DOTS)
     except MathError as error:
-        logger.warning("formula cannot be read: %s", error, location=node)
+        logger.warning("formula cannot be parsed: %s", error, location=node)
         return ""

@@ -1,4 +1,4 @@
-"""The reference: pages written from the code's own declarations, each time the site is built, into docs/reference/."""
+"""The reference pages, generated from the code's declarations into docs/reference/ at every build of the site."""
 
 import argparse
 import ast
@@ -36,7 +36,7 @@ WIDTH = "100"
 
 
 class Section(NamedTuple):
-    """A set of parameters with its heading and where it is declared."""
+    """A parameter set with its heading and the file that declares it."""
 
     title: str
     about: str
@@ -58,7 +58,7 @@ FILES: Mapping[str, tuple[tuple[str, type, ModuleType], ...]] = {
     "Rig file": (
         ("plant", rig.Plant, rig),
         ("friction", rig.Friction, rig),
-        ("sensors: of each signal", rig.Sensor, rig),
+        ("sensors: each signal", rig.Sensor, rig),
         ("limits", rig.Limits, rig),
     ),
     "Campaign file": (
@@ -67,7 +67,7 @@ FILES: Mapping[str, tuple[tuple[str, type, ModuleType], ...]] = {
         ("vary: a distribution", variation.Distribution, variation),
     ),
     "Bridge file": (("channels", calibration.Input, calibration), ("command", calibration.Output, calibration)),
-    "Map of columns": (("A column", columns.Column, columns),),
+    "Column map": (("A column", columns.Column, columns),),
 }
 
 API: Mapping[str, tuple[str, ...]] = {
@@ -84,27 +84,27 @@ API: Mapping[str, tuple[str, ...]] = {
         "ehls_ros.trajectory.Trajectory",
     ),
     "Identification and diagnosis": ("ehls_ros.identification.identify.identify", "ehls_ros.diagnosis.diagnose.diagnose"),
-    "The plant by itself": ("ehls_ros.physics.simulator.Simulator",),
+    "Simulation of the plant alone": ("ehls_ros.physics.simulator.Simulator",),
     "Errors": ("ehls_ros.errors.BadInput", "ehls_ros.errors.WorkFailed"),
 }
-"""What a script of one's own calls."""
+"""Functions and classes for users' scripts."""
 
 SERVICES: Mapping[str, str] = {
-    "emergency_stop": "closes the valve at once and latches; from anywhere on the graph; answers with the stop's name",
-    "acknowledge_stop": "lets go of the emergency stop that it names, a second after it at the earliest; the trip stays",
-    "reset_trips": "forgets the causes of a trip; refused while one persists or an emergency stop is engaged",
-    "enable": "lets commands through, blended in, or shuts them off",
+    "emergency_stop": "closes the valve at once and latches; returns the name of the stop",
+    "acknowledge_stop": "acknowledges the named emergency stop, at the earliest one second after it; the trip remains",
+    "reset_trips": "clears the causes of a trip; refused while one persists or an emergency stop is engaged",
+    "enable": "lets commands through with a blend-in, or shuts them off",
 }
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Write the pages before Sphinx looks for them."""
+    """Write the pages before Sphinx reads the sources."""
     app.connect("config-inited", lambda app, config: write(Path(app.srcdir) / "reference"))
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
 def write(folder: Path) -> None:
-    """Write all pages into a folder; a page that has not changed is left alone."""
+    """Write all pages into a folder; unchanged pages keep their time stamp."""
     folder.mkdir(exist_ok=True)
     pages = {
         "commands": commands_page, "parameters": parameters_page, "nodes": nodes_page, "messages": messages_page,
@@ -118,9 +118,9 @@ def write(folder: Path) -> None:
 
 
 def index_page(pages: Iterable[str]) -> str:
-    """Return the list of the pages."""
+    """Return the index page."""
     names = "\n".join(pages)
-    return f"# Reference\n\nWritten from the code when this site is built.\n\n```{{toctree}}\n:maxdepth: 2\n\n{names}\n```\n"
+    return f"# Reference\n\nGenerated from the code when the site is built.\n\n```{{toctree}}\n:maxdepth: 2\n\n{names}\n```\n"
 
 
 # --- commands ---------------------------------------------------------------------------------------------------------
@@ -145,8 +145,8 @@ def verbs(top: argparse.ArgumentParser) -> Mapping[str, argparse.ArgumentParser]
 
 
 def parameters_page() -> str:
-    """Return the tables of everything that stands in a YAML file."""
-    parts = ["# Parameters\n\nAs they stand in YAML files, in SI units unless another is given.\n"]
+    """Return the tables of all keys of YAML files."""
+    parts = ["# Parameters\n\nThe keys of YAML files, in SI units unless noted.\n"]
     for title, sets in FILES.items():
         parts.append(f"## {title}\n")
         parts += [text_of(Section(name, "", declared, Path(module.__file__ or ""))) for name, declared, module in sets]
@@ -167,7 +167,7 @@ def members(family: Family[Any]) -> Iterator[Section]:
 
 
 def text_of(section: Section) -> str:
-    """Return a section: heading, what it is, table, and the file."""
+    """Return a section: heading, description, table, and file."""
     link = f"[{section.file.name}](../../{section.file.relative_to(ROOT)})"
     about = f"{section.about}\n\n" if section.about else ""
     return f"### {section.title}\n\n{about}{table(section.parameters)}\nDeclared in {link}.\n"
@@ -179,11 +179,11 @@ def table(parameters: type) -> str:
         (f"`{d.name}`", shown_default(parameters, d), shown_unit(d), shown_range(d), d.description)
         for d in declarations(parameters)
     ]
-    return rows_of(("name", "default", "unit", "range", "what it is"), rows) if rows else "No parameters.\n"
+    return rows_of(("name", "default", "unit", "range", "description"), rows) if rows else "No parameters.\n"
 
 
 def shown_default(parameters: Any, declared: Declaration) -> str:
-    """Return how a default is shown."""
+    """Return a default as text."""
     if declared.name not in parameters._field_defaults:
         return "required"
     default = declared.default
@@ -197,12 +197,12 @@ def shown_default(parameters: Any, declared: Declaration) -> str:
 
 
 def shown_unit(declared: Declaration) -> str:
-    """Return how a unit is shown; what is no number has none."""
+    """Return a unit as text; text parameters have none."""
     return declared.unit or "–"
 
 
 def shown_range(declared: Declaration) -> str:
-    """Return how a range is shown."""
+    """Return a range as text."""
     if declared.kind is bool:
         return "true, false"
     if get_origin(declared.kind) is Literal:
@@ -231,10 +231,10 @@ def nodes_page() -> str:
     """Return the nodes with their ROS parameters, the launch arguments, topics and services."""
     parts = [
         "# Nodes, launch file, topics, services\n",
-        "`ros2 run ehls_ros NODE`, or `ehls run NODE`. Parameters of laws and of the gate may change while the node runs.\n",
+        "`ros2 run ehls_ros NODE`, or `ehls run NODE`. Parameters of control laws and the gate can be changed at run time.\n",
         "## Launch arguments\n\n`ros2 launch ehls_ros ehls.launch.py NAME:=VALUE`\n",
         rows_of(
-            ("name", "default", "what it is", "choices"),
+            ("name", "default", "description", "choices"),
             (
                 (f"`{name}`", default or "–", about, ", ".join(choices or ()) or "–")
                 for name, (default, about, choices) in launch_arguments().items()
@@ -242,7 +242,7 @@ def nodes_page() -> str:
         ),
         "## Topics\n",
         rows_of(("topic", "type"), ((f"`{topic.resolve()}`", f"`{topic.type}`") for topic in all_topics())),
-        "## Services\n\nOf the plant's node, `plant_sim_node` or `hardware_bridge_node`.\n",
+        "## Services\n\nServices of the plant node, `plant_sim_node` or `hardware_bridge_node`.\n",
         rows_of(("service", "type", "what it does"), services()),
         "## Parameters of every node\n",
         table(import_module("ehls_ros.nodes.control").Common),
@@ -251,8 +251,8 @@ def nodes_page() -> str:
         module = import_module(f"ehls_ros.nodes.{name}")
         parts.append(f"## {name}\n\n{first_sentence(module)}\n")
         parts += [table(own) for own in own_parameters(name)]
-        parts += [f"[Parameters of the law](parameters.md#{slug(law)}).\n" for law in controller_of(name)]
-    parts.append(f"## The safety gate\n\nParameters of the plant's node.\n\n{table(gate_parameters.Parameters)}")
+        parts += [f"[Parameters of the control law](parameters.md#{slug(law)}).\n" for law in controller_of(name)]
+    parts.append(f"## The safety gate\n\nParameters of the plant node.\n\n{table(gate_parameters.Parameters)}")
     return "\n".join(parts)
 
 
@@ -262,13 +262,13 @@ def node_names() -> tuple[str, ...]:
 
 
 def controller_of(node: str) -> tuple[str, ...]:
-    """Return the controller a node runs, none where it runs none."""
+    """Return the controller a node runs, if any."""
     law = node.removesuffix("_node")
     return (law,) if law in CONTROLLERS.names() else ()
 
 
 def own_parameters(node: str) -> tuple[type, ...]:
-    """Return the parameter sets a node declares beside the common ones, the safety gate's and its law's."""
+    """Return the parameter sets of a node, without the common ones, the safety gate's and the control law's."""
     module = import_module(f"ehls_ros.nodes.{node}")
     sets: list[type] = [module.Parameters] if hasattr(module, "Parameters") else []
     if node in {"plant_sim_node", "hardware_bridge_node"}:
@@ -279,7 +279,7 @@ def own_parameters(node: str) -> tuple[type, ...]:
 
 
 def node_parameters(node: str) -> Mapping[str, Declaration]:
-    """Return every parameter of a node that is declared from a parameter set, by name."""
+    """Return all declared parameters of a node by name."""
     sets = [import_module("ehls_ros.nodes.control").Common, *own_parameters(node)]
     sets += [CONTROLLERS.load(law).Parameters for law in controller_of(node)]
     if node in {"plant_sim_node", "hardware_bridge_node"}:
@@ -288,7 +288,7 @@ def node_parameters(node: str) -> Mapping[str, Declaration]:
 
 
 def launch_arguments() -> Mapping[str, tuple[str, str, list[str] | None]]:
-    """Return the launch file's arguments: default, what it is, choices; read without importing the file."""
+    """Return default, description and choices of the launch arguments, read without importing the file."""
     tree = ast.parse(LAUNCH.read_text(encoding="utf-8"))
     values = [node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "ARGUMENTS"]
     found: Mapping[str, tuple[str, str, list[str] | None]] = ast.literal_eval(values[0])
@@ -301,7 +301,7 @@ def all_topics() -> list[topics.Topic]:
 
 
 def services() -> Iterator[tuple[str, str, str]]:
-    """Yield name, type and what it does of every service, from the calls that create them."""
+    """Yield name, type and description of every service, from the calls that create them."""
     tree = ast.parse((ROOT / "ehls_ros" / "nodes" / "plant.py").read_text(encoding="utf-8"))
     imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and str(node.module).endswith(".srv")]
     package_of = {name.name: str(node.module).removesuffix(".srv") for node in imports for name in node.names}
@@ -316,13 +316,13 @@ def services() -> Iterator[tuple[str, str, str]]:
 
 def messages_page() -> str:
     """Return the fields of every message."""
-    parts = ["# Messages\n\nOf the package `ehls_msgs`.\n"]
+    parts = ["# Messages\n\nMessages of the package `ehls_msgs`.\n"]
     for path in sorted(MESSAGES.glob("*.msg")):
         lines = path.read_text(encoding="utf-8").splitlines()
         about = " ".join(line.removeprefix("#").strip() for line in lines if line.startswith("#"))
         fields = [found for line in lines if (found := re.match(r"(\S+)\s+(\w+)\s*(?:#\s*(.*))?$", line))]
         rows = ((f"`{name}`", f"`{kind}`", comment or "–") for kind, name, comment in (field.groups() for field in fields))
-        parts.append(f"## {path.stem}\n\n{about}\n\n{rows_of(('field', 'type', 'what it is'), rows)}")
+        parts.append(f"## {path.stem}\n\n{about}\n\n{rows_of(('field', 'type', 'description'), rows)}")
     return "\n".join(parts)
 
 
@@ -331,12 +331,12 @@ def signals_page() -> str:
     rows = ((f"`{name}`", signal.label, signal.unit) for name, signal in SIGNALS.items())
     return (
         "# Signals\n\nColumns of CSV, MAT and Parquet files, and names in a `Trajectory`. `time_s` comes first.\n\n"
-        + rows_of(("name", "what it is", "unit"), rows)
+        + rows_of(("name", "description", "unit"), rows)
     )
 
 
 def python_page() -> str:
-    """Return the directives by which autodoc documents what a script of one's own calls."""
+    """Return the autodoc directives of the Python interface."""
     parts = ["# Python\n"]
     for title, names in API.items():
         parts.append(f"## {title}\n")

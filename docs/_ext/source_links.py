@@ -1,6 +1,6 @@
-"""Links from a page to a file of the repository lead to a copy of it within the site, at the line they name.
+"""Links to files of the repository point to a copy within the site, at the given line.
 
-A link to a folder leads to the list of its files.
+A link to a folder points to the list of its files.
 """
 
 import re
@@ -21,7 +21,7 @@ LINK = re.compile(r"(?<=\]\()(?P<path>[^)#\s:]+)(?P<fragment>#[^)\s]*)?(?=\))")
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Hook in: links are marked when a page is read, resolved when it is written, and the copies are made last."""
+    """Mark links when a page is read, resolve them when it is written, and write the copies last."""
     app.connect("source-read", mark)
     app.connect("doctree-resolved", resolve)
     app.connect("html-collect-pages", copies)
@@ -29,7 +29,7 @@ def setup(app: Any) -> dict[str, bool]:
 
 
 def mark(app: Any, page: str, source: list[str]) -> None:
-    """Give links to files outside the site a scheme of their own."""
+    """Mark links to files outside the site with their own scheme."""
 
     def marked(link: re.Match[str]) -> str:
         target = (Path(app.srcdir, page).parent / link["path"]).resolve()
@@ -40,26 +40,26 @@ def mark(app: Any, page: str, source: list[str]) -> None:
 
 
 def resolve(app: Any, tree: nodes.document, page: str) -> None:
-    """Turn the marked links into links to the copies."""
+    """Point the marked links to the copies."""
     for reference in tree.findall(nodes.reference):
         target = reference.get("refuri", "")
         if target.startswith(SCHEME):
             path, _, line = target.removeprefix(SCHEME).partition("#")
-            wanted(app).add(path)
+            linked(app).add(path)
             anchor = f"#{line.replace('L', 'L-')}" if line else ""
             reference["refuri"] = app.builder.get_relative_uri(page, copy_of(path)) + anchor
 
 
 def copies(app: Any) -> Iterator[tuple[str, dict[str, str], str]]:
-    """Yield a page for each file that is linked to."""
+    """Yield a page for each linked file."""
     formatter = app.builder.highlighter.get_formatter(linenos="inline", lineanchors="L", wrapcode=True)
-    for path in sorted(wanted(app)):
+    for path in sorted(linked(app)):
         body = listing(ROOT / path) if (ROOT / path).is_dir() else highlight(*lexed(ROOT / path), formatter)
         yield copy_of(path), {"title": path, "body": f"<h1>{path}</h1>{body}"}, "page.html"
 
 
 def lexed(path: Path) -> tuple[str, Any]:
-    """Return a file's text and what tells its words apart."""
+    """Return a file's text and its lexer."""
     try:
         return path.read_text(encoding="utf-8"), get_lexer_for_filename(path.name)
     except ClassNotFound:
@@ -71,8 +71,8 @@ def listing(folder: Path) -> str:
     return "".join(f"<p><code>{escape(file.name)}</code></p>" for file in sorted(folder.iterdir()))
 
 
-def wanted(app: Any) -> set[str]:
-    """Return the files that are linked to, as found so far."""
+def linked(app: Any) -> set[str]:
+    """Return the files linked so far."""
     if not hasattr(app.builder, "linked_sources"):
         app.builder.linked_sources = set()
     found: set[str] = app.builder.linked_sources
@@ -80,5 +80,5 @@ def wanted(app: Any) -> set[str]:
 
 
 def copy_of(path: str) -> str:
-    """Return the name of a file's page."""
+    """Return the page name of a file's copy."""
     return f"source/{path}"

@@ -1,4 +1,4 @@
-"""Take the pictures of the dashboard: one that starts a graph, one that joins a graph in lockstep, and a headless browser.
+"""Take the pictures of the dashboard in a headless browser: one starts a graph, the others join a graph in lockstep.
 
 `.venv/bin/python docs/pictures/dashboard.py` writes dashboard_starting.png, dashboard.png, dashboard_dark.png and
 dashboard_experiment.png here.
@@ -21,14 +21,14 @@ from headless_browser import Tab, browser  # noqa: E402 - found by the line abov
 
 SPEC = ROOT / "config" / "experiments" / "sine_fd2.yaml"
 DURATION = 1000.0
-"""Of the graph in plant time [s]; it is ended when the pictures are taken."""
+"""Plant time of the graph, which is stopped once the pictures are taken [s]."""
 
 
 EHLS = (sys.executable, "-m", "ehls_ros.cli.main")
 
 
 def main() -> None:
-    """Take the pictures, and end everything."""
+    """Take the pictures, then stop everything."""
     sys.path.insert(0, str(ROOT))
     from ehls_ros.nodes.graph import graph_environment  # noqa: PLC0415 - found by the line above
 
@@ -50,12 +50,16 @@ def main() -> None:
 
 @contextmanager
 def shown(folder: Path, environment: Mapping[str, str], *arguments: str) -> Iterator[Tab]:
-    """Run a dashboard and a browser that looks at it at the size of a laptop."""
+    """Run a dashboard and a browser with a laptop's screen size."""
     command = [*EHLS, "dashboard", "--port", "0", *arguments]
     server = subprocess.Popen(command, env=environment, cwd=folder, stdout=subprocess.PIPE, text=True)
     try:
         address = server.stdout.readline().strip() if server.stdout else ""
-        with tempfile.TemporaryDirectory() as profile, browser(Path(profile)) as chromium, chromium.tab(address) as tab:
+        with (
+            tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile,
+            browser(Path(profile)) as chromium,
+            chromium.tab(address) as tab,
+        ):
             tab.resize(1366, 768)
             tab.prefer("light")
             yield tab
@@ -65,7 +69,7 @@ def shown(folder: Path, environment: Mapping[str, str], *arguments: str) -> Iter
 
 
 def take(tab: Tab) -> None:
-    """Take the pictures once ten seconds of the graph are there."""
+    """Take the pictures once ten seconds of data have arrived."""
     tab.until(
         "typeof ehlsLive !== 'undefined' && ehlsLive.last() > 800 && !!document.querySelector('[data-name=value-k]')", 180.0
     )
@@ -78,13 +82,16 @@ def take(tab: Tab) -> None:
     tab.click("[data-name=tab-experiment]")
     tab.choose("[data-name=effect]", "dead zone")
     tab.click("[data-name='add effect']")
+    tab.until("document.querySelector('.q-chip')?.innerText.includes('dead zone')")
     tab.choose("[data-name=effect]", "entrained")
+    tab.until("!!document.querySelector('[data-name=effect-chambers]')")
     save(tab, "dashboard_experiment")
 
 
 def save(tab: Tab, name: str) -> None:
-    """Write a picture once the page has come to rest."""
+    """Write a picture once the page has settled."""
     time.sleep(3.0)
+    tab.until("!document.body.classList.contains('cut-off')")
     path = HERE / f"{name}.png"
     path.write_bytes(tab.picture())
     print(f"{path.relative_to(ROOT)}: {path.stat().st_size} bytes")

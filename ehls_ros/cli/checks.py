@@ -1,4 +1,4 @@
-"""What `ehls doctor` looks at, a function each: what was found, and what to do about it."""
+"""The checks of `ehls doctor`, one function each: the finding, and what to do about it."""
 
 import importlib
 import importlib.metadata
@@ -24,62 +24,40 @@ from ehls_ros.physics.kernel_cache import cache_folder
 Level = Literal["ok", "note", "problem"]
 
 SUPPORTED = ((3, 11), (3, 13))
-"""First and last Python that is tested."""
+"""First and last Python version tested."""
 
 WAKE_UPS = 500
 PERIOD = 1e-3
 
 DISCOVERY_TIME = 20.0
-"""Longest time two processes are given to find each other [s]."""
+"""Longest time for two processes to discover each other [s]."""
 
 STARTING, ENDING = 20.0, 10.0
-"""Longest time a process is given beyond that to start in, and one that is asked to end [s]."""
+"""Further time for a process to start, and time for it to exit [s]."""
 
 LEAST_SPACE = 4.0
-"""Room for about an hour of recording at 1 kHz [GB]."""
+"""Disk space for about an hour of recording at 1 kHz [GB]."""
 
 LATEST = 500.0
-"""A wake-up later than this leaves too little of a period of 1 ms [us]."""
+"""Wake-up latency that leaves too little of a 1 ms period [us]."""
 
 LOCKED_MEMORY = 2**29
-"""What a realtime node may want to lock, with room: 200 MiB, and 70 more in the run that compiles its kernels [B]."""
+"""Memory a realtime node may lock, with margin: 200 MiB, and 70 MiB more while it compiles its kernels [B]."""
 
 CPU = Path("/sys/devices/system/cpu")
 
-ECHO = """
-import rclpy
-from std_msgs.msg import Float64
-rclpy.init()
-node = rclpy.create_node("ehls_doctor_echo")
-publisher = node.create_publisher(Float64, "ehls_doctor_back", 10)
-node.create_subscription(Float64, "ehls_doctor_there", publisher.publish, 10)
-rclpy.spin(node)
-"""
-
-ASKER = """
-import sys, time, rclpy
-from std_msgs.msg import Float64
-rclpy.init()
-node = rclpy.create_node("ehls_doctor")
-trips = []
-publisher = node.create_publisher(Float64, "ehls_doctor_there", 10)
-node.create_subscription(Float64, "ehls_doctor_back", lambda m: trips.append(time.perf_counter() - m.data), 10)
-deadline = time.monotonic() + float(sys.argv[1])
-while len(trips) < 100 and time.monotonic() < deadline:
-    publisher.publish(Float64(data=time.perf_counter()))
-    rclpy.spin_once(node, timeout_sec=0.05)
-print(sorted(trips)[len(trips) // 2] if trips else "", flush=True)
-"""
+ROUND_TRIP = (sys.executable, "-m", "ehls_ros.nodes.round_trip")
+"""Command of the two processes that exchange messages."""
 
 
 class Finding(NamedTuple):
-    """What a check found.
+    """Result of a check.
 
     Attributes:
-        check: what was looked at.
-        level: ok; note, worth knowing; problem, something will not work.
+        check: its name.
+        level: ok; note: worth knowing; problem: something will not work.
         found: one line.
-        advice: what to do; empty where nothing has to be done.
+        advice: what to do; empty if nothing.
     """
 
     check: str
@@ -89,7 +67,7 @@ class Finding(NamedTuple):
 
 
 def python() -> Finding:
-    """Look at the interpreter."""
+    """Check the interpreter's version."""
     found = f"{platform.python_version()} at {sys.executable}"
     if SUPPORTED[0] <= sys.version_info[:2] <= SUPPORTED[1]:
         return Finding("Python", "ok", found)
@@ -97,7 +75,7 @@ def python() -> Finding:
 
 
 def packages() -> Finding:
-    """Look whether what is always needed can be imported."""
+    """Check that the required packages can be imported."""
     missing = []
     for name in ("joblib", "numba", "numpy", "plotly", "pydantic", "rich", "rosbags", "scipy", "shtab", "yaml"):
         try:
@@ -111,7 +89,7 @@ def packages() -> Finding:
 
 
 def ros() -> Finding:
-    """Look whether ROS and the messages are there."""
+    """Check that ROS and the messages can be imported."""
     try:
         importlib.import_module("rclpy")
     except ImportError as error:
@@ -129,46 +107,42 @@ def ros() -> Finding:
 
 
 def environment() -> Finding:
-    """Look at the variables that say who finds whom."""
+    """Check the environment variables of discovery."""
     domain = os.environ.get("ROS_DOMAIN_ID", "not set: 0, or a free one for `ehls experiment`")
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "not set: this host only")
     found = f"domain {domain}; discovery range {reach}"
     if reach == "SUBNET":
-        return Finding("discovery range", "note", found, "everybody on the network sees the nodes: LOCALHOST keeps them here")
+        return Finding(
+            "discovery range", "note", found, "the nodes are visible to the entire subnet: LOCALHOST keeps them on this host"
+        )
     return Finding("discovery range", "ok", found)
 
 
 def discovery() -> Finding:
-    """Let two processes find each other and a message go there and back."""
+    """Check that two processes discover each other, and measure a message's round trip."""
     try:
         from ehls_ros.nodes.graph import graph_environment
     except ImportError:
-        return Finding("DDS", "note", "not looked at without ROS 2")
+        return Finding("DDS", "note", "not checked without ROS 2")
     environment = graph_environment()
-    echo = subprocess.Popen([sys.executable, "-c", ECHO], env=environment, stderr=subprocess.DEVNULL, text=True)
-    asker = subprocess.Popen(
-        [sys.executable, "-c", ASKER, str(DISCOVERY_TIME)],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    pipe = subprocess.PIPE
+    echo = subprocess.Popen([*ROUND_TRIP, "answer"], env=environment, stderr=subprocess.DEVNULL, text=True)
+    asking = [*ROUND_TRIP, "ask", str(DISCOVERY_TIME)]
+    asker = subprocess.Popen(asking, env=environment, stdout=pipe, stderr=pipe, text=True)
     try:
-        found, complaints = _said(asker, DISCOVERY_TIME + STARTING)
+        found, complaints = _output(asker, DISCOVERY_TIME + STARTING)
     finally:
         echo.terminate()
-        _said(echo, ENDING)
+        _output(echo, ENDING)
     if not found.strip():
-        reason = (complaints.strip().splitlines() or ["nothing came back"])[-1]
-        advice = (
-            "look at firewall rules for the loopback interface, and at ROS_DISCOVERY_SERVER and FASTRTPS_DEFAULT_PROFILES_FILE"
-        )
+        reason = (complaints.strip().splitlines() or ["no answer"])[-1]
+        advice = "check firewall rules for the loopback interface, ROS_DISCOVERY_SERVER and FASTRTPS_DEFAULT_PROFILES_FILE"
         return Finding("DDS", "problem", f"two processes did not find each other in {DISCOVERY_TIME:.0f} s ({reason})", advice)
-    return Finding("DDS", "ok", f"a message there and back takes {1e6 * float(found):.0f} us")
+    return Finding("DDS", "ok", f"round trip of a message: {1e6 * float(found):.0f} us")
 
 
-def _said(process: "subprocess.Popen[str]", patience: float) -> tuple[str, str]:
-    """Return what a process has said when it ends; one that does not is killed, and its shared memory cleared."""
+def _output(process: "subprocess.Popen[str]", patience: float) -> tuple[str, str]:
+    """Return a process's output once it exits; after ``patience`` [s] it is killed and its shared memory removed."""
     try:
         out, complaints = process.communicate(timeout=patience)
     except subprocess.TimeoutExpired:
@@ -181,7 +155,7 @@ def _said(process: "subprocess.Popen[str]", patience: float) -> tuple[str, str]:
 
 
 def shared_memory() -> Finding:
-    """Look for what killed processes left in shared memory."""
+    """Check for shared memory left by killed processes."""
     left = leftovers()
     if not left:
         return Finding("shared memory", "ok", "nothing left behind")
@@ -191,54 +165,54 @@ def shared_memory() -> Finding:
 
 
 def processors() -> Finding:
-    """Look at the processors and how they are clocked."""
+    """Check the number of processors and their frequency governors."""
     count = len(os.sched_getaffinity(0))
     governors = {file.read_text(encoding="utf-8").strip() for file in CPU.glob("cpu*/cpufreq/scaling_governor")}
     found = f"{count} usable, load {os.getloadavg()[0]:.1f}" + (f", governor {', '.join(governors)}" if governors else "")
     if count < 2:
-        return Finding("processors", "note", found, "realtime at 1 kHz wants two or more; lockstep does with one")
+        return Finding("processors", "note", found, "realtime at 1 kHz needs two or more; one is enough for lockstep")
     if governors - {"performance"}:
         return Finding("processors", "note", found, "for realtime: sudo cpupower frequency-set -g performance")
     return Finding("processors", "ok", found)
 
 
 def clock() -> Finding:
-    """Measure how late a sleeping loop wakes at 1 kHz."""
+    """Measure the wake-up latency of a 1 kHz loop."""
     start = time.monotonic() + PERIOD
     late = [sleep_until(start + k * PERIOD) - (start + k * PERIOD) for k in range(WAKE_UPS)]
     p50, p99, worst = 1e6 * np.percentile(late, [50, 99, 100])
     found = f"a 1 kHz loop wakes {p50:.0f} us late at the median, {p99:.0f} us at p99, {worst:.0f} us at worst"
     if p99 > LATEST:
-        return Finding("clock", "note", found, "other work is in the way of realtime: stop it, or give the nodes priority")
+        return Finding("clock", "note", found, "too late for realtime: stop other work, or give the nodes priority")
     return Finding("clock", "ok", found)
 
 
 def permissions() -> Finding:
-    """Look whether realtime priority and locked memory are permitted."""
+    """Check whether realtime priority and locked memory are permitted."""
     priority = resource.getrlimit(resource.RLIMIT_RTPRIO)[1]
     memory = resource.getrlimit(resource.RLIMIT_MEMLOCK)[1]
     root = os.geteuid() == 0
     missing = [] if root or priority else ["realtime priority"]
     missing += [] if root or memory == resource.RLIM_INFINITY or memory >= LOCKED_MEMORY else ["locked memory"]
     if missing:
-        advice = "for realtime: rtprio 50 and memlock unlimited in /etc/security/limits.d (docs/hardware.md), then log in anew"
+        advice = "for realtime: rtprio 50 and memlock unlimited in /etc/security/limits.d (docs/hardware.md), then log in again"
         return Finding("permissions", "note", f"{' and '.join(missing)} not permitted", advice)
     return Finding("permissions", "ok", "realtime priority and locked memory permitted")
 
 
 def places() -> Finding:
-    """Look at the configuration, the cache of kernels and the room on the disk."""
+    """Check the configuration folder, the kernel cache and the disk space."""
     try:
         config_folder()
     except BadInput as error:
         return Finding("files", "problem", str(error), "install the package again")
     cache = cache_folder()
     if not os.access(next(folder for folder in (cache, *cache.parents) if folder.exists()), os.W_OK):
-        return Finding("files", "problem", f"{cache} cannot be written", "set EHLS_CACHE_DIR to a folder that can")
+        return Finding("files", "problem", f"{cache} cannot be written", "set EHLS_CACHE_DIR to a writable folder")
     free = shutil.disk_usage(Path.cwd()).free / 1e9
     found = f"kernels in {cache}; {free:.1f} GB free here"
     if free < LEAST_SPACE:
-        return Finding("files", "note", found, "an hour of recording at 1 kHz takes some 4 GB")
+        return Finding("files", "note", found, "an hour of recording at 1 kHz takes about 4 GB")
     return Finding("files", "ok", found)
 
 
@@ -254,4 +228,4 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
     permissions,
     places,
 )
-"""In the order they are best read."""
+"""The checks in order of output."""

@@ -1,4 +1,4 @@
-"""A folder for results that a verb is about to write."""
+"""Output folders of the verbs."""
 
 from pathlib import Path
 
@@ -6,17 +6,17 @@ from ehls_ros.errors import BadInput
 
 
 def writable(folder: Path, file: str) -> Path:
-    """Make a folder unless it is there, and find out before the work whether a file can be written in it.
+    """Create a folder if needed, and check before the work that a file can be written in it.
 
     Raises:
-        BadInput: it cannot.
+        BadInput: the file cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         new = not (folder / file).exists()
         (folder / file).touch()
         if new:
-            (folder / file).unlink()  # work that is interrupted leaves no empty result
+            (folder / file).unlink()  # interrupted work must leave no empty result
     except OSError as error:
         raise BadInput(f"the folder cannot be written ({error.strerror})", str(folder), "a writable folder") from None
     return folder

@@ -1,4 +1,4 @@
-"""Entry of the `ehls` command: finds the verb, runs it, turns errors into exit codes."""
+"""Entry point of the `ehls` command: runs a verb and turns errors into exit codes."""
 
 import argparse
 import sys
@@ -19,14 +19,14 @@ def parser(only: str = "") -> argparse.ArgumentParser:
     """Return the parser.
 
     Args:
-        only: the one verb that is asked for, since loading them all takes over a second; all verbs where it is none.
+        only: the requested verb, since loading them all takes over a second; all are loaded if it is not a verb.
     """
     top = argparse.ArgumentParser(prog="ehls", description="Electro-hydraulic load simulator: run, record, report.")
     top.add_argument("--version", action="version", version=__version__)
     verbs = top.add_subparsers(dest="verb", metavar="VERB", required=True)
     names = VERBS.names()
-    wanted = only.replace("-", "_")
-    for name in (wanted,) if wanted in names else names:
+    requested = only.replace("-", "_")
+    for name in (requested,) if requested in names else names:
         verb = VERBS.load(name)
         verb.arguments(verbs.add_parser(name.replace("_", "-"), help=verb.HELP, description=verb.HELP))
     add_completion(top)
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        arguments: what stands behind `ehls`; that of the process by default.
+        arguments: words after `ehls`; the process's own by default.
 
     Returns:
         The exit code.

@@ -1,4 +1,4 @@
-"""Progress of long work, on a terminal only."""
+"""Progress bars for long work, on a terminal only."""
 
 import sys
 from collections.abc import Iterator
@@ -10,18 +10,18 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 
 class Update(Protocol):
-    """Moves a bar."""
+    """Updates a progress bar."""
 
     def __call__(self, done: int, total: int, doing: str = "") -> None:
-        """Say what is done and what there is in all; and, where it changes, what is being done."""
+        """Set the steps done, the total, and optionally a new title."""
 
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Update]:
-    """Show a bar on standard error while the work lasts; where that is no terminal, show nothing.
+    """Show a progress bar on standard error; nothing if that is not a terminal.
 
     Yields:
-        A function to be called with what is done and what there is in all.
+        A function that sets the steps done and the total.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True) as bar:

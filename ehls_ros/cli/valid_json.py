@@ -1,4 +1,4 @@
-"""Values as JSON can hold them."""
+"""Values that are valid JSON."""
 
 import math
 from collections.abc import Mapping
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def valid_json(value: Any) -> Any:
-    """Return a value with null in place of what JSON has no number for, such as the error of a run that diverged."""
+    """Return a value with null in place of NaN and infinity, which JSON does not have."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):

@@ -1,1 +1,1 @@
-"""The live page on a running graph: what it shows, who may write, and the web server; it knows the graph as ``Graph`` only."""
+"""The live page of a running graph: contents, access rules and web server. It sees the graph only through ``Graph``."""

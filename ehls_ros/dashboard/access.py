@@ -1,12 +1,13 @@
-"""Who may see the page and who may change things.
+"""Who may see the page, and who may change things.
 
-The page can stop a rig, so that other web pages in the same browser and other people on the same net must not reach
-it: the Host header has to be one of this machine's own addresses (a name of someone else's that was made to point here
-is not), an Origin header has to be the page's own, and whoever wants to change something needs the token that was
-printed at the start. Over the loopback interface reading needs no token. A socket from elsewhere needs the number of a page
-that was given out, which only who was allowed to have the page knows.
+The page can stop a rig, so other web pages in the same browser and other people on the network must not reach it:
 
-The token stays in the page's address. In a cookie it would be sent to every server on this machine whatever its port, and one
+* The Host header must be one of this machine's own addresses; a foreign name that resolves to this machine is refused.
+* An Origin header must be the page's own.
+* Changing anything needs the token printed at start-up. Reading needs it too, except over the loopback interface.
+* A websocket from another machine needs the id of a page that was served, which only the page's receiver knows.
+
+The token stays in the page's address. A cookie would go to every server on this machine, whatever its port, and one
 page that may write would make every page of the browser one.
 """
 
@@ -25,28 +26,28 @@ from ehls_ros.dashboard.connections import Connections
 from ehls_ros.dashboard.messages import Verdict, judge
 
 TOKEN = "token"  # noqa: S105 - its name, not the token
-"""Name of the token in the page's address."""
+"""Query field of the token in the page's address."""
 
 PAGE = "client_id"
-"""Name of a page's number in the address of its socket; it is as hard to guess as the token."""
+"""Query field of the page's id in its socket's address; the id is as hard to guess as the token."""
 
 WRITES = "writes"
-"""Name of what a request's state says: whether the page asked for may change things."""
+"""Key in a request's state: whether the requested page may change things."""
 
 PAGES = 16
-"""Pages that read, and as many that write, at most."""
+"""Most pages open at once that only read, and most that may write."""
 
 REMEMBERED = 256
-"""Pages that have ended and whose number is still known."""
+"""Closed pages whose id is still accepted."""
 
 AWAY = 30.0
-"""Time after which a page whose browser does not answer is given up, and built anew when it does [s]."""
+"""Time without an answer from the browser after which a page is dropped; a browser that returns gets a new one [s]."""
 
 FILES, SOCKETS, ICON = "/_nicegui/", "/_nicegui_ws/socket.io/", "/favicon.ico"
-"""What the library serves beside the page."""
+"""Paths NiceGUI serves beside the page."""
 
 _POLICY = {
-    # Vue compiles templates in the browser, for which it needs eval; nothing may come from elsewhere.
+    # Vue compiles templates in the browser and needs eval for it. Nothing may be loaded from other hosts.
     "content-security-policy": "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
     "style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; form-action 'none'; base-uri 'none'",
     "referrer-policy": "no-referrer",
@@ -55,7 +56,7 @@ _POLICY = {
 
 
 class Access:
-    """The rules of one server, and the pages it has given out."""
+    """The rules of one server, and the pages it has served."""
 
     def __init__(self, host: str) -> None:
         """Make a token.
@@ -70,13 +71,13 @@ class Access:
         self._ended: deque[str] = deque(maxlen=REMEMBERED)
 
     def refusal(self, connection: HTTPConnection) -> str:
-        """Return why a request is not answered, or nothing."""
+        """Return why a request is refused; empty if it is allowed."""
         host = connection.headers.get("host", "")
         if not self._is_ours(host):
-            return f"the Host header is {host!r}, which is none of this server's addresses"
+            return f"the Host header is {host!r}, which is not one of this server's addresses"
         origin = connection.headers.get("origin")
         if origin is not None and urlsplit(origin).netloc != host:
-            return f"the Origin header is {origin!r}, which is not this server's"
+            return f"the Origin header is {origin!r}, which is not this server"
         query = _query(connection)
         if TOKEN in query:
             return "" if self.may_write(connection) else "the token is not the one printed when the dashboard was started"
@@ -89,30 +90,30 @@ class Access:
         return "a token is needed: use the address printed when the dashboard was started"
 
     def may_write(self, connection: HTTPConnection) -> bool:
-        """Tell whether a page that is asked for may change things."""
+        """Return whether the requested page may change things."""
         given = _query(connection).get(TOKEN, [""])[0]
         return secrets.compare_digest(given.encode(), self.token.encode())
 
     def has_room(self, *, writes: bool) -> bool:
-        """Tell whether one more page can be given out; those who may write do not wait for those who read."""
+        """Return whether another page can be served; readers and writers are counted separately."""
         return sum(each == writes for each in self._pages.values()) < PAGES
 
     def give(self, page: str, *, writes: bool) -> None:
-        """Take note of a page that is given out: who knows its number may open its socket."""
+        """Register a served page: knowing its id permits opening its socket."""
         self._pages[page] = writes
 
     def end(self, page: str) -> None:
-        """Take note that a page has ended; its browser may come back to be told so."""
+        """Register that a page has closed; its browser may return to be told so."""
         del self._pages[page]
         self._ended.append(page)
 
     def page_of(self, connection: HTTPConnection) -> str:
-        """Return the number of the page that a socket says it belongs to, if it was given out; or nothing."""
+        """Return the id of the page a socket claims to belong to; empty if no such page was served."""
         page = _query(connection).get(PAGE, [""])[0]
         return page if connection.scope["type"] == "websocket" and (page in self._pages or page in self._ended) else ""
 
     def writes(self, page: str) -> bool:
-        """Tell whether a page may change things."""
+        """Return whether a page may change things."""
         return self._pages.get(page, False)
 
     def _is_ours(self, host: str) -> bool:
@@ -124,15 +125,15 @@ class Access:
             return True
         if self._loopback:
             return False
-        # An address that is a number cannot be made to point elsewhere.
+        # A numeric address cannot be re-pointed by somebody's name server.
         return name in {self._host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()} or _is_number(name)
 
 
 class AccessMiddleware:
-    """Asks :class:`Access` before every request and every websocket, and lets through only what a page needs."""
+    """Checks every request and websocket against :class:`Access`, and passes on only what a page needs."""
 
     def __init__(self, app: ASGIApp, access: Access, connections: Connections) -> None:
-        """Wrap an application."""
+        """Wrap the application."""
         self._app = app
         self._access = access
         self._connections = connections
@@ -152,7 +153,7 @@ class AccessMiddleware:
         writes = self._access.may_write(connection)
         code, refusal = self._refusal(connection, writes=writes)
         if refusal:
-            # What else the sender has for us is not waited for.
+            # Close at once instead of reading the rest of the request.
             await PlainTextResponse(f"{refusal}\n", code, {"connection": "close"})(scope, receive, send)
             return
 
@@ -163,7 +164,7 @@ class AccessMiddleware:
                 message["headers"] = headers.raw
             await send(message)
 
-        # Nothing behind this gets to see the token, so that nothing can print it.
+        # Nothing downstream sees the token, so nothing can log it.
         told = {**scope, "query_string": b"", "state": {**scope.get("state", {}), WRITES: writes}}
         await self._app(told, receive, send_with_policy)
 
@@ -172,9 +173,9 @@ class AccessMiddleware:
         if refusal:
             return 403, refusal
         if connection.scope["method"] not in {"GET", "HEAD"}:
-            return 405, "only GET is answered"
+            return 405, "only GET and HEAD are answered"
         if connection.headers.get("content-length", "0") != "0" or "transfer-encoding" in connection.headers:
-            return 413, "a request has no body here"
+            return 413, "requests with a body are refused"
         path = connection.scope["path"]
         if path not in {"/", ICON} and not path.startswith(FILES):
             return 404, "there is no such page: the dashboard is at /"
@@ -186,7 +187,7 @@ class AccessMiddleware:
         connection = HTTPConnection(scope)
         refusal = self._access.refusal(connection)
         page = self._access.page_of(connection)
-        # A session is not taken over from another way of transport: there is none.
+        # "sid" would continue a session begun over HTTP polling, which is not served.
         if refusal or not scope["path"].startswith(SOCKETS) or "sid" in _query(connection):
             await send({"type": "websocket.close", "code": 1008, "reason": refusal})
             return
@@ -210,7 +211,7 @@ def _query(connection: HTTPConnection) -> dict[str, list[str]]:
     try:
         return parse_qs(connection.scope["query_string"].decode("latin-1"))
     except ValueError:
-        # More fields than Python takes.
+        # More fields than parse_qs accepts.
         return {}
 
 

@@ -1,10 +1,10 @@
 """How many connections the server holds, and for how long.
 
-Whoever reaches the port may open connections and send nothing, or read nothing. So a connection has only seconds to say
-what it wants, and the more of them one address holds, the sooner they are cut: others then still get in. What has shown that
-it belongs to a page is not counted with them, so that an open page stays.
+Anybody who reaches the port can open connections and send nothing, or read nothing. So a connection has a few seconds to
+make its request, and an address with too many loses its oldest, so that others still get in. The socket of an open page is
+not counted.
 
-Time is counted in passes of the server's loop, a second or more apart: a server that was kept from working has not waited.
+Time is counted in passes of the server's loop, a second or more apart, so that a stalled server does not time its clients out.
 """
 
 import asyncio
@@ -17,20 +17,20 @@ from typing import Any
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 PER_PEER = 16
-"""Connections of one address that belong to no page; a browser opens six."""
+"""Most connections of one address outside a page; a browser opens six."""
 
 IN_ALL = 64
-"""Connections of all addresses that belong to no page."""
+"""Most connections of all addresses outside a page."""
 
 PER_PAGE = 2
-"""Sockets of one page: the one in use, and one that was lost without the server being told."""
+"""Most sockets of one page: the one in use, and one lost without the server noticing."""
 
 PASS = 1.0
 """Time between two passes [s]."""
 
 
 class State(Enum):
-    """What a connection is doing."""
+    """State of a connection."""
 
     ASKING = auto()
     ANSWERED = auto()
@@ -39,7 +39,7 @@ class State(Enum):
 
 
 PASSES = {State.ASKING: 5, State.ANSWERED: 60, State.CLOSING: 5}
-"""Passes a connection may stay in a state: to say what it wants, to take the answer, to take the last of it."""
+"""Passes a connection may stay in a state: making its request, reading the answer, closing."""
 
 Address = tuple[str, int]
 
@@ -48,11 +48,11 @@ class Connections:
     """The connections of one server."""
 
     def __init__(self) -> None:
-        """Start without any."""
+        """Start with none."""
         self._open: dict[Address, _Connection] = {}
 
     def protocol(self) -> type[asyncio.Protocol]:
-        """Return the protocol of a connection, which makes it known here; its requests' heads are bounded by h11."""
+        """Return a protocol class that registers its connections here; h11 limits the size of request headers."""
         connections = self
 
         class Protocol(H11Protocol):
@@ -63,7 +63,7 @@ class Connections:
         return Protocol
 
     def opened(self, transport: asyncio.Transport) -> None:
-        """Take note of a connection, and cut another one where there are too many: one that asks, and the oldest of those."""
+        """Register a connection; if there are too many, cut the oldest, those still making their request first."""
         peer = transport.get_extra_info("peername")
         self._open[_address(peer)] = _Connection(transport)
         counted = [address for address, one in self._open.items() if one.state() in {State.ASKING, State.ANSWERED}]
@@ -76,10 +76,10 @@ class Connections:
 
     @contextmanager
     def answered(self, peer: Any) -> Iterator[None]:
-        """Give a connection the time of an answer.
+        """Allow a connection the time of an answer.
 
         Args:
-            peer: as the transport and ASGI's scope name it.
+            peer: host and port as the transport and the ASGI scope give them.
         """
         connection = self._open.get(_address(peer))
         if connection is None:
@@ -93,11 +93,11 @@ class Connections:
             connection.passes = 0
 
     def belongs(self, peer: Any, page: str) -> None:
-        """Let a connection stay for as long as it likes, as the socket of a page; the page's oldest beyond two is cut.
+        """Keep a connection open as the socket of a page; beyond :data:`PER_PAGE`, the page's oldest is cut.
 
         Args:
-            peer: as the transport and ASGI's scope name it.
-            page: the page's number.
+            peer: host and port as the transport and the ASGI scope give them.
+            page: the page's id.
         """
         connection = self._open.get(_address(peer))
         if connection is None:
@@ -108,7 +108,7 @@ class Connections:
             self._cut(same[0])
 
     async def watch(self) -> None:
-        """Cut what takes too long, until cancelled."""
+        """Cut connections that take too long, until cancelled."""
         while True:
             await asyncio.sleep(PASS)
             for address, connection in list(self._open.items()):
@@ -116,12 +116,12 @@ class Connections:
                     self._cut(address)
 
     def _cut(self, address: Address) -> None:
-        # What is closing may never end by itself: its peer may take nothing any more.
+        # Abort rather than close: a peer that stopped reading would keep a closing connection open for ever.
         self._open.pop(address).transport.abort()
 
 
 class _Connection:
-    """One of them."""
+    """One connection and its time in the present state."""
 
     def __init__(self, transport: asyncio.Transport) -> None:
         self.transport = transport
@@ -131,7 +131,7 @@ class _Connection:
         self._before = State.ASKING
 
     def state(self) -> State:
-        # What was written is not yet taken: a slow reader's connection is neither idle nor, if it is to close then, closed.
+        # A slow reader still has data to fetch: its connection is neither idle nor, if it is to close afterwards, closing.
         unsent = self.transport.get_write_buffer_size() > 0
         if self.transport.is_closing() and (self.page or not unsent):
             return State.CLOSING
@@ -140,7 +140,7 @@ class _Connection:
         return State.ANSWERED if self.answered or unsent else State.ASKING
 
     def takes_too_long(self) -> bool:
-        """Count a pass; tell whether the state has lasted for too many."""
+        """Count a pass; return whether the state has lasted too long."""
         state = self.state()
         self.passes = self.passes + 1 if state is self._before else 1
         self._before = state

@@ -1,4 +1,4 @@
-"""What the controls share: a wish is passed on in a thread, and what came of it is shown."""
+"""Shared by all controls: send a request to the graph from a thread and show the answer."""
 
 import asyncio
 from collections.abc import Callable
@@ -8,9 +8,9 @@ from nicegui import ui
 from ehls_ros.dashboard.graph import Answer
 
 
-async def ask(wish: Callable[[], Answer]) -> Answer:
-    """Pass a wish on to the graph without holding the page up, and show the answer for a while."""
-    answer = await asyncio.to_thread(wish)
+async def ask(request: Callable[[], Answer]) -> Answer:
+    """Send a request to the graph without blocking the page, and show the answer for a while."""
+    answer = await asyncio.to_thread(request)
     show(answer)
     return answer
 
@@ -21,16 +21,16 @@ def show(answer: Answer) -> None:
         ui.notify(answer.message, type="positive" if answer.done else "negative", position="bottom-right", timeout=5000)
 
 
-def button(text: str, wish: Callable[[], Answer], look: str) -> ui.button:
-    """Make a button for a wish.
+def button(text: str, request: Callable[[], Answer], look: str) -> ui.button:
+    """Make a button that sends a request.
 
     Args:
-        text: what stands on it.
-        wish: passed on when it is pressed.
-        look: properties of Quasar's button.
+        text: its label.
+        request: sent when it is pressed.
+        look: Quasar properties of the button.
     """
 
     async def pressed() -> None:
-        await ask(wish)
+        await ask(request)
 
     return ui.button(text, on_click=pressed).props(f'{look} data-name="{text.lower()}"')

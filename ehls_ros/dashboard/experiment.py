@@ -1,4 +1,4 @@
-"""The tab that starts and ends a graph and its recordings, with effects hidden in the simulated rig."""
+"""The Experiment tab: start and stop a graph and its recordings, with effects hidden in the simulated rig."""
 
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,10 @@ from ehls_ros.schema import declarations
 
 
 class EffectsForm:
-    """The effects to hide in the rig at the next start."""
+    """The effects hidden in the rig from the next start."""
 
     def __init__(self) -> None:
-        """Build it in the current slot."""
+        """Build the form in the current slot."""
         self._chosen: list[EffectUse] = []
         self._entries: dict[str, Any] = {}
         with ui.element("div").classes("row-of"):
@@ -32,11 +32,11 @@ class EffectsForm:
         self._list = ui.element("div").classes("row-of")
 
     def chosen(self) -> tuple[EffectUse, ...]:
-        """Return what was added."""
+        """Return the effects added."""
         return tuple(self._chosen)
 
     def _offer(self) -> None:
-        """Show the fields of the effect that is named."""
+        """Show the parameter fields of the selected effect."""
         self._fields.clear()
         self._entries = {}
         self._refused.set_text("")
@@ -83,8 +83,8 @@ class ExperimentTab:
         """Build the tab in the current slot.
 
         Args:
-            graph: what is started.
-            spec: experiment file that is offered first; None: the 10 kN sine.
+            graph: the graph to start and stop.
+            spec: experiment file preselected; None: the 10 kN sine.
         """
         self._graph = graph
         folder = config_folder() / "experiments"
@@ -92,7 +92,7 @@ class ExperimentTab:
         files = sorted({first, *map(str, folder.glob("*.yaml"))})
         names = {file: Path(file).name if Path(file).parent == folder else file for file in files}
         self._spec = ui.select(names, value=first, label="experiment file").props("dense").style("width: 100%")
-        ui.label("Effects hidden in the simulated rig; the controller does not know of them.").classes("said")
+        ui.label("Effects hidden in the simulated rig; the controller does not know them.").classes("said")
         self._effects = EffectsForm()
         with ui.element("div").classes("row-of"):
             self._start = ui.button("Start", on_click=self._start_graph).props('dense color=positive data-name="start"')
@@ -102,7 +102,7 @@ class ExperimentTab:
         self._activity = ui.label("").classes("said").props('data-name="activity"')
 
     def show(self) -> None:
-        """Bring buttons and sentence up to date."""
+        """Update buttons and status line."""
         graph = self._graph
         here, there = graph.started_here(), graph.rate() > 0.0
         self._start.set_enabled(not here and not there)

@@ -1,4 +1,4 @@
-"""What the page asks of the graph; ``ehls_ros.nodes.dashboard_graph`` answers it over ROS."""
+"""What the page needs of the graph; ``ehls_ros.nodes.dashboard_graph`` implements it over ROS."""
 
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol
@@ -10,13 +10,13 @@ Value = float | int | bool | str
 
 
 class Health(NamedTuple):
-    """What a node last said of itself.
+    """A node's latest diagnostics.
 
     Attributes:
         node: its name.
-        level: 0 well, 1 warning, 2 error, 3 silent for longer than it should be.
-        message: its sentence.
-        figures: by name.
+        level: 0 OK, 1 warning, 2 error, 3 overdue.
+        message: its message.
+        figures: its values by name.
     """
 
     node: str
@@ -26,14 +26,14 @@ class Health(NamedTuple):
 
 
 class Tunable(NamedTuple):
-    """A parameter of a running node that may change while it runs.
+    """A parameter that may change while its node runs.
 
     Attributes:
         name: its name.
         value: its value.
-        description: help with the unit in brackets.
-        minimum: smallest value the node takes; None: no limit.
-        maximum: largest value the node takes; None: no limit.
+        description: help, with the unit in brackets.
+        minimum: smallest value the node accepts; None: no limit.
+        maximum: largest value the node accepts; None: no limit.
     """
 
     name: str
@@ -44,11 +44,11 @@ class Tunable(NamedTuple):
 
 
 class Beginning(NamedTuple):
-    """How far nodes are that are being started.
+    """Progress of nodes being started.
 
     Attributes:
-        seconds: since they were started.
-        nodes: what each is doing, in the order they are started.
+        seconds: time since their start [s].
+        nodes: stage of each, in starting order.
     """
 
     seconds: float
@@ -56,73 +56,73 @@ class Beginning(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What came of a wish: whether it was done, and the sentence of whoever did or refused it."""
+    """Outcome of a request: whether it was carried out, and the message of the node that did or refused it."""
 
     done: bool
     message: str
 
 
 class Graph(Protocol):
-    """A running graph, or one that may be started. Every method may be called from any thread.
+    """A running graph, or one that can be started. All methods are thread-safe.
 
     Attributes:
         window: the last seconds of its signals.
-        where: its namespace and domain, for people.
+        where: its namespace and domain, as text.
     """
 
     window: Window
     where: str
 
     def rate(self) -> float:
-        """Return the snapshots that came in over the last second or so [1/s]; 0 where there is no graph."""
+        """Return the rate of snapshots over about the last second [1/s]; 0 without a graph."""
 
     def health(self) -> tuple[Health, ...]:
-        """Return what the nodes say."""
+        """Return the nodes' diagnostics."""
 
     def tunable_nodes(self) -> tuple[str, ...]:
-        """Return the nodes with parameters to change, the controller first."""
+        """Return the nodes with live parameters, the controller first."""
 
     def parameters(self, node: str) -> tuple[Tunable, ...]:
-        """Ask a node for its parameters; nothing where it does not answer."""
+        """Return a node's live parameters; empty if it does not answer."""
 
     def set_parameter(self, node: str, name: str, value: Value) -> Answer:
-        """Ask a node to take a value; it says why if it does not."""
+        """Set a node's parameter; the answer carries the node's reason if it refuses."""
 
     def emergency_stop(self) -> Answer:
         """Cut the command."""
 
     def acknowledge_stop(self) -> Answer:
-        """Let go of the emergency stop that is engaged."""
+        """Acknowledge the engaged emergency stop."""
 
     def reset_trips(self) -> Answer:
-        """Let the gate forget what tripped it."""
+        """Reset the gate's latched trips."""
 
     def enable(self) -> Answer:
         """Let commands through again."""
 
     def start(self, spec: Spec, name: str) -> Answer:
-        """Start the nodes for a spec, in real time and without an end; returns once they run."""
+        """Start the nodes of a spec in real time, with no last cycle; returns once they run."""
 
     def stop(self) -> Answer:
-        """End the nodes that were started here."""
+        """Stop the nodes started here."""
 
     def record(self, *, on: bool) -> Answer:
-        """Begin a recording, or end it."""
+        """Start or end a recording."""
 
     def beginning(self) -> Beginning | None:
-        """Return how far the nodes are that are being started here; None where none are."""
+        """Return the progress of the nodes being started here; None if none are."""
 
     def complaint(self) -> str:
-        """Say which of the nodes started here ended although nobody wanted it, and its last words; empty where none did."""
+        """Return which node started here died, and the last line of its log; empty if none did."""
 
     def activity(self) -> str:
-        """Say in a sentence what was started here: recording, files."""
+        """Return one sentence on what was started here: recording, files."""
 
     def started_here(self) -> bool:
-        """Tell whether nodes run that were started here."""
+        """Return whether nodes started here are running."""
 
     def recording(self) -> bool:
-        """Tell whether a recording that was begun here goes on."""
+        """Return whether a recording started here is running."""
 
     def give_up(self) -> None:
-        """Let every wish that waits for an answer end now: the server ends."""
+        """Abort every pending request: the server is shutting down."""

@@ -1,4 +1,4 @@
-// Draws what the server sends: the lowest and the highest value of each signal in every short interval.
+// Draws what the server sends: the minimum and maximum of each signal in every short interval.
 // The page calls ehlsLive.begin once and ehlsLive.extend several times a second.
 "use strict";
 
@@ -18,7 +18,7 @@ const ehlsLive = (() => {
     setInterval(watch, 500);
   }
 
-  // low and high: by signal, one value an interval, null where there is none.
+  // part.low and part.high: by signal, one value per interval, null where there is none.
   function extend(part) {
     heard = performance.now();
     if (part.era !== era || part.first !== first + length()) {
@@ -48,7 +48,7 @@ const ehlsLive = (() => {
     return any ? any.low.length : 0;
   }
 
-  // Draws what has come, and rests for as long as that took: a slow machine is left some time for the rest of the page.
+  // Draws the new data, then pauses for as long as that took, so that a slow machine keeps time for the rest of the page.
   function draw() {
     const begun = performance.now();
     const end = (first + length()) * interval;
@@ -61,7 +61,7 @@ const ehlsLive = (() => {
     setTimeout(() => (awaited = false), performance.now() - begun);
   }
 
-  // Times are those before now. Both values of an interval lie at its two quarters, so that a line through them shows every peak.
+  // Times are relative to now. The two values of an interval sit at its quarter points, so that a line through them shows every peak.
   function points(signal, factor, end) {
     const data = new Float64Array(signal ? 4 * signal.low.length : 0);
     for (let i = 0; i < data.length / 4; i++) {
@@ -85,7 +85,7 @@ const ehlsLive = (() => {
     return document.getElementById(`c${id}`) ? getElement(id)?.chart : undefined;
   }
 
-  // Colours are the stylesheet's, which follows the system.
+  // Colours come from the stylesheet, which follows the system's light or dark mode.
   function paint() {
     const style = getComputedStyle(document.body);
     const colour = (name) => style.getPropertyValue(name).trim();

@@ -1,8 +1,8 @@
-"""What a page's browser may say over its socket.
+"""Which messages a browser may send over its page's socket.
 
-The libraries behind the socket believe what they are told: an event for another page's button, a text for the terminal, a
-promise of parts to come. So each message is looked at before they get it. A page that may not write has nothing to say but
-how far it has heard.
+The libraries behind the socket trust their input: an event for another page's button, a text for the terminal, an announced
+attachment that never comes. So each message is checked before they see it. A read-only page may only acknowledge what it
+received.
 """
 
 from collections.abc import Callable
@@ -12,36 +12,36 @@ from typing import Any
 import orjson
 
 LARGEST = 64 * 1024
-"""Size of the largest message [B]; what is typed into a field is sent whole."""
+"""Size of the largest message [B]; the text of a field is sent in one piece."""
 
 _SIGNALS = {"1", "3", "40", "40{}", "41"}
-"""Of Engine.IO and Socket.IO: close, pong, connect, connect, disconnect."""
+"""Engine.IO and Socket.IO packets: close, pong, connect, connect, disconnect."""
 
 _EVENT = "42"
 
 
 class Verdict(Enum):
-    """What is done with a message."""
+    """What to do with a message."""
 
     PASSED = auto()
     DROPPED = auto()
     CUT_OFF = auto()
-    """No browser that runs the page sends this: neither is the socket kept."""
+    """A browser running the page never sends this, so the socket is closed."""
 
 
 def judge(text: str | None, page: str, *, writes: bool) -> Verdict:
-    """Return what is done with a message.
+    """Return what to do with a message.
 
     Args:
         text: the message; None: it is binary.
-        page: number of the page the socket belongs to; empty: it belongs to none.
+        page: id of the page the socket belongs to; empty: none.
         writes: whether that page may change things.
     """
     if text in _SIGNALS:
         return Verdict.PASSED
     if text is None or not page or not text.startswith(_EVENT):
         return Verdict.CUT_OFF
-    # A number before the bracket asks for an answer.
+    # A number before the bracket requests an acknowledgement.
     number, bracket, rest = text.removeprefix(_EVENT).partition("[")
     try:
         name, message = orjson.loads(bracket + rest)
@@ -75,7 +75,7 @@ _CHECKS: dict[str, Callable[[dict[str, Any]], bool]] = {
     "event": _is_event,
     "ack": _is_ack,
     "handshake": _is_handshake,
-    # Nobody here waits for these two: texts for the terminal, results of scripts.
+    # Texts for the terminal and results of scripts: nothing here uses them.
     "log": lambda _: True,
     "javascript_response": lambda _: True,
 }

@@ -1,4 +1,4 @@
-"""The page: pictures of the signals, what the nodes say, and controls for who may write."""
+"""The page: plots of the signals, the nodes' diagnostics, and controls for pages that may write."""
 
 from html import escape
 from pathlib import Path
@@ -20,36 +20,37 @@ from ehls_ros.dashboard.window import INTERVAL
 FOLDER = Path(__file__).parent
 
 PICTURES = 0.1
-"""Time between two updates of the pictures [s]."""
+"""Time between two updates of the plots [s]."""
 
 WORDS = 0.5
 """Time between two updates of the texts [s]."""
 
 GATE_STATE = "state"
-"""Figure of the node that has the safety gate."""
+"""Diagnostics key by which the node with the safety gate is known."""
 
 STOP = "stop"
-"""The figure that names an emergency stop while one is engaged."""
+"""Diagnostics key that names the emergency stop while one is engaged."""
 
 PAUSE = '<input type="checkbox" onchange="ehlsLive.pause(this.checked)"> pause'
-"""The browser's own affair: a page that may not write is not heard."""
+"""Handled in the browser alone, since a read-only page cannot send events."""
 
 TOO_SLOW = "too slow"
-"""What a node says, among other things, whose cycles this machine cannot keep."""
+"""Part of a node's message when this machine cannot keep its cycle time."""
 
-LEVELS = ("well", "warning", "error", "silent")
+LEVELS = ("OK", "warning", "error", "silent")
+"""Names of the levels of :class:`Health`."""
 
 
 class Page:
     """One browser's page."""
 
     def __init__(self, graph: Graph, spec: Path | None, *, writes: bool) -> None:
-        """Build the page; it keeps itself up to date once a browser is there.
+        """Build the page; timers keep it up to date once a browser has loaded it.
 
         Args:
             graph: the graph it shows.
-            spec: experiment file that Start offers first.
-            writes: whether it may change things. If not, there are no controls, neither in the browser nor here.
+            spec: experiment file preselected for Start.
+            writes: whether it may change things. If not, no controls exist, neither in the browser nor here.
         """
         self._graph = graph
         self._client = ui.context.client
@@ -92,7 +93,7 @@ class Page:
                 button("Emergency stop", graph.emergency_stop, "dense color=negative")
         self._trouble = ui.label("").classes("trouble").props('data-name="trouble"')
         self._trouble.set_visibility(False)
-        lost = "Nothing comes from the dashboard's server: it was ended, the connection is lost, or the machine is too busy."
+        lost = "The dashboard's server does not answer: it was stopped, the connection is lost, or the machine is too busy."
         ui.label(lost).classes("trouble lost")
 
     def _side(self, spec: Path | None, *, writes: bool) -> None:
@@ -156,27 +157,27 @@ class Page:
         worst = max(health, key=lambda node: node.level, default=None)
         text = self._graph.complaint()
         if not text and self._was_there and not there:
-            text = "No snapshots come any more: the graph was ended, or what stands for the rig has stopped."
+            text = "No more snapshots: the graph was stopped, or the plant node has died."
         elif not text and worst is not None and worst.level:
             text = f"{worst.node}: {worst.message}"
             if slow and slow != text:
-                # The cause before what came of it.
+                # The cause before its consequence.
                 text = f"{slow}. {text}"
         self._trouble.set_text(text)
         self._trouble.set_visibility(bool(text))
 
 
 class NodesTab:
-    """What each node says of itself, with its figures on request."""
+    """Each node's diagnostics; its values unfold on a click."""
 
     def __init__(self) -> None:
-        """Build it in the current slot."""
-        self._none = ui.label("No node speaks.").classes("said")
+        """Build the tab in the current slot."""
+        self._none = ui.label("No node publishes diagnostics.").classes("said")
         self._list = ui.element("div").classes("nodes")
         self._rows: dict[str, _Row] = {}
 
     def show(self, health: tuple[Health, ...]) -> None:
-        """Bring it up to date."""
+        """Update the rows."""
         self._none.set_visibility(not health)
         if [node.node for node in health] != list(self._rows):
             self._list.clear()
@@ -191,7 +192,7 @@ class _Row:
 
     def __init__(self, name: str) -> None:
         with ui.element("details") as row:
-            # Set as it is: what stands in a text of properties is parsed, and some properties are run.
+            # Set as an item: NiceGUI parses a string of properties, and the browser evaluates some of them.
             row.props["data-name"] = f"node-{name}"
             with ui.element("summary"):
                 ui.html(escape(name), sanitize=False, tag="b")
@@ -212,7 +213,7 @@ def _set_level(badge: ui.label, level: int) -> None:
 
 
 def _plot(panel: Panel) -> dict[str, Any]:
-    """Make an empty picture, and return what the browser needs to fill it."""
+    """Make an empty plot, and return what the browser needs to fill it."""
     legend = [f'<span class="c{line.colour}">{escape(line.label)}</span>' for line in panel.lines]
     lines = [{"signal": line.signal, "factor": line.factor, "colour": line.colour} for line in panel.lines]
     lines += [{**lines[number], "factor": -line.factor} for number, line in enumerate(panel.lines) if line.mirrored]
@@ -223,10 +224,10 @@ def _plot(panel: Panel) -> dict[str, Any]:
 
 
 def _columns(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return one row a signal, in the precision of a picture."""
+    """Return one row per signal; single precision is enough for a plot."""
     return np.ascontiguousarray(values.T, dtype=np.float32)
 
 
 def _json(content: Any) -> str:
-    """Write JSON that may stand in a script; what is no finite number becomes null."""
+    """Return JSON that is safe inside a script element; NaN and infinity become null."""
     return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY).decode().replace("</", "<\\/")

@@ -1,15 +1,15 @@
-"""What the page draws: which signals stand in which panel, in which unit."""
+"""What the page plots: the signals of each panel and their units."""
 
 from typing import Any, NamedTuple
 
 ELEMENTS = 4
-"""Friction elements drawn; a model with more shows its first ones."""
+"""Friction elements plotted; of a model with more, only the first ones."""
 
 RESPONSE = "response_us"
-"""Not in any message: when a valve command was sent minus when its snapshot was [us]."""
+"""Time from sending a snapshot to sending its valve command [us]; computed from the time stamps."""
 
 FORCE_REFERENCE = "force_reference_n"
-"""The force less the error the controller reports, so that the reference's own topic need not be taken as well."""
+"""Force minus the controller's reported error, which saves subscribing to the reference."""
 
 SPAN = 10.0
 """Time shown [s]."""
@@ -21,9 +21,9 @@ class Line(NamedTuple):
     Attributes:
         signal: name in the window.
         label: in the legend.
-        colour: number in the stylesheet; 0 is the grey of what the others are held against.
-        factor: from the signal's unit to the panel's.
-        mirrored: minus the signal is drawn as well: a bound.
+        colour: number in the stylesheet; 0 is grey, for references.
+        factor: conversion from the signal's unit to the panel's.
+        mirrored: whether the negative signal is drawn too, as for a bound.
     """
 
     signal: str
@@ -34,13 +34,13 @@ class Line(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """One picture.
+    """One plot.
 
     Attributes:
         title: heading.
-        unit: of the vertical axis.
-        lines: in the order they are drawn.
-        logarithmic: the vertical axis has decades.
+        unit: unit of the vertical axis.
+        lines: in drawing order.
+        logarithmic: whether the vertical axis is logarithmic.
     """
 
     title: str
@@ -51,7 +51,7 @@ class Panel(NamedTuple):
 
 PANELS = (
     Panel("Force", "kN", (Line(FORCE_REFERENCE, "reference", 0, 1e-3), Line("force_n", "force", 1, 1e-3))),
-    Panel("Force error", "N", (Line("force_bound_n", "bound of the law", 0, mirrored=True), Line("force_error_n", "error"))),
+    Panel("Force error", "N", (Line("force_bound_n", "bound", 0, mirrored=True), Line("force_error_n", "error"))),
     Panel(
         "Pressure",
         "MPa",
@@ -67,8 +67,8 @@ PANELS = (
         ),
     ),
     Panel("Piston", "mm", (Line("position_reference_m", "reference", 0, 1e3), Line("position_m", "position", 1, 1e3))),
-    Panel("Scales of the friction", "ratio", (Line("alpha", "α̂"), Line("beta", "β̂", 2))),
-    Panel("Force beyond the model", "N", (Line("delta_n", "D̂"),)),
+    Panel("Friction scales", "ratio", (Line("alpha", "α̂"), Line("beta", "β̂", 2))),
+    Panel("Remaining disturbance", "N", (Line("delta_n", "D̂"),)),
     Panel("Loop: snapshot to command", "µs", (Line(RESPONSE, "response"),), logarithmic=True),
 )
 
@@ -76,7 +76,7 @@ SIGNALS = tuple(line.signal for panel in PANELS for line in panel.lines)
 
 
 def options(panel: Panel) -> dict[str, Any]:
-    """Return a panel's empty picture for ECharts; colours and data are the browser's."""
+    """Return the ECharts options of an empty panel; the browser adds colours and data."""
     lines = [(line.label, line.colour) for line in panel.lines]
     lines += [(f"-{line.label}", line.colour) for line in panel.lines if line.mirrored]
     return {
@@ -100,7 +100,7 @@ def options(panel: Panel) -> dict[str, Any]:
             "splitNumber": 4,
         },
         "series": [
-            # What the others are held against is wider, so that it is seen below a line that covers it.
+            # References are wider, so that they show beneath the line that covers them.
             {"type": "line", "name": label, "showSymbol": False, "lineStyle": {"width": 1 if colour else 3}}
             for label, colour in lines
         ],

@@ -22,27 +22,28 @@ from ehls_ros.dashboard.page import Page
 from ehls_ros.errors import BadInput
 
 LONGEST_HEAD = 16 * 1024
-"""Size of the largest request [B]: line and headers."""
+"""Size of the largest request line and headers [B]."""
 
 FAREWELL = 1
-"""Time open pages are given to go when the server ends [s]."""
+"""Time open pages are given to close when the server stops [s]."""
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """Return a socket that listens.
+    """Return a listening socket.
 
     Args:
-        host: name or address; 127.0.0.1 is reached from this machine only.
-        port: 0: any that is free.
+        host: name or address; 127.0.0.1 is reachable from this machine only.
+        port: port number; 0: any free one.
 
     Raises:
-        BadInput: the address cannot be had.
+        BadInput: the address cannot be opened.
     """
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         return socket.create_server((host, port), family=family)
     except OSError as error:
-        raise BadInput(f"port {port} of {host} cannot be had ({error.strerror})", "command line", "--port 0, for any") from None
+        place = f"port {port} of {host} cannot be opened ({error.strerror})"
+        raise BadInput(place, "command line", "--port 0, for any free port") from None
 
 
 def serve(graph: Graph, opened: socket.socket, spec: Path | None, up: Callable[[str], None]) -> None:
@@ -50,9 +51,9 @@ def serve(graph: Graph, opened: socket.socket, spec: Path | None, up: Callable[[
 
     Args:
         graph: the graph it shows.
-        opened: listening socket; it is closed at the end.
-        spec: experiment file that is offered first.
-        up: called with the page's address, token included, once it can be opened.
+        opened: listening socket, which is closed at the end.
+        spec: experiment file preselected for Start.
+        up: called with the page's address, including the token, once it can be opened.
     """
     host, port = opened.getsockname()[:2]
     access, connections = Access(host), Connections()
@@ -83,15 +84,15 @@ def serve(graph: Graph, opened: socket.socket, spec: Path | None, up: Callable[[
         http=connections.protocol(),
         h11_max_incomplete_event_size=LONGEST_HEAD,
         ws_max_size=LARGEST,
-        # A small message may not become a large one; and the state of a compression costs more than it saves here.
+        # A compressed message could expand without limit, and compression would cost more than it saves here.
         ws_per_message_deflate=False,
-        # Whose connection it is, only the connection says.
+        # The peer is the connection's address, not what a header claims.
         proxy_headers=False,
         log_level="error",
         access_log=False,
         timeout_graceful_shutdown=FAREWELL,
     )
-    # uvicorn hands a signal on, once it has ended, to whoever had it before.
+    # After stopping, uvicorn raises the signal again for the previous handler.
     before = {number: signal.signal(number, lambda *_: None) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         uvicorn.Server(config).run(sockets=[opened])
@@ -101,7 +102,7 @@ def serve(graph: Graph, opened: socket.socket, spec: Path | None, up: Callable[[
 
 
 def _quieten() -> None:
-    """Keep strangers from writing on this terminal, and from having a page built for every address that is none."""
+    """Keep clients from writing to this terminal, and from having a page built for every unknown address."""
     library.add_exception_handler(404, lambda *_: PlainTextResponse("there is no such file\n", 404))
     for name in ("engineio.server", "socketio.server"):
         logging.getLogger(name).setLevel(logging.CRITICAL)

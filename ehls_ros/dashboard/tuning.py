@@ -1,4 +1,4 @@
-"""The tab with the parameters of a running node, made from what the node says of them."""
+"""The Tune tab: the parameters of a running node, built from the node's own descriptions."""
 
 import asyncio
 import math
@@ -11,7 +11,7 @@ from ehls_ros.dashboard.controls import show
 from ehls_ros.dashboard.graph import Graph, Tunable
 
 REACH = 10.0
-"""A slider reaches from a tenth of the value it begins at to ten times that, as far as the node allows."""
+"""A slider spans a tenth to ten times its initial value, within the node's limits."""
 
 STEPS = 200
 """Positions of a slider."""
@@ -31,11 +31,11 @@ class TuningTab:
         self._list = ui.column().classes("tunables")
 
     async def show(self) -> None:
-        """Ask a node for its parameters: the one chosen by hand, or else the first there is."""
+        """Show a node's parameters: the node the user selected, otherwise the first one."""
         nodes = list(self._graph.tunable_nodes())
-        chosen = self._wanted(nodes)
+        chosen = self._node_to_show(nodes)
         if chosen != self._node.value:
-            # Choosing shows.
+            # Selecting calls show again.
             self._node.set_options(nodes, value=chosen)
             return
         self._node.set_options(nodes)
@@ -47,18 +47,18 @@ class TuningTab:
             for tunable in found:
                 _Tuner(self._graph, str(chosen), tunable)
             if not found:
-                ui.label(f"{chosen} does not answer." if chosen else "No node is there to be tuned.").classes("said")
+                ui.label(f"{chosen} does not answer." if chosen else "There is no node to tune.").classes("said")
 
     async def follow(self) -> None:
-        """Take note of other nodes; what is being typed for a node that is still there stays."""
+        """Update the list of nodes, keeping what is being typed for a node that is still there."""
         nodes = list(self._graph.tunable_nodes())
-        unknown = self._node.value != self._wanted(nodes) or not self._answered
+        unknown = self._node.value != self._node_to_show(nodes) or not self._answered
         if unknown and not self._asking:
             await self.show()
         elif nodes != self._node.options:
             self._node.set_options(nodes)
 
-    def _wanted(self, nodes: list[str]) -> str | None:
+    def _node_to_show(self, nodes: list[str]) -> str | None:
         return self._node.value if self._by_hand and self._node.value in nodes else next(iter(nodes), None)
 
     def _chosen_by_hand(self) -> None:
@@ -66,7 +66,7 @@ class TuningTab:
 
 
 class _Tuner:
-    """One parameter: a field, for a number with a fraction a slider, and the node's refusal."""
+    """One parameter: an input field, a slider if it is a float, and the node's reason if it refuses a value."""
 
     def __init__(self, graph: Graph, node: str, tunable: Tunable) -> None:
         self._graph = graph
@@ -82,12 +82,12 @@ class _Tuner:
                 self._slider(tunable.value)
             ui.label(explanation).classes("help")
             self._refused = ui.label("").classes("refused")
-            # Set as it is, here and below: what stands in a text of properties is parsed, and some properties are run.
+            # Set as an item, here and below: NiceGUI parses a string of properties, and the browser evaluates some of them.
             self._refused.props["data-name"] = f"refused-{tunable.name}"
             self._refused.set_visibility(False)
 
     def _field(self) -> Any:
-        """Make the field a value is typed into; what is out of range goes to the node, which says why not."""
+        """Make the input field; values out of range are sent too, so that the node can say why it refuses them."""
         value = self._tunable.value
         if isinstance(value, bool):
             entry: Any = ui.switch(value=value, on_change=self._typed)
@@ -102,7 +102,7 @@ class _Tuner:
         return entry
 
     def _slider(self, value: float) -> None:
-        """Make a slider that fills the field and tells the node when it is let go."""
+        """Make a slider that fills the field and sends the value when released."""
         low, high = reach(value, self._tunable.minimum, self._tunable.maximum)
         slider = ui.slider(min=0, max=STEPS, value=round(STEPS * place_of(value, low, high)))
         slider.props["data-name"] = f"slider-{self._tunable.name}"
@@ -123,7 +123,7 @@ class _Tuner:
 
 
 def reach(value: float, minimum: float | None, maximum: float | None) -> tuple[float, float]:
-    """Return the ends of a slider that begins at a value: a decade either way, within what the node takes."""
+    """Return the ends of a slider that starts at a value: a decade either way, within the node's limits."""
     if value == 0.0:
         low, high = (minimum if minimum is not None else -1.0), (maximum if maximum is not None else 1.0)
     else:
@@ -132,20 +132,20 @@ def reach(value: float, minimum: float | None, maximum: float | None) -> tuple[f
 
 
 def place_of(value: float, low: float, high: float) -> float:
-    """Return where a value lies between the ends of a slider, 0 to 1; decades are even where the ends have one sign."""
+    """Return a value's place between the ends of a slider, 0 to 1; logarithmic if both ends have the same sign."""
     if low * high > 0.0:
         return math.log(value / low) / math.log(high / low) if high != low else 0.0
     return (value - low) / (high - low) if high != low else 0.0
 
 
 def value_at(place: float, low: float, high: float) -> float:
-    """Return the value at a place of a slider, rounded to three digits and never beyond the ends."""
+    """Return the value at a slider's place, rounded to three digits and within its ends."""
     value = low * (high / low) ** place if low * high > 0.0 else low + place * (high - low)
     return min(max(float(f"{value:.3g}"), low), high)
 
 
 def help_and_unit(description: str) -> tuple[str, str]:
-    """Split a descriptor's text into the sentence and the unit in brackets at its end; a pure number has none."""
+    """Split a descriptor's text into help and the unit in brackets at its end; the unit 1 is left out."""
     sentence, bracket, unit = description.removesuffix("]").rpartition(" [")
     if not bracket or not description.endswith("]"):
         return description, ""

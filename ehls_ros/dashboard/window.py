@@ -1,4 +1,4 @@
-"""The last seconds of all signals: lowest and highest value of each in every short interval of time."""
+"""The last seconds of all signals: minimum and maximum of each in every short interval."""
 
 import threading
 from collections.abc import Mapping, Sequence
@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 INTERVAL = 0.02
-"""Length of an interval [s]: 20 cycles at 1 kHz; a picture 300 pixels wide shows no more of ten seconds."""
+"""Length of an interval [s]: 20 cycles at 1 kHz; a plot 300 pixels wide resolves no more of ten seconds."""
 
 INTERVALS = 600
-"""Intervals kept: 12 s, of which the page shows the last 10."""
+"""Intervals kept: 12 s; the page shows the last 10 s."""
 
 OPEN = 6
-"""The newest intervals, into which some topics may still bring samples: topics are taken one after another."""
+"""Newest intervals held back, as some topics may still add samples: topics are read one after another."""
 
 
 class Part(NamedTuple):
@@ -22,10 +22,10 @@ class Part(NamedTuple):
 
     Attributes:
         first: number of the first interval.
-        following: what to ask for next time.
-        era: another one than last time means that the time of the graph began anew.
-        low: lowest values, shape (intervals, signals); NaN where there is no sample.
-        high: highest values, likewise.
+        following: number to pass to the next call.
+        era: changes when the graph's time starts again.
+        low: minima, shape (intervals, signals); NaN without samples.
+        high: maxima, likewise.
     """
 
     first: int
@@ -36,7 +36,7 @@ class Part(NamedTuple):
 
 
 class Window:
-    """A ring of intervals. One thread fills it, any thread reads it."""
+    """A ring of intervals, filled by one thread and read by any."""
 
     def __init__(self, signals: Sequence[str]) -> None:
         """Start empty.
@@ -53,11 +53,11 @@ class Window:
         self._era = 0
 
     def add(self, time: NDArray[np.float64], values: Mapping[str, NDArray[np.float64]]) -> None:
-        """Take in samples of some signals.
+        """Add samples of some signals.
 
         Args:
-            time: time of the graph [s], not decreasing, shape (n,).
-            values: signals by name, each of shape (n,); names the window does not have are left out.
+            time: the graph's time [s], not decreasing, shape (n,).
+            values: signals by name, each of shape (n,); unknown names are ignored.
         """
         known = [name for name in values if name in self._column]
         if not time.size or not known:
@@ -75,19 +75,19 @@ class Window:
             self._low[place] = np.fmin(self._low[place], low[kept])
             self._high[place] = np.fmax(self._high[place], high[kept])
 
-    def begin_anew(self) -> None:
-        """Forget everything: the graph's time starts again."""
+    def restart(self) -> None:
+        """Clear the window: the graph's time starts again."""
         with self._lock:
             self._low[:] = self._high[:] = np.nan
             self._newest = -1
             self._era += 1
 
     def part(self, following: int, era: int) -> Part:
-        """Return the finished intervals from a number on, or all that are kept if another era has begun since.
+        """Return the finished intervals that are new since the last call, or all of them after a new era has begun.
 
         Args:
-            following: as the last part said; 0 at first.
-            era: as the last part said; -1 at first.
+            following: of the last part; 0 at first.
+            era: of the last part; -1 at first.
         """
         with self._lock:
             end = max(0, self._newest + 1 - OPEN)

@@ -1,30 +1,30 @@
-"""What others say is cut down to what a page can show: whoever is on the graph may send texts of any length and kind."""
+"""Foreign texts cut to what a page can show: any participant of the graph may send texts of any length."""
 
 from collections.abc import Iterable, Mapping
 
 NAME = 100
-"""Characters of a name that are shown."""
+"""Most characters of a name."""
 
 SENTENCE = 500
-"""Characters of a sentence or value that are shown."""
+"""Most characters of a message or value."""
 
 FIGURES = 100
-"""Figures of a node that are shown."""
+"""Most values of a node."""
 
 
 def line(text: str, longest: int = SENTENCE) -> str:
-    """Return a text as one line that is not too long: what cannot be printed is replaced, the rest left out.
+    """Return a text as one line of limited length, with unprintable characters replaced.
 
     Args:
-        text: what was said.
-        longest: characters that are kept.
+        text: the text.
+        longest: most characters kept.
     """
     kept = "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text[:longest])
     return kept if len(text) <= longest else f"{kept}…"
 
 
 def figures(pairs: Iterable[tuple[str, str]]) -> Mapping[str, str]:
-    """Return figures by name, as many as are shown."""
+    """Return the values by name, at most :data:`FIGURES` of them."""
     kept: dict[str, str] = {}
     for name, value in pairs:
         if len(kept) == FIGURES:

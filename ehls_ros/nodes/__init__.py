@@ -1,1 +1,1 @@
-"""The rclpy nodes: parameters, messages and timing; what they compute lives in the other packages."""
+"""The rclpy nodes: parameters, messages and timing. The computations are in the other packages."""

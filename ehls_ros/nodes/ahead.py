@@ -1,4 +1,4 @@
-"""What reference and disturbance share: they know time, so they run ahead of the cycles and cost no latency."""
+"""Base of the reference and disturbance nodes, which depend on time alone and run ahead of the cycles, at no latency."""
 
 import struct
 import time
@@ -13,33 +13,33 @@ from ehls_ros.nodes.control import OK, WAIT, ControlNode
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, newest_qos
 
 LEAD = 200
-"""Cycles a signal of time alone runs ahead; well over the cycles between two messages of the clock."""
+"""Cycles by which a signal of time alone runs ahead; far more than the cycles between two clock messages."""
 
 REST = 0.005
-"""How long snapshots gather in realtime before a signal of time alone looks again [s]."""
+"""In realtime, time between two looks of a signal of time alone at the newest snapshot [s]."""
 
 
 class AheadNode(ControlNode):
-    """Publishes one row a cycle, ahead of it.
+    """Publishes one row per cycle, ahead of the cycle.
 
-    A row that depends on the loader's state (``lead`` 1) goes by each loader_state. A row that depends on time
-    alone needs to know only about where the cycles have got to: from the clock in lockstep, where every process
-    that need not wake with each cycle is time gained, and from the newest loader_state in realtime.
+    A row that depends on the loader's state (``lead`` 1) is driven by each loader_state. A row that depends on time
+    alone needs only the approximate cycle: from the clock in lockstep, where each process that does not wake in every
+    cycle saves time, and from the newest loader_state in realtime.
     """
 
     lead = LEAD
     answers = False
 
     def open_outbox(self) -> Outbox:
-        """Compile what is needed and return where the rows go."""
+        """Compile what the rows need and return the publisher."""
         raise NotImplementedError
 
     def row(self, cycle: int, state: tuple[Any, ...] | None) -> list[float]:
         """Return the row of a cycle.
 
         Args:
-            cycle: the cycle.
-            state: loader_state of the cycle before, for ``lead`` 1; None at the start.
+            cycle: number of the cycle.
+            state: loader_state of the previous cycle, for ``lead`` 1; None at the start.
         """
         raise NotImplementedError
 
@@ -58,7 +58,7 @@ class AheadNode(ControlNode):
         self.last = -1
 
     def _cycle_of_clock(self, message: bytes) -> tuple[int, int]:
-        """Return stamp and cycle, as a loader_state begins."""
+        """Return stamp [ns] and cycle, the first two fields of a loader_state."""
         seconds, nanoseconds = struct.unpack_from("<iI", message, 4)
         stamp = seconds * NANOSECONDS + nanoseconds
         return stamp, round(stamp / self.period_ns)
@@ -70,16 +70,16 @@ class AheadNode(ControlNode):
         self.outbox.destroy()
 
     def start(self) -> None:
-        """Publish what is wanted before the first snapshot."""
+        """Publish the rows needed before the first snapshot."""
         self._publish_to(self.lead - 1, 0, None)
 
     def once(self) -> None:
-        """Publish what the cycles have got to ask for."""
+        """Publish up to ``lead`` cycles beyond the newest one."""
         self.waiter.wait(WAIT)
         while (state := self.progress.take()) is not None:
             stamp, cycle = state[:2]
             if cycle < self.last or cycle > self.next:
-                # The plant began anew, or this node came late.
+                # The plant restarted, or this node started late.
                 self.next = cycle + 1 if self.lead == 1 else cycle
             self.last = cycle
             self._publish_to(cycle + self.lead, stamp - round(cycle * self.period_ns), state if self.lead == 1 else None)
@@ -92,6 +92,6 @@ class AheadNode(ControlNode):
             self.next += 1
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Say how far it is ahead."""
+        """Report how far ahead the node is."""
         figures = {"cycle": self.last, "ahead": self.next - 1 - self.last}
         return OK, "running" if self._active.is_set() else "inactive", figures

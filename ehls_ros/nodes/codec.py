@@ -1,8 +1,8 @@
 """Control-path messages to and from CDR with one ``struct`` call.
 
-rclpy fills a message object field by field, 8-14 us each way; at thousands of messages a second and a node
-that is most of the work. All control-path messages are a header, then numbers, then at most some sequences,
-which is a fixed layout once the frame's name and the sequences' lengths are.
+rclpy fills a message object field by field, 8-14 us each way; at thousands of messages per second and node,
+that is most of the work. All control-path messages consist of a header, numbers and possibly sequences: a fixed
+layout for a given frame name and given lengths of the sequences.
 """
 
 import struct
@@ -17,7 +17,7 @@ _FRAME_LENGTH_AT = _ENCAPSULATION + 8
 
 
 class _Layout:
-    """The format of a struct growing field by field, aligned as CDR wants it."""
+    """A ``struct`` format built field by field with CDR alignment."""
 
     def __init__(self, frame_length: int) -> None:
         self.format = f"4siII{frame_length}s"
@@ -30,7 +30,7 @@ class _Layout:
 
 
 def _leading_numbers(fields: Mapping[str, str]) -> list[str]:
-    """Return the names of the plain numbers before the first sequence, the header left out."""
+    """Return the names of the numeric fields between the header and the first sequence."""
     names = []
     for name, kind in fields.items():
         if name == "header":
@@ -42,14 +42,14 @@ def _leading_numbers(fields: Mapping[str, str]) -> list[str]:
 
 
 class Encoder:
-    """Writes one message type."""
+    """Encodes one message type."""
 
     def __init__(self, message: Any, frame_id: str = "", lengths: Mapping[str, int] | None = None) -> None:
         """Fix the layout.
 
         Args:
             message: message class; its first field is the header.
-            frame_id: the header's frame.
+            frame_id: frame name in the header.
             lengths: length of each sequence field.
         """
         self._frame = frame_id.encode() + b"\0"
@@ -70,27 +70,27 @@ class Encoder:
 
         Args:
             stamp_ns: the header's stamp [ns].
-            values: the fields in order; a sequence is its length, then its elements.
+            values: the fields in order; for a sequence, its length and then its elements.
         """
         frame = self._frame
         return self._pack(b"\0\1\0\0", stamp_ns // NANOSECONDS, stamp_ns % NANOSECONDS, len(frame), frame, *values)
 
 
 class Decoder:
-    """Reads the leading numbers of one message type, whatever frame the sender names.
+    """Decodes the leading numbers of one message type, with any frame name.
 
-    A command's frame names its sender, since the middleware does not say who sent what.
+    A command's frame names its sender, since the middleware does not tell who sent a message.
     """
 
     MOST_FORMATS = 64
-    """Frame lengths remembered; senders on a graph have few."""
+    """Layouts cached, one per length of frame name; the senders of a graph use few."""
 
     def __init__(self, message: Any, *, frame: bool = False) -> None:
-        """Prepare.
+        """Read the message type.
 
         Args:
             message: message class.
-            frame: whether the frame's name is returned as well.
+            frame: whether the frame name is returned as well.
         """
         fields = message.get_fields_and_field_types()
         self._frame = frame
@@ -98,7 +98,7 @@ class Decoder:
         self._formats: dict[tuple[int, bytes], struct.Struct] = {}
 
     def __call__(self, message: bytes) -> tuple[Any, ...] | None:
-        """Return the header's stamp [ns], the frame if asked for, and the fields; None for what is no such message."""
+        """Return the header's stamp [ns], the frame if requested, and the fields; None if the bytes are no such message."""
         order = b"<" if message[1:2] == b"\1" else b">"
         try:
             (frame_length,) = struct.unpack_from(order.decode() + "I", message, _FRAME_LENGTH_AT)

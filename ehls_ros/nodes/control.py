@@ -1,4 +1,4 @@
-"""What the control-path nodes share: lifecycle, spec, the loop in the main thread, diagnostics, shutdown."""
+"""Base of the control-path nodes: lifecycle, spec, the loop in the main thread, diagnostics, shutdown."""
 
 import faulthandler
 import gc
@@ -10,12 +10,12 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any, NamedTuple, NoReturn
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ClockType
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -32,28 +32,28 @@ from ehls_ros.process import end
 from ehls_ros.schema import quantity, text
 
 NAMESPACE = "ehls"
-"""Namespace of the nodes unless a launch file or `-r __ns:=` says otherwise."""
+"""Default namespace of the nodes; a launch file or `-r __ns:=` may set another."""
 
 LOCKSTEP, REALTIME = TIMINGS = ("lockstep", "realtime")
 """Timing modes."""
 
 DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-"""Variable by which the middleware is told how far nodes look for each other."""
+"""Environment variable that limits how far the middleware discovers other nodes."""
 
 CLOSING = 30.0
-"""Time the middleware has for closing what the node had open [s]."""
+"""Longest time the middleware may take to close the node's topics and services [s]."""
 
 WAIT = 0.1
-"""Longest time a loop waits before it looks whether it should stop [s]."""
+"""Longest time a loop waits before it checks whether to stop [s]."""
 
 BEAT = 0.05
-"""Time between two signs of life of the thread that answers services [s]."""
+"""Period of the service thread's heartbeat [s]."""
 
 LONGEST_TURN = 0.1
-"""What a turn of the loop adds at most to the time without a sign of life: a process that slept has not been deaf [s]."""
+"""Most that one turn of the loop adds to the time without a heartbeat [s]: a suspended process was not unreachable."""
 
 SWITCH_INTERVAL = 1e-4
-"""Time after which a thread hands the interpreter over to one that waits for it [s]."""
+"""Time after which a thread yields the interpreter to a waiting one [s]."""
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -62,17 +62,17 @@ class Common(NamedTuple):
     """Parameters every node has."""
 
     spec: Annotated[str, text("experiment file; empty: the 10 kN sine that comes with the package")] = ""
-    rig: Annotated[str, text("rig file in place of the spec's; empty: the spec's")] = ""
+    rig: Annotated[str, text("rig file used in place of the spec's; empty: the spec's")] = ""
     timing: Annotated[str, text("realtime: wall clock; lockstep: each cycle waits for its answer, deterministic")] = "realtime"
     priority: Annotated[
         int,
-        quantity("1", "in realtime: priority of SCHED_FIFO, with memory locked; 0: neither", minimum=0, maximum=99),
+        quantity("1", "SCHED_FIFO priority in realtime, with memory locked; 0: neither", minimum=0, maximum=99),
     ] = 0
     processor_share: Annotated[
         float,
-        quantity("1", "part of a processor beyond which the loop gives its priority back; 1: never", minimum=0.05, maximum=1.0),
+        quantity("1", "share of a processor above which the loop gives up its priority; 1: never", minimum=0.05, maximum=1.0),
     ] = 0.9
-    autostart: Annotated[bool, text("configure and activate at start, as when started by hand")] = True
+    autostart: Annotated[bool, text("configure and activate at start; false: wait for lifecycle requests")] = True
 
 
 class ControlNode(LifecycleNode):
@@ -83,7 +83,7 @@ class ControlNode(LifecycleNode):
     """
 
     answers = True
-    """Whether somebody waits for what the loop publishes; a loop that only has to keep up lets the others go first."""
+    """Whether another node waits for this loop's output within the cycle; if not, the loop runs at a lower priority."""
 
     def __init__(self, name: str) -> None:
         """Declare the common parameters and read the spec.
@@ -107,14 +107,14 @@ class ControlNode(LifecycleNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._reported: tuple[bytes, str] | None = None
         self._beaten = False
-        # By a clock that nobody can stop, as they can ROS time.
+        # Steady time: ROS time may stop.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self.report, clock=steady)
         self.create_timer(BEAT, self._beat, clock=steady)
 
     @property
     def clock_topic(self) -> str:
-        """The topic of the cycles' time: /clock is that of the whole ROS graph, so a rig of another namespace has its own."""
+        """Topic of the cycles' time. /clock serves the entire ROS graph, so a rig in another namespace has its own."""
         return "/clock" if self.get_namespace() == f"/{NAMESPACE}" else "clock"
 
     def text_parameter(self, name: str) -> str:
@@ -134,24 +134,24 @@ class ControlNode(LifecycleNode):
         return spec
 
     def prepare(self) -> None:
-        """Build what the loop needs: compile, publish, subscribe."""
+        """Compile, open topics: build what the loop needs."""
         raise NotImplementedError
 
     def start(self) -> None:
-        """Do what precedes the first turn of the loop."""
+        """Run before the first turn of the loop."""
 
     def once(self) -> None:
-        """Take one turn of the loop, waiting no longer than :data:`WAIT`."""
+        """Run one turn of the loop, waiting no longer than :data:`WAIT`."""
         raise NotImplementedError
 
     def stop(self) -> None:
-        """Do what follows the last turn of the loop."""
+        """Run after the last turn of the loop."""
 
     def release(self) -> None:
-        """Give back what :meth:`prepare` built."""
+        """Undo :meth:`prepare`."""
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Return level, message and figures for diagnostics, once the node is configured."""
+        """Return level, message and values for diagnostics; called once the node is configured."""
         return OK, "running" if self._active.is_set() else "inactive", {}
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -161,13 +161,13 @@ class ControlNode(LifecycleNode):
         except (BadInput, OSError) as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
-        # The middleware's receivers hold locks that whoever sends to them takes as well: even where the loop goes behind
-        # the others, its receivers must never be kept from running while they hold one.
+        # The middleware's receiver threads hold locks that senders need too. Even if the loop itself runs at a lower
+        # priority, its receivers must not be preempted while they hold one.
         loops = () if self.answers else [thread.native_id for thread in threading.enumerate() if thread.native_id]
         priority = 0 if self.lockstep else int(self.get_parameter("priority").value)
         self.not_permitted = claim(priority, loops)
         if priority:
-            # The loop is the main thread's.
+            # The loop runs in the main thread, whose id is the process's.
             self.courtesy = Courtesy(float(self.get_parameter("processor_share").value), statistics_of(os.getpid()))
         self.configured = True
         return TransitionCallbackReturn.SUCCESS
@@ -179,20 +179,20 @@ class ControlNode(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let the loop end its turn and wait for that."""
+        """Wait for the loop to end its turn."""
         self._active.clear()
         self._idle.wait()
         return super().on_deactivate(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End the loop as deactivation does, and give everything back."""
-        return self._end_for_good(super().on_shutdown, state)
+        """End the loop as deactivation does, and release everything."""
+        return self._end_and_release(super().on_shutdown, state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Go back to the beginning: what failed half-way is not gone on with."""
-        return self._end_for_good(super().on_error, state)
+        """Return to unconfigured: a half-finished transition is not resumed."""
+        return self._end_and_release(super().on_error, state)
 
-    def _end_for_good(
+    def _end_and_release(
         self, proceed: Callable[[LifecycleState], TransitionCallbackReturn], state: LifecycleState
     ) -> TransitionCallbackReturn:
         self._active.clear()
@@ -201,7 +201,7 @@ class ControlNode(LifecycleNode):
         return proceed(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Give everything back."""
+        """Release everything."""
         self.give_back()
         return TransitionCallbackReturn.SUCCESS
 
@@ -214,20 +214,20 @@ class ControlNode(LifecycleNode):
                 self.courtesy.close()
                 self.courtesy = None
 
-    def start_by_itself(self) -> bool:
-        """Configure and activate; return whether that went well, the reason is in the log."""
-        wanted = TransitionCallbackReturn.SUCCESS
-        return bool(self.trigger_configure() == wanted and self.trigger_activate() == wanted)
+    def bring_up(self) -> bool:
+        """Configure and activate; return whether both succeeded. If not, the log has the reason."""
+        success = TransitionCallbackReturn.SUCCESS
+        return bool(self.trigger_configure() == success and self.trigger_activate() == success)
 
     def work(self, stopping: threading.Event) -> None:
         """Run the loop whenever the node is active, until told to stop."""
         exact_wake_ups()
-        # The other thread, once under way, would keep the interpreter for up to 5 ms.
+        # By default the other thread may keep the interpreter for 5 ms.
         sys.setswitchinterval(SWITCH_INTERVAL)
         while not stopping.is_set():
             if not self._active.wait(WAIT):
                 continue
-            # A collection in the middle of a cycle would be a late answer; the loops make no cyclic garbage.
+            # A garbage collection within a cycle would delay the answer; the loops create no reference cycles.
             gc.disable()
             try:
                 self.start()
@@ -238,7 +238,7 @@ class ControlNode(LifecycleNode):
                 self._idle.set()
 
     def _turn(self, stopping: threading.Event) -> None:
-        """Turn the loop, and watch that the other thread answers: by it a rig is stopped."""
+        """Turn the loop and check the heartbeat of the service thread, which handles the emergency stop."""
         silence, turned = 0.0, time.monotonic()
         while self._active.is_set() and not stopping.is_set():
             self.once()
@@ -253,10 +253,10 @@ class ControlNode(LifecycleNode):
         self._beaten = True
 
     def unheard(self, silence: float) -> None:
-        """Do what has to be done once services have not been answered for a time [s]; told after each turn of the loop."""
+        """React to a silent service thread; called after each turn with the time since its last heartbeat [s]."""
 
     def finish(self) -> None:
-        """End the loop from inside: its task is done."""
+        """End the loop from within: its task is done."""
         self._active.clear()
 
     def _health(self) -> tuple[bytes, str, Mapping[str, Any]]:
@@ -274,7 +274,7 @@ class ControlNode(LifecycleNode):
         level, message, figures = self._health()
         status = DiagnosticStatus(
             level=level,
-            # /diagnostics is everybody's: a rig of another namespace has that in its names.
+            # All rigs share /diagnostics: one in another namespace shows it in its nodes' names.
             name=self.get_fully_qualified_name().removeprefix(f"/{NAMESPACE}/").removeprefix("/"),
             message=message,
             hardware_id=self.get_namespace().strip("/"),
@@ -291,18 +291,18 @@ class ControlNode(LifecycleNode):
         self._reported = (level, message)
 
     def report_change(self) -> None:
-        """Publish diagnostics at once when level or message are other than last time."""
+        """Publish diagnostics at once if level or message have changed."""
         level, message, _ = self._health()
         if (level, message) != self._reported:
             self.report()
 
 
 def survive_requests(node: Node, service: Any) -> None:
-    """Let a request that a service cannot bear be refused and logged, where rclpy would let it end the thread of all services.
+    """Refuse and log a request whose handler raises; rclpy would let it end the thread of all services.
 
     Args:
-        node: the service's, for its log.
-        service: of rclpy.
+        node: owner of the service, for its log.
+        service: the rclpy service.
     """
     answer = service.callback
 
@@ -318,21 +318,48 @@ def survive_requests(node: Node, service: Any) -> None:
 
 
 def _refusal(request: Any, response: Any, reason: str) -> Any:
-    """Fill in a response that says no: most do by themselves, and have the reason where they have room for one."""
-    fields = response.get_fields_and_field_types()
-    no = SetParametersResult(successful=False, reason=reason)
-    if fields.get("results") == "sequence<rcl_interfaces/SetParametersResult>":
-        # What stood before the parameter that cannot be has been set.
-        response.results = [*response.results, *[no] * (len(request.parameters) - len(response.results))]
-    if fields.get("result") == "rcl_interfaces/SetParametersResult":
-        response.result = no
-    if "message" in fields:
+    """Fill in a refusal, with the reason where the response has a field for one; ``success`` is false by default."""
+    refused = SetParametersResult(successful=False, reason=reason)
+    if isinstance(response, SetParameters.Response):
+        # The parameters before the one that failed have been set.
+        response.results = [*response.results, *[refused] * (len(request.parameters) - len(response.results))]
+    elif isinstance(response, SetParametersAtomically.Response):
+        response.result = refused
+    elif hasattr(response, "message"):
         response.message = reason
     return response
 
 
+class _Services:
+    """The thread that serves a node's services and timers; if it fails, the node stops."""
+
+    def __init__(self, node: ControlNode, stopping: threading.Event) -> None:
+        self.failure = ""
+        self._stopping = stopping
+        self._executor = EventsExecutor()
+        self._executor.add_node(node)
+        self._thread = threading.Thread(target=self._serve, name="services")
+        self._thread.start()
+
+    def join(self) -> None:
+        self._thread.join()
+
+    def close(self, node: ControlNode) -> None:
+        self._executor.remove_node(node)
+        self._executor.shutdown()
+
+    def _serve(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                self._executor.spin_once(timeout_sec=WAIT)
+        except BaseException:  # noqa: BLE001
+            # A node that can no longer be stopped over ROS must not go on, whatever the error.
+            self.failure = traceback.format_exc()
+            self._stopping.set()
+
+
 def _made(make: Callable[[], ControlNode]) -> tuple[ControlNode | None, str]:
-    """Return a node, or what is wrong with its parameters; nothing then refers to the half-made node any more."""
+    """Return a node, or what is wrong with its parameters; as a function, it leaves no reference to a failed node."""
     try:
         return make(), ""
     except BadInput as error:
@@ -340,22 +367,18 @@ def _made(make: Callable[[], ControlNode]) -> tuple[ControlNode | None, str]:
 
 
 def run_node(make: Callable[[], ControlNode]) -> NoReturn:
-    """Run one node as a process: main thread for the loop, a second one for lifecycle and parameters.
+    """Run one node as a process: the loop in the main thread, lifecycle and parameters in a second one.
 
-    The process ends with code 0 after SIGINT or SIGTERM, with 1 when it cannot configure itself, and with 2 for bad input.
+    The exit code is 0 after SIGINT or SIGTERM, 1 if the node cannot configure itself, and 2 for bad input.
 
     Args:
-        make: builds the node, after ROS is up.
+        make: builds the node, after ``rclpy.init``.
     """
     be_frugal()
     stopping = threading.Event()
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        stopping.set()
-
-    signal.signal(signal.SIGINT, on_signal)
-    signal.signal(signal.SIGTERM, on_signal)
-    # However the node is started: whoever wants it found beyond this host has to say so.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stopping.set())
+    # However the node is started, it is visible on this host only unless the variable says otherwise.
     os.environ[DISCOVERY_RANGE] = os.environ.get(DISCOVERY_RANGE) or "LOCALHOST"
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node, complaint = _made(make)
@@ -367,44 +390,28 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
     refuse_unknown(node)
     for service in node.services:
         survive_requests(node, service)
-    executor = EventsExecutor()
-    executor.add_node(node)
-
-    unserved: list[str] = []
-
-    def serve(executor: Any) -> None:
-        try:
-            while not stopping.is_set():
-                executor.spin_once(timeout_sec=WAIT)
-        except BaseException:  # noqa: BLE001
-            # Whatever it was: a node that nobody can stop must not go on.
-            unserved.append(traceback.format_exc())
-            stopping.set()
-
-    server = threading.Thread(target=serve, args=(executor,), name="services")
-    server.start()
+    services = _Services(node, stopping)
     code = 0
     try:
-        if not node.get_parameter("autostart").value or node.start_by_itself():
+        if not node.get_parameter("autostart").value or node.bring_up():
             node.get_logger().info("up")
             node.work(stopping)
         else:
             code = 1
     finally:
         stopping.set()
-        # Fast DDS deadlocks now and then while it takes readers and writers down (its issues 4026 and 6193), within a call
-        # that keeps the interpreter; only this ends the process then. What the node had to write, it has written.
+        # Fast DDS occasionally deadlocks while it destroys readers and writers (its issues 4026 and 6193), in a call that
+        # holds the interpreter lock; only this watchdog then ends the process. The node's data have been written by now.
         faulthandler.dump_traceback_later(CLOSING, exit=True)
-        server.join()
-        if unserved:
-            node.get_logger().fatal(f"services are answered no more, so the node ends: {unserved[0]}")
+        services.join()
+        if services.failure:
+            node.get_logger().fatal(f"the service thread has died, so the node ends: {services.failure}")
             code = 1
-        executor.remove_node(node)
-        executor.shutdown()
+        services.close(node)
         node.give_back()
         node.destroy_node()
-    # What still refers to the middleware has to go before the middleware does; the loop has put off collection.
-    del executor, node
+    # Objects that refer to the middleware must be collected before it shuts down.
+    del services, node
     gc.unfreeze()
     gc.collect()
     rclpy.try_shutdown()

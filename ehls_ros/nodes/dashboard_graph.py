@@ -1,4 +1,4 @@
-"""The dashboard's own graph: nodes and recordings it starts, beside what it sees of any graph."""
+"""The dashboard's access to a graph: the nodes and recordings it starts, on top of what it sees of any graph."""
 
 import threading
 import time
@@ -33,11 +33,11 @@ from ehls_ros.nodes.graph import (
 STORAGE = "mcap"
 
 STARTING, COMPILING, READY, RUNNING, ENDED = "starting", "compiling", "ready", "running", "ended"
-"""What a node does on its way: its process comes up, it configures itself, it waits for the others, it runs."""
+"""Stages of a node: its process starts, it configures itself, it waits for the others, it runs, it has died."""
 
 
 class DashboardGraph(Link):
-    """What :class:`ehls_ros.dashboard.graph.Graph` asks for, over ROS."""
+    """:class:`ehls_ros.dashboard.graph.Graph` over ROS."""
 
     def __init__(self, namespace: str = NAMESPACE) -> None:
         """Join the graph of this process's domain; see :class:`Link`."""
@@ -51,7 +51,7 @@ class DashboardGraph(Link):
         self._failure = ""
 
     def close(self) -> None:
-        """End what was started here and leave the graph."""
+        """Stop everything started here and leave the graph."""
         self.give_up()
         with self._changing:
             self._recorder.end()
@@ -59,30 +59,30 @@ class DashboardGraph(Link):
         super().close()
 
     def started_here(self) -> bool:
-        """Tell whether nodes run that were started here."""
+        """Return whether nodes started here are running."""
         return bool(self._nodes.running)
 
     def recording(self) -> bool:
-        """Tell whether a recording that was begun here goes on."""
+        """Return whether a recording started here is running."""
         return bool(self._recorder.running)
 
     def beginning(self) -> Beginning | None:
-        """Return how far the nodes are that are being started here; None where none are."""
+        """Return the progress of the nodes being started here; None if none are."""
         began = self._began
         if began is None:
             return None
         return Beginning(time.monotonic() - began, {node.name: self._doing(node) for node in self._nodes.running})
 
     def complaint(self) -> str:
-        """Say which of the nodes started here ended although nobody wanted it, and its last words; empty where none did."""
+        """Return which node started here died, and the last line of its log; empty if none did."""
         return " ".join([self._failure, *map(_last_words, self._nodes.dead() + self._recorder.dead())]).strip()
 
     def activity(self) -> str:
-        """Say in a sentence what was started here: recording, files."""
+        """Return one sentence on what was started here: recording, files."""
         return " ".join(part for part in (self._nodes.says, self._recorder.says) if part)
 
     def health(self) -> tuple[Health, ...]:
-        """Return what the nodes say; who compiles cannot speak, and nothing is wrong with that."""
+        """Return the nodes' diagnostics; a node that is compiling cannot publish any and is shown as OK."""
         beginning = self.beginning()
         busy = {node for node, doing in beginning.nodes.items() if doing == COMPILING} if beginning else set()
         return tuple(
@@ -90,10 +90,10 @@ class DashboardGraph(Link):
         )
 
     def start(self, spec: Spec, name: str) -> Answer:
-        """Start the nodes for a spec, in real time and without an end; returns once they run."""
+        """Start the nodes of a spec in real time, with no last cycle; returns once they run."""
         with self._changing:
             if self.started_here() or self.rate():
-                return Answer(done=False, message="a graph runs already: end it first")
+                return Answer(done=False, message="a graph is already running: stop it first")
             try:
                 folder = _folder(spec, name)
                 folder.logs.mkdir()
@@ -114,26 +114,26 @@ class DashboardGraph(Link):
             if refusal:
                 return Answer(done=False, message=refusal)
             self._nodes.says = f"Spec and logs of the nodes are in {folder.path}."
-            return Answer(done=True, message=f"{name} runs")
+            return Answer(done=True, message=f"{name} is running")
 
     def stop(self) -> Answer:
-        """End the nodes that were started here, and a recording of them."""
+        """Stop the nodes started here, and their recording."""
         self._unwanted.set()
         starting = self.beginning() is not None
         with self._changing:
             if starting and not self.started_here():
-                return Answer(done=True, message="the start was given up")
+                return Answer(done=True, message="the start was cancelled")
             if not self.started_here():
-                return Answer(done=False, message="no graph was started here: end it where it was started")
+                return Answer(done=False, message="no graph was started here: stop it where it was started")
             self._end_recording()
             self._end_nodes()
-            return Answer(done=True, message="the graph has ended")
+            return Answer(done=True, message="the graph has stopped")
 
     def record(self, *, on: bool) -> Answer:
-        """Begin a recording of whatever graph runs, or end it."""
+        """Start recording the running graph, or end the recording."""
         with self._changing:
             if on == self.recording():
-                return Answer(done=False, message="a recording goes on already" if on else "there is no recording")
+                return Answer(done=False, message="already recording" if on else "not recording")
             if not on:
                 self._end_recording()
                 return Answer(done=True, message=self._recorder.says)
@@ -150,7 +150,7 @@ class DashboardGraph(Link):
             return Answer(done=True, message=self._recorder.says)
 
     def _end_nodes(self) -> None:
-        """End the nodes; that they are silent from now on is no news."""
+        """Stop the nodes, and do not report their silence."""
         names = {node.name for node in self._nodes.running}
         self._nodes.end()
         self.forget(names)
@@ -165,7 +165,7 @@ class DashboardGraph(Link):
         """Take the started nodes through their lifecycle; return what went wrong."""
         running = self._nodes.running
         deadline = time.monotonic() + UP_TIME
-        # All at once, as most of it is compiling; then in order, the plant last.
+        # Configured in parallel, as most of that is compiling; activated in order, the plant last.
         with ThreadPoolExecutor(len(running)) as pool:
             configured = pool.map(lambda node: self._lead(node, Transition.TRANSITION_CONFIGURE, READY, deadline), running)
             refusals = [refusal for refusal in configured if refusal]
@@ -178,7 +178,7 @@ class DashboardGraph(Link):
         return ""
 
     def _lead(self, node: Running, transition: int, reached: str, deadline: float) -> str:
-        """Take a node through a transition; return why it did not go."""
+        """Take a node through a transition; return why it failed, or an empty string."""
         answer = self.change_state(node.name, transition, deadline - time.monotonic(), self._is_hopeless)
         if not answer.done:
             return f"{answer.message}: {last_line(node.log)}"
@@ -189,9 +189,9 @@ class DashboardGraph(Link):
         return self._unwanted.is_set() or bool(self._nodes.dead())
 
     def _why(self, refusal: str) -> str:
-        """Return why the start came to nothing: a node that ended has the word before those that waited for it."""
+        """Return why the start failed: a node that died comes before those that waited for it."""
         if self._unwanted.is_set():
-            return "stopped before it ran"
+            return "stopped before it was running"
         return next(map(_last_words, self._nodes.dead()), refusal)
 
     def _doing(self, node: Running) -> str:
@@ -200,21 +200,21 @@ class DashboardGraph(Link):
         return self._reached.get(node.name) or (COMPILING if self.is_up(node.name) else STARTING)
 
     def _spec_of_graph(self) -> tuple[Spec, str]:
-        """Return the spec the plant of the graph was started with, and its name.
+        """Return the spec the graph's plant was started with, and its name.
 
         Raises:
-            BadInput: no plant says.
+            BadInput: there is no plant node.
         """
         for plant in PLANTS.values():
             if plant in self.tunable_nodes():
                 path = Path(self.text_parameter(plant, "spec"))
                 name = self._nodes.folder.path.name if self.started_here() else path.stem
                 return load_spec(path), name
-        raise BadInput("nothing stands for the rig", "graph", f"one of {', '.join(PLANTS.values())}")
+        raise BadInput("there is no plant node", "graph", f"one of {', '.join(PLANTS.values())}")
 
 
 class _Started:
-    """Processes that were started here, and their end."""
+    """Processes started here."""
 
     def __init__(self) -> None:
         self.running: list[Running] = []
@@ -237,7 +237,7 @@ class _Started:
 
 
 def _last_words(node: Running) -> str:
-    return f"{node.name} ended: {last_line(node.log)}"
+    return f"{node.name} died: {last_line(node.log)}"
 
 
 def _folder(spec: Spec, name: str) -> RunFolder:

@@ -1,4 +1,4 @@
-"""The dashboard's view of a running graph: signals taken in bulk, diagnostics, parameters and services."""
+"""The dashboard's view of a running graph: signals read in bulk, diagnostics, parameters and services."""
 
 import contextlib
 import gc
@@ -53,63 +53,63 @@ from ehls_ros.recording.topics import (
 from ehls_ros.recording.typestore import typestore
 
 REST = 0.05
-"""How long messages gather before they are taken in bulk [s]."""
+"""Time for which messages gather before they are read in bulk [s]."""
 
 FOUND = 5.0
-"""Longest time for a service to be found [s]."""
+"""Longest wait for the discovery of a service [s]."""
 
 ANSWERED = 30.0
-"""Longest time for a service that was found to answer [s]; nodes that have to run in real time leave little to the others."""
+"""Longest wait for the answer of a service [s]; real-time nodes leave other threads little time."""
 
 SILENCE = 3.0
-"""A node that has not spoken for so long, three of its diagnostics, is silent [s]."""
+"""Time without diagnostics, which are due every second, after which a node counts as silent [s]."""
 
 FORGOTTEN = 15.0
-"""A node that has been silent for so long is shown no more [s]."""
+"""Time without diagnostics after which a node is no longer shown [s]."""
 
 LOST = 5.0
-"""Time without an answer after which a transition that was asked for may have got lost [s]."""
+"""Time without an answer after which a requested transition may have been lost [s]."""
 
 GOALS = {
     Transition.TRANSITION_CONFIGURE: State.PRIMARY_STATE_INACTIVE,
     Transition.TRANSITION_ACTIVATE: State.PRIMARY_STATE_ACTIVE,
     Transition.TRANSITION_DEACTIVATE: State.PRIMARY_STATE_INACTIVE,
 }
-"""Where a node is after a transition."""
+"""A node's state after a transition."""
 
 GONE = 1.0
-"""Without a snapshot for so long, there is no graph [s].
+"""Time without a snapshot after which there is no graph [s].
 
-These three are counted in passes of the thread that takes the messages: one that was kept from looking has missed nothing.
+SILENCE, FORGOTTEN and GONE are counted in passes of the reading thread, so that a stalled dashboard does not time nodes out.
 """
 
 REPORTS = 16
-"""Messages of diagnostics that wait to be taken; others' may be large."""
+"""Queue depth for diagnostics; other publishers' messages may be large."""
 
 STRANGERS = 32
-"""Nodes shown that are not this project's."""
+"""Most nodes shown that are not this project's."""
 
 LONGEST_REPORT = 64 * 1024
-"""Size of the largest message of diagnostics that is read [B]; a node's has some 3 kB."""
+"""Size of the largest diagnostics message read [B]; one of this project's has about 3 kB."""
 
 TUNABLES = 200
-"""Parameters of a node that are shown."""
+"""Most parameters of a node."""
 
 OWN = {module.name for module in iter_modules(ehls_ros.nodes.__path__)} | {f"{law}_node" for law in CONTROLLERS.names()}
-"""This project's nodes are among these names; there is always room for them."""
+"""Names that include all of this project's nodes, which are always shown."""
 
 SILENT = 3
 """Level of a silent node, above those of diagnostics."""
 
 KEPT = 8192
-"""Snapshots whose time of sending is kept until their command comes."""
+"""Snapshots whose sending time is kept until their command arrives."""
 
 TOPICS = (LOADER_STATE, VALVE_COMMAND, CONTROLLER_STATUS, FRICTION_ESTIMATE, POSITION_REFERENCE)
-"""What is taken, the snapshots first: by them the time of the rest is known."""
+"""Topics read; the snapshots come first, as they set the time base of the others."""
 
 
-def looking_on() -> QoSProfile:
-    """Return the quality of service of a reader that costs the loop as little as can be: it acknowledges nothing."""
+def observer_qos() -> QoSProfile:
+    """Return the quality of service of a reader that loads the loop least: best effort, so it acknowledges nothing."""
     return QoSProfile(
         depth=DEPTH,
         history=HistoryPolicy.KEEP_LAST,
@@ -131,10 +131,10 @@ class _Source:
         self.topic = topic
         self._fields = flatten(typestore().fielddefs, topic.type)
         self._wanted = {CYCLE, SECONDS, NANOSECONDS, *topic.signals}
-        self._inbox = Inbox(node, message_class(topic.type), topic.name, looking_on())
+        self._inbox = Inbox(node, message_class(topic.type), topic.name, observer_qos())
 
     def take(self) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]] | None:
-        """Return everything that is there, and when it was sent [ns]."""
+        """Return all messages that have arrived and their sending times [ns]; None if there are none."""
         messages, sent = [], []
         while (taken := self._inbox.take_raw()) is not None:
             messages.append(taken[0])
@@ -144,7 +144,7 @@ class _Source:
         try:
             return decode(messages, self._fields, self._wanted), np.array(sent, dtype=np.int64)
         except CdrError:
-            # A stranger's message among them: what came with it is not drawn.
+            # A malformed message of another publisher; the batch is dropped.
             return None
 
     def destroy(self) -> None:
@@ -152,27 +152,27 @@ class _Source:
 
 
 class Link:
-    """A participant that looks on, and passes wishes on."""
+    """A participant that observes the graph and forwards requests."""
 
     def __init__(self, namespace: str = NAMESPACE) -> None:
         """Join the graph of this process's domain.
 
         Args:
-            namespace: where its nodes are; what others say is not heard.
+            namespace: namespace of its nodes; nodes elsewhere are ignored.
 
         Raises:
-            BadInput: ROS allows no such namespace.
+            BadInput: not a valid ROS namespace.
         """
         self.namespace = namespace.strip("/")
         try:
             validate_namespace(f"/{self.namespace}")
         except InvalidNamespaceException as error:
             expected = "letters, digits and underscores, such as rig2"
-            raise BadInput(f"'{namespace}' is no namespace of ROS", "--namespace", expected) from error
+            raise BadInput(f"'{namespace}' is not a valid ROS namespace", "--namespace", expected) from error
         self.where = f"/{self.namespace} in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}"
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self.window = Window(SIGNALS)
-        # Whoever sends here would wait for a receiver that ordinary work keeps from giving its locks back.
+        # A receiver thread preempted while it holds a lock would make the sending nodes wait.
         with preferring_what_starts(REALTIME_PRIORITY):
             self._node = rclpy.create_node("dashboard", namespace=f"/{self.namespace}")
         self._lock = threading.Lock()
@@ -199,7 +199,7 @@ class Link:
             thread.start()
 
     def give_up(self) -> None:
-        """Let every wish that waits for an answer end now."""
+        """Abort every pending request."""
         self._closing.set()
 
     def close(self) -> None:
@@ -213,13 +213,13 @@ class Link:
             source.destroy()
         self._reports.destroy()
         self._node.destroy_node()
-        # What still refers to the middleware has to go before the middleware does.
+        # Objects that refer to the middleware must be collected before it shuts down.
         del self._executor, self._sources, self._reports, self._clients, self._node
         gc.collect()
         rclpy.try_shutdown()
 
     def rate(self) -> float:
-        """Return the snapshots that came in over the last second or so [1/s]; 0 where there is no graph."""
+        """Return the rate of snapshots over about the last second [1/s]; 0 without a graph."""
         with self._lock:
             arrivals = list(self._arrivals)
         if len(arrivals) < 2 or self._passed(self._last_arrival) > GONE:
@@ -228,7 +228,7 @@ class Link:
         return sum(count for _, count in arrivals[1:]) / (end - begin)
 
     def health(self) -> tuple[Health, ...]:
-        """Return what the nodes say, sorted by name."""
+        """Return the nodes' diagnostics, sorted by name."""
         now = time.monotonic()
         with self._lock:
             self._heard = {name: heard for name, heard in self._heard.items() if self._passed(heard.at_pass) < FORGOTTEN}
@@ -239,18 +239,18 @@ class Link:
         )
 
     def forget(self, nodes: Collection[str]) -> None:
-        """Expect to hear no more of some nodes, but for what is on its way from them."""
+        """Forget some nodes, and ignore messages they have sent before now."""
         with self._lock:
             self._forgotten |= dict.fromkeys(nodes, time.time_ns())
             self._heard = {name: heard for name, heard in self._heard.items() if name not in nodes}
 
     def tunable_nodes(self) -> tuple[str, ...]:
-        """Return the nodes with parameters to change, the controller first."""
+        """Return the nodes with live parameters, the controller first."""
         known = {health.node for health in self.health()}
         return tuple(node for node in (*(f"{law}_node" for law in CONTROLLERS.names()), *PLANTS.values()) if node in known)
 
     def parameters(self, node: str) -> tuple[Tunable, ...]:
-        """Ask a node for its parameters; nothing where it does not answer."""
+        """Return a node's live parameters; empty if it does not answer."""
         listed = self.call(ListParameters, f"{node}/list_parameters", ListParameters.Request())
         if listed is None:
             return ()
@@ -262,48 +262,49 @@ class Link:
         values = map(parameter_value_to_python, got.values)
         return tuple(
             _tunable(descriptor, value)
-            # A stranger under the node's name may answer with fewer.
+            # Another process under the node's name may return fewer.
             for descriptor, value in zip(described.descriptors, values, strict=False)
-            # rclpy's own have no description.
+            # rclpy's own parameters have no description.
             if descriptor.description and not descriptor.read_only and isinstance(value, float | int | str)
         )
 
     def set_parameter(self, node: str, name: str, value: Value) -> Answer:
-        """Ask a node to take a value; it says why if it does not."""
+        """Set a node's parameter; the answer carries the node's reason if it refuses."""
         request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
         response = self.call(SetParameters, f"{node}/set_parameters", request)
         if response is None or not response.results:
             return Answer(done=False, message=f"{node} does not answer")
         result = response.results[0]
-        reason = line(result.reason) or f"{node} refused {name} without a reason"
-        return Answer(result.successful, f"{name} is {value} now" if result.successful else reason)
+        reason = line(result.reason) or f"{node} refused {name} without giving a reason"
+        return Answer(result.successful, f"{name} is now {value}" if result.successful else reason)
 
     def emergency_stop(self) -> Answer:
         """Cut the command."""
-        return self._wish(Trigger, "emergency_stop", Trigger.Request())
+        return self._request(Trigger, "emergency_stop", Trigger.Request())
 
     def acknowledge_stop(self) -> Answer:
-        """Let go of the emergency stop that the gate says is engaged."""
+        """Acknowledge the emergency stop that the gate reports."""
         stop = next((node.figures["stop"] for node in self.health() if node.figures.get("stop")), "")
-        return self._wish(AcknowledgeStop, "acknowledge_stop", AcknowledgeStop.Request(stop=stop))
+        return self._request(AcknowledgeStop, "acknowledge_stop", AcknowledgeStop.Request(stop=stop))
 
     def reset_trips(self) -> Answer:
-        """Let the gate forget what tripped it."""
-        return self._wish(Trigger, "reset_trips", Trigger.Request())
+        """Reset the gate's latched trips."""
+        return self._request(Trigger, "reset_trips", Trigger.Request())
 
     def enable(self) -> Answer:
         """Let commands through again."""
-        return self._wish(SetBool, "enable", SetBool.Request(data=True))
+        return self._request(SetBool, "enable", SetBool.Request(data=True))
 
     def is_up(self, node: str) -> bool:
-        """Tell whether a lifecycle node is there to be asked for a transition."""
+        """Return whether a lifecycle node is ready for requests."""
         return bool(self._client(ChangeState, f"{node}/change_state").service_is_ready())
 
     def change_state(self, node: str, transition: int, patience: float, hopeless: Callable[[], bool]) -> Answer:
-        """Ask a lifecycle node for a transition, for as long as there is hope of an answer.
+        """Request a lifecycle transition, until it is answered, ``patience`` [s] is over or ``hopeless`` holds.
 
-        What is asked can get lost: a node that was ended a moment ago seems to be there still. So a node that stays silent is
-        asked where it is, which it says once it is there and not at it any more, and then asked again if it has not got there.
+        A request can get lost, for example to a node that has just been stopped but is still listed. So a node that does not
+        answer is asked for its state, which it returns when it is up and between transitions, and the request is repeated if
+        the transition has not happened.
         """
         request = ChangeState.Request(transition=Transition(id=transition))
         deadline = time.monotonic() + patience
@@ -313,7 +314,7 @@ class Link:
             if ask:
                 response = self.call(ChangeState, f"{node}/change_state", request, left, patient, hopeless)
                 if response is not None:
-                    return Answer(response.success, "" if response.success else f"{node} refused to go on")
+                    return Answer(response.success, "" if response.success else f"{node} refused the transition")
             state = self.call(GetState, f"{node}/get_state", GetState.Request(), patient, patient, hopeless)
             ask = state is not None
             if state is not None and state.current_state.id == GOALS[transition]:
@@ -321,7 +322,7 @@ class Link:
         return Answer(done=False, message=f"{node} did not answer in {patience:.0f} s")
 
     def text_parameter(self, node: str, name: str) -> str:
-        """Return a node's text parameter; nothing where it does not answer."""
+        """Return a node's text parameter; empty if it does not answer."""
         response = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=[name]))
         return str(response.values[0].string_value) if response is not None and response.values else ""
 
@@ -334,15 +335,15 @@ class Link:
         answered: float = ANSWERED,
         hopeless: Callable[[], bool] = lambda: False,
     ) -> Any:
-        """Call a service and wait for the answer; None if none comes in time, the link is closed or there is no hope of one.
+        """Call a service and wait for its answer; None if it is late, the link closes, or the wait becomes hopeless.
 
         Args:
-            kind: type of the service.
-            service: its name.
-            request: what is asked.
-            found: longest time for it to be found [s].
-            answered: longest time from then to its answer [s]; one that is gone is not waited for.
-            hopeless: tells whether there is nothing to wait for any more.
+            kind: service type.
+            service: service name.
+            request: the request.
+            found: longest wait for discovery [s].
+            answered: longest wait for the answer from then on [s]; the wait ends early if the service disappears.
+            hopeless: returns whether waiting has become pointless.
         """
         client = self._client(kind, service)
         deadline = time.monotonic() + found
@@ -364,10 +365,10 @@ class Link:
                 return None
         return future.result()
 
-    def _wish(self, kind: Any, service: str, request: Any) -> Answer:
+    def _request(self, kind: Any, service: str, request: Any) -> Answer:
         response = self.call(kind, service, request)
         if response is None:
-            return Answer(done=False, message=f"{service}: nothing that stands for the rig answers")
+            return Answer(done=False, message=f"{service}: no plant node answers")
         return Answer(response.success, line(response.message))
 
     def _client(self, kind: Any, service: str) -> Any:
@@ -378,21 +379,21 @@ class Link:
 
     def _serve(self) -> None:
         while not self._closing.is_set():
-            # A stranger's answer: its texts are none.
+            # Another process may answer with invalid UTF-8.
             with contextlib.suppress(UnicodeDecodeError):
                 self._executor.spin_once(timeout_sec=0.2)
 
     def _passed(self, since: int) -> float:
-        """Return the time the thread that takes the messages has looked since a pass of it [s]."""
+        """Return the time the reading thread has spent since one of its passes [s]."""
         return REST * (self._passes - since)
 
     def _take_reports(self) -> None:
-        """Take what the nodes say of themselves."""
+        """Read the nodes' diagnostics."""
         while (taken := self._reports.take_raw()) is not None:
             report = taken[0]
             if len(report) > LONGEST_REPORT:
                 continue
-            # A stranger's: its texts are none.
+            # Another publisher's message may hold invalid UTF-8.
             with contextlib.suppress(UnicodeDecodeError):
                 self._note(deserialize_message(report, DiagnosticArray))
 
@@ -411,7 +412,7 @@ class Link:
                 self._heard[name] = _Heard(now, self._passes, health)
 
     def _take(self) -> None:
-        """Take what gathers, until the link is closed."""
+        """Read messages in bulk until the link closes."""
         while not self._closing.wait(REST):
             for source in self._sources:
                 taken = source.take()
@@ -433,7 +434,7 @@ class Link:
         if topic is CONTROLLER_STATUS:
             values[FORCE_REFERENCE] = self._since_snapshot(cycle, self._force[cycle % KEPT] - values["force_error_n"])
         time_s = 1e-9 * (stamp_ns - self._origin_ns)
-        # Of a graph that is gone, or ahead of the cycles.
+        # Drop samples of a previous graph, or too far ahead of the cycles.
         fits = (time_s >= 0.0) & (cycle <= self._newest + DEPTH) & np.isfinite(time_s)
         order = np.argsort(time_s[fits], kind="stable")
         self.window.add(time_s[fits][order], {name: column[fits][order] for name, column in values.items()})
@@ -448,19 +449,19 @@ class Link:
             self._arrivals = recent if len(recent) > 1 else self._arrivals[-2:]
             self._last_arrival = self._passes
         if cycle[-1] < self._newest or self._origin_ns is None:
-            # The graph began anew: cycle 0 is where its time starts.
+            # The graph restarted: its time is zero at cycle 0.
             apart = cycle[-1] - cycle[0]
             if apart <= 0:
                 return
             self._origin_ns = int(stamp_ns[0] - cycle[0] * (stamp_ns[-1] - stamp_ns[0]) // apart)
-            self.window.begin_anew()
+            self.window.restart()
         self._newest = int(cycle[-1])
         self._sent_at[cycle % KEPT] = sent_ns
         self._sent_cycle[cycle % KEPT] = cycle
         self._force[cycle % KEPT] = force
 
     def _since_snapshot(self, cycle: NDArray[np.int64], values: NDArray[Any]) -> NDArray[np.float64]:
-        """Return values reckoned from the snapshots of their cycles; NaN where a snapshot was not seen."""
+        """Return the values, with NaN where the cycle's snapshot was not received."""
         return np.where(self._sent_cycle[cycle % KEPT] == cycle, values, np.nan)
 
 

@@ -15,7 +15,7 @@ class DisturbanceNode(AheadNode):
     """Publishes the spec's disturbance."""
 
     def __init__(self) -> None:
-        """Find out whether the disturbance feels the loader."""
+        """Choose the lead: a disturbance that reacts to the loader can run only one cycle ahead."""
         super().__init__("disturbance_node")
         self.lead = 1 if DISTURBANCES.load(self.spec.disturbance.name).REACTS else LEAD
 

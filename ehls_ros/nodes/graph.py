@@ -1,6 +1,6 @@
 """One experiment on the node graph: start the nodes, take them through their lifecycle, record, shut down.
 
-What ``launch/ehls.launch.py`` does where there is ``launch``, with a beginning and an end.
+Does without ``launch`` what ``launch/ehls.launch.py`` does, and ends after the last cycle.
 """
 
 import gc
@@ -38,32 +38,35 @@ from ehls_ros.recording.topics import CYCLE_TOPICS, FRICTION_ESTIMATE, REFERENCE
 from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
 
 PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
-"""What may stand for the rig; with the bridge, what disturbs the rig is not the graph's."""
+"""Plant nodes. With the bridge, the disturbance acts on the rig itself, so there is no disturbance node."""
 
 RECORDER = "recorder_node"
 
 DISTURBANCE = "disturbance_node"
 
 UP_TIME = 600.0
-"""Longest time a node may take to come up and compile [s]."""
+"""Longest time a node may take to start and compile [s]."""
 
 SHUTDOWN_TIME = 60.0
-"""Time a node is given to end by itself after SIGINT, and to say what keeps it [s]."""
+"""Time a node is given to exit after SIGINT before it is killed [s]."""
 
 ENABLE_TIME = 60.0
-"""Longest time until a rig's gate finds everything in order [s]."""
+"""Longest wait for the gate of a rig to open [s]."""
 
 BACKGROUND = (RECORDER, "reference_node", DISTURBANCE)
-"""Nodes that only have to keep up; they step back for those that have to answer."""
+"""Nodes whose output no cycle waits for; they run at lower priority."""
 
 REALTIME_PRIORITY = 10
-"""Priority of the nodes in realtime, if this user may give it; their loops that only have to keep up go behind."""
+"""SCHED_FIFO priority of the nodes in realtime, where the user may set it."""
 
 NICE = 10
-"""How far they step back, on the scale of nice."""
+"""Nice value of the background nodes."""
+
+LONGEST_LINE = 4096
+"""Most bytes of a log read for its last line."""
 
 DOMAINS = range(1, 102)
-"""Domains whose ports lie below the ephemeral ones of Linux."""
+"""Domains whose ports lie below Linux's ephemeral range."""
 
 
 class Running(NamedTuple):
@@ -75,10 +78,10 @@ class Running(NamedTuple):
 
 
 class Plant(NamedTuple):
-    """What stands for the rig.
+    """The plant of a graph: the simulated rig or a bridge to a real one.
 
     Attributes:
-        kind: of :data:`PLANTS`.
+        kind: key of :data:`PLANTS`.
         bridge: bridge file; None: UDP to this host.
     """
 
@@ -87,7 +90,7 @@ class Plant(NamedTuple):
 
     @property
     def node(self) -> str:
-        """Its executable."""
+        """The plant's executable."""
         return PLANTS[self.kind]
 
 
@@ -95,7 +98,7 @@ SIMULATED = Plant()
 
 
 def nodes_of(spec: Spec, plant: Plant) -> list[str]:
-    """Return the executables an experiment needs, in the order they are activated; the plant comes last."""
+    """Return the executables an experiment needs, in order of activation; the plant comes last."""
     friction = ["friction_estimator_node"] if CONTROLLERS.load(spec.controller.name).FRICTION else []
     disturbance = [DISTURBANCE] if plant.kind == "sim" else []
     return [RECORDER, "reference_node", *disturbance, *friction, f"{spec.controller.name}_node", plant.node]
@@ -120,33 +123,33 @@ def run_graph(
     progress: Callable[[int, int], None] | None = None,
     plant: Plant = SIMULATED,
 ) -> float:
-    """Run an experiment over DDS, each node its own process.
+    """Run an experiment over DDS, with each node in a process of its own.
 
     Args:
-        spec: the experiment; the run folder holds it already.
-        folder: where the bag and the nodes' logs go.
+        spec: the experiment, already written to the run folder.
+        folder: run folder for the bag and the nodes' logs.
         timing: lockstep or realtime.
         storage: format of the bag.
-        progress: called now and then with the cycles done and the cycles in all.
-        plant: what stands for the rig.
+        progress: called repeatedly with the number of finished cycles and the total.
+        plant: simulated rig or bridge.
 
     Returns:
         Wall time from the plant's first to its last cycle [s].
 
     Raises:
-        WorkFailed: a node did not come up, died, or ended with an error.
+        WorkFailed: a node did not come up, died, or exited with an error.
     """
     environment = graph_environment()
     os.environ.update({key: environment[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
     folder.logs.mkdir()
     parameters = node_parameters(spec, plant, folder, timing, storage)
-    # The nodes end together with this process even when it is asked to end in the middle.
+    # The nodes end with this process, even when it is interrupted.
     with _interrupts_noted() as interrupted, node_processes(list(parameters), parameters, folder.logs, environment) as running:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         try:
             wall = conduct(Conductor(running, plant, timing, interrupted), spec.cycles, progress)
         finally:
-            # What still refers to the middleware has to go before the middleware does.
+            # Objects that refer to the middleware must be collected before it shuts down.
             gc.collect()
             rclpy.try_shutdown()
     for node in running:
@@ -154,16 +157,16 @@ def run_graph(
             raise WorkFailed(f"{node.name} ended with exit code {node.process.returncode}: see {node.log}")
     if not is_closed(folder.bag):
         log = folder.logs / f"{RECORDER}.log"
-        raise WorkFailed(f"{RECORDER} did not close the bag: see {log}; `ehls recover {folder.bag}` gets back what is in it")
+        raise WorkFailed(f"{RECORDER} did not close the bag: see {log}; `ehls recover {folder.bag}` restores its contents")
     return wall
 
 
 def graph_environment() -> dict[str, str]:
-    """Return the environment nodes are started in: this host only, a free domain unless one is chosen."""
+    """Return the environment for the nodes: this host only, and a free domain unless ROS_DOMAIN_ID is set."""
     environment = dict(os.environ)
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(Path(__file__).with_name("fastdds.xml")))
-    # No loop multiplies matrices that are worth a second thread, which would reserve 70 MiB of buffers.
+    # No loop has matrices large enough for a second BLAS thread, which would reserve 70 MiB of buffers.
     environment.setdefault("OPENBLAS_NUM_THREADS", "1")
     environment.setdefault("PYTHONUNBUFFERED", "1")
     environment.setdefault("PYTHONFAULTHANDLER", "1")
@@ -173,21 +176,21 @@ def graph_environment() -> dict[str, str]:
 
 
 def free_domain() -> int:
-    """Return a domain that no participant on this host uses, starting somewhere else in every process."""
+    """Return a domain no participant on this host uses; the search starts at a different one in each process."""
     for offset in range(len(DOMAINS)):
         domain = DOMAINS[(os.getpid() + offset) % len(DOMAINS)]
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
-                # The first participant's port for discovery, as RTPS lays ports out.
+                # Discovery port of the domain's first participant, by the RTPS port mapping.
                 probe.bind(("", 7400 + 250 * domain + 10))
             except OSError:
                 continue
         return domain
-    raise WorkFailed("every ROS domain from 1 to 101 is in use on this host: end other graphs or set ROS_DOMAIN_ID")
+    raise WorkFailed("all ROS domains from 1 to 101 are in use on this host: stop other graphs or set ROS_DOMAIN_ID")
 
 
 def node_parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, storage: str) -> dict[str, dict[str, Any]]:
-    """Return each node's parameters, in the order the nodes are activated."""
+    """Return the parameters by node, in order of activation."""
     common = {"spec": str(folder.spec.resolve()), "timing": timing, "autostart": False}
     parameters: dict[str, dict[str, Any]] = {name: dict(common) for name in nodes_of(spec, plant)}
     if timing == REALTIME:
@@ -207,9 +210,9 @@ def node_parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, st
 
 @contextmanager
 def _interrupts_noted() -> Iterator[threading.Event]:
-    """Note SIGINT and SIGTERM for the conductor to act on between two of its steps.
+    """Note SIGINT and SIGTERM, for the conductor to act on between two steps.
 
-    Raised as exceptions they could fall into a destructor or a callback, which swallow them.
+    An exception raised by the handler could land in a destructor or callback, which would swallow it.
     """
     noted = threading.Event()
 
@@ -232,7 +235,7 @@ def node_processes(
     environment: Mapping[str, str],
     namespace: str = NAMESPACE,
 ) -> Iterator[list[Running]]:
-    """Start the nodes; on leaving, end them by SIGINT, and by force what does not end."""
+    """Start the nodes; on exit, stop them with SIGINT and kill those that stay."""
     running: list[Running] = []
     try:
         for name in names:
@@ -242,7 +245,7 @@ def node_processes(
             command = [sys.executable, "-m", f"ehls_ros.nodes.{name}", *arguments]
             log = logs / f"{name}.log"
             with log.open("wb") as output:
-                # A session of its own: Ctrl-C reaches this process, which then ends the nodes in order.
+                # In a session of its own, so that Ctrl-C reaches only this process, which stops the nodes in order.
                 process = subprocess.Popen(
                     command, stdout=output, stderr=subprocess.STDOUT, env=environment, start_new_session=True
                 )
@@ -262,11 +265,11 @@ def node_processes(
 
 
 def share_processors(running: list[Running], timing: str) -> None:
-    """Put the nodes that answer each other before those that only have to keep up.
+    """Give plant, estimator and controller priority over the background nodes.
 
-    Plant, estimator and controller work in turn, never at once. In lockstep they get one processor together: there
-    they hand over to each other, where on several each hand-over has to wake an idle one, which takes longer than
-    the work itself. In realtime a free processor now counts for more than the work done in all.
+    These three work in turn, never at once. In lockstep they share one processor: between processors, each hand-over
+    has to wake an idle one, which takes longer than the work itself. In realtime they may use all processors, since
+    latency matters more than throughput.
     """
     processors = sorted(os.sched_getaffinity(0))
     for node in running:
@@ -295,7 +298,7 @@ class Conductor:
         self._running = running
         self._plant = plant
         self._timing = timing
-        # The nodes send here too, and would wait for a receiver that ordinary work keeps from giving its locks back.
+        # A receiver thread preempted while it holds a lock would make the sending nodes wait.
         with preferring_what_starts(REALTIME_PRIORITY) if timing == REALTIME else nullcontext():
             self._node = Node("conductor", namespace=NAMESPACE)
         self._executor = SingleThreadedExecutor()
@@ -308,7 +311,7 @@ class Conductor:
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def run(self, cycles: int, progress: Callable[[int, int], None] | None) -> float:
-        """Configure all nodes at once, activate them in order, wait for the plant's last cycle, close the bag.
+        """Configure all nodes in parallel, activate them in order, wait for the plant's last cycle, close the bag.
 
         Returns:
             Wall time of the cycles [s].
@@ -348,7 +351,7 @@ class Conductor:
                 raise WorkFailed(f"{node.name} ended with exit code {node.process.returncode}: {last_line(node.log)}")
 
     def _transition(self, node: Running, transition: int) -> Callable[[], None]:
-        """Ask for a transition and return a function that waits for it."""
+        """Request a transition and return a function that waits for its result."""
         client = self._clients[node.name]
         deadline = time.monotonic() + UP_TIME
         while not client.service_is_ready():
@@ -363,12 +366,12 @@ class Conductor:
                 if time.monotonic() > deadline:
                     raise WorkFailed(f"{node.name} did not answer in {UP_TIME:.0f} s: see {node.log}")
             if not future.result().success:
-                raise WorkFailed(f"{node.name} refused to go on: {last_line(node.log)}")
+                raise WorkFailed(f"{node.name} refused the transition: {last_line(node.log)}")
 
         return wait
 
     def _enable(self) -> None:
-        """Let the commands through to the rig, once its gate finds everything in order."""
+        """Open the rig's gate, as soon as it allows that."""
         client = self._node.create_client(SetBool, "enable")
         deadline = time.monotonic() + ENABLE_TIME
         refusal = "the service did not come up"
@@ -396,6 +399,8 @@ class Conductor:
 
 
 def last_line(log: Path) -> str:
-    """Return the last thing a node said, and where."""
-    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    """Return the last line of a node's log, and where the log is."""
+    with log.open("rb") as file:
+        file.seek(max(0, log.stat().st_size - LONGEST_LINE))
+        lines = file.read().decode("utf-8", errors="replace").strip().splitlines()
     return f"{lines[-1]} (in {log})" if lines else f"see {log}"

@@ -1,4 +1,4 @@
-"""`hardware_bridge_node`: the real rig in the graph. The DAQ's samples pace the cycles; each gets an answer of the gate."""
+"""`hardware_bridge_node`: the real rig in the graph. The DAQ's samples pace the cycles; the gate answers each of them."""
 
 import math
 import time
@@ -21,33 +21,33 @@ from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import quantity, text
 
 LOCKSTEP_PATIENCE = 0.1
-"""In lockstep the gate's time goes on without a sample or an answer after this, longer than a busy machine hesitates [s]."""
+"""In lockstep, wait for a sample or an answer after which the gate's time advances anyway; a busy machine needs less [s]."""
 
 SILENCE = 2.0
-"""Periods without a sample after which the gate is stepped all the same."""
+"""Periods without a sample after which the gate is stepped anyway."""
 
 
 def now() -> float:
-    """Return a monotonic time that goes on while the computer is suspended [s]."""
+    """Return a monotonic time that includes the time the computer was suspended [s]."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 class Parameters(NamedTuple):
-    """Where the rig is."""
+    """Parameters of the bridge."""
 
     bridge: Annotated[str, text("bridge file: DAQ backend, channels, calibration; empty: UDP to this host")] = ""
     answer_time: Annotated[
         float,
-        quantity("1", "part of the period that a cycle waits for its answer", above=0.0, maximum=1.0),
+        quantity("1", "fraction of the period a cycle waits for its answer", above=0.0, maximum=1.0),
     ] = 0.8
     least_answered: Annotated[
         float,
-        quantity("1", "fraction of the samples that has to be answered before the gate opens", minimum=0.0, maximum=1.0),
+        quantity("1", "fraction of the samples that must be answered before the gate opens", minimum=0.0, maximum=1.0),
     ] = LEAST
 
 
 class HardwareBridgeNode(PlantNode):
-    """Moves samples to the graph and commands, through the gate, to the rig. The valve stays closed until `enable`."""
+    """Passes samples to the graph and commands through the gate to the rig. The valve stays closed until `enable`."""
 
     def __init__(self) -> None:
         """Declare the parameters and read the bridge file.
@@ -56,8 +56,8 @@ class HardwareBridgeNode(PlantNode):
             BadInput: the bridge file is wrong.
         """
         super().__init__("hardware_bridge_node")
-        part = float(self.get_parameter("answer_time").value)
-        self.answer_time = LOCKSTEP_PATIENCE if self.lockstep else part * self.period
+        fraction = float(self.get_parameter("answer_time").value)
+        self.answer_time = LOCKSTEP_PATIENCE if self.lockstep else fraction * self.period
         self.sample_time = LOCKSTEP_PATIENCE if self.lockstep else SILENCE * self.period
 
     def measured(self) -> Collection[str]:
@@ -74,18 +74,18 @@ class HardwareBridgeNode(PlantNode):
         try:
             self.device = self.bridge.open(self.period)
         except WorkFailed as error:
-            raise BadInput(str(error), self.get_name(), "a device that is there and free") from None
+            raise BadInput(str(error), self.get_name(), "a device that is connected and free") from None
         self.open_topics()
         self.samples = SampleClock(self.period)
         self.cycle = -1
         self.sequence = -1
         self.saturated: tuple[str, ...] = ()
         self.at_null = True
-        self.began_anew = 0
+        self.restarts = 0
         self.failure = ""
         self.elapsed = 1
         self.lockstep_time = 0.0
-        self._count_anew()
+        self._reset_counts()
 
     def release(self) -> None:
         """Close the valve, the device and the topics."""
@@ -97,7 +97,7 @@ class HardwareBridgeNode(PlantNode):
         self.first = self.cycle + 1
         self.set_epoch(self.first)
         self.samples.begin()
-        self._count_anew()
+        self._reset_counts()
         self.gate.begin()
 
     def stop(self) -> None:
@@ -106,7 +106,7 @@ class HardwareBridgeNode(PlantNode):
         self._write(0.0)
 
     def once(self) -> None:
-        """Take one sample and answer it, or notice that there is none."""
+        """Take one sample and answer it, or handle its absence."""
         try:
             reading = self.device.read(self.sample_time)
             self.failure = ""
@@ -125,7 +125,7 @@ class HardwareBridgeNode(PlantNode):
         if self.answered >= self.first:
             in_time = self.answered == self.cycle
             self.in_time += in_time
-            # Samples that nobody saw were not answered either.
+            # Lost samples count as unanswered.
             self.missed += self.elapsed - in_time
             self._keep_pace()
         self._write(self.gate.step(self._time()))
@@ -133,36 +133,36 @@ class HardwareBridgeNode(PlantNode):
         if self.cycles and self.cycle - self.first + 1 >= self.cycles:
             self.end_cycles()
 
-    def _count_anew(self) -> None:
+    def _reset_counts(self) -> None:
         self.pace = Pace(float(self.get_parameter("least_answered").value))
         self.in_time = 0
 
     def _keep_pace(self) -> None:
-        """Look whether samples are answered as fast as they come."""
+        """Check whether samples are answered as fast as they arrive."""
         before = self.pace.complaint
         ended = not self.lockstep and self.pace.look(time.perf_counter(), self.cycle - self.first + 1, self.in_time)
         if ended and self.pace.complaint != before:
             self.report_change()
 
     def refusal(self) -> str | None:
-        """Return why the gate must not be opened yet: this computer, or the controller, is too slow for the rig."""
+        """Return why the gate must stay closed: this computer or the controller is too slow; None if it may open."""
         if self.lockstep:
             return None
         if self.pace.asked == 0.0 and not self.pace.complaint:
-            return "no fresh command: answers are not yet counted"
+            return "no fresh command: the rate of answers is still being measured"
         return f"{self.pace.complaint}: {ADVICE}" if self.pace.complaint else None
 
     def _time(self) -> float:
-        """Return the gate's time [s]: that of the wall, or of the cycles where the device waits for their answers."""
+        """Return the gate's time [s]: the wall clock's, or in lockstep, where the device waits, that of the cycles."""
         if not self.lockstep:
             return now()
         self.lockstep_time += self.elapsed * self.period
         return self.lockstep_time
 
     def _open_cycle(self, reading: Reading) -> None:
-        """Number the sample and send it out; samples that were lost count, so that the cycles keep the device's time."""
+        """Number and publish the sample; lost samples count as cycles, so that the cycles keep the device's time."""
         following = self.sequence >= 0 and reading.sequence > self.sequence
-        self.began_anew += self.sequence >= 0 and not following
+        self.restarts += self.sequence >= 0 and not following
         self.elapsed = reading.sequence - self.sequence if following else 1
         self.cycle += self.elapsed
         self.sequence = reading.sequence
@@ -170,15 +170,15 @@ class HardwareBridgeNode(PlantNode):
         self.saturated = self.calibration.saturated(reading.values)
         signals = self.calibration.signals(reading.values)
         if self.saturated:
-            # What the converter cannot tell is no measurement.
+            # A saturated converter measures nothing.
             signals = tuple(math.nan if name in self.saturated else value for name, value in zip(SENSED, signals, strict=True))
         self.samples.take(reading.sequence, reading.time_ns, now())
-        # In lockstep the device waits, however long this computer takes.
+        # In lockstep the device waits as long as this computer takes.
         lag = 0.0 if self.lockstep else self.samples.lag
         self.publish(self.cycle, signals, elapsed=self.samples.elapsed, lag=lag, at_null=reading.at_null)
 
     def _bear_silence(self) -> None:
-        """Step the gate, which sees the snapshots age, and keep telling the device what it says."""
+        """Step the gate, which sees the snapshots age, and keep sending its command to the device."""
         self.elapsed = 1
         self.take_commands(self.cycle)
         self._write(self.gate.step(self._time()))
@@ -193,12 +193,12 @@ class HardwareBridgeNode(PlantNode):
     def figures(self) -> dict[str, Any]:
         """Return figures for diagnostics."""
         counted = {f"device_{name}": count for name, count in self.device.figures().items()}
-        own = {"cycle": self.cycle, "device_began_anew": self.began_anew, "device_at_null": self.at_null}
+        own = {"cycle": self.cycle, "device_began_anew": self.restarts, "device_at_null": self.at_null}
         pace = self.pace.figures() if self._active.is_set() else {}
         return {**super().figures(), **own, **counted, **pace}
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Say how device, gate and cycles are."""
+        """Report the state of device, gate and cycles."""
         level, message, figures = super().health()
         if self.failure:
             return ERROR, self.failure, figures

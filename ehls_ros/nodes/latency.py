@@ -1,21 +1,21 @@
-"""How long answers take: the last of them kept, percentiles on request."""
+"""Response times: the latest ones kept, percentiles on request."""
 
 import numpy as np
 
 
 class Latency:
-    """A ring of the last answer times."""
+    """A ring buffer of response times."""
 
     KEPT = 60_000
 
     def __init__(self) -> None:
         """Start empty."""
-        # Zeros would only be promised: the loop would wait for each page when it comes to it.
+        # Not zeros: the kernel allocates zero pages on first write, which would stall the loop.
         self._seconds = np.full(self.KEPT, np.nan)
         self.count = 0
 
     def add(self, seconds: float) -> None:
-        """Keep one more."""
+        """Add a response time [s]."""
         self._seconds[self.count % self.KEPT] = seconds
         self.count += 1
 

@@ -1,4 +1,4 @@
-"""ROS parameters from the one declaration of each parameter set."""
+"""ROS parameters from the declarations of a parameter set."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
@@ -20,8 +20,8 @@ def declare(node: Node, parameters: type, values: dict[str, Any] | None = None, 
 
     Args:
         node: owner.
-        parameters: the ``NamedTuple`` class with its declarations.
-        values: values in place of the declared defaults.
+        parameters: the ``NamedTuple`` class with the declarations.
+        values: values that replace the declared defaults.
         live: whether the parameters may change while the node runs.
     """
     for declared in declarations(parameters):
@@ -44,7 +44,7 @@ def _descriptor(declared: Declaration, *, live: bool) -> ParameterDescriptor:
 
 
 def refuse_unknown(node: Node) -> None:
-    """Refuse changes of parameters that the node does not have, and their removal, which rclpy lets pass now and then."""
+    """Refuse to change unknown parameters or to remove any; rclpy lets both pass in some cases."""
 
     def check(changes: Sequence[Parameter]) -> SetParametersResult:
         for change in changes:
@@ -73,15 +73,15 @@ def follow(
     retune: Callable[[Parameters], None],
     objection: Callable[[Parameters], BadInput | None] = lambda _: None,
 ) -> None:
-    """Hand every accepted change of a parameter set on, and refuse what does not fit, with the reason.
+    """Pass on every accepted change of a parameter set, and refuse invalid ones with the reason.
 
-    An integer given for a number with a fraction is taken as that number.
+    An integer is accepted for a float.
 
     Args:
         node: owner, on which the set was declared live.
         parameters: the ``NamedTuple`` class.
-        retune: called with the whole set after a change.
-        objection: what speaks against a set that fits its declaration, if anything does.
+        retune: called with the complete set after a change.
+        objection: further check of a set that fits its declaration; returns the error or None.
     """
     kinds = {d.name: d.kind for d in declarations(parameters) if node.has_parameter(d.name)}
 
@@ -94,13 +94,13 @@ def follow(
         ]
 
     def check(changes: Sequence[Parameter]) -> SetParametersResult:
-        wanted = {name: node.get_parameter(name).value for name in kinds}
-        wanted.update({change.name: change.value for change in changes if change.name in kinds})
+        requested = {name: node.get_parameter(name).value for name in kinds}
+        requested.update({change.name: change.value for change in changes if change.name in kinds})
         try:
-            against = objection(parse(parameters, wanted, node.get_name()))
+            wrong = objection(parse(parameters, requested, node.get_name()))
         except BadInput as error:
-            against = error
-        return SetParametersResult(successful=against is None, reason="" if against is None else str(against))
+            wrong = error
+        return SetParametersResult(successful=wrong is None, reason="" if wrong is None else str(wrong))
 
     def changed(changes: Sequence[Parameter]) -> None:
         if any(change.name in kinds for change in changes):

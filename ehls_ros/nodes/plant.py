@@ -1,6 +1,6 @@
-"""What stands for the rig in the graph, simulated or real: topics, services, the safety gate, telemetry.
+"""Base of the plant nodes: topics, services, the safety gate, telemetry.
 
-``plant_sim_node`` and ``hardware_bridge_node`` are this node with a simulator and with a DAQ backend behind it.
+``plant_sim_node`` puts the simulator behind it, ``hardware_bridge_node`` a DAQ backend.
 """
 
 import math
@@ -28,38 +28,38 @@ from ehls_ros.recording.topics import DRIVING
 from ehls_ros.schema import quantity
 
 CLOCK_CYCLES = 10
-"""In lockstep the clock tells the cycles' time every so many cycles; what runs ahead of the cycles goes by it."""
+"""Cycles between two clock messages in lockstep; nodes that run ahead of the cycles follow the clock."""
 
 PATIENCE = 1.0
-"""Time without an answer after which diagnostics say so [s]."""
+"""Time without an answer after which diagnostics report it [s]."""
 
 KEPT = 4000
-"""Force references kept ahead of their cycle."""
+"""Most force references kept for future cycles."""
 
 
 class Parameters(NamedTuple):
-    """How the cycles are run."""
+    """Parameters of every plant node."""
 
-    cycles: Annotated[int, quantity("1", "cycles to run; 0: until told to stop", minimum=0)] = 0
+    cycles: Annotated[int, quantity("1", "cycles to run; 0: until stopped", minimum=0)] = 0
     telemetry_rate: Annotated[
         float, quantity("Hz", "rate of force, load_pressure and joint_states", minimum=0.0, maximum=1e3)
     ] = 50.0
 
 
 class PlantNode(ControlNode):
-    """Opens each cycle with a loader_state, takes the answers, and lets them through the safety gate.
+    """Opens each cycle with a loader_state and passes the answers through the safety gate.
 
     Subclasses implement :meth:`once` and run the rig behind the gate.
     """
 
     gate_defaults: Mapping[str, Any] = MappingProxyType({})
-    """Values of the gate's parameters in place of the declared ones."""
+    """Gate parameters that differ from the declared defaults."""
 
     gate_bounds: Mapping[str, Bound] | None = None
-    """What the gate's parameters may be; None: what the rig stands."""
+    """Bounds of the gate's parameters; None: those the rig's limits set."""
 
     def __init__(self, name: str) -> None:
-        """Declare the parameters and the services; make the gate, which latches for as long as the node lives.
+        """Declare the parameters and the services; make the gate, which stays latched for the life of the node.
 
         Raises:
             BadInput: a parameter of the gate, or the rig's limits, are wrong.
@@ -80,7 +80,7 @@ class PlantNode(ControlNode):
         self.create_service(SetBool, "enable", self._on_enable)
 
     def measured(self) -> Collection[str]:
-        """Return the signals of ``SENSED`` that the rig measures; asked once, while the node is made."""
+        """Return the signals of ``SENSED`` that the rig measures; called once, by the constructor."""
         raise NotImplementedError
 
     def open_topics(self) -> None:
@@ -91,7 +91,7 @@ class PlantNode(ControlNode):
         self.latency = Latency()
         self.published = time.perf_counter()
         self.state = Outbox(self, LoaderState, "loader_state", frame_id="loader")
-        # A command from before this node was there is none for its cycles.
+        # Commands older than this node do not belong to its cycles.
         self.commands = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, frame=True))
         self.reference = Inbox(self, ForceReference, "force_reference")
         self.answer = Waiter([self.commands])
@@ -110,7 +110,7 @@ class PlantNode(ControlNode):
             self.destroy_publisher(self.clock)
 
     def set_epoch(self, cycle: int) -> None:
-        """Let stamps go by the clock of the wall from now, or in lockstep by the cycles alone.
+        """Anchor the time stamps to the wall clock, or in lockstep to cycle 0.
 
         Args:
             cycle: the cycle that begins now.
@@ -118,12 +118,12 @@ class PlantNode(ControlNode):
         self.epoch_ns = 0 if self.lockstep else time.time_ns() - cycle * round(self.period * NANOSECONDS)
 
     def publish(self, cycle: int, signals: Sequence[float], **sample: Any) -> None:
-        """Open a cycle: show the gate and the graph a snapshot.
+        """Open a cycle: pass a snapshot to the gate and the graph.
 
         Args:
             cycle: its number.
             signals: readings in the order of ``SENSED``.
-            sample: what else :meth:`Gate.sense` is told of it.
+            sample: further arguments of :meth:`Gate.sense`.
         """
         while (message := self.reference.take()) is not None:
             self.references[message[1]] = message[2]
@@ -138,25 +138,25 @@ class PlantNode(ControlNode):
         self.untold = (cycle * self.period, stamp_ns, signals)
 
     def tell_telemetry(self) -> None:
-        """Publish telemetry of the cycle, if it is due: once the cycle has been answered, so that it is in nobody's way."""
+        """Publish telemetry of the cycle if due; called after the answer, so that it delays nothing."""
         self.telemetry.tell(*self.untold)
 
     def tell_driving(self, driving: bool) -> None:
-        """Tell the controllers whether their commands reach the valve, when that changes: a loop that is open winds up."""
+        """Tell the controllers when their commands stop or start reaching the valve: in an open loop they would wind up."""
         if driving != self.told_driving:
             self.told_driving = driving
             self.driving.publish(Bool(data=driving))
 
     def take_commands(self, cycle: int) -> None:
-        """Hand the gate what came in.
+        """Pass the received commands to the gate.
 
         Args:
-            cycle: the cycle under way.
+            cycle: the present cycle.
         """
         while (message := self.commands.take()) is not None:
             _, sender, answered, spool = message
             self.gate.take(answered, spool, sender)
-            # What the gate refuses is an answer as well, if it is of whoever is to answer.
+            # A command of the gate's owner is an answer even if the gate refuses it.
             if sender == self.gate.owner and self.answered < answered <= cycle:
                 self.answered = answered
                 if answered == cycle:
@@ -177,7 +177,7 @@ class PlantNode(ControlNode):
         self.report()
 
     def unheard(self, silence: float) -> None:
-        """Show the gate that nobody could stop the rig."""
+        """Tell the gate how long an emergency stop could not have been received."""
         self.gate.hear(silence)
 
     def _on_emergency_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -197,21 +197,21 @@ class PlantNode(ControlNode):
         return self._answered(response, self.refusal() or self.gate.enable(), "enabled")
 
     def refusal(self) -> str | None:
-        """Return why the gate must not be opened now, for reasons that the gate does not know of; None: nothing."""
+        """Return why the gate must stay closed, for reasons outside the gate; None if it may open."""
         return None
 
     def _answered(self, response: Any, refusal: str | None, message: str) -> Any:
-        """Fill a service's response, and tell diagnostics at once."""
+        """Fill in a service's response, and publish diagnostics at once."""
         response.success, response.message = refusal is None, refusal or message
         self.report_change()
         return response
 
     def figures(self) -> dict[str, Any]:
-        """Return figures for diagnostics; subclasses add theirs."""
+        """Return values for diagnostics; subclasses add theirs."""
         return {"cycles": self.cycles, "missed": self.missed, **self.latency.figures()}
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Say what the gate says, or else how the cycles go."""
+        """Report the gate's state; if that is OK, the state of the cycles."""
         level, state, figures = self.gate.health()
         figures = {**self.figures(), **figures}
         if level:
@@ -222,7 +222,7 @@ class PlantNode(ControlNode):
         return (WARN, complaint, figures) if complaint else (OK, state, figures)
 
     def _complaint(self) -> str:
-        """Return what is wrong with the answers; nothing where nothing is."""
+        """Return what is wrong with the answers; empty if nothing is."""
         if self.lockstep and time.perf_counter() - self.published > PATIENCE:
             return "waiting for the controller's answer or the disturbance"
         if self.answered < 0:

@@ -1,4 +1,4 @@
-"""`plant_sim_node`: the simulated rig. It opens each cycle with a loader_state and steps on with the answer."""
+"""`plant_sim_node`: the simulated rig. It opens each cycle with a loader_state and integrates with the answer."""
 
 import time
 from collections.abc import Collection, Mapping
@@ -66,7 +66,7 @@ class PlantSimNode(PlantNode):
         self.gate.leave()
 
     def once(self) -> None:
-        """Wait for what this cycle needs and finish it."""
+        """Wait for the inputs of this cycle and finish it."""
         if self.lockstep:
             self._once_lockstep()
         else:
@@ -112,7 +112,7 @@ class PlantSimNode(PlantNode):
         self._snapshot()
 
     def _gated(self) -> float:
-        """Return the command the gate lets through; a simulated rig is enabled by the first command that comes."""
+        """Return the command the gate passes; the first command enables a simulated rig."""
         if not self.enabled and self.answered >= 0:
             self.enabled = self.gate.enable() is None
         command = self.gate.step(self.cycle * self.period)
@@ -120,19 +120,19 @@ class PlantSimNode(PlantNode):
         return command
 
     def _tell_driving(self) -> None:
-        """Tell the controllers; until the first command has opened the gate they may as well begin."""
+        """Tell the controllers whether they drive the valve; before the first command they do, unless a trip holds the gate."""
         self.tell_driving(self.gate.driving or not (self.enabled or self.gate.causes))
 
     def _snapshot(self) -> None:
         self.publish(self.cycle, self.simulator.measure(self.random.standard_normal(len(SENSED))).tolist())
 
     def figures(self) -> dict[str, Any]:
-        """Return figures for diagnostics."""
+        """Return values for diagnostics."""
         own = {"cycle": self.cycle, "dense_event_steps": self.dense}
         return {**super().figures(), **own, **self.time.figures()}
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Say how the cycles go."""
+        """Report trouble of the simulator, or a machine too slow for it, beside the state of the gate."""
         level, message, figures = super().health()
         if trouble := self.simulator.trouble():
             return ERROR, trouble, figures

@@ -1,4 +1,4 @@
-"""`recorder_node`: every topic into a rosbag2, with the configuration of the run inside."""
+"""`recorder_node`: records every topic to a rosbag2 that includes the configuration of the run."""
 
 import time
 from collections.abc import Mapping
@@ -18,35 +18,35 @@ from ehls_ros.recording.topics import CYCLE_TOPICS, TOPICS
 from ehls_ros.schema import quantity, text
 
 REST = 0.02
-"""How long messages gather before they are taken in bulk [s]; the middleware keeps them meanwhile."""
+"""Time for which messages gather before they are read in bulk [s]; the middleware holds them meanwhile."""
 
 FLUSH = 0.5
-"""How often what gathered is put where the death of this process does not reach it [s]."""
+"""Time between two flushes to the file, which make the data survive a killed recorder [s]."""
 
 DISCOVERY = 30.0
-"""Longest time for expected publishers to be found [s]."""
+"""Longest wait for the expected publishers [s]."""
 
 QUIET = 0.3
-"""At the end: nothing more comes once it was quiet for so long [s]."""
+"""Time without messages after which a recording ends [s]."""
 
 SLOW = 3.0
-"""The same while something is known to be missing: a busy computer may have it under way [s]."""
+"""The same while expected messages are missing: on a busy computer they may be under way [s]."""
 
 LAST = 1.0
-"""At the end, of a graph that goes on: what is sent later than this is left out [s]."""
+"""Messages sent later than this after the stop are left out; the graph may go on [s]."""
 
 
 class Parameters(NamedTuple):
-    """Where the bag goes."""
+    """Parameters of the recorder."""
 
     bag: Annotated[str, text("folder of the bag; empty: bags/<time>")] = ""
     storage: Annotated[str, text("mcap or sqlite3")] = "mcap"
-    expected: Annotated[str, text("topics, separated by commas, whose publisher has to be there before recording starts")] = ""
-    cycles: Annotated[int, quantity("1", "cycles that are waited for on these topics at the end; 0: not known", minimum=0)] = 0
+    expected: Annotated[str, text("topics, separated by commas, whose publishers must exist before recording starts")] = ""
+    cycles: Annotated[int, quantity("1", "cycles to wait for on these topics at the end; 0: unknown", minimum=0)] = 0
 
 
 class RecorderNode(ControlNode):
-    """Writes what is published, byte for byte, stamped with the sender's time of publishing."""
+    """Writes messages byte for byte, stamped with the publisher's sending time."""
 
     answers = False
 
@@ -83,12 +83,12 @@ class RecorderNode(ControlNode):
         self.writer: BagWriter | None = None
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start once the expected publishers are there, so that a run shorter than discovery is recorded whole."""
+        """Start once the expected publishers exist, so that even a run shorter than discovery is recorded completely."""
         deadline = time.monotonic() + DISCOVERY
         for name in self.expected:
             while self.inboxes[name].handle.get_publisher_count() == 0:
                 if time.monotonic() > deadline:
-                    self.get_logger().error(f"nobody publishes {name}")
+                    self.get_logger().error(f"{name} has no publisher")
                     return TransitionCallbackReturn.FAILURE
                 time.sleep(REST)
         return super().on_activate(state)
@@ -99,7 +99,7 @@ class RecorderNode(ControlNode):
             inbox.destroy()
 
     def start(self) -> None:
-        """Open the bag; it belongs to the thread that writes it."""
+        """Open the bag, in the thread that writes it."""
         namespace = self.get_namespace()
         described = metadata(self.spec, self.text_parameter("timing"))
         try:
@@ -109,7 +109,7 @@ class RecorderNode(ControlNode):
         self.flushed = time.perf_counter()
 
     def once(self) -> None:
-        """Write what gathered."""
+        """Write the messages that have gathered."""
         time.sleep(REST)
         self._drain()
         if self.writer is not None and time.perf_counter() - self.flushed > FLUSH:
@@ -120,10 +120,10 @@ class RecorderNode(ControlNode):
                 self.fail(str(error))
 
     def _drain(self) -> int:
-        """Write everything that is there and return how much it was."""
+        """Write all messages received so far and return their number."""
         before = self.written
         for name, inbox in self.inboxes.items():
-            # The numbers of several publishers on one topic are mixed.
+            # Sequence numbers show losses only with a single publisher.
             numbered = inbox.handle.get_publisher_count() == 1
             while (taken := inbox.take_raw()) is not None:
                 message, info = taken
@@ -135,7 +135,7 @@ class RecorderNode(ControlNode):
         return self.written - before
 
     def _count_lost(self, name: str, number: int) -> None:
-        """Count the gaps in a publisher's numbering; a smaller number is that of a publisher started anew."""
+        """Count the gaps in a publisher's sequence numbers; a smaller number means it was restarted."""
         last = self.newest.get(name, number - 1)
         self.lost += max(0, number - last - 1)
         self.newest[name] = number
@@ -150,14 +150,14 @@ class RecorderNode(ControlNode):
             self.fail(str(error))
 
     def fail(self, reason: str) -> None:
-        """Stop recording and say why; the graph goes on."""
+        """Stop recording and report why; the graph goes on."""
         self.writer = None
         self.failure = reason
         self.get_logger().error(reason)
         self.report_change()
 
     def stop(self) -> None:
-        """Take what is still under way and close the bag."""
+        """Write the messages still under way and close the bag."""
         quiet_since, last_ns = time.perf_counter(), time.time_ns() + int(LAST * 1e9)
         while self.newest_ns < last_ns:
             if self._drain():
@@ -175,12 +175,12 @@ class RecorderNode(ControlNode):
         self.get_logger().info(f"{self.written} messages in {self.path}")
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Say how much is written."""
+        """Report how much has been written and lost."""
         figures = {"bag": self.path, "written": self.written, "lost": self.lost}
         if self.failure:
             return ERROR, f"not recording: {self.failure}", figures
         if self.lost:
-            return WARN, "messages were lost on their way here", figures
+            return WARN, "messages were lost before they reached the recorder", figures
         return OK, "recording" if self._active.is_set() else "inactive", figures
 
 

@@ -1,4 +1,4 @@
-"""`reference_node`: the wanted force or position with its derivatives, whichever the spec's controller follows."""
+"""`reference_node`: the reference force or position and its derivatives, whichever the spec's controller follows."""
 
 from typing import Any, NoReturn
 

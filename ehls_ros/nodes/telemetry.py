@@ -1,4 +1,4 @@
-"""The loader's signals, now and then, for the tools everybody has."""
+"""The loader's signals as standard messages at a low rate, for common ROS tools."""
 
 from collections.abc import Sequence
 
@@ -12,14 +12,14 @@ from ehls_ros.physics import sensors
 
 
 class Telemetry:
-    """Publishes ``force``, ``load_pressure`` and ``joint_states`` at a rate of their own."""
+    """Publishes ``force``, ``load_pressure`` and ``joint_states`` at the telemetry rate."""
 
     def __init__(self, node: Node, rate: float) -> None:
         """Create the publishers.
 
         Args:
             node: owner.
-            rate: messages of each topic a second [Hz]; 0: none.
+            rate: rate of each topic [Hz]; 0: none.
         """
         self._node = node
         self._force = node.create_publisher(Float64, "force", 10)
@@ -29,7 +29,7 @@ class Telemetry:
         self._next = 0.0 if rate > 0.0 else float("inf")
 
     def tell(self, time_s: float, stamp_ns: int, measured: Sequence[float]) -> None:
-        """Publish what is due.
+        """Publish if due.
 
         Args:
             time_s: plant time [s].
@@ -54,7 +54,7 @@ class Telemetry:
         self._joints.publish(joints)
 
     def destroy(self) -> None:
-        """Take the publishers off the graph."""
+        """Destroy the publishers."""
         for publisher in (self._force, self._pressure, self._joints):
             self._node.destroy_publisher(publisher)
 

@@ -1,9 +1,9 @@
-"""The control path on DDS: raw publishers and subscriptions, taken from in a loop of our own.
+"""The control path on DDS: raw publishers and subscriptions, read by the node's own loop.
 
-An executor's callback per message costs more than the control law. Here the node's main thread waits on
-its subscriptions itself, takes what is there and answers; lifecycle, parameters and timers stay with an
-executor in a second thread (:mod:`ehls_ros.nodes.control`). rclpy offers no public way to wait on
-subscriptions without an executor; all use of its inner interface is in this file.
+An executor callback per message costs more than the control law. So the node's main thread waits on its subscriptions
+and takes the messages itself; lifecycle, parameters and timers are served by an executor in a second thread
+(:mod:`ehls_ros.nodes.control`). rclpy has no public way to wait on subscriptions without an executor; all use of its
+internals is in this file.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,17 +19,17 @@ from rclpy.type_support import check_for_type_support
 from ehls_ros.nodes.codec import Decoder, Encoder
 
 DEPTH = 1000
-"""Messages kept for a reader that is late: one second of cycles."""
+"""Queue depth of a control-path topic: one second of cycles."""
 
 RECORDER_DEPTH = 50_000
-"""Messages kept for the recorder, which takes them in bulk."""
+"""Queue depth of the recorder, which reads in bulk."""
 
 
 def control_qos(depth: int = DEPTH) -> QoSProfile:
     """Return the quality of service of every control-path topic.
 
-    Reliable and transient local: a node that is discovered late, or started anew, is given what it missed,
-    so that the order in which nodes come up loses nothing.
+    Reliable and transient local: a node that starts late or restarts receives what it missed, so nodes may start in
+    any order.
     """
     return QoSProfile(
         depth=depth,
@@ -40,12 +40,12 @@ def control_qos(depth: int = DEPTH) -> QoSProfile:
 
 
 def newest_qos() -> QoSProfile:
-    """Return the quality of service of a reader that only wants to know where the cycles have got to."""
+    """Return the quality of service of a reader that needs only the newest cycle."""
     return QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def message_class(name: str) -> Any:
-    """Return the class of a type named like ``std_msgs/msg/Float64``."""
+    """Return the message class of a type name such as ``std_msgs/msg/Float64``."""
     package, folder, kind = name.split("/")
     return getattr(import_module(f"{package}.{folder}"), kind)
 
@@ -62,7 +62,7 @@ class Outbox:
             node: owner.
             message: message class.
             topic: name below the node's namespace.
-            frame_id: the header's frame.
+            frame_id: frame name in the header.
             lengths: length of each sequence field.
         """
         self._node = node
@@ -74,24 +74,24 @@ class Outbox:
         self._publisher.handle.publish_raw(self._encode(stamp_ns, *values))
 
     def destroy(self) -> None:
-        """Take the publisher off the graph."""
+        """Destroy the publisher."""
         self._node.destroy_publisher(self._publisher)
 
 
 class Inbox:
-    """Takes one topic's messages, in the thread that asks."""
+    """Receives one topic, in the thread that calls it."""
 
     def __init__(
         self, node: Node, message: Any, topic: str, qos: QoSProfile | None = None, decode: Callable[[bytes], Any] | None = None
     ) -> None:
-        """Create a subscription no executor knows of.
+        """Create a subscription without an executor.
 
         Args:
             node: owner.
             message: message class.
             topic: name below the node's namespace, or absolute.
             qos: quality of service; that of the control path by default.
-            decode: what is made of the bytes; the leading numbers as a tuple by default.
+            decode: converts the bytes; by default to a tuple of the leading numbers.
         """
         check_for_type_support(message)
         profile = (qos or control_qos()).get_c_qos_profile()
@@ -102,7 +102,7 @@ class Inbox:
         self.malformed = 0
 
     def take(self) -> Any:
-        """Return the next message decoded, or None when there is none; what cannot be decoded is counted."""
+        """Return the next decoded message, or None; messages that cannot be decoded are skipped and counted."""
         while True:
             taken = self.handle.take_message(self._message, True)
             if taken is None:
@@ -113,31 +113,31 @@ class Inbox:
             self.malformed += 1
 
     def take_raw(self) -> tuple[bytes, Mapping[str, int]] | None:
-        """Return the next message's bytes and time stamps as they came, or None when there is none."""
+        """Return the next message's bytes and time stamps, or None."""
         taken: tuple[bytes, Mapping[str, int]] | None = self.handle.take_message(self._message, True)
         return taken
 
     def destroy(self) -> None:
-        """Take the subscription off the graph."""
+        """Destroy the subscription."""
         self.handle.destroy_when_not_in_use()
 
 
 class Waiter:
-    """Waits until one of some inboxes holds a message."""
+    """Waits until any of several inboxes has a message."""
 
     def __init__(self, inboxes: Sequence[Inbox]) -> None:
-        """Make a wait set for these inboxes."""
+        """Create a wait set for the inboxes."""
         context = rclpy.get_default_context().handle
         self._inboxes = inboxes
         self._set = rclpy_implementation.WaitSet(len(inboxes), 0, 0, 0, 0, 0, context)
 
     def wait(self, seconds: float) -> None:
-        """Wait until a message is there or the time is up."""
+        """Wait for a message, at most for a time [s]."""
         self._set.clear_entities()
         for inbox in self._inboxes:
             self._set.add_subscription(inbox.handle)
         self._set.wait(max(0, int(seconds * 1e9)))
 
     def destroy(self) -> None:
-        """Give the wait set back."""
+        """Destroy the wait set."""
         self._set.destroy_when_not_in_use()

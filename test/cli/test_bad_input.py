@@ -1,4 +1,4 @@
-"""What a user may get wrong ends with code 2 and one line that says what, where and what was expected."""
+"""Wrong input ends with code 2 and one line that says what, where and what was expected."""
 
 import resource
 import subprocess
@@ -101,7 +101,7 @@ def test_bag_cut_in_half(spec, tmp_path, capsys):
 
 
 def limited(*arguments, largest_file):
-    """Return exit code and complaint of a process that may not write larger files, as on a full disk."""
+    """Return exit code and errors of a process whose files are limited in size, as on a full disk."""
     command = [sys.executable, "-m", "ehls_ros.cli.main", *map(str, arguments)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (largest_file, largest_file))

@@ -77,7 +77,7 @@ from ehls_ros.cli.verbs import doctor
 doctor.CHECKS = (lambda: Finding("tide", "problem", "too high"),)
 doctor.run(Namespace(clean=False, json=False))
 """
-"""`ehls doctor`, which shows problems in red, with nothing to look at but one."""
+"""`ehls doctor`, which shows problems in red, with a single check."""
 
 
 def on_a_terminal(**variables: str) -> str:

@@ -1,4 +1,4 @@
-"""`ehls doctor` says what is there and what is not."""
+"""`ehls doctor` reports what works and what does not."""
 
 import fcntl
 import json
@@ -21,7 +21,7 @@ def findings(capsys, *arguments):
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
-    """Give two processes all the time this machine may need to find each other."""
+    """Give two processes all the time this machine may need to discover each other."""
     monkeypatch.setattr(checks, "DISCOVERY_TIME", PATIENCE)
 
 
@@ -37,12 +37,16 @@ def test_two_processes_find_each_other():
     assert "us" in found.found
 
 
-def test_a_process_that_does_not_end_is_ended(monkeypatch, ros_domain_id):
+def test_a_process_that_does_not_exit_is_killed(monkeypatch, tmp_path, ros_domain_id):
     pytest.importorskip("rclpy", reason="needs ROS 2 Jazzy or its wheels")
-    deaf = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
-    monkeypatch.setattr(
-        checks, "ECHO", checks.ECHO.replace("rclpy.spin(node)", f"{deaf}while True:\n    rclpy.spin_once(node)")
+    deaf = tmp_path / "deaf.py"
+    deaf.write_text(
+        "import runpy, signal\nsignal.signal(signal.SIGTERM, lambda *_: None)\n"
+        "import rclpy.signals, rclpy\nstart = rclpy.init\n"
+        "rclpy.init = lambda: start(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)\n"
+        "runpy.run_module('ehls_ros.nodes.round_trip', run_name='__main__')\n"
     )
+    monkeypatch.setattr(checks, "ROUND_TRIP", (sys.executable, str(deaf)))
     monkeypatch.setattr(checks, "ENDING", 0.5)
     assert checks.discovery().level == "ok"
     first = 7400 + 250 * ros_domain_id
@@ -50,7 +54,7 @@ def test_a_process_that_does_not_end_is_ended(monkeypatch, ros_domain_id):
 
 
 @pytest.mark.usefixtures("without_dds")
-def test_every_finding_that_is_not_fine_says_what_to_do(capsys):
+def test_every_finding_that_is_not_ok_gives_advice(capsys):
     code, found = findings(capsys)
     assert code == 0
     assert {"Python", "packages", "shared memory", "processors", "clock", "permissions", "files"} <= set(found)
@@ -66,7 +70,7 @@ def test_a_missing_package_is_a_problem(capsys, monkeypatch):
 
 
 @pytest.mark.usefixtures("without_dds")
-def test_leftovers_are_found_and_cleaned_away(capsys, monkeypatch, tmp_path: Path):
+def test_leftovers_are_found_and_removed(capsys, monkeypatch, tmp_path: Path):
     monkeypatch.setattr(shared_memory, "SHARED_MEMORY", tmp_path)
     dead, alive = tmp_path / f"fastrtps_{uuid.uuid4().hex}", tmp_path / f"fastrtps_{uuid.uuid4().hex}"
     dead.write_bytes(b"x" * 2**20)
@@ -83,7 +87,7 @@ def test_leftovers_are_found_and_cleaned_away(capsys, monkeypatch, tmp_path: Pat
     assert foreign.exists()
 
 
-def test_lock_and_mutex_go_with_their_port_and_not_before(monkeypatch, tmp_path: Path):
+def test_lock_and_mutex_are_leftovers_only_with_their_port(monkeypatch, tmp_path: Path):
     monkeypatch.setattr(shared_memory, "SHARED_MEMORY", tmp_path)
     port = [tmp_path / name for name in ("fastrtps_port7000", "fastrtps_port7000_el", "sem.fastrtps_port7000_mutex")]
     for file in port:
@@ -93,7 +97,7 @@ def test_lock_and_mutex_go_with_their_port_and_not_before(monkeypatch, tmp_path:
     assert shared_memory.leftovers() == sorted(port)
 
 
-def test_what_a_process_out_of_sight_has_locked_is_not_left_over(monkeypatch, tmp_path: Path):
+def test_files_locked_by_an_invisible_process_are_not_leftovers(monkeypatch, tmp_path: Path):
     monkeypatch.setattr(shared_memory, "SHARED_MEMORY", tmp_path)
     monkeypatch.setattr(shared_memory, "used_by", lambda process: set())
     segment = [tmp_path / name for name in ("fastrtps_00ff", "fastrtps_00ff_el")]

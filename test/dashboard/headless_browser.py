@@ -30,7 +30,7 @@ ARGUMENTS = (
 KEYS = {"Enter": 13, "ArrowRight": 39}
 
 PATIENCE = 120.0
-"""For what has to come [s]: on a slow or busy machine everything comes late."""
+"""Longest wait for an event [s]; on a slow or busy machine everything is late."""
 
 TOLD = """
 window.told = [];
@@ -38,7 +38,7 @@ new MutationObserver(() => {
   for (const one of document.querySelectorAll(".q-notification")) window.told.push(one.innerText);
 }).observe(document, { childList: true, subtree: true });
 """
-"""Notes what a page tells for a few seconds only, during which nobody may come to look."""
+"""Notes the page's notifications, which disappear after a few seconds."""
 
 
 class Tab:
@@ -81,7 +81,7 @@ class Tab:
         return done["result"].get("value")
 
     def until(self, expression: str, seconds: float = PATIENCE) -> Any:
-        """Wait until an expression is true, and return what it is."""
+        """Wait until an expression is true, and return its value."""
         deadline = time.monotonic() + seconds
         while not (value := self.evaluate(expression)):
             shown = "document.body.innerText.slice(0, 800)"
@@ -98,12 +98,12 @@ class Tab:
         self.evaluate(f"document.querySelector({json.dumps(selector)}).click()")
 
     def type_into(self, selector: str, text: str) -> None:
-        """Replace the text of a field, as a hand would, and press Enter."""
+        """Replace the text of a field, as a user would, and press Enter."""
         self._write(selector, text)
         self._press("Enter")
 
     def choose(self, selector: str, text: str) -> None:
-        """Type into a field with a list, and take what the list then has."""
+        """Type into a selection field, and take the matching entry of its list."""
         self._write(selector, text)
         entry = f"[...document.querySelectorAll('.q-menu .q-item')].find(i => i.innerText.includes({json.dumps(text)}))"
         self.until(f"({entry}?.click(), !!{entry})")
@@ -114,7 +114,7 @@ class Tab:
         self.command("Input.insertText", text=text)
 
     def press(self, selector: str, key: str) -> None:
-        """Press a key with the focus on an element."""
+        """Focus an element and press a key."""
         self.until(f"!!document.querySelector({json.dumps(selector)})")
         self.evaluate(f"document.querySelector({json.dumps(selector)}).focus()")
         self._press(key)
@@ -130,7 +130,7 @@ class Tab:
         self.command("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
 
     def prefer(self, scheme: str) -> None:
-        """Let the system want a dark or a light page."""
+        """Set the system's preference, dark or light."""
         self.command("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
 
     def picture(self) -> bytes:
@@ -157,7 +157,7 @@ class Browser:
 
 @contextlib.contextmanager
 def browser(profile: Path) -> Iterator[Browser]:
-    """Run Chromium with a profile of its own."""
+    """Run Chromium with its own profile."""
     assert CHROMIUM is not None
     command = [CHROMIUM, *ARGUMENTS, f"--user-data-dir={profile}", "about:blank"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

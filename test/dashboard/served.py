@@ -1,4 +1,4 @@
-"""The dashboard's server on a made-up graph, in a process of its own, and ways to reach it."""
+"""The dashboard's server in a process of its own, and ways to reach it."""
 
 import contextlib
 import html
@@ -23,52 +23,62 @@ from websockets.sync.client import ClientConnection, connect
 STAND_IN = Path(__file__).with_name("stand_in.py")
 
 PATIENCE = 120.0
-"""For what has to come [s]: on a busy machine everything comes late."""
+"""Longest wait for an event [s]; on a busy machine everything is late."""
 
 
 class Served:
-    """A running server."""
+    """A running server.
 
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self.process = process
+    Attributes:
+        address: the page's address with the token.
+        server: the same without the token.
+        folder: its working folder.
+        lines: its output after the address.
+    """
+
+    def __init__(self, process: subprocess.Popen[str], folder: Path | None) -> None:
+        self.process, self.folder = process, folder
         self.address = process.stdout.readline().strip()
         assert self.address.startswith("http://"), self.address + process.stdout.read()
         self.port = int(self.address.split(":")[2].split("/")[0])
-        self.token = self.address.partition("?token=")[2]
+        self.server, _, self.token = self.address.partition("?token=")
         self.lines: list[str] = []
         self.reader = threading.Thread(target=lambda: self.lines.extend(process.stdout))
         self.reader.start()
 
-    def wishes(self) -> list[str]:
-        return [line.strip().removeprefix("wish: ") for line in self.lines if line.startswith("wish: ")]
+    def requests(self) -> list[str]:
+        """Return the requests that reached the stand-in graph."""
+        return [line.strip().removeprefix("request: ") for line in self.lines if line.startswith("request: ")]
 
     def said(self) -> str:
-        """Return what else it printed."""
-        return "".join(line for line in self.lines if not line.startswith("wish: "))
+        """Return its other output."""
+        return "".join(line for line in self.lines if not line.startswith("request: "))
 
     def tell(self, health: list[Any]) -> None:
-        """Let the nodes say something from now on: [node, level, message, figures] each."""
+        """Set the diagnostics of the stand-in graph: [node, level, message, figures] each."""
         self.process.stdin.write(json.dumps(health) + "\n")
         self.process.stdin.flush()
 
     def memory(self) -> float:
-        """Return what it holds [MB]."""
+        """Return its resident memory [MB]."""
         return psutil.Process(self.process.pid).memory_info().rss / 1e6
 
     def held(self) -> int:
-        """Return the connections it holds."""
+        """Return the number of its open connections."""
         connections = psutil.Process(self.process.pid).net_connections("tcp")
         return sum(each.status == psutil.CONN_ESTABLISHED for each in connections)
 
 
 @contextlib.contextmanager
-def running(command: Sequence[str], folder: Path | None = None) -> Iterator[Served]:
-    """Run a server by its command; it has to end well by itself after Ctrl-C."""
+def running(command: Sequence[str], folder: Path | None = None, environment: dict[str, str] | None = None) -> Iterator[Served]:
+    """Run a server; it must exit with code 0 after Ctrl-C."""
     pipe = subprocess.PIPE
-    process = subprocess.Popen(command, cwd=folder, text=True, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT)
+    process = subprocess.Popen(
+        command, cwd=folder, env=environment, text=True, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT
+    )
     server = None
     try:
-        server = Served(process)
+        server = Served(process, folder)
         yield server
     finally:
         process.send_signal(signal.SIGINT)
@@ -84,7 +94,7 @@ def running(command: Sequence[str], folder: Path | None = None) -> Iterator[Serv
 
 
 def served(host: str = "127.0.0.1") -> contextlib.AbstractContextManager[Served]:
-    """Run the server of the stand-in."""
+    """Run the server on the stand-in graph."""
     return running([sys.executable, str(STAND_IN), host])
 
 
@@ -105,7 +115,7 @@ def answer(address: str, **headers: str) -> tuple[int, str]:
 
 
 def own_address() -> str | None:
-    """Return an address of this machine that is not the loopback's, if it has one; nothing is sent."""
+    """Return a non-loopback address of this machine, if it has one; nothing is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
         probe.connect(("192.0.2.1", 9))
         name = str(probe.getsockname()[0])
@@ -114,13 +124,13 @@ def own_address() -> str | None:
 
 
 class Got(NamedTuple):
-    """A page as it came, and the number of it."""
+    """A page as received, and its id."""
 
     number: str
     text: str
 
     def listeners(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Yield each element's name, and what an event on it sends."""
+        """Yield each element's name and the message of an event on it."""
         elements = json.loads(html.unescape(re.search(r"String\.raw`(\{.*?\})`", self.text, re.DOTALL)[1]))
         for number, element in elements.items():
             for event in element.get("events", []):
@@ -128,7 +138,7 @@ class Got(NamedTuple):
                 yield element.get("props", {}).get("data-name", ""), sent
 
     def click(self, name: str) -> dict[str, Any]:
-        """Return what a click on an element sends."""
+        """Return the message of a click on an element."""
         return next(sent for element, sent in self.listeners() if element == name)
 
 
@@ -139,12 +149,12 @@ def page(server: str, token: str = "") -> Got:
 
 
 def event(name: str, message: Any) -> str:
-    """Return an event as Socket.IO sends it."""
+    """Return an event in Socket.IO's format."""
     return f"42{json.dumps([name, message])}"
 
 
 def begin(socket: ClientConnection) -> ClientConnection:
-    """Have Socket.IO's part of a socket opened, and with it the page."""
+    """Open the Socket.IO session, and with it the page."""
     assert socket.recv(timeout=PATIENCE).startswith("0")
     socket.send("40")
     hear(socket, "40")
@@ -152,7 +162,7 @@ def begin(socket: ClientConnection) -> ClientConnection:
 
 
 def hear(socket: ClientConnection, beginning: str) -> None:
-    """Take messages until one begins so; a page that is open says other things besides."""
+    """Receive messages until one begins so; an open page also sends others."""
     while not (message := socket.recv(timeout=PATIENCE)).startswith(beginning):
         assert not message.startswith("44"), message
 

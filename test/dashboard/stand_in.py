@@ -1,7 +1,7 @@
-"""The dashboard's server on a graph that is made up: `python stand_in.py HOST` serves until SIGINT.
+"""The dashboard's server on a stand-in graph: `python stand_in.py HOST` serves until SIGINT.
 
-It prints the page's address, then a line for every wish that reaches the graph. A line of JSON on its input is what the nodes
-say from then on: a list of [node, level, message, figures].
+It prints the page's address, then a line for every request that reaches the graph. A line of JSON on its input sets the nodes'
+diagnostics: a list of [node, level, message, figures].
 """
 
 import json
@@ -20,24 +20,24 @@ CYCLES = 20_000
 
 
 class StandIn:
-    """A graph that does nothing but say what it was asked for."""
+    """A graph that only prints the requests it gets."""
 
     def __init__(self) -> None:
         self.window = Window(SIGNALS)
         self.where = "made up"
         cycle = np.arange(CYCLES)
         self.window.add(1e-3 * cycle, dict.fromkeys(SIGNALS, np.sin(1e-3 * cycle)))
-        self._says = (Health("fasmc_node", 0, "well", {}),)
+        self._health = (Health("fasmc_node", 0, "running", {}),)
 
     def listen(self) -> None:
         for line in sys.stdin:
-            self._says = tuple(Health(*said) for said in json.loads(line))
+            self._health = tuple(Health(*node) for node in json.loads(line))
 
     def rate(self) -> float:
         return 1000.0
 
     def health(self) -> tuple[Health, ...]:
-        return self._says
+        return self._health
 
     def tunable_nodes(self) -> tuple[str, ...]:
         return ("fasmc_node",)
@@ -46,28 +46,28 @@ class StandIn:
         return (Tunable("k", 12.0, "slope [1]", 0.0, 100.0),)
 
     def set_parameter(self, node: str, name: str, value: Value) -> Answer:
-        return self._wish(f"{name} = {value}")
+        return self._request(f"{name} = {value}")
 
     def emergency_stop(self) -> Answer:
-        return self._wish("emergency stop")
+        return self._request("emergency stop")
 
     def acknowledge_stop(self) -> Answer:
-        return self._wish("acknowledge stop")
+        return self._request("acknowledge stop")
 
     def reset_trips(self) -> Answer:
-        return self._wish("reset trips")
+        return self._request("reset trips")
 
     def enable(self) -> Answer:
-        return self._wish("enable")
+        return self._request("enable")
 
     def start(self, spec: Any, name: str) -> Answer:
-        return self._wish("start")
+        return self._request("start")
 
     def stop(self) -> Answer:
-        return self._wish("stop")
+        return self._request("stop")
 
     def record(self, *, on: bool) -> Answer:
-        return self._wish("record")
+        return self._request("record")
 
     def beginning(self) -> None:
         return None
@@ -87,9 +87,9 @@ class StandIn:
     def give_up(self) -> None:
         pass
 
-    def _wish(self, wish: str) -> Answer:
-        print("wish:", wish, flush=True)
-        return Answer(done=True, message=wish)
+    def _request(self, request: str) -> Answer:
+        print("request:", request, flush=True)
+        return Answer(done=True, message=request)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The dashboard's server against who floods it, lies to it, or has no token: no graph, no browser."""
+"""The dashboard's server against clients that flood it, forge messages, or have no token: no graph, no browser."""
 
 import contextlib
 import select
@@ -18,9 +18,10 @@ from ehls_ros.dashboard.access import PAGES
 from ehls_ros.dashboard.connections import PER_PEER
 from ehls_ros.dashboard.messages import LARGEST
 
+HALF_OPEN = (b"", b"GET / HTTP/1.1\r\nHost: x\r\n")
 MANY = 200
 GROWTH = 60.0
-"""What an attack may cost [MB]; without limits those below cost more, or ever more."""
+"""Most memory an attack may cost [MB]; without limits those below cost more."""
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -29,7 +30,7 @@ elsewhere = pytest.mark.skipif(own_address() is None, reason="needs an address t
 
 @pytest.fixture(scope="module")
 def shown(nothing_left_behind):
-    """Return a server of this machine only."""
+    """Return a server on the loopback interface."""
     with served() as server:
         yield server
 
@@ -48,12 +49,12 @@ def here(shown):
 
 @pytest.fixture
 def there(everywhere):
-    """Return the server's address as other machines have it."""
+    """Return the server's address for other machines."""
     return f"http://{own_address()}:{everywhere.port}/"
 
 
 def has_ended(connection):
-    """Tell whether the server has closed a connection; what it sent before is taken."""
+    """Return whether the server has closed a connection; what it sent before is discarded."""
     while select.select([connection], [], [], 0.0)[0]:
         try:
             if not connection.recv(65536):
@@ -65,31 +66,30 @@ def has_ended(connection):
 
 @contextlib.contextmanager
 def connections(host, port, begun):
-    """Open many connections and begin to say something in each."""
+    """Open many connections that send nothing, or the beginnings of requests in turn."""
     with contextlib.ExitStack() as stack:
         opened = []
-        for _ in range(MANY):
+        for number in range(MANY):
             one = stack.enter_context(socket.create_connection((host, port), timeout=PATIENCE))
             with contextlib.suppress(OSError):
-                one.sendall(begun)
+                one.sendall(begun[number % len(begun)])
             opened.append(one)
         yield opened
 
 
 @elsewhere
-@pytest.mark.parametrize("begun", [b"", b"GET / HTTP/1.1\r\nHost: x\r\n"], ids=["nothing", "half a request"])
-def test_half_open_requests_take_a_few_places_and_end_after_seconds_while_others_are_served(everywhere, there, begun):
+def test_half_open_requests_take_a_few_places_and_end_after_seconds_while_others_are_served(everywhere, there):
     before = everywhere.memory()
-    with connections(own_address(), everywhere.port, begun) as opened:
-        until(lambda: everywhere.held() <= PER_PEER, "one address holds more than its places")
+    with connections(own_address(), everywhere.port, HALF_OPEN) as opened:
+        until(lambda: everywhere.held() <= PER_PEER, "one address holds more than its share of connections")
         assert answer(f"{there}?token={everywhere.token}")[0] == 200
         assert answer(f"http://127.0.0.1:{everywhere.port}/")[0] == 200
-        until(lambda: all(map(has_ended, opened)), "half-open requests are held for ever")
+        until(lambda: all(map(has_ended, opened)), "half-open requests are never closed")
     assert everywhere.memory() - before < GROWTH
 
 
 @elsewhere
-def test_a_request_that_trickles_in_ends_too(everywhere):
+def test_a_request_that_trickles_in_is_cut_too(everywhere):
     with socket.create_connection((own_address(), everywhere.port), timeout=PATIENCE) as one:
         one.sendall(b"GET / HTTP/1.1\r\n")
 
@@ -99,44 +99,38 @@ def test_a_request_that_trickles_in_ends_too(everywhere):
             time.sleep(0.2)
             return has_ended(one)
 
-        until(ended, "a request may take for ever")
+        until(ended, "a request may take any time")
 
 
 @elsewhere
-def test_a_socket_without_a_page_is_refused_before_it_is_one(everywhere, there):
+def test_a_socket_without_a_page_is_refused_before_it_is_opened(everywhere, there):
     for number in ("", "00000000-0000-0000-0000-000000000000"):
         for _ in range(MANY // 2):
             with pytest.raises(websockets.exceptions.InvalidStatus) as caught:
                 open_socket(there, number)
             assert caught.value.response.status_code == 403
-    until(lambda: everywhere.held() == 0, "refused sockets are held")
+    until(lambda: everywhere.held() == 0, "refused sockets stay open")
 
 
 @elsewhere
-def test_from_elsewhere_who_has_the_token_has_a_page_that_works(everywhere, there):
+def test_from_another_machine_the_token_gives_a_working_page(everywhere, there):
     assert answer(there)[0] == 403
     got = page(there, everywhere.token)
     with open_socket(there, got.number) as opened:
         begin(opened).send(event("event", got.click("enable")))
-        until(lambda: "enable" in everywhere.wishes(), "the button does nothing")
+        until(lambda: "enable" in everywhere.requests(), "the button does nothing")
 
 
-def test_on_this_machine_a_socket_without_a_page_is_there_for_seconds(shown, here):
-    with contextlib.ExitStack() as stack:
-        opened = [stack.enter_context(open_socket(here, "")) for _ in range(MANY)]
-        until(lambda: shown.held() <= PER_PEER, "one address holds more than its places")
-        until(lambda: shown.held() == 0, "sockets of no page are held for ever")
-        until(lambda: all(one.state is State.CLOSED for one in opened), "sockets of no page are held for ever")
-
-
-def test_a_page_stays_open_while_others_flood_the_server(shown, here):
+def test_on_this_machine_sockets_without_a_page_last_for_seconds_and_an_open_page_stays(shown, here):
     got = page(here, shown.token)
-    with open_socket(here, got.number) as opened:
+    with open_socket(here, got.number) as opened, contextlib.ExitStack() as stack:
         begin(opened)
-        with connections("127.0.0.1", shown.port, b"") as flood:
-            until(lambda: all(map(has_ended, flood)), "half-open requests are held for ever")
+        flood = [stack.enter_context(open_socket(here, "")) for _ in range(MANY)]
+        until(lambda: shown.held() <= PER_PEER + 1, "one address holds more than its share of connections")
+        until(lambda: shown.held() == 1, "sockets without a page are never closed")
+        until(lambda: all(one.state is State.CLOSED for one in flood), "sockets without a page are never closed")
         opened.send(event("event", got.click("reset trips")))
-        until(lambda: "reset trips" in shown.wishes(), "the open page was cut off")
+        until(lambda: "reset trips" in shown.requests(), "the open page was cut off")
 
 
 def test_a_page_has_two_sockets_at_most(shown, here):
@@ -147,7 +141,7 @@ def test_a_page_has_two_sockets_at_most(shown, here):
         assert opened[-1].state is State.OPEN
 
 
-def test_readers_have_a_number_of_pages_and_leave_room_for_who_may_write():
+def test_the_number_of_reading_pages_is_limited_and_leaves_room_for_writers():
     with served() as server:
         here = f"http://127.0.0.1:{server.port}/"
         before = server.memory()
@@ -158,7 +152,7 @@ def test_readers_have_a_number_of_pages_and_leave_room_for_who_may_write():
 
 
 def heard(port, request, *more):
-    """Send a request and more of it until the server hangs up; return what it answered."""
+    """Send a request and more of it until the server hangs up; return its answer."""
     with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as one:
         one.sendall(request)
         with contextlib.suppress(OSError):
@@ -188,12 +182,12 @@ def test_a_request_without_end_is_cut_off(shown, begun):
         (b"GET /_nicegui_ws/socket.io/?EIO=4&transport=polling HTTP/1.1", b"404"),
     ],
 )
-def test_what_no_browser_asks_for_is_refused_and_the_connection_ends(shown, request_line, code):
+def test_unusual_requests_are_refused_and_the_connection_is_closed(shown, request_line, code):
     head = request_line + b"\r\nHost: 127.0.0.1\r\n\r\n"
     assert code in heard(shown.port, head, *[b"10000\r\n" + b"a" * 65536 + b"\r\n"] * 100)
 
 
-def test_the_token_is_printed_once_and_nothing_asked_for_is(here, shown):
+def test_neither_the_token_nor_request_texts_are_printed(here, shown):
     token = shown.token
     for path in ("nothing", "_nicegui/nothing", "_nicegui/auto/static/nothing", "\x1b[31m"):
         assert answer(f"{here}{path.replace(chr(27), '%1b')}?token={token}")[0] == 404
@@ -224,7 +218,7 @@ WRONG = [
 LIES = ["connect", "disconnect", "handshake", "event", "ack", "log", "javascript_response", "constructor"]
 
 
-def test_a_page_that_only_reads_has_no_say_whatever_it_sends(shown, here):
+def test_a_read_only_page_changes_nothing_whatever_it_sends(shown, here):
     shown.lines.clear()
     writer = page(here, shown.token)
     reader = page(here)
@@ -259,30 +253,30 @@ def test_a_page_that_only_reads_has_no_say_whatever_it_sends(shown, here):
     with open_socket(here, writer.number) as writing:
         begin(writing)
         for message in said:
-            # Each has a socket of its own: most are the last thing it says.
+            # One socket for each: most messages close it.
             with open_socket(here, reader.number) as reading, contextlib.suppress(websockets.exceptions.ConnectionClosed):
                 begin(reading).send(message)
-                # The answer to this says that the server has done with what came before.
+                # The answer to this shows that the server has processed what came before.
                 again = {"client_id": reader.number, "tab_id": "other", "document_id": "other"}
                 reading.send(event("handshake", again).replace("42", "427", 1))
                 hear(reading, "437[false]")
         writing.send(event("event", writer.click("enable")))
-        until(lambda: "enable" in shown.wishes(), "who may write is not heard any more")
-    assert shown.wishes() == ["enable"]
+        until(lambda: "enable" in shown.requests(), "the writing page is no longer heard")
+    assert shown.requests() == ["enable"]
     assert shown.said() == ""
 
 
-def test_without_a_page_a_socket_speaks_for_none(shown, here):
+def test_a_socket_without_a_page_speaks_for_none(shown, here):
     shown.lines.clear()
     writer = page(here, shown.token)
     with open_socket(here, "", implicit_handshake="false") as opened:
         begin(opened).send(event("event", writer.click("emergency stop")))
         with pytest.raises(websockets.exceptions.ConnectionClosed):
             opened.recv(timeout=PATIENCE)
-    assert shown.wishes() == []
+    assert shown.requests() == []
 
 
-def test_a_reader_that_never_stops_talking_costs_no_memory_and_leaves_others_heard(shown, here):
+def test_a_reader_that_sends_without_end_costs_no_memory_and_leaves_others_heard(shown, here):
     writer, reader = page(here, shown.token), page(here)
     dropped = event("log", {"client_id": reader.number, "message": "x" * (LARGEST - 1000)})
     with open_socket(here, writer.number) as writing, open_socket(here, reader.number) as reading:
@@ -294,16 +288,16 @@ def test_a_reader_that_never_stops_talking_costs_no_memory_and_leaves_others_hea
             reading.send(dropped)
             if number == 1000:
                 writing.send(event("event", writer.click("emergency stop")))
-        until(lambda: shown.wishes() == ["emergency stop"], "who may write is not heard any more")
+        until(lambda: shown.requests() == ["emergency stop"], "the writing page is no longer heard")
         assert shown.memory() - before < GROWTH
 
 
-def test_parts_of_a_message_that_never_come_to_an_end_are_not_kept(shown, here):
+def test_endless_attachments_of_a_message_are_not_kept(shown, here):
     reader = page(here)
     with open_socket(here, reader.number) as reading:
         begin(reading)
         before = shown.memory()
-        # "A binary event of a million parts follows", and then parts.
+        # Announces a binary event with a million attachments, then sends some.
         with contextlib.suppress(websockets.exceptions.ConnectionClosed):
             reading.send('451000000-["event",{"_placeholder":true,"num":0}]')
             for _ in range(3000):

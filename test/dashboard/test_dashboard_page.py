@@ -3,15 +3,8 @@
 import contextlib
 import json
 import os
-import signal
-import subprocess
 import sys
-import threading
-import urllib.error
-import urllib.request
-from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 import yaml
@@ -26,8 +19,10 @@ from headless_browser import CHROMIUM, PATIENCE, browser
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
+from served import answer, running
 from websockets.sync.client import connect
 
+from ehls_ros.cli.main import main
 from ehls_ros.experiments.spec import load_spec
 from ehls_ros.recording.bag_reader import read_bag
 
@@ -38,51 +33,23 @@ RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
 SPEC = f"""
 title: gentle
 rig: {RIG}
-# Few cycles: what is shown here does not depend on their number, and a slow machine has time for the browser.
+# Few cycles per second, so that a slow machine has time for the browser.
 control_period: 5.0e-3
 reference: {{name: sine, amplitude: 1.0e+3, frequency: 0.5}}
 controller: fasmc
 """
 
 
-class Dashboard(NamedTuple):
-    process: subprocess.Popen[str]
-    address: str
-    folder: Path
-
-    @property
-    def server(self) -> str:
-        return self.address.partition("?")[0]
-
-
-@contextlib.contextmanager
-def dashboard(folder: Path, domain: int, *arguments: str, **variables: str) -> Iterator[Dashboard]:
-    """Run `ehls dashboard`; it has to end well by itself after Ctrl-C."""
+def dashboard(folder, domain, *arguments, **variables):
+    """Run `ehls dashboard`."""
     command = [sys.executable, "-m", "ehls_ros.cli.main", "dashboard", "--port", "0", *arguments]
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"} | variables
-    process = subprocess.Popen(
-        command, cwd=folder, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    )
-    try:
-        address = process.stdout.readline().strip()
-        assert address.startswith("http://127.0.0.1:"), address + process.stdout.read()
-        # What nobody reads would block it in the end.
-        reader = threading.Thread(target=process.stdout.read)
-        reader.start()
-        yield Dashboard(process, address, folder)
-    finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            code = process.wait(PATIENCE)
-        finally:
-            process.kill()
-    reader.join()
-    assert code == 0
+    return running(command, folder, environment)
 
 
 @pytest.fixture(scope="module")
 def domain(pytestconfig, domains_used, nothing_left_behind):
-    """Return a domain for as long as this file's graph runs."""
+    """Return a domain for this file's graph."""
     common = next(plugin for plugin in pytestconfig.pluginmanager.get_plugins() if hasattr(plugin, "reserve_domain"))
     number, lock = common.reserve_domain()
     with lock:
@@ -106,7 +73,7 @@ def chromium(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def tab(shown, chromium):
-    """Return a page that may write, on a running graph."""
+    """Return a page that may write, with a running graph."""
     with chromium.tab(shown.address) as page:
         page.resize(1366, 768)
         page.until("document.querySelector('[data-name=state]')?.innerText.includes('cycles/s')")
@@ -116,7 +83,7 @@ def tab(shown, chromium):
 
 @pytest.fixture
 def parameter(domain):
-    """Return a function that asks the controller for a parameter, past the dashboard."""
+    """Return a function that reads a parameter of the controller without the dashboard."""
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("asker", context=context, namespace="ehls")
@@ -174,7 +141,7 @@ if "ehls_ros.nodes.plant_sim_node" in sys.orig_argv:
 """
 
 
-def test_a_page_says_how_far_the_nodes_are_and_why_one_ended(tab, shown, chromium, domain, tmp_path):
+def test_a_page_shows_the_progress_of_the_nodes_and_why_one_died(tab, shown, chromium, domain, tmp_path):
     (tmp_path / "gentle.yaml").write_text(SPEC, encoding="utf-8")
     (tmp_path / "sitecustomize.py").write_text(FAILS_LATER, encoding="utf-8")
     path = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
@@ -193,21 +160,20 @@ def test_a_page_says_how_far_the_nodes_are_and_why_one_ended(tab, shown, chromiu
             other.until("document.querySelectorAll('.nodes b').length === 5")
             assert "rig2" not in other.evaluate("document.querySelector('.nodes').innerText")
         (tmp_path / "go").touch()
-        page.until("document.querySelector('[data-name=trouble]').innerText.startsWith('plant_sim_node ended: out of oil')")
-        page.until(f"{said}.startsWith('No graph runs here')")
+        page.until("document.querySelector('[data-name=trouble]').innerText.startsWith('plant_sim_node died: out of oil')")
+        page.until(f"{said}.startsWith('No graph is running')")
         assert page.text("state") == "no graph"
         page.click("[data-name=tab-nodes]")
-        page.until("document.querySelector('.side').innerText.includes('No node speaks.')")
+        page.until("document.querySelector('.side').innerText.includes('No node publishes diagnostics.')")
         page.click("[data-name=tab-experiment]")
         page.until("document.querySelector('[data-name=start]')?.disabled === false")
 
 
-def test_a_namespace_that_ros_does_not_allow_is_refused(domain, tmp_path):
-    command = [sys.executable, "-m", "ehls_ros.cli.main", "dashboard", "--port", "0", "--namespace", "rig 2"]
-    refused = subprocess.run(command, cwd=tmp_path, text=True, capture_output=True, timeout=PATIENCE, check=False)
-    assert refused.returncode == 2
-    assert "'rig 2'" in refused.stderr
-    assert "such as rig2" in refused.stderr
+def test_an_invalid_namespace_is_refused(capsys):
+    assert main(["dashboard", "--port", "0", "--namespace", "rig 2"]) == 2
+    complaint = capsys.readouterr().err
+    assert "'rig 2'" in complaint
+    assert "such as rig2" in complaint
 
 
 def test_nothing_is_cut_off_at_the_size_of_a_laptop(tab):
@@ -254,10 +220,10 @@ def test_the_emergency_stop_latches_until_it_is_acknowledged_reset_and_enabled(t
     is_told(tab, "stop-1 is engaged")
     tab.until(f"{acknowledge}.offsetParent !== null")
 
-    def ask_until(name, wish):
-        # A stop lasts a second at least, and a gate on a busy machine may find its command too old: then one asks again.
+    def ask_until(name, reached):
+        # A stop lasts at least a second, and on a busy machine the gate may find its command too old: then click again.
         button = f"document.querySelector(\"[data-name='{name}']\")"
-        again = f"(Date.now() - (window.asked ??= 0) > 1000 && ({button}.click(), window.asked = Date.now()), {wish})"
+        again = f"(Date.now() - (window.asked ??= 0) > 1000 && ({button}.click(), window.asked = Date.now()), {reached})"
         tab.until(again)
 
     ask_until("acknowledge stop", f"{GATE} === 'gate cut'")
@@ -271,7 +237,7 @@ def test_a_page_without_the_token_shows_but_cannot_write(tab, shown, chromium):
         goes_on(reader)
         assert reader.text("read-only")
         assert reader.evaluate("document.querySelectorAll('button, .side input').length") == 0
-        # What the button of the other page sends, sent from here.
+        # Send from here what the other page's button sends.
         button = tab.evaluate("document.querySelector(\"[data-name='emergency stop']\").id.slice(1)")
         listener = tab.evaluate(f"mounted_app.elements[{button}].events.find(e => e.type === 'click').listener_id")
         event = {"id": int(button), "listener_id": listener, "args": ["{}"]}
@@ -282,10 +248,9 @@ def test_a_page_without_the_token_shows_but_cannot_write(tab, shown, chromium):
 
 
 def refused(address, **headers):
-    with pytest.raises(urllib.error.HTTPError) as caught:
-        urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=PATIENCE)
-    assert caught.value.code == 403
-    return caught.value.read().decode()
+    code, text = answer(address, **headers)
+    assert code == 403
+    return text
 
 
 def test_wrong_tokens_hosts_and_origins_are_refused(shown):
@@ -300,7 +265,7 @@ def test_wrong_tokens_hosts_and_origins_are_refused(shown):
         assert opened.recv(timeout=PATIENCE).startswith("0")
 
 
-def test_a_recording_holds_what_went_by(tab, shown):
+def test_a_recording_holds_the_signals(tab, shown):
     tab.click("[data-name=tab-experiment]")
     tab.until("document.querySelector('[data-name=record]')?.disabled === false")
     tab.click("[data-name=record]")
@@ -323,7 +288,7 @@ def test_a_graph_is_stopped_and_started_again_with_a_hidden_effect(tab, shown):
     tab.until("document.querySelector('[data-name=stop]')?.disabled === false")
     tab.click("[data-name=stop]")
     tab.until("document.querySelector('[data-name=state]').innerText === 'graph gone'")
-    assert "No snapshots" in tab.text("trouble")
+    assert "No more snapshots" in tab.text("trouble")
     tab.choose("[data-name=effect]", "dead zone")
     tab.type_into("[data-name=effect-positive]", "2e-4")
     tab.click("[data-name='add effect']")

@@ -1,4 +1,4 @@
-"""What the page is made of, without a browser and without ROS."""
+"""The parts of the page, without a browser and without ROS."""
 
 import asyncio
 import contextlib
@@ -26,7 +26,7 @@ def filled(window, first, cycles, *, peak_at=-1):
     return value
 
 
-def test_an_interval_keeps_the_lowest_and_the_highest_sample_however_it_came():
+def test_an_interval_keeps_the_extreme_samples_in_whatever_portions_they_arrive():
     whole, parts = Window(["force"]), Window(["force"])
     value = filled(whole, 0, 1000, peak_at=333)
     for first in range(0, 1000, 7):
@@ -39,7 +39,7 @@ def test_an_interval_keeps_the_lowest_and_the_highest_sample_however_it_came():
     assert seen.high.max() == 100.0
 
 
-def test_parts_follow_each_other_without_a_gap_and_a_reader_that_was_away_gets_what_is_kept():
+def test_parts_follow_without_a_gap_and_a_late_reader_gets_what_is_kept():
     window = Window(["force"])
     following, era, taken = 0, -1, []
     for first in range(0, 30_000, 250):
@@ -63,7 +63,7 @@ def test_missing_cycles_are_gaps_and_a_new_era_starts_from_nothing():
     assert gap[10:20].all()
     assert gap.sum() == 10
     before = window.part(0, -1).era
-    window.begin_anew()
+    window.restart()
     filled(window, 0, 300)
     part = window.part(20, before)
     assert part.era != before
@@ -81,14 +81,14 @@ def test_missing_cycles_are_gaps_and_a_new_era_starts_from_nothing():
         (0.0, None, None, (-1.0, 1.0)),
     ],
 )
-def test_a_slider_reaches_a_decade_either_way_but_never_beyond_what_the_node_takes(value, minimum, maximum, ends):
+def test_a_slider_spans_a_decade_either_way_within_the_limits_of_the_node(value, minimum, maximum, ends):
     low, high = reach(value, minimum, maximum)
     assert (low, high) == pytest.approx(ends)
     assert value_at(place_of(value, low, high), low, high) == pytest.approx(value)
     assert (value_at(0.0, low, high), value_at(1.0, low, high)) == pytest.approx(ends)
 
 
-def test_the_unit_stands_at_the_end_of_the_description():
+def test_the_unit_is_at_the_end_of_the_description():
     assert help_and_unit("slope of the sliding surface [MPa/s]") == ("slope of the sliding surface", "MPa/s")
     assert help_and_unit("share of [a, b] [1]") == ("share of [a, b]", "")
     assert help_and_unit("a sentence") == ("a sentence", "")
@@ -109,7 +109,7 @@ def connection(host="127.0.0.1:8765", path="/", query="", origin=None, client="1
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8765", "localhost:8765", "[::1]:8765"])
-def test_the_loopback_may_read_under_its_own_names(host):
+def test_the_loopback_interface_may_read_under_its_own_names(host):
     access = Access("127.0.0.1")
     assert access.refusal(connection(host, origin=f"http://{host}")) == ""
     assert not access.may_write(connection(host))
@@ -131,7 +131,7 @@ def test_the_loopback_may_read_under_its_own_names(host):
         ({"query": "token=ü"}, "token"),
     ],
 )
-def test_what_comes_from_elsewhere_is_refused(what, word):
+def test_foreign_hosts_origins_and_tokens_are_refused(what, word):
     access = Access("127.0.0.1")
     assert word in access.refusal(connection(**what))
     assert not access.may_write(connection(**what))
@@ -147,7 +147,7 @@ def test_from_another_machine_even_reading_needs_the_token():
 
 
 class Transport:
-    """A connection of which nothing is known but whether it was cut."""
+    """A connection that records whether it was cut."""
 
     def __init__(self, port):
         self.peer = ("192.0.2.7", port)
@@ -173,7 +173,7 @@ def test_a_connection_has_as_many_passes_as_its_state_allows(state, unsent, monk
     transport.unsent = unsent
 
     async def count(_):
-        # Stands for the time between two passes.
+        # Replaces the wait between two passes.
         lived.append(transport.cut)
         if len(lived) > 200:
             raise asyncio.CancelledError
@@ -190,7 +190,7 @@ def test_a_connection_has_as_many_passes_as_its_state_allows(state, unsent, monk
     assert lived.count(False) == PASSES.get(state, 200) + 1
 
 
-def test_who_waits_for_an_answer_is_cut_after_who_has_asked_nothing():
+def test_idle_connections_are_cut_before_those_that_wait_for_an_answer():
     connections = Connections()
     busy, *idle = (Transport(port) for port in range(module.PER_PEER + 1))
     connections.opened(busy)

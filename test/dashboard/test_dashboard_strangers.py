@@ -1,6 +1,5 @@
-"""The dashboard on a graph on which strangers speak: what they say is neither run nor kept without bound."""
+"""The dashboard on a graph with foreign publishers: their texts are neither executed nor kept without limit."""
 
-import contextlib
 import re
 import sys
 import time
@@ -37,25 +36,34 @@ SCRIPTS = (
 )
 
 GROWTH = 250.0
-"""What strangers may cost [MB]: the middleware keeps some messages of theirs."""
+"""Most memory foreign publishers may cost [MB]; the middleware keeps some of their messages."""
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_texts_of_the_graph_are_shown_and_not_run(tmp_path):
+@pytest.fixture(scope="module")
+def server(nothing_left_behind):
+    with served() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def chromium(nothing_left_behind, tmp_path_factory):
+    if CHROMIUM is None:
+        pytest.skip("needs Chromium")
+    with browser(tmp_path_factory.mktemp("chromium")) as started:
+        yield started
+
+
+def test_texts_of_the_graph_are_shown_and_not_run(server, chromium):
     said = [[line(text), 1, line(text), figures([(text, text)])] for text in SCRIPTS]
-    with (
-        served() as server,
-        browser(tmp_path) as chromium,
-        # One that is there before the page, and one that comes while it is open.
-        chromium.tab("about:blank") as tab,
-    ):
+    with chromium.tab("about:blank") as tab:
+        # First the nodes, then the page; then another node while the page is open.
         server.tell(said)
         tab.go(server.address)
         for named in (said, [*said, ["another <b>node</b>", 2, "<b>bold</b>", {}]]):
             server.tell(named)
             tab.click("[data-name=tab-nodes]")
             tab.until(f"document.querySelectorAll('.nodes b').length === {len(named)}")
-        # More updates have come since, and with them all there is to run.
+        # By now the page has been updated several times.
         tab.until("ehlsLive.last() > 0 && document.querySelector('.trouble').innerText.includes('<b>bold</b>')")
         shown = tab.evaluate("[...document.querySelectorAll('.nodes summary > b')].map(name => name.textContent)")
         assert sorted(shown) == sorted(each[0] for each in named)
@@ -63,51 +71,49 @@ def test_texts_of_the_graph_are_shown_and_not_run(tmp_path):
         assert tab.evaluate("document.querySelectorAll('.nodes img, .nodes svg, .nodes script').length") == 0
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_a_machine_that_is_too_slow_is_named_before_what_comes_of_it(tmp_path):
+def test_a_slow_machine_is_named_before_its_consequences(server, chromium):
     slow = "machine too slow: 720 cycles/s of 1000 asked"
     gate = ["plant_sim_node", 2, "tripped: command too old", {"state": "cut"}]
-    with served() as server, browser(tmp_path) as chromium, chromium.tab(server.address) as tab:
+    with chromium.tab(server.address) as tab:
         trouble = "document.querySelector('[data-name=trouble]').innerText"
         server.tell([["fasmc_node", 1, slow, {}], gate])
         tab.until(f"{trouble}.startsWith('fasmc_node: {slow}. plant_sim_node: tripped: command too old')")
         assert tab.text("state").startswith("too slow, ")
         server.tell([["fasmc_node", 1, slow, {}]])
         tab.until(f"{trouble} === 'fasmc_node: {slow}'")
-        server.tell([["fasmc_node", 0, "well", {}]])
+        server.tell([["fasmc_node", 0, "running", {}]])
         tab.until("document.querySelector('[data-name=state]').innerText.startsWith('running, ')")
         assert not tab.text("trouble")
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_a_page_that_only_reads_is_whole_although_nobody_hears_it(tmp_path):
-    with served() as server, browser(tmp_path) as chromium, chromium.tab(f"http://127.0.0.1:{server.port}/") as tab:
+def test_a_read_only_page_is_complete_although_its_events_are_dropped(server, chromium):
+    with chromium.tab(server.server) as tab:
         tab.until("ehlsLive.last() > 0")
         tab.click(".pause input")
         tab.until("document.querySelector('.pause input').checked")
         tab.click("summary")
         tab.until("document.querySelector('details').open")
-        # What is said now comes after the page's events: it was not cut off for them.
+        # This update follows the page's events, so the page was not cut off for them.
         server.tell([["fasmc_node", 1, "still there", {}]])
         tab.until("document.querySelector('.trouble').innerText.includes('still there')")
         assert tab.complaints == []
-        assert server.wishes() == []
+        assert server.requests() == []
 
 
-@pytest.mark.skipif(CHROMIUM is None or own_address() is None, reason="needs Chromium and an address besides the loopback's")
-def test_a_browser_on_another_machine_shows_the_page_and_its_buttons_work(tmp_path):
-    with contextlib.ExitStack() as stack:
-        server = stack.enter_context(served("0.0.0.0"))
-        chromium = stack.enter_context(browser(tmp_path))
-        tab = stack.enter_context(chromium.tab(f"http://{own_address()}:{server.port}/?token={server.token}"))
+@pytest.mark.skipif(own_address() is None, reason="needs an address besides the loopback's")
+def test_a_browser_on_another_machine_shows_the_page_and_its_buttons_work(chromium):
+    with (
+        served("0.0.0.0") as server,
+        chromium.tab(f"http://{own_address()}:{server.port}/?token={server.token}") as tab,
+    ):
         tab.until("ehlsLive.last() > 0")
         tab.click("[data-name='emergency stop']")
-        until(lambda: server.wishes() == ["emergency stop"], "the button does nothing")
+        until(lambda: server.requests() == ["emergency stop"], "the button does nothing")
         assert tab.complaints == []
 
 
 def test_texts_are_cut_to_what_a_page_can_show():
-    assert line("well") == "well"
+    assert line("running") == "running"
     assert line("a\x1b[31m\nb\u202e\ud800") == "a�[31m�b��"
     assert len(line("x" * 10_000_000)) == SENTENCE + 1
     kept = figures((f"{number}{'x' * 1000}", "y" * 1000) for number in range(100_000))
@@ -115,7 +121,7 @@ def test_texts_are_cut_to_what_a_page_can_show():
     assert {len(name) for name in kept} == {NAME + 1}
 
 
-def status(name, message="well", values=()):
+def status(name, message="running", values=()):
     values = [KeyValue(key=key, value=value) for key, value in values]
     return DiagnosticStatus(name=name, message=message, hardware_id="ehls", values=values)
 
@@ -128,13 +134,13 @@ def report(*statuses):
 
 
 def dashboard(folder):
-    """Run `ehls dashboard` where no graph is."""
+    """Run `ehls dashboard` without a graph."""
     return running([sys.executable, "-m", "ehls_ros.cli.main", "dashboard", "--port", "0"], folder)
 
 
 @pytest.fixture
 def stranger(ros_domain_id):
-    """Return a node that is no part of the graph."""
+    """Return a node outside the graph."""
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=ros_domain_id, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("stranger", context=context)
@@ -143,7 +149,7 @@ def stranger(ros_domain_id):
     rclpy.shutdown(context=context)
 
 
-def test_whatever_strangers_publish_the_dashboard_goes_on_and_stays_small(stranger, tmp_path):
+def test_whatever_others_publish_the_dashboard_goes_on_and_stays_small(stranger, tmp_path):
     publisher = stranger.create_publisher(DiagnosticArray, "/diagnostics", 10)
     friction = stranger.create_publisher(FrictionEstimate, "/ehls/friction_estimate", 10)
     broken = serialize_message(report(status("broken", "m" * 50)))
@@ -153,12 +159,12 @@ def test_whatever_strangers_publish_the_dashboard_goes_on_and_stays_small(strang
         until(lambda: publisher.get_subscription_count() == 1, "the dashboard does not listen")
 
         def shown():
-            # Where too many pages were asked for, there is none for a while, and nothing on it.
+            # After too many requests there is no page for a while, and no name.
             text = answer(f"{here}?token={server.token}")[1]
             return {name.removeprefix("node-") for name in re.findall(r'"data-name":"(node-[^"]*)"', text)}
 
         def until_heard(name):
-            """Have a node of the graph speak until the page shows it: it is heard whatever else is said."""
+            """Publish diagnostics of a node of the graph until the page shows it."""
 
             def heard():
                 publisher.publish(report(status(name)))
@@ -181,7 +187,7 @@ def test_whatever_strangers_publish_the_dashboard_goes_on_and_stays_small(strang
         for number in range(10_000):
             publisher.publish(report(status(f"stranger {number} {'x' * 1000}")))
         until_heard("plant_sim_node")
-        until(lambda: names.update(shown()) or names, "no page is given out")
+        until(lambda: names.update(shown()) or names, "no page is served")
         assert len(names - {"fasmc_node", "friction_estimator_node", "plant_sim_node"}) <= STRANGERS
         assert max(map(len, names)) <= 2 * NAME
         assert "long" not in names

@@ -1,7 +1,7 @@
-"""The bridge on an emulated rig in real time, with a controller that does what a test wants; what the valve did is read back.
+"""The bridge on an emulated rig in real time, with a controller the test commands; the valve's motion is read back from a log.
 
-Time is what these tests are about, so it runs; but at a pace that a slow computer keeps: by default a cycle takes 10 ms, and
-all of the gate's times are as much longer.
+These tests are about time, so they run in real time, but at a pace a slow computer can keep: by default a cycle takes 10 ms,
+and all of the gate's times are longer in proportion.
 """
 
 import csv
@@ -31,7 +31,7 @@ BRIDGE = "hardware_bridge_node"
 
 
 class Pace(NamedTuple):
-    """How fast a rig is, and what its gate is told accordingly; all in s, the velocity in m/s."""
+    """Pace of a rig and the corresponding times of its gate [s]; the velocity limit in m/s."""
 
     period: float
     velocity: float
@@ -42,20 +42,20 @@ class Pace(NamedTuple):
 
 
 SLOW = Pace(period=0.01, velocity=0.2, timeout=0.3, watchdog=0.15, ramp=0.1, enable=0.6)
-"""Held back to a third by pauses of 70 ms it still keeps up."""
+"""A computer held back to a third of its speed by pauses of 70 ms still keeps up."""
 
 FAST = Pace(period=0.001, velocity=2.0, timeout=0.03, watchdog=0.01, ramp=0.02, enable=0.1)
 """The pace of a real rig."""
 
 AMPLITUDE, FREQUENCY = 1e-4, 0.7
-"""Of the sine that is commanded, gentle enough that nothing but what a test does trips the gate [m, Hz]."""
+"""Commanded sine, too small to trip the gate [m, Hz]."""
 
 COMMANDED = 2.0 * AMPLITUDE
-"""Largest command: the commander adds a little towards the middle of the stroke [m]."""
+"""Largest command: the commander adds a little towards mid-stroke [m]."""
 
 
 class CommandedRig:
-    """Emulator, bridge and commander; the test itself is a participant beside them."""
+    """Emulator, bridge and commander; the test itself is a further participant."""
 
     def __init__(
         self,
@@ -91,9 +91,10 @@ class CommandedRig:
         self.stop = ""
         self.states: list[Any] = participant.collect(LoaderState, "loader_state")
         self.diagnostics: list[Any] = participant.collect(DiagnosticArray, "/diagnostics")
-        self.start_emulator()
+        # The emulator last: it is waited for, and the others start meanwhile.
         self.start_bridge()
         self.graph.run("commander", [str(Path(__file__).with_name("commander.py")), str(pace.period)])
+        self.start_emulator()
         participant.until(lambda: "up" in graph.log("commander"), PATIENCE)
         self.command(f"sine {AMPLITUDE} {FREQUENCY}")
 
@@ -118,14 +119,18 @@ class CommandedRig:
         words = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
         self.bridge = self.graph.run(BRIDGE, [self.bridge_script, "--ros-args", *words])
 
+    def restart_bridge(self) -> None:
+        """Start a new bridge and wait until it is up; services of the dead one may seem to be there for a while."""
+        times_up = self.graph.log(BRIDGE).count(": up")
+        self.start_bridge()
+        self.participant.until(lambda: self.graph.log(BRIDGE).count(": up") > times_up)
+
     def command(self, line: str) -> None:
-        """Tell the commander what to do."""
-        commander = self.graph.processes["commander"]
-        commander.stdin.write(f"{line}\n".encode())
-        commander.stdin.flush()
+        """Tell the commander what to command."""
+        self.graph.tell("commander", line)
 
     def fault(self, line: str) -> float:
-        """Put a fault into the emulated rig and return when it was in [s]."""
+        """Put a fault into the emulated rig and return the time from which it acts [s]."""
         self.emulator.stdin.write(f"{line}\n".encode())
         self.emulator.stdin.flush()
         return float(self.emulator.stdout.readline().split()[1])
@@ -135,18 +140,18 @@ class CommandedRig:
         return self.participant.call(kind, service, kind.Request(**fields))
 
     def enable(self) -> Any:
-        """Ask the gate to open, and return its answer."""
+        """Enable the gate and return its answer."""
         return self.ask(SetBool, "enable", data=True)
 
     def emergency_stop(self) -> float:
-        """Stop, and return when that was answered [s]."""
+        """Stop, and return the time of the answer [s]."""
         answer = self.ask(Trigger, "emergency_stop")
         assert answer.success
         self.stop = answer.message.partition(";")[0]
         return time.monotonic()
 
     def transition(self, label: str) -> bool:
-        """Ask the bridge for a transition and return whether it was made."""
+        """Request a transition of the bridge and return whether it succeeded."""
         return bool(self.ask(ChangeState, f"{BRIDGE}/change_state", transition=Transition(label=label)).success)
 
     def state(self) -> str:
@@ -154,7 +159,7 @@ class CommandedRig:
         return str(self.ask(GetState, f"{BRIDGE}/get_state").current_state.label)
 
     def said(self) -> dict[str, str]:
-        """Return the figures of the bridge's next diagnostics, and its message."""
+        """Return the values and the message of the bridge's next diagnostics."""
         self.diagnostics.clear()
         found: list[Any] = []
 
@@ -188,12 +193,12 @@ class CommandedRig:
         return said["message"]
 
     def finish(self) -> "Truth":
-        """End the emulator and return what the valve did."""
+        """Stop the emulator and return the valve's motion."""
         columns = self.seen()
         return Truth(columns["monotonic_s"], columns["valve_command_m"], self.pace)
 
     def seen(self) -> dict[str, np.ndarray]:
-        """End the emulator and return its log, by column."""
+        """Stop the emulator and return its log by column."""
         self.emulator.send_signal(signal.SIGINT)
         output, _ = self.emulator.communicate(timeout=PATIENCE)
         self.counts = json.loads(output.splitlines()[-1])
@@ -208,12 +213,12 @@ class CommandedRig:
 
 
 class Truth(NamedTuple):
-    """What the valve really did.
+    """The valve's true motion.
 
     Attributes:
-        time: of each of the rig's cycles, of the monotonic clock [s].
-        command: that acted on the valve in it [m].
-        pace: of the rig.
+        time: monotonic time of each of the rig's cycles [s].
+        command: command that acted on the valve in that cycle [m].
+        pace: pace of the rig.
     """
 
     time: np.ndarray
@@ -221,24 +226,24 @@ class Truth(NamedTuple):
     pace: Pace
 
     def between(self, since: float, until: float = np.inf) -> np.ndarray:
-        """Return the commands of a stretch of time."""
+        """Return the commands of a period."""
         return self.command[(self.time >= since) & (self.time < until)]
 
     def time_to_null(self, since: float, until: float = np.inf) -> float:
-        """Return how long the valve was open after a moment, up to another; infinite where it never closed for good [s]."""
+        """Return how long the valve stayed open after ``since``, looking up to ``until``; infinite if it did not close [s]."""
         rows = (self.time >= since) & (self.time < until)
         times, commands = self.time[rows], self.command[rows]
-        assert len(times), "the rig's log has nothing of then"
+        assert len(times), "the rig's log does not cover that time"
         moving = np.flatnonzero(commands)
         if not moving.size:
             return 0.0
         return np.inf if moving[-1] == len(commands) - 1 else float(times[moving[-1] + 1] - since)
 
     def openings(self, amplitude: float = COMMANDED) -> list[tuple[float, float]]:
-        """Return time and largest excess of each opening after a null that lasted: how far the command was beyond its ramp [m].
+        """Return, for each opening after a lasting null, its time and the largest excess of the command over its ramp [m].
 
-        Blended in over the time of enabling, the command may be no larger than its part of the amplitude [m]; what the gate may
-        catch up in one go, and what may be lost on the wire meanwhile, is added.
+        During the blend-in the command may not exceed the corresponding fraction of the amplitude [m], plus what the gate may
+        catch up in one step and what may be lost on the wire meanwhile.
         """
         found = []
         for first in self._first_after_null():
@@ -249,11 +254,11 @@ class Truth(NamedTuple):
         return found
 
     def _first_after_null(self) -> np.ndarray:
-        """Return the rows in which the valve opens after having been closed for longer than a sine takes through null."""
+        """Return the rows in which the valve opens after being closed for longer than a zero crossing of the sine."""
         moving = np.flatnonzero(self.command)
         lasting = max(20, round(0.05 / self.pace.period))
         return moving[np.diff(moving, prepend=-lasting - 1) > lasting]
 
     def largest_step_after_null(self) -> float:
-        """Return the largest first command after a null that lasted [m]."""
+        """Return the largest first command after a lasting null [m]."""
         return float(np.max(np.abs(self.command[self._first_after_null()]), initial=0.0))

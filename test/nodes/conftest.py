@@ -1,4 +1,4 @@
-"""Nodes as processes, and a participant of the test's own beside them."""
+"""Nodes as processes, and the test's own participant."""
 
 import contextlib
 import os
@@ -33,16 +33,16 @@ FORCE = "{name: sine, amplitude: 1.0e+4, frequency: 0.5}"
 POSITION = "{name: velocity_sweep, velocities: [0.02], travel: 2.0e-3, rest: 0.02}"
 
 GRACE = 120.0
-"""Time the nodes have to end by themselves before they are killed [s]."""
+"""Time the nodes have to exit before they are killed [s]."""
 
 ASK_AGAIN = 3.0
-"""Time after which a service that has not answered is asked once more [s]."""
+"""Time after which an unanswered request is repeated [s]."""
 
 RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
 
 
 class Graph:
-    """Nodes started by hand."""
+    """The processes a test starts."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -54,7 +54,7 @@ class Graph:
         return self.run(name, ["-m", f"ehls_ros.nodes.{name}", "--ros-args", *arguments], largest_file)
 
     def run(self, name: str, arguments: list[str], largest_file: int = -1) -> subprocess.Popen[bytes]:
-        """Start a process of the graph; files it writes may not grow beyond ``largest_file``."""
+        """Start a Python process; files it writes may not grow beyond ``largest_file`` bytes."""
         from ehls_ros.nodes.graph import graph_environment
 
         with (self.folder / f"{name}.log").open("ab") as log:
@@ -70,8 +70,14 @@ class Graph:
         self.processes[name] = process
         return process
 
+    def tell(self, name: str, line: str) -> None:
+        """Write a line to a process's standard input."""
+        stdin = self.processes[name].stdin
+        stdin.write(f"{line}\n".encode())
+        stdin.flush()
+
     def kill(self, name: str) -> float:
-        """End a process as a crash would and return when, of the monotonic clock [s]."""
+        """Kill a process and return the monotonic time [s]."""
         process = self.processes.pop(name)
         process.kill()
         killed = time.monotonic()
@@ -102,7 +108,7 @@ def graph(tmp_path: Path) -> Iterator[Graph]:
 
 @pytest.fixture(scope="session")
 def write_spec() -> Callable[..., Path]:
-    """Return a function that writes an experiment's file into a folder and returns its path."""
+    """Return a function that writes an experiment file into a folder and returns its path."""
 
     def write(folder: Path, duration: float = 0.5, controller: str = "fasmc") -> Path:
         path = folder / "spec.yaml"
@@ -121,7 +127,7 @@ def spec_file(write_spec: Callable[..., Path], tmp_path: Path) -> Callable[..., 
 
 
 class Participant:
-    """A second process's view of the graph, here in the test."""
+    """A further participant of the graph, in the test's own process."""
 
     def __init__(self) -> None:
         from rclpy.executors import SingleThreadedExecutor
@@ -136,20 +142,20 @@ class Participant:
         self.executor.add_node(self.node)
 
     def rest(self, seconds: float) -> None:
-        """Take part for a while."""
+        """Spin for a while."""
         deadline = time.monotonic() + seconds
         while (remaining := deadline - time.monotonic()) > 0.0:
             self.executor.spin_once(timeout_sec=remaining)
 
     def until(self, condition: Callable[[], bool], seconds: float = PATIENCE) -> None:
-        """Take part until something is so; ``seconds`` end a test that hangs."""
+        """Spin until a condition holds; ``seconds`` end a test that hangs."""
         deadline = time.monotonic() + seconds
         while not condition():
             self.executor.spin_once(timeout_sec=0.05)
-            assert time.monotonic() < deadline, "what the test waits for did not come"
+            assert time.monotonic() < deadline, "the condition was not met in time"
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
-        """Return a service's answer; it is asked again while none comes, and whichever comes first counts."""
+        """Return a service's answer; the request is repeated until the first answer."""
         client = self.node.create_client(kind, service)
         deadline = time.monotonic() + PATIENCE
         wait = ASK_AGAIN
@@ -162,7 +168,7 @@ class Participant:
             assert time.monotonic() < deadline, f"{service} does not answer"
             self.until(client.service_is_ready)
             asked.append(client.call_async(request))
-            # A server that was killed still seems to be there for a while, and keeps what it is asked to itself.
+            # A killed server still seems to be there for a while, and swallows requests.
             again = time.monotonic() + wait
             self.until(lambda again=again: answers() or time.monotonic() > again)
             wait *= 2.0

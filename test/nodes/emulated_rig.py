@@ -1,4 +1,4 @@
-"""The bridge's graph on an emulated rig in lockstep, with faults put in and what the actuator saw read back."""
+"""The bridge's graph on an emulated rig in lockstep, with injected faults; the valve's motion is read back from a log."""
 
 import csv
 import json
@@ -31,14 +31,14 @@ SPEC = {
 
 
 def free_port() -> int:
-    """Return a UDP port of this host that nobody has."""
+    """Return a free UDP port of this host."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 class EmulatedRig:
-    """Emulator, bridge, reference and controller; the test itself is a participant beside them."""
+    """Emulator, bridge, reference and controller; the test itself is a further participant."""
 
     def __init__(self, graph: Any, participant: Any, folder: Path, law: str, spoil: bool) -> None:
         self.graph, self.participant, self.folder, self.law = graph, participant, folder, law
@@ -51,15 +51,16 @@ class EmulatedRig:
         self.wired = [signal for signal in SENSED if signal in bridge["channels"]]
         self.emulators = 0
         self.stop = ""
-        self.start_emulator()
         self.start("reference_node")
         self.start(f"{law}_node", remap="valve_command:=valve_command_unspoilt" if spoil else "")
         if spoil:
             graph.run("spoil_commands", [str(Path(__file__).with_name("spoil_commands.py")), "1"])
         self.start("hardware_bridge_node")
+        # The emulator last: it is waited for, and the others start meanwhile.
+        self.start_emulator()
 
     def start(self, name: str, **options: Any) -> subprocess.Popen[bytes]:
-        """Start one of the nodes, or start it anew."""
+        """Start a node, or restart it."""
         own = {"bridge": self.bridge} if name == "hardware_bridge_node" else {}
         return self.graph.start(name, spec=self.spec, timing="lockstep", **own, **options)
 
@@ -82,7 +83,7 @@ class EmulatedRig:
         assert b"listening" in self.emulator.stdout.readline(), (self.folder / "emulator.err").read_text()
 
     def enable(self) -> None:
-        """Let the commands through, as soon as the gate agrees."""
+        """Enable the gate as soon as it allows that."""
         deadline = time.monotonic() + PATIENCE
         while True:
             if self.stop and self.acknowledge().success:
@@ -94,19 +95,19 @@ class EmulatedRig:
             assert time.monotonic() < deadline, f"reset: {reset.message}; enable: {answer.message}"
 
     def emergency_stop(self) -> float:
-        """Stop, and return when that was answered, of the monotonic clock [s]."""
+        """Stop, and return the monotonic time of the answer [s]."""
         answer = self.participant.call(Trigger, "emergency_stop", Trigger.Request())
         assert answer.success
         self.stop = answer.message.partition(";")[0]
         return time.monotonic()
 
     def acknowledge(self) -> Any:
-        """Let go of the last stop, if that may be already; return the answer."""
+        """Acknowledge the last stop and return the answer; right after the stop it is a refusal."""
         request = AcknowledgeStop.Request(stop=self.stop)
         return self.participant.call(AcknowledgeStop, "acknowledge_stop", request)
 
     def fault(self, line: str) -> float:
-        """Put a fault into the emulated rig and return when it was in, of the monotonic clock [s]."""
+        """Put a fault into the emulated rig and return the monotonic time from which it acts [s]."""
         self.emulator.stdin.write(f"{line}\n".encode())
         self.emulator.stdin.flush()
         told = self.emulator.stdout.readline().decode()
@@ -115,19 +116,17 @@ class EmulatedRig:
         return float(when)
 
     def spoil_commands(self, mode: str) -> None:
-        """Let the node between controller and bridge do something else to the commands."""
-        spoiler = self.graph.processes["spoil_commands"]
-        spoiler.stdin.write(f"{mode}\n".encode())
-        spoiler.stdin.flush()
+        """Change what the node between controller and bridge does to the commands."""
+        self.graph.tell("spoil_commands", mode)
 
     def stop_emulator(self, number: int = signal.SIGINT) -> dict[str, Any]:
-        """End the emulator and return its counts."""
+        """Stop the emulator and return its counts."""
         self.emulator.send_signal(number)
         output, _ = self.emulator.communicate(timeout=PATIENCE)
         return json.loads(output.splitlines()[-1]) if number == signal.SIGINT else {}
 
     def seen(self) -> dict[str, np.ndarray]:
-        """Return what the actuator saw, by the names of the emulator's log."""
+        """Return the emulator's log by column."""
         with self.log.open(encoding="utf-8", newline="") as file:
             header, *rows = csv.reader(file)
         table = np.array(rows, dtype=float).reshape(-1, len(header))

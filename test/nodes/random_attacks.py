@@ -1,7 +1,7 @@
-"""Random sequences of everything that may befall a running bridge, and what has to hold of the valve whatever befell it.
+"""Random sequences of attacks on a running bridge, and what must hold for the valve in all of them.
 
-A sequence is some actions in a row: services, transitions, parameters, signals to processes, faults of net and sensors,
-commands of every kind. What a moment has to look like is noted as it goes by, and held against the rig's own log at the end.
+A sequence is several actions: services, transitions, parameters, signals to processes, faults of network and sensors,
+commands of every kind. The periods in which the valve must be closed are noted, and compared with the rig's log at the end.
 """
 
 import signal
@@ -21,24 +21,24 @@ from ehls_ros.hardware.gate_parameters import REACTIONS, Parameters
 from ehls_ros.schema import declarations
 
 LARGEST = 5e-4
-"""Of what the commander commands and the gate may let through [m]."""
+"""Largest command of the commander, and largest the gate may pass [m]."""
 
 ACTIONS = 8
-"""In a sequence."""
+"""Actions of a sequence."""
 
 DECLARED = {declared.name: declared for declared in declarations(Parameters)}
 
 ON_THE_WAY = 20e-3
-"""What an answer takes to get here, and the rig's log to have a cycle of then [s]."""
+"""Time for an answer to arrive, and for the rig's log to reach the next cycle [s]."""
 
 
 class Closed(NamedTuple):
-    """A stretch of time in which the valve has to be at null.
+    """A period in which the valve must be at null.
 
     Attributes:
         why: what closed it.
-        since: when that was known, and what it had to do was done [s].
-        until: when it might first be opened again [s].
+        since: time by which it must have closed [s].
+        until: time of the first action that may open it again [s].
     """
 
     why: str
@@ -47,16 +47,16 @@ class Closed(NamedTuple):
 
 
 class Worst(NamedTuple):
-    """The worst of what was seen; lengths in m, speeds in m/s, forces in N.
+    """Extremes of a run; lengths in m, speeds in m/s, forces in N.
 
     Attributes:
         command: largest command that reached the valve.
-        open_when_closed: largest command in a stretch in which it had to be at null.
-        beyond_ramp: by how much an opening was beyond its ramp.
-        step: largest first command after a null that lasted.
-        speed: of the piston.
-        force: at the cylinder.
-        position: distance from the middle of the stroke.
+        open_when_closed: largest command in a period in which it had to be at null.
+        beyond_ramp: largest excess of an opening over its ramp.
+        step: largest first command after a lasting null.
+        speed: largest speed of the piston.
+        force: largest force of the cylinder.
+        position: largest distance from mid-stroke.
         opened: fraction of the time in which the valve was open.
     """
 
@@ -71,11 +71,11 @@ class Worst(NamedTuple):
 
 
 class RandomAttacks:
-    """Does random things to a rig.
+    """Attacks a rig at random.
 
     Attributes:
-        done: how often each action was taken.
-        closed: the stretches in which the valve had to be at null.
+        done: number of times each action was taken.
+        closed: the periods in which the valve had to be at null.
     """
 
     def __init__(self, rig: CommandedRig, random: Random) -> None:
@@ -86,7 +86,7 @@ class RandomAttacks:
         self._stop = ""
         self._lifecycle = "active"
         self._changed: set[str] = set()
-        self._actions: dict[Callable[[], Any], int] = {
+        self._actions: dict[Callable[[], Any], float] = {
             self.enable: 6,
             self.reset: 4,
             self.disable: 2,
@@ -103,11 +103,11 @@ class RandomAttacks:
             self.spoil_sensor: 2,
             self.command: 4,
             self.rest: 4,
-            self.kill_bridge: 1,
+            self.kill_bridge: 0.2,
         }
 
     def sequence(self) -> None:
-        """Take some actions, then bring the rig back to where it is open."""
+        """Open the valve, then take some actions."""
         self.come_back()
         self.rig.participant.rest(1.5 * self.rig.pace.enable)
         for _ in range(ACTIONS):
@@ -117,7 +117,7 @@ class RandomAttacks:
         self.rig.fault("clear")
 
     def come_back(self) -> None:
-        """Open the gate, whatever went before."""
+        """Open the gate, whatever happened before."""
         self.rig.fault("clear")
         self.rig.command(f"sine {LARGEST / 2} 1.3")
         for label in {"unconfigured": ("configure", "activate"), "inactive": ("activate",)}.get(self._lifecycle, ()):
@@ -137,12 +137,12 @@ class RandomAttacks:
             self.rig.participant.rest(0.05)
 
     def end_of_null(self) -> None:
-        """Note that a stretch in which the valve had to be at null is over."""
+        """Note that the valve may open from now on."""
         if self._shut is not None:
             self.closed.append(Closed(*self._shut, time.monotonic()))
             self._shut = None
 
-    # What is done
+    # Actions
 
     def enable(self) -> bool:
         latched = bool(self._stop) or self._lifecycle != "active"
@@ -199,21 +199,27 @@ class RandomAttacks:
         self.rig.participant.set_parameter(BRIDGE, declared.name, value)
 
     def freeze_bridge(self) -> None:
+        begun = time.monotonic()
         asleep = self._freeze(self.rig.bridge, self.random.choice([0.005, 0.02, 0.05, 0.09, 0.3]))
+        self._delayed_since(begun)
         if asleep > self.rig.pace.timeout + self.rig.pace.period:
-            # The bridge may have been at the end of a cycle when it fell asleep.
+            # The bridge may have been frozen at the end of a cycle.
             self._closed_by("frozen", 3.0 * self.rig.pace.period)
 
     def freeze_emulator(self) -> None:
+        begun = time.monotonic()
         self._freeze(self.rig.emulator, self.random.choice([0.005, 0.02, 0.09]))
+        self._delayed_since(begun)
 
     def freeze_commander(self) -> None:
         self._freeze(self.rig.graph.processes["commander"], self.random.choice([0.005, 0.02, 0.09]))
 
     def lose_packets(self) -> None:
+        begun = time.monotonic()
         self.rig.fault(self.random.choice(["deaf", "silent"]))
         self.rig.participant.rest(self.random.choice([0.003, 0.012, 0.03, 0.1]))
         self.rig.fault("clear")
+        self._delayed_since(begun)
 
     def spoil_sensor(self) -> None:
         lines = ("stick force", "stick position", "bias force 3000", "bias load_pressure 1.5e6", "bias position 0.05")
@@ -233,21 +239,17 @@ class RandomAttacks:
         self.rig.participant.rest(self.random.choice([1.0, 5.0, 20.0, 60.0]) * self.rig.pace.period)
 
     def kill_bridge(self) -> None:
-        if self.random.random() < 0.8:
-            return
         name = self.random.choice([signal.SIGKILL, signal.SIGTERM])
         if name == signal.SIGKILL:
             self.rig.graph.kill(BRIDGE)
         else:
             assert self.rig.graph.stop(BRIDGE, name) == 0
         self._closed_by(name.name, self.rig.pace.watchdog)
-        up = self.rig.graph.log(BRIDGE).count(": up")
-        self.rig.start_bridge()
-        self.rig.participant.until(lambda: self.rig.graph.log(BRIDGE).count(": up") > up, PATIENCE)
+        self.rig.restart_bridge()
         self._lifecycle, self._stop, self.rig.stop = "active", "", ""
 
     def _freeze(self, process: Any, seconds: float) -> float:
-        """Freeze a process and return for how long it was at least [s]."""
+        """Freeze a process and return for how long, at least [s]."""
         process.send_signal(signal.SIGSTOP)
         begun = time.monotonic()
         time.sleep(seconds)
@@ -255,18 +257,24 @@ class RandomAttacks:
         process.send_signal(signal.SIGCONT)
         return asleep
 
+    def _delayed_since(self, begun: float) -> None:
+        """Allow for a closing under way that was delayed: by the duration so far, at most until the rig's watchdog acts."""
+        if self._shut is not None and begun < self._shut[1]:
+            why, since = self._shut
+            self._shut = why, since + min(time.monotonic() - begun, self.rig.pace.watchdog + self.rig.pace.period)
+
     def _closed_by(self, why: str, takes: float = 0.0) -> None:
         if self._shut is None:
             self._shut = why, time.monotonic() + takes + ON_THE_WAY + 3.0 * self.rig.pace.period
 
 
 def judge(columns: dict[str, np.ndarray], pace: Pace, closed: list[Closed]) -> Worst:
-    """Return the worst of what the rig's log shows.
+    """Return the extremes in the rig's log.
 
     Args:
-        columns: the whole log, by name.
-        pace: of the rig.
-        closed: stretches in which the valve had to be at null.
+        columns: the log by column.
+        pace: pace of the rig.
+        closed: periods in which the valve had to be at null.
     """
     truth = Truth(columns["monotonic_s"], columns["valve_command_m"], pace)
     open_when_closed = 0.0

@@ -1,6 +1,6 @@
-"""The hardware bridge with two services more.
+"""The hardware bridge with two more services.
 
-`sabotage` does not answer (false), or ends the thread of services (true); `break_loop` lets the loop raise an exception.
+`sabotage` hangs for some seconds (false) or ends the service thread (true); `break_loop` makes the loop raise an exception.
 """
 
 import threading
@@ -10,9 +10,12 @@ from std_srvs.srv import SetBool, Trigger
 from ehls_ros.nodes.control import run_node
 from ehls_ros.nodes.hardware_bridge_node import HardwareBridgeNode
 
+HANGS = 5.0
+"""Time the service hangs; far longer than the gate tolerates [s]."""
+
 
 class SabotagedBridge(HardwareBridgeNode):
-    """Whose services fail in ways that no request can bring about."""
+    """A bridge whose services fail in ways no request could cause."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -33,7 +36,7 @@ class SabotagedBridge(HardwareBridgeNode):
     def sabotage(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data:
             raise SystemExit(3)
-        self.never.wait(8.0)
+        self.never.wait(HANGS)
         return response
 
 

@@ -2,17 +2,14 @@
 
 import math
 import random
-import signal
 import sys
-import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 
-import rclpy
-from rclpy.signals import SignalHandlerOptions
+from told_node import told_node
 
 from ehls_msgs.msg import ValveCommand
-from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
+from ehls_ros.nodes.transport import Waiter
 
 Command = tuple[int, int, float]
 LOST = 0.1
@@ -62,30 +59,21 @@ MODES = {
 
 
 def main() -> None:
-    wanted, chance = ["none"], random.Random(int(sys.argv[1]))
-    threading.Thread(target=lambda: [wanted.append(line.strip()) for line in sys.stdin], daemon=True).start()
-    stopping = [False]
-    signal.signal(signal.SIGINT, lambda *_: stopping.__setitem__(0, True))
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node("spoil_commands", namespace="ehls")
-    inbox = Inbox(node, ValveCommand, "valve_command_unspoilt")
-    outbox = Outbox(node, ValveCommand, "valve_command", frame_id="spoil_commands")
-    waiter = Waiter([inbox])
+    chance = random.Random(int(sys.argv[1]))
+    with told_node("spoil_commands", ValveCommand, "valve_command_unspoilt", "none") as node:
+        waiter = Waiter([node.inbox])
 
-    def arriving(mode: str) -> Iterator[Command]:
-        while not stopping[0] and wanted[-1] == mode:
-            waiter.wait(0.02)
-            while (command := inbox.take()) is not None:
-                yield command
+        def arriving(mode: str) -> Iterator[Command]:
+            while not node.stopping.is_set() and node.told() == mode:
+                waiter.wait(0.02)
+                while (command := node.inbox.take()) is not None:
+                    yield command
 
-    while not stopping[0]:
-        mode = wanted[-1]
-        for command in MODES[mode](arriving(mode), chance):
-            outbox.send(*command)
-    for part in (waiter, inbox, outbox):
-        part.destroy()
-    node.destroy_node()
-    rclpy.shutdown()
+        while not node.stopping.is_set():
+            mode = node.told()
+            for command in MODES[mode](arriving(mode), chance):
+                node.outbox.send(*command)
+        waiter.destroy()
 
 
 if __name__ == "__main__":

@@ -5,13 +5,15 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from ehls_ros.nodes.dashboard_link import Link
 
 
-def test_what_a_node_had_sent_when_it_was_ended_is_not_heard_later(participant):
+def test_late_messages_of_a_stopped_node_are_ignored(participant):
     link = Link("ehls")
     try:
         publisher = participant.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
         def report(*names):
-            array = DiagnosticArray(status=[DiagnosticStatus(name=name, message="well", hardware_id="ehls") for name in names])
+            array = DiagnosticArray(
+                status=[DiagnosticStatus(name=name, message="running", hardware_id="ehls") for name in names]
+            )
             array.header.stamp = participant.node.get_clock().now().to_msg()
             return array
 
@@ -28,7 +30,7 @@ def test_what_a_node_had_sent_when_it_was_ended_is_not_heard_later(participant):
         assert heard() == ["other"]
         participant.until(lambda: saying(late, "late"))
         assert heard() == ["late", "other"]
-        # One of that name that is started again is heard.
+        # A restarted node of that name is heard.
         participant.until(lambda: saying(report("ended"), "ended"))
     finally:
         link.close()

@@ -1,10 +1,11 @@
-"""A running graph: retuned, refused, and bereft of its estimator.
+"""A running graph: parameters changed and refused, the estimator stopped and restarted.
 
-It runs in lockstep, so that a cycle waits for whoever has to answer it, however long that takes on this machine.
+It runs in lockstep, so that each cycle waits for its answers, however slow the machine.
 """
 
 import itertools
 import math
+import signal
 from types import SimpleNamespace
 
 import pytest
@@ -14,6 +15,7 @@ pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from patience import PATIENCE
 
 from ehls_msgs.msg import ControllerStatus
 from ehls_ros.nodes import controller
@@ -23,7 +25,7 @@ NODES = ("reference_node", "disturbance_node", "friction_estimator_node", "fasmc
 
 @pytest.fixture
 def running(graph, participant, spec_file):
-    """Start the graph by hand, wait until it controls, and return the statuses it keeps sending."""
+    """Start the graph, wait until it controls, and return the list of its statuses."""
     spec = spec_file(duration=1000.0)
     for name in (*NODES, "plant_sim_node"):
         graph.start(name, spec=spec, timing="lockstep")
@@ -38,7 +40,7 @@ def goes_on(participant, statuses, cycles=100):
 
 
 def figure(participant, diagnostics, node, name, holds):
-    """Wait until what a node says of itself holds, and return a figure it says then."""
+    """Wait until a node's message and one of its values satisfy a condition, and return that value."""
 
     def found():
         statuses = [status for array in diagnostics for status in array.status if status.name == node]
@@ -54,9 +56,20 @@ def change(participant, node, transition):
     assert participant.call(ChangeState, f"{node}/change_state", request).success
 
 
-def test_a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, participant):
+def test_a_graph_is_retuned_loses_its_estimator_regains_it_and_ends_cleanly(running, participant, graph, spec_file):
     diagnostics = participant.collect(DiagnosticArray, "/diagnostics")
-    # While the plant rests in a cycle, it is known which one is under way when the new k is accepted.
+    a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, participant, diagnostics)
+    the_estimator_may_go_and_come_back(running, participant, diagnostics, graph, spec_file(duration=1000.0))
+    # SIGINT to all, then their exit codes.
+    for name in (*NODES, "plant_sim_node"):
+        graph.processes[name].send_signal(signal.SIGINT)
+    for name in (*NODES, "plant_sim_node"):
+        assert graph.processes.pop(name).wait(PATIENCE) == 0, graph.log(name)
+        assert "Traceback" not in graph.log(name)
+
+
+def a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, participant, diagnostics):
+    # While the plant is inactive, the cycle in which the new k is accepted is known.
     change(participant, "plant_sim_node", Transition.TRANSITION_DEACTIVATE)
     under_way = figure(participant, diagnostics, "plant_sim_node", "cycle", lambda message, _: message == "inactive")
     assert participant.set_parameter("fasmc_node", "k", 14.0).successful
@@ -72,26 +85,21 @@ def test_a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, part
         assert participant.get_parameter("fasmc_node", "k").double_value == 14.0
         goes_on(participant, running)
 
-    # A whole number is taken as the number it is.
+    # An integer is accepted for a float.
     assert participant.set_parameter("fasmc_node", "k", 13).successful
     assert participant.get_parameter("fasmc_node", "k").double_value == 13.0
     goes_on(participant, running)
 
 
-def test_the_estimator_may_go_and_come_back_and_every_node_ends_cleanly(running, participant, graph, spec_file):
-    diagnostics = participant.collect(DiagnosticArray, "/diagnostics")
+def the_estimator_may_go_and_come_back(running, participant, diagnostics, graph, spec):
     participant.until(lambda: not running[-1].friction_fallback)
     graph.stop("friction_estimator_node")
     participant.until(lambda: running[-1].friction_fallback)
     goes_on(participant, running)
     participant.until(lambda: any("Stribeck" in status.message for array in diagnostics for status in array.status))
-    graph.start("friction_estimator_node", spec=spec_file(duration=1000.0))
+    graph.start("friction_estimator_node", spec=spec)
     participant.until(lambda: not running[-1].friction_fallback)
     goes_on(participant, running)
-
-    for name in (*NODES, "plant_sim_node"):
-        assert graph.stop(name) == 0, graph.log(name)
-        assert "Traceback" not in graph.log(name)
 
 
 class Box:
@@ -117,7 +125,7 @@ def test_in_real_time_an_estimate_that_stays_away_is_waited_for_no_longer_than_f
     node._answer = lambda state: answers.append((clock.now, state[1]))
 
     def wait(seconds):
-        """Let time go on, to the next snapshot at most: one comes every period, as from a plant that waits for nobody."""
+        """Advance the time, at most to the next snapshot: one arrives every period, whether answered or not."""
         cycle = round(clock.now / period)
         clock.now = min(clock.now + seconds, (cycle + 1) * period)
         node.states.messages.append((0, cycle))

@@ -1,4 +1,4 @@
-"""Nodes declare their parameters with unit, range and help, and refuse wrong configuration."""
+"""Nodes declare their parameters with unit, range and help, and refuse a wrong configuration."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""In realtime every node asks for its priority, and nobody waits for a receiver that ordinary work holds up."""
+"""In realtime every node requests its priority, and receiver threads are never held up by normal work."""
 
 import os
 from pathlib import Path
@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import load_spec
-from ehls_ros.hardware.realtime import LOWEST, preferring_what_starts, threads
+from ehls_ros.hardware.realtime import preferring_what_starts, threads
 from ehls_ros.nodes.graph import REALTIME_PRIORITY, SIMULATED, node_parameters
 
 PRIORITY = 7
@@ -31,7 +31,7 @@ needs_permission = pytest.mark.skipif(not permitted(), reason="needs SCHED_FIFO 
 
 
 def priorities(process: int) -> dict[str, set[tuple[int, int]]]:
-    """Return scheduling class and priority of the middleware's threads, the loop's and the others of a process."""
+    """Return scheduling class and priority of a process's threads: the middleware's, the loop's and others."""
     found: dict[str, set[tuple[int, int]]] = {"middleware": set(), "loop": set(), "others": set()}
     for task in Path(f"/proc/{process}/task").iterdir():
         middleware = (task / "comm").read_text().startswith("dds.")
@@ -42,26 +42,26 @@ def priorities(process: int) -> dict[str, set[tuple[int, int]]]:
 
 
 @pytest.mark.parametrize(("timing", "asked"), [("realtime", REALTIME_PRIORITY), ("lockstep", None)])
-def test_an_experiment_asks_for_the_priority_of_all_its_nodes(spec_file, tmp_path, timing, asked):
+def test_an_experiment_requests_the_priority_for_all_its_nodes(spec_file, tmp_path, timing, asked):
     folder = RunFolder.create(tmp_path / "run", "run", overwrite=False)
     parameters = node_parameters(load_spec(spec_file()), SIMULATED, folder, timing, "mcap")
     assert len(parameters) == 6
     assert {own.get("priority") for own in parameters.values()} == {asked}
 
 
+# test_realtime_citizens.py shows the priorities of a background node.
 @needs_permission
-@pytest.mark.parametrize(("node", "loop"), [("friction_estimator_node", PRIORITY), ("reference_node", LOWEST)])
-def test_a_loop_nobody_waits_for_goes_behind_but_its_receivers_do_not(graph, participant, spec_file, node, loop):
-    process = graph.start(node, spec=spec_file(), timing="realtime", priority=PRIORITY)
+def test_a_loop_that_answers_and_its_receivers_have_the_priority(graph, participant, spec_file):
+    process = graph.start("friction_estimator_node", spec=spec_file(), timing="realtime", priority=PRIORITY)
     heard = participant.collect(DiagnosticArray, "/diagnostics")
     participant.until(lambda: any(status.message == "running" for array in heard for status in array.status), 120.0)
     found = priorities(process.pid)
     assert found["middleware"] == {(os.SCHED_FIFO, PRIORITY)}
-    assert found["loop"] == {(os.SCHED_FIFO, loop)}
+    assert found["loop"] == {(os.SCHED_FIFO, PRIORITY)}
 
 
 @needs_permission
-def test_only_the_receivers_of_whoever_looks_on_are_preferred():
+def test_of_an_observer_only_the_receivers_get_priority():
     script = threads()
     with preferring_what_starts(PRIORITY):
         import rclpy

@@ -1,4 +1,4 @@
-"""Realtime nodes take no more of the machine than they need: little memory, and no processor for themselves."""
+"""Realtime nodes take no more of the machine than they need: little memory, and no processor to themselves."""
 
 import os
 import subprocess
@@ -14,12 +14,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from test_priorities import PRIORITY, needs_permission, priorities
 
 from ehls_msgs.msg import LoaderState, ValveCommand
-from ehls_ros.hardware.realtime import Part, memory
+from ehls_ros.hardware.realtime import LOWEST, Part, memory
 
 OVERLOADED = Path(__file__).resolve().parents[2] / "benchmarks" / "realtime_citizens.py"
 
 MEMORY = 200.0
-"""Most that a node may lock, and have in memory [MiB]."""
+"""Most memory a node may lock, and have resident [MiB]."""
 
 
 def memory_of(process: int, key: str) -> float:
@@ -28,7 +28,7 @@ def memory_of(process: int, key: str) -> float:
 
 
 @needs_permission
-def test_a_node_locks_what_it_uses_and_not_what_it_reserves(graph, participant, spec_file):
+def test_a_background_node_locks_only_the_memory_it_uses_and_only_its_loop_has_lower_priority(graph, participant, spec_file):
     process = graph.start("reference_node", spec=spec_file(), timing="realtime", priority=PRIORITY)
     heard = participant.collect(DiagnosticArray, "/diagnostics")
     participant.until(lambda: any(status.message == "running" for array in heard for status in array.status), 120.0)
@@ -37,10 +37,13 @@ def test_a_node_locks_what_it_uses_and_not_what_it_reserves(graph, participant, 
     assert resident < MEMORY
     values = {value.key for array in heard for status in array.status for value in status.values}
     assert not any(key.startswith("not_permitted") for key in values)
+    found = priorities(process.pid)
+    assert found["middleware"] == {(os.SCHED_FIFO, PRIORITY)}
+    assert found["loop"] == {(os.SCHED_FIFO, LOWEST)}
 
 
 @needs_permission
-def test_an_overloaded_loop_gives_its_priority_back(graph, participant):
+def test_an_overloaded_loop_gives_up_its_priority(graph, participant):
     heard = participant.collect(DiagnosticArray, "/diagnostics")
     process = graph.run("overloaded", [str(OVERLOADED), "--be-overloaded", "--ros-args", "-p", f"priority:={PRIORITY}"])
     participant.until(lambda: any("processor_share is 90 %" in s.message for array in heard for s in array.status), 60.0)
@@ -64,7 +67,7 @@ def test_frugality_does_not_keep_threads_from_working():
 
 
 class SlowController:
-    """Answers the newest snapshot with a valve that is closed, long after it came."""
+    """Answers the newest snapshot late, with a closed valve."""
 
     DELAY = 0.004
 
@@ -105,7 +108,7 @@ def test_a_simulated_rig_waits_for_a_controller_that_is_too_slow_and_says_so(gra
     assert float(slow["cycles_per_second_reached"]) < 0.9 * float(slow["cycles_per_second_asked"])
     until(lambda: int(figures(heard)[-1]["cycle"]) > int(slow["cycle"]) + 200)
     later = figures(heard)[-1]
-    # A command that is held for a cycle or two was a late one; now each cycle waits for its own.
+    # From now on each cycle waits for its own command, so hardly any is missed.
     assert int(later["missed"]) - int(slow["missed"]) < 0.1 * (int(later["cycle"]) - int(slow["cycle"]))
     assert float(later["slipped_s"]) > float(slow["slipped_s"])
     assert "tripped" not in later["message"]

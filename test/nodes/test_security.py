@@ -1,4 +1,4 @@
-"""The security policy covers the graph as it is, and a node keeps to this host unless told otherwise."""
+"""The security policy matches the graph, and a node stays on this host unless told otherwise."""
 
 import os
 import signal
@@ -25,7 +25,7 @@ Rights = dict[str, set[str]]
 
 
 def policy() -> dict[str, Rights]:
-    """Return the full names of what each node may publish, subscribe, reply and request."""
+    """Return what each node may publish, subscribe, reply and request, by full names."""
     rights: dict[str, Rights] = {}
     for profile in ET.parse(POLICY).iter("profile"):
         name, namespace = profile.attrib["node"], profile.attrib["ns"]
@@ -63,7 +63,7 @@ def test_every_topic_has_its_publishers_and_the_recorder():
         assert any(topic.resolve() in rights[name]["publish"] for name in NODES)
 
 
-def test_only_controllers_command_the_valve_and_only_a_rig_opens_a_cycle():
+def test_only_controllers_command_the_valve_and_only_plant_nodes_open_a_cycle():
     rights = policy()
 
     def publishers(topic: str) -> set[str]:
@@ -75,7 +75,7 @@ def test_only_controllers_command_the_valve_and_only_a_rig_opens_a_cycle():
     assert all("/ehls/enable" in rights[name]["reply"] for name in PLANTS.values())
 
 
-def test_the_nodes_do_nothing_the_policy_does_not_allow(graph, participant, spec_file, tmp_path: Path):
+def test_the_nodes_stay_within_the_policy(graph, participant, spec_file, tmp_path: Path):
     from lifecycle_msgs.msg import Transition
     from lifecycle_msgs.srv import ChangeState
 
@@ -91,7 +91,7 @@ def test_the_nodes_do_nothing_the_policy_does_not_allow(graph, participant, spec
     for name in NODES:
         follows = CONTROLLERS.load(name.removesuffix("_node")).FOLLOWS if name[:-5] in CONTROLLERS.names() else "force"
         more = {"bag": tmp_path / "bag"} if name == "recorder_node" else {}
-        # Configured, a node has all it sends and hears; none has to run for that.
+        # A configured node has all its topics and services.
         graph.start(name, spec=spec if follows == "force" else position, autostart=False, **more)
     for name in NODES:
         configure = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
@@ -110,7 +110,7 @@ def test_the_nodes_do_nothing_the_policy_does_not_allow(graph, participant, spec
             }
             return {found for found, _ in asked[right](name, "/ehls")}
 
-        # What is discovered comes bit by bit: a node is seen whole once its topic of the cycle is seen.
+        # Discovery is gradual: a node is complete once its control-path topic is known.
         participant.until(lambda used=used: any(topic in used("publish") | used("subscribe") for topic in known))
         participant.until(lambda used=used, name=name: f"/ehls/{name}/get_state" in used("reply"))
         for right in KINDS:
@@ -141,7 +141,7 @@ def test_a_node_listens_to_other_hosts_only_when_told_to(ros_domain_id: int, ran
     )
     try:
         assert any(line.rstrip().endswith("up") for line in node.stdout)
-        # Where DDS looks for participants by multicast.
+        # The port of DDS's multicast discovery.
         assert (7400 + 250 * ros_domain_id in udp_ports(node.pid)) is found
     finally:
         node.send_signal(signal.SIGINT)

@@ -1,4 +1,4 @@
-"""A node that is shut down as the lifecycle knows it: finalized, silent, and not to be woken."""
+"""A node after the lifecycle's shutdown: finalized, silent, and not to be reactivated."""
 
 import pytest
 
@@ -19,7 +19,7 @@ TOPICS = {
 }
 
 
-def test_a_node_that_is_shut_down_while_active_publishes_no_more(graph, participant, spec_file):
+def test_a_node_shut_down_while_active_stops_publishing(graph, participant, spec_file):
     spec = spec_file(duration=1000.0)
     for name in TOPICS:
         graph.start(name, spec=spec, timing="lockstep")

@@ -1,4 +1,4 @@
-"""Two rigs on one machine and in one ROS domain, a namespace each: neither hears the other."""
+"""Two rigs on one machine in one ROS domain, each in its own namespace, do not affect each other."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from ehls_ros.nodes.transport import DEPTH, RECORDER_DEPTH, control_qos
 NODES = ("reference_node", "disturbance_node", "sic_node", "plant_sim_node")
 AMPLITUDES = {"ehls": 1.0e4, "rig2": 4.0e3}
 CYCLES = {"ehls": 750, "rig2": 600}
-"""Other numbers, so that the rigs' times go apart; no more than writers keep, so that a listener who comes late misses none."""
+"""Different numbers, so that the rigs' times differ; no more than writers keep, so that a late listener misses none."""
 
 
 @pytest.fixture
@@ -50,11 +50,11 @@ TOPICS = {
     "force_reference": (ForceReference, "force", "force_reference_n"),
     "valve_command": (ValveCommand, "spool", "valve_command_m"),
 }
-"""Message, field, and the signal it is."""
+"""Message, field and signal by topic."""
 
 
 def listen(participant, topic, kind):
-    """Return the messages of a topic, all of them."""
+    """Return a list that collects all messages of a topic."""
     received = []
     participant.node.create_subscription(kind, topic, received.append, control_qos(RECORDER_DEPTH))
     return received
@@ -66,7 +66,7 @@ def test_two_rigs_in_lockstep_do_not_hear_each_other(graph, participant, specs):
         rig: {topic: listen(participant, f"/{rig}/{topic}", kind) for topic, (kind, *_) in TOPICS.items()} for rig in CYCLES
     }
     diagnostics = participant.collect(DiagnosticArray, "/diagnostics")
-    # Compiled here once, not by every node at the same time.
+    # Compile here once instead of in every node at the same time.
     spec = load_spec(specs["ehls"])
     simulator_of(spec)
     Controller("sic", spec.controller.parameters, model_of(spec.controller_rig, spec.settings.control_period))
@@ -78,11 +78,11 @@ def test_two_rigs_in_lockstep_do_not_hear_each_other(graph, participant, specs):
     participant.until(lambda: all(t and t[-1].cycle >= end for t, end in zip(topics, last, strict=True)))
 
     for rig, path in specs.items():
-        wanted = run_in_process(load_spec(path))
+        expected = run_in_process(load_spec(path))
         for topic, (_, field, signal) in TOPICS.items():
             messages = heard[rig][topic][: CYCLES[rig]]
             assert [message.cycle for message in messages] == list(range(CYCLES[rig])), (rig, topic)
-            assert np.array_equal([getattr(message, field) for message in messages], wanted[signal]), (rig, topic)
+            assert np.array_equal([getattr(message, field) for message in messages], expected[signal]), (rig, topic)
         senders = {message.header.frame_id.rpartition("-")[0] for message in heard[rig]["valve_command"]}
         assert senders == {f"/{rig}/sic_node"}
 
@@ -92,6 +92,6 @@ def test_two_rigs_in_lockstep_do_not_hear_each_other(graph, participant, specs):
     def told():
         return {status.name: status.hardware_id for array in diagnostics for status in array.status}
 
-    # Once a second, and from the plants after their last cycle as well: the cycles may all be over before that.
+    # Published once per second, by the plants even after their last cycle.
     participant.until(lambda: len(told()) >= len(tellers))
     assert told() == tellers

@@ -1,7 +1,7 @@
 """What a verb's file provides: ``HELP``, ``arguments(parser)`` and ``run(options)``.
 
-``run`` returns the exit code: 0 done, 1 the work failed. It raises ``BadInput`` for a user's mistake, which
-the command turns into one line and exit code 2.
+``run`` returns the exit code: 0 done, 1 the work failed. It raises ``BadInput`` for a user's mistake; the command
+prints it as one line and exits with code 2.
 """
 
 from argparse import ArgumentParser, Namespace
@@ -9,7 +9,7 @@ from typing import Protocol
 
 
 class Verb(Protocol):
-    """The attributes of one verb's file."""
+    """What a verb's file provides."""
 
     HELP: str
 

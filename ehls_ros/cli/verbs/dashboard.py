@@ -1,4 +1,4 @@
-"""`ehls dashboard`: a live page on the running graph."""
+"""`ehls dashboard`: a live page of the running graph."""
 
 import os
 import threading
@@ -8,7 +8,7 @@ from pathlib import Path
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import load_spec
 
-HELP = "Show a running graph in the browser, live: signals, parameters, start and stop, recording, emergency stop."
+HELP = "Show a running graph live in the browser: signals, parameters, start and stop, recording, emergency stop."
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -16,17 +16,17 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--spec",
         type=Path,
-        help="experiment file to start a graph for, in a domain of its own unless ROS_DOMAIN_ID is set (default: join)",
+        help="experiment file to start, in a domain of its own unless ROS_DOMAIN_ID is set (default: join a running graph)",
     )
-    parser.add_argument("--namespace", default="ehls", help="namespace of the rig, where there are several (default: ehls)")
+    parser.add_argument("--namespace", default="ehls", help="namespace of the rig (default: ehls)")
     parser.add_argument(
-        "--host", default="127.0.0.1", help="address to serve at; other than this machine's own, reading needs the token too"
+        "--host", default="127.0.0.1", help="address to serve on; from other machines, reading needs the token too"
     )
-    parser.add_argument("--port", type=int, default=8766, help="port to serve at; 0: any that is free (default: 8766)")
+    parser.add_argument("--port", type=int, default=8766, help="port to serve on; 0: any free port (default: 8766)")
 
 
 def run(options: Namespace) -> int:
-    """Serve until Ctrl-C; then end everything that was started from the page."""
+    """Serve until Ctrl-C; then stop everything started from the page."""
     spec = load_spec(options.spec) if options.spec is not None else None
     try:
         from ehls_ros.dashboard.server import listening, serve
@@ -61,7 +61,7 @@ def run(options: Namespace) -> int:
 
 
 def _say_where(address: str, where: str) -> None:
-    _tell(f"{address}\n{where}; Ctrl-C ends the dashboard and what it started")
+    _tell(f"{address}\n{where}; Ctrl-C stops the dashboard and everything it started")
 
 
 def _tell(text: str) -> None:

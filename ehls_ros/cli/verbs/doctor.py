@@ -1,4 +1,4 @@
-"""`ehls doctor`: look whether everything is there that a run needs, and say what to do where it is not."""
+"""`ehls doctor`: check that everything a run needs is there, and say what to do if not."""
 
 import json
 from argparse import ArgumentParser, Namespace
@@ -16,19 +16,19 @@ COLOURS = {"ok": "green", "note": "yellow", "problem": "red"}
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--clean", action="store_true", help="first remove what killed processes left in shared memory")
+    parser.add_argument("--clean", action="store_true", help="first remove shared memory left by killed processes")
     parser.add_argument("--json", action="store_true", help="end with one line of JSON: every finding")
 
 
 def run(options: Namespace) -> int:
-    """Look, and return 1 where something will not work."""
+    """Run the checks; return 1 if something will not work."""
     if options.clean:
         left = leftovers()
         for file in left:
             file.unlink(missing_ok=True)
         print(f"removed {len(left)} files from shared memory")
     console = Console()
-    with console.status("looking"):
+    with console.status("checking"):
         findings = [check() for check in CHECKS]
     console.print(_table(findings))
     if options.json:

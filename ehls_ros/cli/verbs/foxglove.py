@@ -1,4 +1,4 @@
-"""`ehls foxglove`: stream data and simulations to Foxglove."""
+"""`ehls foxglove`: stream recordings and simulations to Foxglove."""
 
 import signal
 import threading
@@ -19,10 +19,10 @@ from ehls_ros.recording.topics import NAMESPACE, Topic
 if TYPE_CHECKING:
     from ehls_ros.report.foxglove import Source
 
-HELP = "Stream a recording, a simulation, or both on one clock to Foxglove; no ROS is needed."
+HELP = "Stream a recording, a simulation, or both on one clock to Foxglove, without ROS."
 
 SIMULATED = "/sim"
-"""Namespace of what is simulated beside a recording or alone."""
+"""Namespace of the simulation."""
 
 LARGEST_RATE = 100.0
 
@@ -30,11 +30,11 @@ LARGEST_RATE = 100.0
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("data", type=Path, nargs="?", help="bag folder, .mcap, .db3, .csv or the folder of a run; on /ehls/...")
-    parser.add_argument("--columns", type=Path, help="YAML that maps the data's own column names and units")
+    parser.add_argument("--columns", type=Path, help="YAML file that maps the data's column names and units")
     parser.add_argument("--simulate", type=Path, metavar="SPEC", help="experiment file to simulate as it plays; on /sim/...")
-    parser.add_argument("--rate", type=float, default=1.0, help="seconds of the data in one second (default: 1)")
-    parser.add_argument("--host", default="127.0.0.1", help="address to serve at (default: 127.0.0.1, this machine alone)")
-    parser.add_argument("--port", type=int, default=8765, help="port to serve at; 0: any that is free (default: 8765)")
+    parser.add_argument("--rate", type=float, default=1.0, help="playback speed: seconds of data per second (default: 1)")
+    parser.add_argument("--host", default="127.0.0.1", help="address to serve on (default: 127.0.0.1, this machine only)")
+    parser.add_argument("--port", type=int, default=8765, help="port to serve on; 0: any free port (default: 8765)")
 
 
 def run(options: Namespace) -> int:
@@ -50,7 +50,7 @@ def run(options: Namespace) -> int:
         signal.signal(number, lambda *_: stopping.set())
     with FoxgloveServer(options.host, options.port, topics) as server:
         print(f"ws://{options.host}:{server.port}", flush=True)
-        print(f"{', '.join(topics)} in Foxglove: Open connection, Foxglove WebSocket, this address; Ctrl-C ends it", flush=True)
+        print(f"{', '.join(topics)}: in Foxglove, Open connection, Foxglove WebSocket, this address. Ctrl-C stops.", flush=True)
         serve(server, sources, options.rate, stopping)
     return 0
 
@@ -71,7 +71,7 @@ def _check(options: Namespace) -> None:
 
 
 def _sources(options: Namespace) -> tuple[list["Source"], dict[str, list[Topic]]]:
-    """Return what is streamed, and the topics it has by namespace."""
+    """Return what to stream, and its topics by namespace."""
     from ehls_ros.report.foxglove import Source, in_stretches, topics_of
 
     sources: list[Source] = []

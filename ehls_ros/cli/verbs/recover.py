@@ -1,4 +1,4 @@
-"""`ehls recover`: make a whole bag of one that was damaged or whose recorder died."""
+"""`ehls recover`: restore a bag that is damaged or whose recorder was killed."""
 
 import json
 from argparse import ArgumentParser, Namespace
@@ -10,21 +10,21 @@ from ehls_ros.recording.ledger import Range
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recovery import Recovery, recover
 
-HELP = "Make a whole bag of one that was damaged or whose recorder was killed: what is sound is kept, what is lost is told."
+HELP = "Restore a bag that is damaged or whose recorder was killed: intact messages are kept, lost ones are listed."
 
 LISTED = 5
-"""Ranges of lost messages that are listed of a topic."""
+"""Most ranges of lost messages listed per topic."""
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("bag", type=Path, help="folder of the bag or its storage file, under whatever name; it stays as it is")
+    parser.add_argument("bag", type=Path, help="folder of the bag, or its storage file under any name; it is not changed")
     parser.add_argument("--out", type=Path, help="folder of the new bag (default: <bag>_recovered)")
     parser.add_argument("--json", action="store_true", help="end with a line of JSON")
 
 
 def run(options: Namespace) -> int:
-    """Recover it."""
+    """Recover the bag."""
     bag: Path = options.bag
     name = bag.stem if bag.is_file() else bag.resolve().name
     out: Path = options.out or bag.with_name(f"{name}_recovered")
@@ -40,22 +40,22 @@ def run(options: Namespace) -> int:
 
 
 def told(recovery: Recovery, out: Path) -> list[str]:
-    """Say in lines what was recovered and what was lost.
+    """Return lines that list what was recovered and what was lost.
 
     Args:
-        recovery: what became of the bag.
+        recovery: result of the recovery.
         out: folder of the new bag.
     """
     lines = [f"{recovery.recovered} messages in {out}, {recovery.lost or 'none'} known to be lost"]
     for path, topic in recovery.topics.items():
         if topic.lost:
-            malformed = f", {topic.malformed} of them no messages of its type" if topic.malformed else ""
+            malformed = f", {topic.malformed} of them not of its type" if topic.malformed else ""
             lines.append(f"  {path}: {topic.lost} lost of {topic.recovered + topic.lost}{malformed}")
             lines += [f"    {_range(between)}" for between in topic.lost_between[:LISTED]]
             if len(topic.lost_between) > LISTED:
-                lines.append(f"    and {len(topic.lost_between) - LISTED} times more")
+                lines.append(f"    and {len(topic.lost_between) - LISTED} more gaps")
         if topic.unverified:
-            lines.append(f"  {path}: {topic.unverified} of {topic.recovered} are not verified, no checksum speaks of them")
+            lines.append(f"  {path}: {topic.unverified} of {topic.recovered} are not verified, as no checksum covers them")
     return [*lines, *(f"  {remark}" for remark in recovery.remarks)]
 
 

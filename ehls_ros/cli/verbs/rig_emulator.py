@@ -1,4 +1,4 @@
-"""`ehls rig-emulator`: a process that is the rig as seen from the wire."""
+"""`ehls rig-emulator`: a process that behaves as the rig does over UDP."""
 
 import json
 import signal
@@ -29,51 +29,51 @@ from ehls_ros.physics.rig import Rig, rig_to_mapping
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import parse
 
-HELP = "Be the rig as seen from the wire: plant, converters, sensors, UDP; for tests of the hardware bridge."
+HELP = "Emulate the rig over UDP: plant, converters and sensors; for tests of the hardware bridge."
 
 COMMAND_DELAY = "command_delay"
 
 ROUNDING = 1e-9
-"""A delay no longer than this is none [s]."""
+"""A delay up to this is taken as zero [s]."""
 
 PRIORITY = 40
-"""Of the loop in SCHED_FIFO, where that is permitted."""
+"""SCHED_FIFO priority of the loop, where permitted."""
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--rig", type=Path, help="rig file, in place of the spec's (default: rig_paper_measured.yaml)")
+    parser.add_argument("--rig", type=Path, help="rig file in place of the spec's (default: rig_paper_measured.yaml)")
     parser.add_argument("--spec", type=Path, help="experiment file: its rig, disturbance, period, initial position, oil, seed")
     parser.add_argument("--bridge", type=Path, help="bridge file with the udp backend (default: bridge_udp.yaml)")
-    parser.add_argument("--port", type=int, help="UDP port to listen at, in place of the bridge file's; 0: any")
-    parser.add_argument("--duration", type=float, help="plant time to run in s (default: until told to stop)")
-    parser.add_argument("--seed", type=int, help="seed of sensor noise and net, in place of the spec's")
-    parser.add_argument("--log", type=Path, help="CSV file that is written at the end: what really happened, cycle by cycle")
+    parser.add_argument("--port", type=int, help="UDP port to listen on in place of the bridge file's; 0: any free port")
+    parser.add_argument("--duration", type=float, help="plant time to run in s (default: until stopped)")
+    parser.add_argument("--seed", type=int, help="seed of sensor noise and network faults in place of the spec's")
+    parser.add_argument("--log", type=Path, help="CSV file of the true states, cycle by cycle, written at the end")
     parser.add_argument("--json", action="store_true", help="end with one line of JSON: counts and timing")
     parser.add_argument(
         "--disturb-at-once",
         action="store_true",
-        help="start the disturbance at once; by default some time after the first command that opens the valve",
+        help="start the disturbance at once instead of some time after the first command that opens the valve",
     )
     parser.add_argument(
-        "--disturb-after", type=float, default=1.0, help="that time in s; the gate blends in meanwhile (default: 1)"
+        "--disturb-after", type=float, default=1.0, help="that time in s, in which the gate blends in (default: 1)"
     )
     timing = parser.add_argument_group("timing")
-    timing.add_argument("--lockstep", action="store_true", help="wait in each cycle for the command that answers it")
+    timing.add_argument("--lockstep", action="store_true", help="in each cycle, wait for the command that answers it")
     timing.add_argument("--patience", type=float, default=30.0, help="longest wait in lockstep in s (default: 30)")
-    timing.add_argument("--priority", type=int, default=PRIORITY, help=f"of SCHED_FIFO; 0: do not ask (default: {PRIORITY})")
-    net = parser.add_argument_group("net", "what happens to packets, both ways")
-    net.add_argument("--latency-ms", type=float, default=0.0, help="time every packet takes")
-    net.add_argument("--jitter-ms", type=float, default=0.0, help="largest further time")
+    timing.add_argument("--priority", type=int, default=PRIORITY, help=f"SCHED_FIFO priority; 0: none (default: {PRIORITY})")
+    net = parser.add_argument_group("network", "faults of packets in both directions")
+    net.add_argument("--latency-ms", type=float, default=0.0, help="delay of every packet")
+    net.add_argument("--jitter-ms", type=float, default=0.0, help="largest random extra delay")
     for name in ("loss", "duplicate", "reorder", "corrupt"):
-        net.add_argument(f"--{name}", type=float, default=0.0, metavar="SHARE", help="share of packets, 0 to 1")
+        net.add_argument(f"--{name}", type=float, default=0.0, metavar="SHARE", help="fraction of packets, 0 to 1")
     parser.add_argument(
-        "--faults-from-stdin", action="store_true", help=f"for tests; a line each: {', '.join(FAULTS)}; see docs/hardware.md"
+        "--faults-from-stdin", action="store_true", help=f"for tests, one per line: {', '.join(FAULTS)}; see docs/hardware.md"
     )
 
 
 def run(options: Namespace) -> int:
-    """Run it."""
+    """Run the emulator."""
     bridge = _bridge(options)
     spec = _spec(options)
     seed = spec.settings.seed if options.seed is None else options.seed
@@ -157,7 +157,7 @@ def _spec(options: Namespace) -> Spec:
 
 
 def _without_own_delay(rig: Rig, period: float) -> Rig:
-    """Take the cycle that a command takes by itself here off the rig's delay, so that a spec means the same on every plant."""
+    """Subtract the one-cycle delay of the wire from the rig's own command delay, so a spec means the same on every plant."""
     effects = []
     for use in rig.effects:
         if use.name == COMMAND_DELAY:
@@ -173,7 +173,7 @@ def _impairments(options: Namespace) -> Impairments:
     shares = {name: getattr(options, name) for name in ("loss", "duplicate", "reorder", "corrupt")}
     impairments = parse(Impairments, values | shares, "command line")
     if options.lockstep and impairments != Impairments():
-        raise BadInput("a bad net was asked for", "command line", "--lockstep, or a bad net in real time")
+        raise BadInput("--lockstep with network faults", "command line", "--lockstep alone, or network faults in real time")
     return impairments
 
 
