@@ -1,12 +1,12 @@
 """Hidden cases against the diagnosis: how often it is right, how exact, how fast, and how simpler ways do on the same cases.
 
-    python benchmarks/diagnosis --cases 400 --jobs 2          # a fresh seed, which is printed
-    python benchmarks/diagnosis --seed 7                      # the same cases again, or the rest of them
-    python benchmarks/diagnosis --seed 7 --case 12 31         # two of them, with everything said of them
-    python benchmarks/diagnosis --summary runs/diagnosis-7.jsonl
-    python benchmarks/diagnosis --tune                        # the peers' thresholds, on seeds of their own
+    python -m benchmarks.diagnosis --cases 400 --jobs 2          # a fresh seed, which is printed
+    python -m benchmarks.diagnosis --seed 7                      # the same cases again, or the rest of them
+    python -m benchmarks.diagnosis --seed 7 --case 12 31         # two of them, with everything said of them
+    python -m benchmarks.diagnosis --summary runs/diagnosis-7.jsonl
+    python -m benchmarks.diagnosis --tune                        # the peers' thresholds, on seeds of their own
 
-The cases come from test/diagnosis/truth, which shares no code with ehls_ros. Every case is written as a line of JSON when it
+The cases come from truth_generator, which shares no code with ehls_ros. Every case is written as a line of JSON when it
 is done; a run that was broken off goes on where it was. `pip install 'ehls_ros[peers]'` gets pysindy, the peer that is not
 installed with ehls_ros.
 """
@@ -27,11 +27,11 @@ from multiprocessing import get_context  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any  # noqa: E402
 
-import cases  # noqa: E402
-import tables  # noqa: E402
-from judge import judge  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn  # noqa: E402
+
+from benchmarks.diagnosis import cases, tables  # noqa: E402
+from benchmarks.diagnosis.judge import judge  # noqa: E402
 
 WIDTH = 220
 """Of the tables where the output is no terminal."""
@@ -42,7 +42,7 @@ QUICK_CASES, QUICK_DURATION = 40, 20.0
 def arguments() -> argparse.Namespace:
     """Return the command line."""
     layout = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(prog="benchmarks/diagnosis", description=__doc__, formatter_class=layout)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.diagnosis", description=__doc__, formatter_class=layout)
     parser.add_argument("--cases", type=int, default=None, help="how many (400)")
     parser.add_argument("--seed", type=int, default=None, help="of the cases; a fresh one where none is given")
     parser.add_argument("--jobs", type=int, default=2, help="processes (%(default)s)")
@@ -110,7 +110,7 @@ def main() -> None:
         tables.show([row for path in options.summary for row in read(path)], console)
         return
     if options.tune:
-        from tune import tune  # noqa: PLC0415
+        from benchmarks.diagnosis.tune import tune  # noqa: PLC0415
 
         tune(console)
         return

@@ -4,7 +4,6 @@ A case is a function of the run's seed and its number alone, however many cases 
 """
 
 import hashlib
-import sys
 import time
 import traceback
 from collections.abc import Mapping
@@ -16,17 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
+from ehls_ros.diagnosis.diagnose import diagnose
+from ehls_ros.diagnosis.result import Diagnosis
+from ehls_ros.physics.rig import Rig, rig_from_mapping
+from ehls_ros.trajectory import Trajectory
+from truth_generator import LISTED, OUTSIDE, Recording, draw_effect, record
+from truth_generator.visibility import against, background
+
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "test" / "diagnosis"))
-
-from truth import LISTED, OUTSIDE, Recording, draw_effect, record  # noqa: E402
-from truth.visibility import against, background  # noqa: E402
-
-from ehls_ros.diagnosis.diagnose import diagnose  # noqa: E402
-from ehls_ros.diagnosis.result import Diagnosis  # noqa: E402
-from ehls_ros.physics.rig import Rig, rig_from_mapping  # noqa: E402
-from ehls_ros.trajectory import Trajectory  # noqa: E402
-
 RIG = ROOT / "config" / "rig_paper_measured.yaml"
 KINDS = ("singles", "pairs", "nothing", "outside")
 ORDER = "sopsnsosnspsosnspsop"
@@ -167,7 +163,7 @@ def run(seed: int, number: int, duration: float, with_peers: bool) -> dict[str, 
         row["ours"] = told(diagnose(trajectory, rig(), "case", seed=number, threads=1))
         if with_peers:
             # Only here: they look inside the package, and may come later than a change of it.
-            from peers import PEERS, problem_of  # noqa: PLC0415
+            from benchmarks.diagnosis.peers import PEERS, problem_of  # noqa: PLC0415
 
             problem = problem_of(trajectory, rig())
             for name, peer in PEERS.items():

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from cases import rig_file
+from benchmarks.diagnosis.cases import rig_file
 
 Sizes = Mapping[str, Any]
 Values = Mapping[str, list[float]]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from ehls_ros.diagnosis.evidence import Evidence
+from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.record import (
     COMMAND,
     LOAD,
@@ -96,7 +96,7 @@ def problem_of(trajectory: Trajectory, rig: Rig) -> Problem:
     """Return residuals and library of a recording with all signals of the data contract."""
     began = time.perf_counter()
     record = prepare(trajectory, rig, "case")
-    evidence = Evidence(record, rig, setup(record, rig), 0)
+    evidence = gather(record, rig, setup(record, rig), 0)
     terms = library(evidence, rig)
     return Problem(
         {c: evidence.base.values[c] for c in evidence.channels},
@@ -260,7 +260,7 @@ def lines(evidence: Evidence, count: int) -> list[float]:
     """Return the strongest frequencies of the force residual [Hz]."""
     if "force" not in evidence.channels:
         return []
-    e, t = np.clip(evidence.base.values["force"], -20.0, 20.0), evidence.times("force")
+    e, t = np.clip(evidence.base.values["force"], -20.0, 20.0), evidence.times["force"]
     step = float(np.median(np.diff(t)))
     even = np.interp(np.arange(t[0], t[-1], step), t, e)
     spectrum = np.abs(np.fft.rfft((even - even.mean()) * np.hanning(len(even)), 8 * len(even)))

@@ -5,10 +5,11 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from cases import EXPERIMENTS, KINDS
-from judge import Judgement, Row, judge, peer_right, strength
 from rich.console import Console
 from rich.table import Table
+
+from benchmarks.diagnosis.cases import EXPERIMENTS, KINDS
+from benchmarks.diagnosis.judge import Judgement, Row, judge, peer_right, strength
 
 BINS = (0.0, 1.3, 2.0, 4.0, 8.0, 16.0, 32.0, 100.0, np.inf)
 """Edges of the effects' visibility."""
@@ -35,6 +36,7 @@ def show(rows: Sequence[Row], console: Console) -> None:
     console.print(by_experiment(judged))
     console.print(by_effect(judged))
     console.print(confusions(judged))
+    console.print(not_there(judged))
     console.print(failures(judged))
 
 
@@ -55,7 +57,7 @@ def _verdict(good: bool) -> str:
 
 
 def headline(judged: Judged, of: dict[str, Judged]) -> Table:
-    """Return the issue's marks."""
+    """Return the results against the marks to be met."""
     table = Table(title="against the marks", title_justify="left")
     for column in ("", "mark", "strict", "", "lenient"):
         table.add_column(column, justify="left")
@@ -68,6 +70,9 @@ def headline(judged: Judged, of: dict[str, Judged]) -> Table:
     row("  by its own name, nothing beside it", "", [j.exact for _, j in single], [], None, None)
     row("pair: both named", "≥ 85 %", [j.right for _, j in pair], [j.lenient for _, j in pair], 0.85, None)
     row("  by their own names, nothing beside them", "", [j.exact for _, j in pair], [], None, None)
+    for kind, cases in (("single", single), ("pair", pair)):
+        beside = [bool(j.not_there) for _, j in cases]
+        row(f"{kind}: a true cause and one that is not there", "", beside, [], None, None)
     alarms = [not j.right for _, j in nothing]
     row("nothing hidden: false alarms", "≤ 1 %", alarms, alarms, None, 0.01)
     right, lenient = [j.right for _, j in outside], [j.lenient for _, j in outside]
@@ -190,6 +195,19 @@ def confusions(judged: Judged) -> Table:
     counts = Counter((" + ".join(r.get("hidden", {})) or "nothing", j.what) for r, j in judged if not j.right)
     for (hidden, said), count in counts.most_common():
         table.add_row(hidden, said, str(count))
+    return table
+
+
+def not_there(judged: Judged) -> Table:
+    """Return the cases in which a true cause is named together with one that is not there."""
+    table = Table(title="a true cause named with one that is not there", title_justify="left")
+    for column in ("case", "experiment", "hidden (visibility by stage)", "not there", "detail"):
+        table.add_column(column, overflow="fold")
+    for r, j in judged:
+        if j.not_there:
+            table.add_row(
+                f"{r['seed']}:{r['number']}", r.get("experiment", "?"), hidden_text(r), " + ".join(j.not_there), detail(r)
+            )
     return table
 
 

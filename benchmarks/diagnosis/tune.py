@@ -2,14 +2,14 @@
 
 from typing import Any
 
-import cases
 import numpy as np
-from judge import Row, peer_right
-from peers import STLSQ, Path, Problem, bic, paths, problem_of, stlsq
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from benchmarks.diagnosis import cases
+from benchmarks.diagnosis.judge import Row, peer_right
+from benchmarks.diagnosis.peers import STLSQ, Path, Problem, bic, paths, problem_of, stlsq
 from ehls_ros.trajectory import Trajectory
 
 SEED, CASES = 990_001, 60

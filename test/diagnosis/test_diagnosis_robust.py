@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from test_hidden_effects import CONFIDENT, class_of, told
-from truth import degrade
 
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import rig_from_mapping
+from truth_generator import degrade
 
 DURATION = 10.0
 HIDDEN = {"coulomb_shift": {"offset": 250.0}}

@@ -7,8 +7,9 @@ import os
 
 import numpy as np
 import pytest
-from truth import LISTED, OUTSIDE, draw_effect, record
-from truth.visibility import against, background
+
+from truth_generator import LISTED, OUTSIDE, draw_effect, record
+from truth_generator.visibility import against, background
 
 DURATION = 12.0
 FRESH_DURATION = 15.0

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import yaml
 from scipy.integrate import solve_ivp, trapezoid
-from truth import experiments, kernel, record
-from truth.effects import EFFECTS
-from truth.recording import nominal_sizes
-from truth.visibility import leftovers
+
+from truth_generator import experiments, kernel, record
+from truth_generator.effects import EFFECTS
+from truth_generator.recording import nominal_sizes
+from truth_generator.visibility import leftovers
 
 CONFIG = Path(__file__).parents[2] / "config"
 RIG = yaml.safe_load((CONFIG / "rig_paper_measured.yaml").read_text(encoding="utf-8"))

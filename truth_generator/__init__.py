@@ -3,7 +3,7 @@
 Nothing here comes from `ehls_ros`: own equations, own integrator, own reading of what each effect's name means. With nothing
 hidden a recording is the rig file's model, to numerical precision, plus the sensors' noise.
 
-    from truth import draw_effect, record
+    from truth_generator import draw_effect, record
     sizes = draw_effect("valve_dead_zone", rng, rig)
     r = record(rig, {"valve_dead_zone": sizes}, "rich", seed=1)
     r.time, r.columns["spool_m"], r.truth["natural"]["valve_dead_zone"]["positive"]

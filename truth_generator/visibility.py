@@ -139,7 +139,6 @@ def visibility(
     rig: Mapping[str, Any], effects: Mapping[str, Mapping[str, Any]], experiment: str, *, seed: int, duration: float = 60.0
 ) -> dict[str, float]:
     """Return by stage how large the effects' part of the leftovers is in units of the noise's part, both as rms."""
-
     without = background(rig, experiment, seed=seed, duration=duration)
     return against(without, rig, record(rig, effects, experiment, seed=seed, duration=duration, noise=0.0))
 
