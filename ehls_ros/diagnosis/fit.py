@@ -41,7 +41,7 @@ class Fit(NamedTuple):
     @property
     def costly(self) -> bool:
         """Whether each derivative needs a simulation of a separate load."""
-        return any(c.parts_load for c in self.hypothesis)
+        return any(c.separates_load for c in self.hypothesis)
 
     def negligible(self, total: float, windows: int) -> float:
         """Return the decrease below which the fit has settled [nats].
@@ -103,7 +103,7 @@ class Worker:
         They come from a fit to a few blocks; the other causes have already been fitted to the complete recording.
         """
         hypothesis, rig = fit.hypothesis, self.evidence.rig
-        if self.subset is None or not hypothesis[-1].parts_load:
+        if self.subset is None or not hypothesis[-1].separates_load:
             return values
         found = self.subset.fit(self.subset.linearise(hypothesis, values, fit.steps)).values
         channels = self.evidence.channels

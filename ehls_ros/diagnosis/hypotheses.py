@@ -42,7 +42,7 @@ class Candidate(NamedTuple):
     neutral: Array
 
     @property
-    def parts_load(self) -> bool:
+    def separates_load(self) -> bool:
         """Whether this separates the load from the piston; a rig can have only one such effect."""
         return self.use(self.starts[-1]).piston_share > 0.0
 

@@ -118,7 +118,7 @@ def _fitted(
 
     def go(worker: Worker, pair: tuple[Start, Fit]) -> Fit:
         start, after = pair
-        if after is not start.fit and after.costly and not after.hypothesis[-1].parts_load:
+        if after is not start.fit and after.costly and not after.hypothesis[-1].separates_load:
             return worker.fit(after, fresh=start.fit)
         return worker.fit(worker.linearise_again(start.fit, worker.closer(start.fit, after.values)))
 

@@ -69,7 +69,7 @@ class Starts:
         least += member.fit.loss - predicted_loss(member.fit)
         for other in [*self.beside(member), *self._at_lines(member)]:
             (cause,) = other.hypothesis
-            if cause.name in member.names or (cause.parts_load and any(c.parts_load for c in member.hypothesis)):
+            if cause.name in member.names or (cause.separates_load and any(c.separates_load for c in member.hypothesis)):
                 continue
             start = combined(evidence, member.fit, other)
             key = cause.name, cause.number

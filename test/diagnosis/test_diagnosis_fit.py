@@ -104,7 +104,7 @@ def test_a_cause_starts_otherwise_beside_what_hid_it(recorded, rig):
 
 def test_derivatives_follow_a_step_without_being_evaluated_again(recorded, rig):
     worker, found = worker_of(recorded, rig, {"hinge_backlash": {"gap": 3e-4}})
-    play = next(c for c in found.values() if c.name == "hinge_backlash" and c.parts_load)
+    play = next(c for c in found.values() if c.name == "hinge_backlash" and c.separates_load)
     begin = worker.linearise((play,), play.starts[-1])
     moved = np.clip(begin.values * 1.02, play.lower, play.upper)
     errors = worker.residuals(extended(worker.evidence.rig, (play,), moved), begin.residuals)
