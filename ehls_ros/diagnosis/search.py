@@ -176,14 +176,19 @@ def _exchanged(
         without = _without(evidence, pool, best, index, alone.without)
         return Place(without, tuple(_fitted(evidence, pool, starts.extensions(without), rival=best)))
 
-    for _ in range(rules.MOST_EXCHANGES):
-        keys = [frozenset((c.name, c.number) for c in best.hypothesis if c is not gone) for gone in best.hypothesis]
+    visited = set[frozenset[tuple[str, int]]]()
+    for exchanges in range(rules.MOST_EXCHANGES + 1):
+        visited.add(_key(best.hypothesis))
+        keys = [_key([c for c in best.hypothesis if c is not gone]) for gone in best.hypothesis]
         missing = [i for i, key in enumerate(keys) if key not in known]
         known.update(zip([keys[i] for i in missing], pool.lead(partial(place_of, best), missing), strict=True))
         places = tuple(Place(known[key].without, _ranked(known[key].rivals, scale)) for key in keys)
         scale = _inflation(evidence, [best, *[rival for place in places for rival in place.rivals]])
+        if exchanges == rules.MOST_EXCHANGES:
+            break
         simple = simpler(best, places, scale)
-        if simple is not None:
+        # A simpler hypothesis that was exchanged for this one is not returned to.
+        if simple is not None and _key(simple.hypothesis) not in visited:
             best = simple
             continue
         better = [place.without for place in places if not accepted(evidence, best, place.without, scale)]
@@ -196,6 +201,10 @@ def _exchanged(
             break
         best = max(better, key=lambda j: j.score(scale))
     return best, places
+
+
+def _key(hypothesis: Sequence[Candidate]) -> frozenset[tuple[str, int]]:
+    return frozenset((c.name, c.number) for c in hypothesis)
 
 
 def simpler(best: Assessment, places: Sequence[Place], scale: Mapping[Channel, float]) -> Assessment | None:

@@ -8,6 +8,7 @@ import pytest
 from plain_evidence import MASS, SIZE, VISCOUS, assessed, candidate, evidence_of, linear_fit, nothing
 
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis import search as searching
 from ehls_ros.diagnosis.acceptance import accepted, corrects_form, mostly_in, relevance, shows
 from ehls_ros.diagnosis.evidence import Residuals
 from ehls_ros.diagnosis.fit import Fit
@@ -238,6 +239,35 @@ def test_fewer_parameters_are_preferred_where_little_is_lost(rival, behind, take
     best = scored((TWO,), 1000.0)
     other = scored((rival,), 1000.0 - behind)
     assert simpler(best, [Place(scored((), 0.0), (other,))], FORCE) is (other if taken else None)
+
+
+def exchanged(monkeypatch, best, alone, dropped=None):
+    """Exchange the causes of a hypothesis; of two, one may be dropped, and nothing else can take its place."""
+    monkeypatch.setattr(searching, "accepted", lambda evidence, more, less, scale: len(more.hypothesis) == 1)
+    monkeypatch.setattr(searching, "_without", lambda *given: dropped)
+    monkeypatch.setattr(searching, "_fitted", lambda *given, **named: [])
+    pool = SimpleNamespace(lead=lambda work, items: [work(item) for item in items])
+    starts = SimpleNamespace(extensions=lambda member: [])
+    return searching._exchanged(evidence_of({"force": np.zeros(12)}), pool, best, starts, alone, FORCE)
+
+
+def test_a_simpler_form_that_was_exchanged_is_not_returned_to(monkeypatch):
+    # The one is preferred as it is simpler, the other as it gains more.
+    full, simple = scored((TWO,), 1000.0), scored((ONE._replace(number=1),), 1000.0 - 0.5 * rules.NEEDED_GAIN)
+    alone = Place(scored((), 0.0), (full, simple))
+    for start in (full, simple):
+        best, places = exchanged(monkeypatch, start, alone)
+        assert best is full
+        assert places == (alone,)
+
+
+def test_places_are_those_of_the_hypothesis_when_the_rounds_are_used_up(monkeypatch):
+    monkeypatch.setattr(rules, "MOST_EXCHANGES", 1)
+    one = scored((VISCOUS,), 1000.0)
+    alone = Place(scored((), 0.0), (one,))
+    best, places = exchanged(monkeypatch, scored((VISCOUS, MASS), 990.0), alone, dropped=one)
+    assert best is one
+    assert places == (alone,)
 
 
 # -------------------------------------------------------------------------------------------------------------- threads
