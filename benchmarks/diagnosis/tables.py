@@ -12,13 +12,13 @@ from benchmarks.diagnosis.cases import EXPERIMENTS, KINDS
 from benchmarks.diagnosis.judge import Judgement, Row, judge, peer_right, strength
 
 BINS = (0.0, 1.3, 2.0, 4.0, 8.0, 16.0, 32.0, 100.0, np.inf)
-"""Edges of the effects' visibility."""
+"""Bin edges of the visibility."""
 
 Judged = list[tuple[Row, Judgement]]
 
 
 def show(rows: Sequence[Row], console: Console) -> None:
-    """Print everything there is to say of some rows."""
+    """Print all tables of some rows."""
     judged = [(row, judge(row)) for row in sorted(rows, key=lambda row: row["number"])]
     of = {kind: [(r, j) for r, j in judged if r["kind"] == kind] for kind in KINDS}
     sources = sorted({row["sources"] for row in rows})
@@ -27,7 +27,9 @@ def show(rows: Sequence[Row], console: Console) -> None:
         console.print("[bold]The package changed between these cases: run into a new file for numbers to publish.[/bold]")
     redrawn = sum(r.get("redrawn", 0) for r in rows)
     hopeless = sum(1 for r in rows if r.get("hidden") and strength(r) < BINS[1])
-    console.print(f"draws that would not have shown, made again: {redrawn}; still not showing: {hopeless}\n")
+    console.print(
+        f"draws repeated because an effect would not have shown: {redrawn}; cases that still do not show: {hopeless}\n"
+    )
     console.print(headline(judged, of))
     peers = peer_table(of)
     if peers is not None:
@@ -41,7 +43,7 @@ def show(rows: Sequence[Row], console: Console) -> None:
 
 
 def share(values: Sequence[bool]) -> str:
-    """Return a share in per cent, with the numbers it is made of."""
+    """Return a percentage with its counts."""
     return f"{100.0 * sum(values) / len(values):.1f} % ({sum(values)}/{len(values)})" if values else "–"
 
 
@@ -109,7 +111,7 @@ def headline(judged: Judged, of: dict[str, Judged]) -> Table:
 
 
 def peer_table(of: dict[str, Judged]) -> Table | None:
-    """Return ours beside the peers on the same cases; None where they did not run."""
+    """Return the comparison with the peers on the same cases; None if they did not run."""
     names = list(dict.fromkeys(name for js in of.values() for r, _ in js for name in r.get("peers", {})))
     if not names:
         return None
@@ -136,7 +138,7 @@ def peer_table(of: dict[str, Judged]) -> Table | None:
 
 
 def by_visibility(of: dict[str, Judged]) -> Table:
-    """Return how often effects of some size are noticed, and judged rightly."""
+    """Return how often effects are noticed and rightly named, by visibility."""
     table = Table(title="against how far the (weaker) effect stands out of the noise", title_justify="left")
     for column in ("visibility", "singles noticed", "right", "pairs right", "outside noticed", "right"):
         table.add_column(column)
@@ -153,7 +155,7 @@ def by_visibility(of: dict[str, Judged]) -> Table:
 
 
 def by_experiment(judged: Judged) -> Table:
-    """Return what each experiment allows."""
+    """Return how often the diagnosis is right, by experiment."""
     table = Table(title="by experiment", title_justify="left")
     for column in ("", *KINDS):
         table.add_column(column)
@@ -188,7 +190,7 @@ def by_effect(judged: Judged) -> Table:
 
 
 def confusions(judged: Judged) -> Table:
-    """Return what was taken for what, errors only."""
+    """Return what was taken for what, wrong cases only."""
     table = Table(title="taken for something else", title_justify="left")
     for column in ("hidden", "said", "times"):
         table.add_column(column)
@@ -212,7 +214,7 @@ def not_there(judged: Judged) -> Table:
 
 
 def failures(judged: Judged) -> Table:
-    """Return every case that was not judged rightly."""
+    """Return every case that is not right."""
     table = Table(title="every case that is not right (* lenient judge lets it pass)", title_justify="left")
     for column in ("case", "experiment", "hidden (visibility by stage)", "said", "detail"):
         table.add_column(column, overflow="fold")
@@ -226,7 +228,7 @@ def failures(judged: Judged) -> Table:
 
 
 def hidden_text(r: Row) -> str:
-    """Return what was hidden, its sizes and where it shows."""
+    """Return the hidden effects, their sizes and where they show."""
     parts = []
     for name, sizes in r.get("hidden", {}).items():
         given = ", ".join(f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in sizes.items())
@@ -236,7 +238,7 @@ def hidden_text(r: Row) -> str:
 
 
 def detail(r: Row) -> str:
-    """Return what else a failed case says."""
+    """Return the details of a failed case."""
     if "ours" not in r:
         return str(r.get("error", "")).strip().splitlines()[-1]
     ours, parts = r["ours"], []

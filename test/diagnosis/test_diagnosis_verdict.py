@@ -209,7 +209,9 @@ def test_what_is_imitated_is_unexplained_however_much_is_closed():
 def test_what_is_too_small_to_matter_does_not_remain():
     large = Relevance(noise=1.0, limit=100.0)
     item = remaining(NOISE + ERROR, NOISE + ERROR, changed=False, relevance=large)
-    assert not any((item.exceeded, item.remains))
+    assert not any((item.exceeded, item.remains, item.unexplained))
+    # But a cause that acts in the channel has to close it.
+    assert remaining(NOISE + ERROR, NOISE + ERROR, changed=True, relevance=large).unexplained
 
 
 @pytest.mark.parametrize(("blocks", "incident"), [((4,), (8.0, 9.98)), ((4, 9), None)])
@@ -239,6 +241,13 @@ def test_what_lies_in_one_block_mostly_is_no_incident():
 )
 def test_more_than_noise_is_told_by_mean_and_quantile(e, exceeded):
     assert Relevance(noise=1.0, limit=0.1).exceeded(e) is exceeded
+
+
+def test_a_rare_event_matters_at_five_times_the_limit():
+    rare = np.where(np.arange(1000) < 15, 9.0, 0.0)
+    beyond = math.sqrt(81.0 - rules.RARE_SCATTER * rules.SCATTER)
+    assert Relevance(noise=1.0, limit=0.99 * beyond / rules.RARE_FACTOR).exceeded(rare)
+    assert not Relevance(noise=1.0, limit=1.01 * beyond / rules.RARE_FACTOR).exceeded(rare)
 
 
 @pytest.mark.parametrize(
