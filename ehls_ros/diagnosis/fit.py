@@ -194,7 +194,7 @@ class Worker:
         return Fit(hypothesis, values, channels, residuals, jacobian, total, steps)
 
     def _column(
-        self, hypothesis: Hypothesis, values: Array, residuals: Residuals, index: int, step: float, wanted: float
+        self, hypothesis: Hypothesis, values: Array, residuals: Residuals, index: int, step: float, enough: float
     ) -> tuple[Residuals, float]:
         """Return the derivatives by one parameter and the step they were taken with, which changes the residuals enough."""
         evidence = self.evidence
@@ -210,11 +210,11 @@ class Worker:
             column = {c: (other.values[c] - residuals.values[c]) / signed for c in evidence.channels}
             with np.errstate(over="ignore", invalid="ignore"):
                 change = abs(signed) * float(np.sqrt(sum(np.sum(v * v) for v in column.values())))
-            if change < rules.LEAST_CHANGE * wanted and step < rules.ENLARGED_BELOW * span:
-                factor = rules.STEP_GROWTH if change == 0.0 else min(rules.STEP_GROWTH, wanted / change)
+            if change < rules.LEAST_CHANGE * enough and step < rules.ENLARGED_BELOW * span:
+                factor = rules.STEP_GROWTH if change == 0.0 else min(rules.STEP_GROWTH, enough / change)
                 step = min(step * factor, rules.LONGEST_STEP * span)
-            elif change > rules.MOST_CHANGE * wanted:
-                step *= max(rules.STEP_SHRINKAGE, wanted / change)
+            elif change > rules.MOST_CHANGE * enough:
+                step *= max(rules.STEP_SHRINKAGE, enough / change)
             else:
                 break
         if not math.isfinite(change):
