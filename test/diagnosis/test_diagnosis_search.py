@@ -128,6 +128,14 @@ def test_a_cause_that_gains_and_shows_is_accepted(size, taken):
     assert accepted(evidence, more, less, FORCE) is taken
 
 
+@pytest.mark.parametrize(("beyond", "taken"), [(-0.5, False), (0.5, True)])
+def test_a_sure_cause_with_too_little_gain_is_not_accepted(beyond, taken):
+    evidence = evidence_of({"force": np.full(240, 1.5)})
+    gain = rules.NEEDED_GAIN + rules.PENALTY + beyond
+    more = assessed((VISCOUS,), {"force": np.full(240, 0.5)}, [1.0], {"force": np.full(12, gain / 12.0)}, 1e-6 * np.eye(1))
+    assert accepted(evidence, more, nothing(evidence), FORCE) is taken
+
+
 def test_a_large_gain_that_matters_to_nobody_is_not_accepted():
     rng = np.random.default_rng(3)
     evidence, more, less = with_and_without(rng, 3.0)

@@ -448,13 +448,14 @@ def test_the_gain_is_the_power_that_is_gone():
 
 
 def test_channels_without_an_error_do_not_dilute_the_closed_fraction():
-    rng = np.random.default_rng(7)
-    noise, error = rng.standard_normal(600), 5.0 * rng.standard_normal(600)
-    evidence = evidence_of({"force": noise + error, "volume": noise}, {"force": noise, "volume": noise})
-    half = assessed((MASS,), {"force": noise + math.sqrt(0.5) * error, "volume": noise}, [1.0])
+    noise, error = np.tile([1.0, -1.0, 1.0, -1.0], 150), np.tile([5.0, 5.0, -5.0, -5.0], 150)
+    # Many windows a little noisier than expected: nothing there can be removed.
+    idle = np.tile(noise, 20)
+    evidence = evidence_of({"force": noise + error, "volume": 1.04 * idle}, {"force": noise, "volume": idle})
+    half = assessed((MASS,), {"force": noise + math.sqrt(0.5) * error, "volume": 1.04 * idle}, [1.0])
     found = gain(evidence, half, 0)
     assert found.channel == "force"
-    assert found.closed_fraction == pytest.approx(0.5, abs=0.05)
+    assert found.closed_fraction == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("closed", [0.3, 0.9, 1.0])
