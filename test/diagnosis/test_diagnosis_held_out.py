@@ -95,6 +95,13 @@ def test_parameters_scatter_as_their_covariance_says():
     np.testing.assert_allclose(ratio, 0.9, atol=0.12)
 
 
+def test_residuals_that_scatter_more_widen_the_errors():
+    j, _, e, _, block = linear_case()
+    _, covariance = leave_out(j, e, block, 6, np.full(len(e), 100.0))
+    # So much that the blocks' disagreement says less: the covariance of least squares.
+    np.testing.assert_allclose(covariance, 100.0 * np.linalg.inv(j.T @ j), rtol=1e-9)
+
+
 def test_blocks_that_disagree_widen_the_errors():
     j, _, e, _, block = linear_case(blocks=12)
     disturbed = e + j[:, 0] * np.where(block % 2, 1.0, -1.0)
