@@ -8,6 +8,7 @@ import pytest
 from docs_snippets import ROOT
 
 from ehls_ros.cli.verbs import VERBS
+from ehls_ros.diagnosis import rules
 from ehls_ros.schema import declarations
 from ehls_ros.trajectory import SIGNALS
 
@@ -58,3 +59,10 @@ def test_a_table_shows_required_parameters_and_ranges(reference: ModuleType) -> 
 def test_services_are_those_of_the_plant_node(reference: ModuleType) -> None:
     names = ("emergency_stop", "acknowledge_stop", "reset_trips", "enable")
     assert {name for name, _, _ in reference.services()} == {f"`/ehls/{name}`" for name in names}
+
+
+def test_every_rule_of_diagnosis_has_its_row(reference: ModuleType) -> None:
+    page = reference.rules_page()
+    for entry in rules.table():
+        cells = (f"`{entry.name}`", f"{entry.value:g}", entry.rule.unit, entry.rule.meaning, entry.rule.origin)
+        assert f"| {' | '.join(cells)} |" in page

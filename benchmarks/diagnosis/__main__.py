@@ -1,19 +1,18 @@
-"""Hidden cases against the diagnosis: how often it is right, how exact, how fast, and how simpler ways do on the same cases.
+"""Hidden cases for the diagnosis: how often it is right, how accurate and how fast, beside simpler methods on the same cases.
 
-    python benchmarks/diagnosis --cases 400 --jobs 2          # a fresh seed, which is printed
-    python benchmarks/diagnosis --seed 7                      # the same cases again, or the rest of them
-    python benchmarks/diagnosis --seed 7 --case 12 31         # two of them, with everything said of them
-    python benchmarks/diagnosis --summary runs/diagnosis-7.jsonl
-    python benchmarks/diagnosis --tune                        # the peers' thresholds, on seeds of their own
+    python -m benchmarks.diagnosis --cases 400 --jobs 2          # a fresh seed, which is printed
+    python -m benchmarks.diagnosis --seed 7                      # the same cases again, or those still missing
+    python -m benchmarks.diagnosis --seed 7 --case 12 31         # two of them, with the complete results
+    python -m benchmarks.diagnosis --summary runs/diagnosis-7.jsonl
+    python -m benchmarks.diagnosis --tune                        # the peers' thresholds, on seeds of their own
 
-The cases come from test/diagnosis/truth, which shares no code with ehls_ros. Every case is written as a line of JSON when it
-is done; a run that was broken off goes on where it was. `pip install 'ehls_ros[peers]'` gets pysindy, the peer that is not
-installed with ehls_ros.
+The cases come from truth_generator, which shares no code with ehls_ros. Each case is written as a line of JSON when it is done;
+an interrupted run is resumed. `pip install 'ehls_ros[peers]'` installs pysindy, a peer that ehls_ros does not need.
 """
 
 import os
 
-# One thread a process: the times are of one, and jobs do not disturb each other.
+# One thread a process: times are those of one thread, and jobs do not disturb each other.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"
 
@@ -27,14 +26,14 @@ from multiprocessing import get_context  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any  # noqa: E402
 
-import cases  # noqa: E402
-import tables  # noqa: E402
-from judge import judge  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn  # noqa: E402
 
+from benchmarks.diagnosis import cases, tables  # noqa: E402
+from benchmarks.diagnosis.judge import judge  # noqa: E402
+
 WIDTH = 220
-"""Of the tables where the output is no terminal."""
+"""Width of the tables if the output is not a terminal."""
 
 QUICK_CASES, QUICK_DURATION = 40, 20.0
 
@@ -42,29 +41,29 @@ QUICK_CASES, QUICK_DURATION = 40, 20.0
 def arguments() -> argparse.Namespace:
     """Return the command line."""
     layout = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(prog="benchmarks/diagnosis", description=__doc__, formatter_class=layout)
-    parser.add_argument("--cases", type=int, default=None, help="how many (400)")
-    parser.add_argument("--seed", type=int, default=None, help="of the cases; a fresh one where none is given")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.diagnosis", description=__doc__, formatter_class=layout)
+    parser.add_argument("--cases", type=int, default=None, help="number of cases (400)")
+    parser.add_argument("--seed", type=int, default=None, help="seed of the cases; a fresh one by default")
     parser.add_argument("--jobs", type=int, default=2, help="processes (%(default)s)")
     parser.add_argument("--only", choices=cases.KINDS, help="cases of this kind only")
-    parser.add_argument("--case", type=int, nargs="+", help="these numbers only, with all that is said; nothing is written")
-    parser.add_argument("--duration", type=float, default=None, help="of the recordings, s (60)")
+    parser.add_argument("--case", type=int, nargs="+", help="only these cases, with their complete results; nothing is written")
+    parser.add_argument("--duration", type=float, default=None, help="duration of the recordings, s (60)")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_CASES} cases of {QUICK_DURATION:g} s")
     parser.add_argument("--no-peers", action="store_true", help="leave the peers out")
-    parser.add_argument("--out", type=Path, help="file of results, one line a case (runs/diagnosis-SEED.jsonl)")
-    parser.add_argument("--summary", type=Path, nargs="+", help="print the tables of such files, run nothing")
-    parser.add_argument("--tune", action="store_true", help="choose the peers' thresholds on seeds of their own")
+    parser.add_argument("--out", type=Path, help="file of results, one line per case (runs/diagnosis-SEED.jsonl)")
+    parser.add_argument("--summary", type=Path, nargs="+", help="print the tables of such files without running anything")
+    parser.add_argument("--tune", action="store_true", help="tune the peers' thresholds on separate seeds")
     return parser.parse_args()
 
 
 def read(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a file of results; a line that was not written to its end is left out."""
+    """Return the rows of a file of results, without lines that were not written completely."""
     rows = []
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
         try:
             rows.append(json.loads(line))
         except json.JSONDecodeError:
-            print(f"{path}: a line is broken off and left out", file=sys.stderr)
+            print(f"{path}: an incomplete line is left out", file=sys.stderr)
     return rows
 
 
@@ -83,7 +82,7 @@ def run_all(seed: int, numbers: list[int], duration: float, jobs: int, with_peer
 
 
 def plain(value: Any) -> Any:
-    """Return a numpy value as one that JSON has."""
+    """Return a numpy value as one that JSON can hold."""
     return value.item() if hasattr(value, "item") else str(value)
 
 
@@ -94,7 +93,7 @@ def bar(console: Console) -> Progress:
 
 
 def line_of(row: dict[str, Any]) -> str:
-    """Return a case in a line, for output that is no terminal."""
+    """Return a case in one line, for output that is not a terminal."""
     j = judge(row)
     took = f"{row['ours']['wall_s']:5.1f} s" if "ours" in row else "      –"
     hidden = " + ".join(row.get("hidden", {})) or "nothing"
@@ -110,7 +109,7 @@ def main() -> None:
         tables.show([row for path in options.summary for row in read(path)], console)
         return
     if options.tune:
-        from tune import tune  # noqa: PLC0415
+        from benchmarks.diagnosis.tune import tune  # noqa: PLC0415
 
         tune(console)
         return

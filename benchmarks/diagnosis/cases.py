@@ -1,10 +1,9 @@
-"""Hidden cases: what is done with the rig, what is hidden in it, and what a diagnosis makes of the recording.
+"""Hidden cases: the experiment, the hidden effects, and the diagnosis of the recording.
 
-A case is a function of the run's seed and its number alone, however many cases are asked for.
+A case depends only on the run's seed and its own number, not on how many cases are run.
 """
 
 import hashlib
-import sys
 import time
 import traceback
 from collections.abc import Mapping
@@ -16,48 +15,45 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
+from ehls_ros.diagnosis.diagnose import diagnose
+from ehls_ros.diagnosis.result import Diagnosis
+from ehls_ros.physics.rig import Rig, rig_from_mapping
+from ehls_ros.trajectory import Trajectory
+from truth_generator import LISTED, OUTSIDE, Recording, draw_effect, record
+from truth_generator.visibility import against, background
+
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "test" / "diagnosis"))
-
-from truth import LISTED, OUTSIDE, Recording, draw_effect, record  # noqa: E402
-from truth.visibility import against, background  # noqa: E402
-
-from ehls_ros.diagnosis.diagnose import diagnose  # noqa: E402
-from ehls_ros.diagnosis.result import Diagnosis  # noqa: E402
-from ehls_ros.physics.rig import Rig, rig_from_mapping  # noqa: E402
-from ehls_ros.trajectory import Trajectory  # noqa: E402
-
 RIG = ROOT / "config" / "rig_paper_measured.yaml"
 KINDS = ("singles", "pairs", "nothing", "outside")
 ORDER = "sopsnsosnspsosnspsop"
-"""Kinds of twenty cases in a row, by their first letters: 45 % singles, 20 % pairs, 15 % nothing, 20 % outside the list."""
+"""Kinds of twenty consecutive cases by their first letters: 45 % singles, 20 % pairs, 15 % nothing, 20 % outside the list."""
 
 EXPERIMENTS = {"rich": 0.45, "random": 0.3, "steps": 0.1, "paper_sine": 0.1, "servo": 0.05}
-"""How often each experiment is drawn."""
+"""Probability of each experiment."""
 
 SHOWS = 1.3
-"""Visibility an effect needs in the experiment that was drawn; another draw is made otherwise."""
+"""Least visibility of an effect in the experiment drawn; below it, size and experiment are drawn again."""
 
 MOST_DRAWS = 40
-"""Draws of size and experiment before an effect is taken as it is."""
+"""Most draws of size and experiment for one case."""
 
 ONE_BODY = {"hinge_backlash", "flexible_mode"}
-"""Effects that the truth cannot hide together."""
+"""Effects that the truth generator cannot combine."""
 
 
 class Case(NamedTuple):
     """One recording to be diagnosed.
 
     Attributes:
-        seed: of the run.
-        number: of the case in it.
-        kind: of :data:`KINDS`.
-        experiment: what is done with the rig.
-        record_seed: of the recording.
-        duration: of the recording [s].
+        seed: seed of the run.
+        number: number of the case in the run.
+        kind: one of :data:`KINDS`.
+        experiment: name of the experiment.
+        record_seed: seed of the recording.
+        duration: duration of the recording [s].
         hidden: sizes by effect.
-        visibility: of each effect alone, by stage.
-        redrawn: draws in which an effect would not have shown.
+        visibility: visibility of each effect alone, by stage.
+        redrawn: draws that were rejected because an effect would not have shown.
     """
 
     seed: int
@@ -80,13 +76,13 @@ def rig_file() -> dict[str, Any]:
 
 @cache
 def rig() -> Rig:
-    """Return the rig as the diagnosis gets it."""
+    """Return the rig that the diagnosis is given."""
     return rig_from_mapping(rig_file(), str(RIG))
 
 
 @cache
 def sources() -> str:
-    """Return a fingerprint of what diagnoses."""
+    """Return a fingerprint of the sources that diagnose."""
     digest = hashlib.sha256()
     for folder in ("diagnosis", "physics"):
         for path in sorted((ROOT / "ehls_ros" / folder).rglob("*.py")):
@@ -100,7 +96,7 @@ def kind_of(number: int) -> str:
 
 
 def numbers(count: int, only: str | None) -> list[int]:
-    """Return the numbers of so many cases, of one kind where one is wanted."""
+    """Return the numbers of the first cases, optionally of one kind only."""
     found, number = [], 0
     while len(found) < count:
         if only is None or kind_of(number) == only:
@@ -110,7 +106,7 @@ def numbers(count: int, only: str | None) -> list[int]:
 
 
 def names_of(seed: int, number: int) -> tuple[str, ...]:
-    """Return the effects a case hides: all come round equally often, in an order that the seed makes."""
+    """Return the effects a case hides: all equally often, in an order given by the seed."""
     kind = kind_of(number)
     if kind == "nothing":
         return ()
@@ -152,10 +148,10 @@ def recording_of(case: Case) -> Recording:
 
 
 def run(seed: int, number: int, duration: float, with_peers: bool) -> dict[str, Any]:
-    """Draw a case and have it diagnosed, by the peers as well.
+    """Draw a case and diagnose it, by the peers as well if requested.
 
     Returns:
-        What there is to judge, ready for JSON.
+        What is judged, ready for JSON.
     """
     row: dict[str, Any] = {"seed": seed, "number": number, "kind": kind_of(number), "sources": sources()}
     try:
@@ -166,8 +162,8 @@ def run(seed: int, number: int, duration: float, with_peers: bool) -> dict[str, 
         trajectory = Trajectory(recording.time, recording.columns)
         row["ours"] = told(diagnose(trajectory, rig(), "case", seed=number, threads=1))
         if with_peers:
-            # Only here: they look inside the package, and may come later than a change of it.
-            from peers import PEERS, problem_of  # noqa: PLC0415
+            # Imported only here, as they use internals of the package.
+            from benchmarks.diagnosis.peers import PEERS, problem_of  # noqa: PLC0415
 
             problem = problem_of(trajectory, rig())
             for name, peer in PEERS.items():
@@ -175,13 +171,13 @@ def run(seed: int, number: int, duration: float, with_peers: bool) -> dict[str, 
                 named = peer(problem)
                 row.setdefault("peers", {})[name] = {"named": named, "wall_s": time.perf_counter() - began + problem.wall_s}
     except Exception:  # noqa: BLE001
-        # One case that goes wrong is a finding, not the end of a night's run.
+        # An exception in one case is a result, and must not end a long run.
         row["error"] = traceback.format_exc(limit=-6)
     return row
 
 
 def told(d: Diagnosis) -> dict[str, Any]:
-    """Return what a diagnosis says, ready for JSON."""
+    """Return a diagnosis ready for JSON."""
     return {
         "verdict": d.verdict,
         "missing": d.missing,

@@ -1,17 +1,17 @@
-"""The truth's sizes beside a diagnosis' parameters: the same quantity on both sides, as a deviation from neutral."""
+"""True sizes and estimated parameters as the same quantity: a deviation from neutral."""
 
 import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from cases import rig_file
+from benchmarks.diagnosis.cases import rig_file
 
 Sizes = Mapping[str, Any]
 Values = Mapping[str, list[float]]
 
 
 class Quantity(NamedTuple):
-    """One quantity: what it was, and value and standard error of what was found."""
+    """One quantity: its true value, the estimate and its standard error."""
 
     name: str
     true: float
@@ -30,7 +30,7 @@ class Quantity(NamedTuple):
 
 
 def same(**pairs: str) -> Callable[[Sizes, Values], list[Quantity]]:
-    """Compare found parameter = true size, as they are."""
+    """Compare parameters with true sizes, given as parameter=size."""
 
     def compare(true: Sizes, found: Values) -> list[Quantity]:
         return [Quantity(name, true[size], *found[name]) for name, size in pairs.items() if name in found]
@@ -39,7 +39,7 @@ def same(**pairs: str) -> Callable[[Sizes, Values], list[Quantity]]:
 
 
 def beyond_one(**pairs: str) -> Callable[[Sizes, Values], list[Quantity]]:
-    """Compare factors by how far they are from 1."""
+    """Compare factors by their distance from 1."""
 
     def compare(true: Sizes, found: Values) -> list[Quantity]:
         return [
@@ -77,7 +77,7 @@ def _external_leakage(true: Sizes, found: Values) -> list[Quantity]:
 def _temperature(true: Sizes, found: Values) -> list[Quantity]:
     if "viscous_slope" not in found:
         return []
-    # The truth is exponential, the parameter is its chord over the recording.
+    # The true law is exponential; the parameter is the slope of its chord over the recording.
     reached = true["warming"] * (1.0 - math.exp(-60.0 / true["time_constant"]))
     viscous = rig_file()["friction"]["viscous_coefficient"]
     chord = viscous * (math.exp(-true["coefficient"] * reached) - 1.0) / reached
@@ -103,7 +103,7 @@ def _periodic(true: Sizes, found: Values) -> list[Quantity]:
 
 
 def _constant_load(true: Sizes, found: Values) -> list[Quantity]:
-    # The truth takes the load off as it does fd; the parameter is along +x.
+    # The true load acts like fd, against +x; the parameter acts along +x.
     value, std = found["force"]
     return [Quantity("force", true["force"], -value, std)]
 
@@ -159,5 +159,5 @@ COMPARE: dict[str, Callable[[Sizes, Values], list[Quantity]]] = {
 
 
 def quantities(name: str, true: Sizes, found: Values) -> list[Quantity]:
-    """Return what of a rightly named cause can be compared."""
+    """Return the quantities of a rightly named cause that can be compared."""
     return COMPARE[name](true, found)

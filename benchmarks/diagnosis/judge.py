@@ -1,31 +1,32 @@
 """Whether a diagnosis is right, strictly and as a fair judge would have it.
 
 Rows are what `cases.run` returns. Strict: the first cause, or one the diagnosis itself calls equivalent to it, is the hidden
-one. Lenient: for effects outside the list, the truth names listed ones that come near; for the stage, any in which the effect
-shows.
+one. Lenient: for an effect outside the list, a listed one that the truth calls near also counts, and any stage in which the
+effect shows. A true cause that is named together with one that is not there counts as right, and is counted again separately.
 """
 
 from typing import Any, NamedTuple
 
-from cases import SHOWS
-from comparable import Quantity, quantities
+from benchmarks.diagnosis.cases import SHOWS
+from benchmarks.diagnosis.comparable import Quantity, quantities
 
 Row = dict[str, Any]
 CONFIDENT = 0.9
-"""Probability beyond which a wrong name is a confident one."""
+"""Probability above which a wrong name is a confident one."""
 
 
 class Judgement(NamedTuple):
-    """A case, judged.
+    """The judgement on one case.
 
     Attributes:
-        right: strictly.
-        lenient: by a fair judge.
-        exact: strictly, and without the help of equivalent names; for effects, nothing else named beside it.
-        confident_wrong: a name that is wrong was given with confidence.
-        confident_wrong_lenient: the same, where a near name is not wrong.
+        right: by the strict judge.
+        lenient: by the fair judge.
+        exact: strictly right, by the causes' own names, and nothing else named.
+        confident_wrong: whether a wrong name was given with confidence.
+        confident_wrong_lenient: the same, with near names allowed.
+        not_there: causes named together with a true one although they are not there.
         what: the verdict in words.
-        quantities: of rightly named causes.
+        quantities: those of rightly named causes.
     """
 
     right: bool
@@ -33,20 +34,22 @@ class Judgement(NamedTuple):
     exact: bool
     confident_wrong: bool
     confident_wrong_lenient: bool
+    not_there: tuple[str, ...]
     what: str
     quantities: list[Quantity]
 
 
 def judge(row: Row) -> Judgement:
-    """Judge what ours says of a case."""
+    """Judge our diagnosis of a case."""
     if "ours" not in row:
-        return Judgement(False, False, False, False, False, "error", [])
+        return Judgement(False, False, False, False, False, (), "error", [])
     ours, kind, hidden = row["ours"], row["kind"], list(row["hidden"])
     causes = ours["causes"]
     classes = [{c["name"], *c["equivalent_to"]} for c in causes]
     names = [c["name"] for c in causes]
     near = {n for names_near in row["near"].values() for n in names_near}
     wrong = [c for c, known in zip(causes, classes, strict=True) if not known & set(hidden)]
+    not_there = tuple(c["name"] for c in wrong) if len(wrong) < len(causes) else ()
     confident = any(c["probability"] > CONFIDENT for c in wrong)
     confident_lenient = any(c["probability"] > CONFIDENT and c["name"] not in near for c in wrong)
     found = [
@@ -73,7 +76,7 @@ def judge(row: Row) -> Judgement:
             or (verdict == "unknown" and ours["unknown_stage"] in shows)
             or (verdict == "effect" and bool(near) and set(names) <= near)
         )
-    return Judgement(right, lenient, exact, confident, confident_lenient, worded(row), found)
+    return Judgement(right, lenient, exact, confident, confident_lenient, not_there, worded(row), found)
 
 
 def _both(classes: list[set[str]], hidden: list[str]) -> bool:
@@ -82,7 +85,7 @@ def _both(classes: list[set[str]], hidden: list[str]) -> bool:
 
 
 def worded(row: Row) -> str:
-    """Return what ours says in a few words."""
+    """Return our verdict in a few words."""
     ours = row["ours"]
     if ours["verdict"] == "unknown":
         partly = f", partly {' + '.join(ours['partial'])}" if ours["partial"] else ""
@@ -93,7 +96,7 @@ def worded(row: Row) -> str:
 
 
 def peer_right(row: Row, named: list[str]) -> bool:
-    """Judge what a peer names, the surest first; it names nothing where it finds the model consistent."""
+    """Judge the names a peer gives, the surest first; none means that it finds the model consistent."""
     hidden = set(row["hidden"])
     classes = [set(names.split("|")) for names in named]
     if row["kind"] == "nothing":
@@ -104,5 +107,5 @@ def peer_right(row: Row, named: list[str]) -> bool:
 
 
 def strength(row: Row) -> float:
-    """Return how far the least of a case's effects stands out."""
+    """Return how far the least visible of a case's effects stands out of the noise."""
     return min((max(stages.values()) for stages in row["visibility"].values()), default=0.0)

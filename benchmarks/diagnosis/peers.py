@@ -1,9 +1,8 @@
-"""Simpler ways to name a cause, on the same residuals: forward selection by BIC, and pysindy's sparse regression.
+"""Simpler methods on the same residuals: forward selection by BIC, and pysindy's sparse regression.
 
-Both get the residuals of the model as it was given, in units of their noise, and a library of named functions of the recorded
-signals, averaged over the same windows. They name the effects whose functions they keep, the surest first, and nothing where
-they keep none; they cannot say that they do not know. Names with `|` are effects whose functions are one and the same: either
-is right.
+Both get the whitened residuals of the given model and a library of named functions of the recorded signals, averaged over the
+same windows. They name the effects whose functions they keep, the surest first, and nothing if they keep none; they have no
+verdict `unknown`. Names joined by `|` are effects with the same function: either is right.
 """
 
 import time
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from ehls_ros.diagnosis.evidence import Evidence
+from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.record import (
     COMMAND,
     LOAD,
@@ -38,37 +37,37 @@ except ImportError:
 Array = NDArray[np.float64]
 
 PENALTY = 32.0
-"""What a coefficient costs, in units of BIC's log n (chosen by `--tune`): windows overlap, and no model is quite right."""
+"""Cost of a coefficient, in units of BIC's log n (chosen by `--tune`): windows overlap, and no model is exact."""
 
 LEAST_EXPLAINED = 0.05
-"""Part of a channel's residual that a sparse model has to explain on held-out blocks to be kept (chosen by `--tune`)."""
+"""Fraction of a channel's residual a sparse model must explain on held-out blocks to be kept (chosen by `--tune`)."""
 
 DEVIATIONS = 0.0
-"""Standard errors above the least held-out error at which the sparser model is taken (chosen by `--tune`)."""
+"""Standard errors by which a sparser model may exceed the least held-out error (chosen by `--tune`)."""
 
 SENSOR_CHANNELS = {"cell", "velocity"}
 """Channels in which two sensors of one quantity are compared."""
 
 MOST_NAMED = 4
-"""Most effects that are named, as many as ours looks for together."""
+"""Most effects named."""
 
 THRESHOLDS = 24
-"""Thresholds of STLSQ that are tried."""
+"""Number of thresholds of STLSQ tried."""
 
 RIDGE = 1e-3
-"""Of STLSQ, as a part of the number of rows."""
+"""Ridge of STLSQ, as a fraction of the number of rows."""
 
 REFERENCE_TEMPERATURE = 313.15
-"""At which the rig file's friction holds [K]."""
+"""Oil temperature for which the rig file's friction holds [K]."""
 
 
 class Term(NamedTuple):
     """One function of the library.
 
     Attributes:
-        effect: whose it is.
-        variant: terms of one effect and variant come together.
-        values: over the windows of each channel in which it shows, in units of the residual's noise.
+        effect: name of its effect.
+        variant: terms of one effect and variant are selected together.
+        values: its mean over the windows of each channel in which it shows, in units of the noise floor.
     """
 
     effect: str
@@ -80,10 +79,10 @@ class Problem(NamedTuple):
     """What the peers get.
 
     Attributes:
-        residuals: by channel, in units of their noise.
+        residuals: whitened, by channel.
         blocks: the block each window lies in, by channel.
         terms: the library.
-        wall_s: time it took to make [s].
+        wall_s: time of the preparation [s].
     """
 
     residuals: dict[str, Array]
@@ -93,10 +92,10 @@ class Problem(NamedTuple):
 
 
 def problem_of(trajectory: Trajectory, rig: Rig) -> Problem:
-    """Return residuals and library of a recording with all signals of the data contract."""
+    """Return the residuals and the library for a recording with all signals of the data contract."""
     began = time.perf_counter()
     record = prepare(trajectory, rig, "case")
-    evidence = Evidence(record, rig, setup(record, rig), 0)
+    evidence = gather(record, rig, setup(record, rig), 0)
     terms = library(evidence, rig)
     return Problem(
         {c: evidence.base.values[c] for c in evidence.channels},
@@ -139,7 +138,7 @@ def library(evidence: Evidence, rig: Rig) -> list[Term]:
             out.append(Term(effect, variant, means))
 
     def rubs(**changes: float) -> Array:
-        """Return how the friction model's force answers to a change of its coefficients."""
+        """Return the change of the friction force with a change of the model's coefficients."""
         changed = {
             name: getattr(rig.friction, name) * factor for name, factor in changes.items() if name != "element_stiffness"
         }
@@ -149,13 +148,13 @@ def library(evidence: Evidence, rig: Rig) -> list[Term]:
         return np.asarray(moved - comparison.friction(rig)[:, 0])
 
     def read_wrong(effect: str, pressure: Array) -> None:
-        """Add what a pressure that is read wrong shows in."""
+        """Add the effect of an error in the measured pressure."""
         force = plant.piston_area * pressure
         stored = plant.total_volume / (4.0 * plant.bulk_modulus) * np.gradient(pressure, dt)
         add(effect, 0, cell=force, force=force, volume=-stored - plant.leakage_coefficient * pressure)
 
     def placed_wrong(effect: str, position: Array) -> None:
-        """Add what a position that is read wrong shows in."""
+        """Add the effect of an error in the measured position."""
         speed = np.gradient(position, dt)
         force = plant.moving_mass * np.gradient(speed, dt) + plant.viscous_damping * speed + plant.spring_stiffness * position
         add(effect, 0, velocity=-speed, volume=plant.piston_area * speed, force=force)
@@ -229,20 +228,20 @@ def library(evidence: Evidence, rig: Rig) -> list[Term]:
 
 
 def lag(values: Array, rate: float, dt: float) -> Array:
-    """Return a signal behind a first-order lag."""
+    """Return a signal after a first-order lag."""
     decay = np.exp(-rate * dt)
     return np.asarray(lfilter([1.0 - decay], [1.0, -decay], values - values[0]) + values[0])
 
 
 def resonator(values: Array, frequency: float, dt: float) -> Array:
-    """Return what a lightly damped mass on a spring makes of an acceleration."""
+    """Return the response of a lightly damped oscillator to an acceleration."""
     rate, damping = 2.0 * np.pi * frequency, 0.07
     turn = np.exp(-damping * rate * dt) * np.exp(1j * rate * np.sqrt(1.0 - damping**2) * dt)
     return np.asarray(lfilter([rate * dt], [1.0, -2.0 * turn.real, abs(turn) ** 2], values))
 
 
 def play(values: Array, width: float) -> Array:
-    """Return a signal with lost motion."""
+    """Return a signal after play."""
     out, half = np.empty_like(values), 0.5 * width
     at = float(values[0])
     for i, value in enumerate(values.tolist()):
@@ -252,7 +251,7 @@ def play(values: Array, width: float) -> Array:
 
 
 def beyond(values: Array, limit: float) -> Array:
-    """Return what of a signal lies beyond a limit."""
+    """Return the part of a signal beyond a limit."""
     return values - np.clip(values, -limit, limit)
 
 
@@ -260,7 +259,7 @@ def lines(evidence: Evidence, count: int) -> list[float]:
     """Return the strongest frequencies of the force residual [Hz]."""
     if "force" not in evidence.channels:
         return []
-    e, t = np.clip(evidence.base.values["force"], -20.0, 20.0), evidence.times("force")
+    e, t = np.clip(evidence.base.values["force"], -20.0, 20.0), evidence.times["force"]
     step = float(np.median(np.diff(t)))
     even = np.interp(np.arange(t[0], t[-1], step), t, e)
     spectrum = np.abs(np.fft.rfft((even - even.mean()) * np.hanning(len(even)), 8 * len(even)))
@@ -279,8 +278,8 @@ def lines(evidence: Evidence, count: int) -> list[float]:
 def bic(problem: Problem, penalty: float = PENALTY) -> list[str]:
     """Add the effect that lowers the information criterion most, until none does.
 
-    n log(RSS/n) summed over the channels, and log n for every coefficient; every step weighs the channels by what the last
-    one left in them.
+    The criterion is n log(RSS/n) summed over the channels, and log n for each coefficient; each step weights the channels by
+    what the previous one left in them.
     """
     channels = list(problem.residuals)
     ends = np.cumsum([len(problem.residuals[c]) for c in channels])
@@ -322,7 +321,7 @@ def bic(problem: Problem, penalty: float = PENALTY) -> list[str]:
 
 
 def independent(columns: Array, basis: Array) -> Array:
-    """Return an orthonormal basis of what columns add to another."""
+    """Return an orthonormal basis of what columns add to another basis."""
     scale = np.linalg.norm(columns, axis=0)
     columns = columns[:, scale > 0.0] / scale[scale > 0.0]
     if not columns.shape[1]:
@@ -334,12 +333,12 @@ def independent(columns: Array, basis: Array) -> Array:
 
 
 class Path(NamedTuple):
-    """Sparse regressions of a channel, one a threshold, and none last.
+    """Sparse regressions of a channel, one for each threshold, the last of which keeps nothing.
 
     Attributes:
-        terms: that may be kept.
-        columns: of the library, shape (windows, terms), each with a mean square of 1.
-        thresholds: one more than infinite, that keeps nothing.
+        terms: the terms that may be kept.
+        columns: their values, shape (windows, terms), each with a mean square of 1.
+        thresholds: ascending, the last infinite.
         squares: mean squared error on held-out data, shape (thresholds, blocks).
     """
 
@@ -350,7 +349,7 @@ class Path(NamedTuple):
 
 
 def paths(problem: Problem) -> dict[str, Path]:
-    """Fit each channel with every threshold, on half of the blocks, to be judged on the other half."""
+    """Fit each channel with every threshold on each half of the blocks and evaluate it on the other half."""
     out = {}
     for channel, e in problem.residuals.items():
         alone = channel in SENSOR_CHANNELS
@@ -373,15 +372,15 @@ def paths(problem: Problem) -> dict[str, Path]:
 def stlsq(
     problem: Problem, tried: dict[str, Path] | None = None, deviations: float = DEVIATIONS, least: float = LEAST_EXPLAINED
 ) -> list[str]:
-    """Fit each channel by pysindy's sequentially thresholded least squares; what is kept names the effects.
+    """Fit each channel by pysindy's sequentially thresholded least squares and name the effects of the terms kept.
 
-    The threshold is the one that does best on held-out data, or a sparser one as good. Sensors are read first, in the channels
-    that only they upset; effects of the rig are named by all other channels.
+    The threshold is the best on held-out data, or a sparser one that is as good. Sensor faults are named by the channels that
+    only they affect, and come first; effects of the rig are named by all other channels.
     """
     weight: dict[str, tuple[bool, float]] = {}
     for channel, path in (paths(problem) if tried is None else tried).items():
         means = path.squares.mean(axis=1)
-        # Compared with the best block by block, as they rise and fall together.
+        # Compared with the best block by block, since their errors are correlated.
         excess = path.squares - path.squares[np.argmin(means)]
         bound = deviations * excess.std(axis=1) / np.sqrt(excess.shape[1])
         sparsest = int(np.flatnonzero(excess.mean(axis=1) <= bound + 1e-12).max())
@@ -398,7 +397,7 @@ def _fit(columns: Array, e: Array, threshold: float) -> Array:
     if not np.isfinite(threshold):
         return np.zeros(columns.shape[1])
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it says that nothing is left, which is an answer
+        warnings.simplefilter("ignore")  # that nothing is kept is a valid result
         optimiser = STLSQ(threshold=threshold, alpha=RIDGE * len(e), max_iter=20)
         return np.asarray(optimiser.fit(columns, e[:, None]).coef_, dtype=np.float64).ravel()
 

@@ -5,19 +5,20 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from cases import EXPERIMENTS, KINDS
-from judge import Judgement, Row, judge, peer_right, strength
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.diagnosis.cases import EXPERIMENTS, KINDS
+from benchmarks.diagnosis.judge import Judgement, Row, judge, peer_right, strength
+
 BINS = (0.0, 1.3, 2.0, 4.0, 8.0, 16.0, 32.0, 100.0, np.inf)
-"""Edges of the effects' visibility."""
+"""Bin edges of the visibility."""
 
 Judged = list[tuple[Row, Judgement]]
 
 
 def show(rows: Sequence[Row], console: Console) -> None:
-    """Print everything there is to say of some rows."""
+    """Print all tables of some rows."""
     judged = [(row, judge(row)) for row in sorted(rows, key=lambda row: row["number"])]
     of = {kind: [(r, j) for r, j in judged if r["kind"] == kind] for kind in KINDS}
     sources = sorted({row["sources"] for row in rows})
@@ -26,7 +27,9 @@ def show(rows: Sequence[Row], console: Console) -> None:
         console.print("[bold]The package changed between these cases: run into a new file for numbers to publish.[/bold]")
     redrawn = sum(r.get("redrawn", 0) for r in rows)
     hopeless = sum(1 for r in rows if r.get("hidden") and strength(r) < BINS[1])
-    console.print(f"draws that would not have shown, made again: {redrawn}; still not showing: {hopeless}\n")
+    console.print(
+        f"draws repeated because an effect would not have shown: {redrawn}; cases that still do not show: {hopeless}\n"
+    )
     console.print(headline(judged, of))
     peers = peer_table(of)
     if peers is not None:
@@ -35,11 +38,12 @@ def show(rows: Sequence[Row], console: Console) -> None:
     console.print(by_experiment(judged))
     console.print(by_effect(judged))
     console.print(confusions(judged))
+    console.print(not_there(judged))
     console.print(failures(judged))
 
 
 def share(values: Sequence[bool]) -> str:
-    """Return a share in per cent, with the numbers it is made of."""
+    """Return a percentage with its counts."""
     return f"{100.0 * sum(values) / len(values):.1f} % ({sum(values)}/{len(values)})" if values else "–"
 
 
@@ -55,7 +59,7 @@ def _verdict(good: bool) -> str:
 
 
 def headline(judged: Judged, of: dict[str, Judged]) -> Table:
-    """Return the issue's marks."""
+    """Return the results against the marks to be met."""
     table = Table(title="against the marks", title_justify="left")
     for column in ("", "mark", "strict", "", "lenient"):
         table.add_column(column, justify="left")
@@ -68,6 +72,9 @@ def headline(judged: Judged, of: dict[str, Judged]) -> Table:
     row("  by its own name, nothing beside it", "", [j.exact for _, j in single], [], None, None)
     row("pair: both named", "≥ 85 %", [j.right for _, j in pair], [j.lenient for _, j in pair], 0.85, None)
     row("  by their own names, nothing beside them", "", [j.exact for _, j in pair], [], None, None)
+    for kind, cases in (("single", single), ("pair", pair)):
+        beside = [bool(j.not_there) for _, j in cases]
+        row(f"{kind}: a true cause and one that is not there", "", beside, [], None, None)
     alarms = [not j.right for _, j in nothing]
     row("nothing hidden: false alarms", "≤ 1 %", alarms, alarms, None, 0.01)
     right, lenient = [j.right for _, j in outside], [j.lenient for _, j in outside]
@@ -104,7 +111,7 @@ def headline(judged: Judged, of: dict[str, Judged]) -> Table:
 
 
 def peer_table(of: dict[str, Judged]) -> Table | None:
-    """Return ours beside the peers on the same cases; None where they did not run."""
+    """Return the comparison with the peers on the same cases; None if they did not run."""
     names = list(dict.fromkeys(name for js in of.values() for r, _ in js for name in r.get("peers", {})))
     if not names:
         return None
@@ -131,7 +138,7 @@ def peer_table(of: dict[str, Judged]) -> Table | None:
 
 
 def by_visibility(of: dict[str, Judged]) -> Table:
-    """Return how often effects of some size are noticed, and judged rightly."""
+    """Return how often effects are noticed and rightly named, by visibility."""
     table = Table(title="against how far the (weaker) effect stands out of the noise", title_justify="left")
     for column in ("visibility", "singles noticed", "right", "pairs right", "outside noticed", "right"):
         table.add_column(column)
@@ -148,7 +155,7 @@ def by_visibility(of: dict[str, Judged]) -> Table:
 
 
 def by_experiment(judged: Judged) -> Table:
-    """Return what each experiment allows."""
+    """Return how often the diagnosis is right, by experiment."""
     table = Table(title="by experiment", title_justify="left")
     for column in ("", *KINDS):
         table.add_column(column)
@@ -183,7 +190,7 @@ def by_effect(judged: Judged) -> Table:
 
 
 def confusions(judged: Judged) -> Table:
-    """Return what was taken for what, errors only."""
+    """Return what was taken for what, wrong cases only."""
     table = Table(title="taken for something else", title_justify="left")
     for column in ("hidden", "said", "times"):
         table.add_column(column)
@@ -193,8 +200,21 @@ def confusions(judged: Judged) -> Table:
     return table
 
 
+def not_there(judged: Judged) -> Table:
+    """Return the cases in which a true cause is named together with one that is not there."""
+    table = Table(title="a true cause named with one that is not there", title_justify="left")
+    for column in ("case", "experiment", "hidden (visibility by stage)", "not there", "detail"):
+        table.add_column(column, overflow="fold")
+    for r, j in judged:
+        if j.not_there:
+            table.add_row(
+                f"{r['seed']}:{r['number']}", r.get("experiment", "?"), hidden_text(r), " + ".join(j.not_there), detail(r)
+            )
+    return table
+
+
 def failures(judged: Judged) -> Table:
-    """Return every case that was not judged rightly."""
+    """Return every case that is not right."""
     table = Table(title="every case that is not right (* lenient judge lets it pass)", title_justify="left")
     for column in ("case", "experiment", "hidden (visibility by stage)", "said", "detail"):
         table.add_column(column, overflow="fold")
@@ -208,7 +228,7 @@ def failures(judged: Judged) -> Table:
 
 
 def hidden_text(r: Row) -> str:
-    """Return what was hidden, its sizes and where it shows."""
+    """Return the hidden effects, their sizes and where they show."""
     parts = []
     for name, sizes in r.get("hidden", {}).items():
         given = ", ".join(f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in sizes.items())
@@ -218,7 +238,7 @@ def hidden_text(r: Row) -> str:
 
 
 def detail(r: Row) -> str:
-    """Return what else a failed case says."""
+    """Return the details of a failed case."""
     if "ours" not in r:
         return str(r.get("error", "")).strip().splitlines()[-1]
     ours, parts = r["ours"], []

@@ -1,15 +1,15 @@
-"""Choice of the peers' thresholds, on seeds that no benchmark uses."""
+"""Tuning of the peers' thresholds, on seeds that no benchmark uses."""
 
 from typing import Any
 
-import cases
 import numpy as np
-from judge import Row, peer_right
-from peers import STLSQ, Path, Problem, bic, paths, problem_of, stlsq
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from benchmarks.diagnosis import cases
+from benchmarks.diagnosis.judge import Row, peer_right
+from benchmarks.diagnosis.peers import STLSQ, Path, Problem, bic, paths, problem_of, stlsq
 from ehls_ros.trajectory import Trajectory
 
 SEED, CASES = 990_001, 60
@@ -20,7 +20,7 @@ LEAST = (0.0, 0.02, 0.05, 0.1, 0.2)
 
 
 def tune(console: Console) -> None:
-    """Print how the peers do by their thresholds; effects outside the list are left out, as they cannot be right there."""
+    """Print the peers' results for all thresholds, without effects outside the list, where they can never be right."""
     problems: list[tuple[Row, Problem, dict[str, Path]]] = []
     numbers = [n for n in cases.numbers(2 * CASES, None) if cases.kind_of(n) != "outside"][:CASES]
     for number in track(numbers, "recordings", console=console):

@@ -18,6 +18,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.references import REFERENCES
+from ehls_ros.diagnosis import rules
 from ehls_ros.experiments import spec
 from ehls_ros.experiments.campaign import plan, variation
 from ehls_ros.families import Family
@@ -108,7 +109,7 @@ def write(folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     pages = {
         "commands": commands_page, "parameters": parameters_page, "nodes": nodes_page, "messages": messages_page,
-        "signals": signals_page, "python": python_page,
+        "signals": signals_page, "rules": rules_page, "python": python_page,
     }  # fmt: skip
     texts = {name: page() for name, page in pages.items()} | {"index": index_page(pages)}
     for name, text in texts.items():
@@ -311,7 +312,7 @@ def services() -> Iterator[tuple[str, str, str]]:
             yield f"`{topics.NAMESPACE}/{name}`", f"`{package_of[kind]}/srv/{kind}`", SERVICES[name]
 
 
-# --- messages, signals, Python ----------------------------------------------------------------------------------------
+# --- messages, signals, rules, Python ---------------------------------------------------------------------------------
 
 
 def messages_page() -> str:
@@ -333,6 +334,24 @@ def signals_page() -> str:
         "# Signals\n\nColumns of CSV, MAT and Parquet files, and names in a `Trajectory`. `time_s` comes first.\n\n"
         + rows_of(("name", "description", "unit"), rows)
     )
+
+
+def rules_page() -> str:
+    """Return the tuning numbers of diagnosis, step by step."""
+    parts = [
+        "# Rules of diagnosis\n\nEvery tuning number of `ehls diagnose`.\n",
+        "A *whitened* residual is in units of its noise floor; 1 nat is a factor e of likelihood.\n",
+    ]
+    for step in rules.STEPS:
+        rows = [
+            (f"`{e.name}`", f"{e.value:g}", e.rule.unit, e.rule.meaning, e.rule.origin)
+            for e in rules.table()
+            if e.rule.step == step
+        ]
+        parts.append(
+            f"## {step.capitalize()}\n\n{rows_of(('name', 'value', 'unit', 'what it is', 'where it comes from'), rows)}"
+        )
+    return "\n".join(parts)
 
 
 def python_page() -> str:

@@ -1,1 +1,1 @@
-"""What the simulation of a rig gets wrong, why, and what mending it gains."""
+"""What the model of a rig gets wrong, why, and what correcting it gains."""

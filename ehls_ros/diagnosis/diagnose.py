@@ -1,37 +1,29 @@
-"""From a recording and a rig's model to what the model gets wrong, why, and what mending it gains."""
+"""The walk from a recording and a rig's model to what the model gets wrong, why, and what correcting it gains."""
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-from ehls_ros.diagnosis.evidence import Evidence, noise_of
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.causes import causes
+from ehls_ros.diagnosis.dependence import depends_on, signals_along
+from ehls_ros.diagnosis.evidence import Evidence, gather
+from ehls_ros.diagnosis.excitation import excited, sensitivities
+from ehls_ros.diagnosis.gain import gain
+from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
-from ehls_ros.diagnosis.judged import Judged
+from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import Record, prepare
-from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis, StageResult, Verdict
-from ehls_ros.diagnosis.search import CLOSED, search
-from ehls_ros.diagnosis.stages import CHANNELS, STAGES, UNITS, Channel, Comparison, Stage, setup
-from ehls_ros.diagnosis.starts import LINES, Progress, lines_of, main_channel
-from ehls_ros.diagnosis.structure import signals_of, structure
-from ehls_ros.diagnosis.verdict import KEY, Left, causes, excited, gain, leaves_much, left_in_stages, sensitivities
+from ehls_ros.diagnosis.remainder import Remainder, remainders
+from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis, Sensitivity, StageResult
+from ehls_ros.diagnosis.search import search
+from ehls_ros.diagnosis.spectrum import spectral_lines
+from ehls_ros.diagnosis.stage_results import Nrmse, not_recorded, stage_result
+from ehls_ros.diagnosis.stages import CHANNELS, STAGES, UNITS, Channel, Stage, setup
+from ehls_ros.diagnosis.starts import main_channel
+from ehls_ros.diagnosis.verdict import Finding, decide
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
-
-MISSING: Mapping[Stage, str] = {
-    "valve": "valve_command_m and spool_m, several samples within the valve's lag",
-    "flow": "position_m (or velocity_m_s), load_pressure_pa (or force_n), and spool_m (or valve_command_m)",
-    "force_balance": "position_m (velocity_m_s for a rig without spring) and load_pressure_pa (or force_n), at 400 Hz or more",
-    "sensors": "two sensors of one quantity: load_pressure_pa and force_n, or position_m and velocity_m_s",
-}
-"""The signals that each stage needs."""
-
-WANTED: Mapping[Stage, str] = {
-    "valve": "the command has to move the spool by many times its sensor's noise",
-    "flow": "oil has to flow: the piston has to move or the pressure to change by many times their noise",
-    "force_balance": "the piston has to slide, to and fro, by more than its presliding travel",
-    "sensors": "the signals have to change by many times their noise",
-}
-"""What the data have to do to tell something of a stage."""
 
 
 def diagnose(
@@ -46,12 +38,12 @@ def diagnose(
     """Find what a rig's model gets wrong.
 
     Args:
-        trajectory: the recording, any subset of the data contract's signals.
-        rig: the model as it was given.
-        name: what the recording is called in errors.
-        seed: of the noise that is added to find the noise floor, and of resampling.
-        threads: hypotheses tried at once; as many as there are processors where nothing is said.
-        progress: called with what is being done, and the part of it that is done.
+        trajectory: the recording, with any subset of the data contract's signals.
+        rig: the given model.
+        name: name of the recording in errors.
+        seed: of the noise added to find the noise floor, and of resampling.
+        threads: hypotheses tried at once; by default one for each processor.
+        progress: called with what is being done and the fraction of the diagnosis that is done.
 
     Returns:
         The diagnosis.
@@ -62,83 +54,88 @@ def diagnose(
     began = time.perf_counter()
     progress("reading the recording", 0.0)
     record = prepare(trajectory, rig, name)
-    used = setup(record, rig)
-    if not used.channels:
-        return _nothing(record, rig, seed, began)
-    evidence = Evidence(record, rig, used, seed)
-    if not evidence.channels:
-        return _nothing(record, rig, seed, began)
-    main = main_channel(evidence)
-    lines = lines_of(evidence.base.values[main], evidence.times(main), LINES)
-    tried, not_judged = candidates(record, rig, lines)
+    compared = setup(record, rig)
+    evidence = gather(record, rig, compared, seed) if compared.channels else None
+    if evidence is None or not evidence.channels:
+        return _nothing_recorded(record, rig, seed, began)
+    main = main_channel(evidence.channels)
+    lines = spectral_lines(evidence.base.values[main], evidence.times[main])
+    tried, not_tried = candidates(record, rig, lines)
     found = search(evidence, tried, threads or os.cpu_count() or 1, progress)
-    best = found.best
+    model = extended(rig, found.best.hypothesis, found.best.fit.values)
     sizes = sensitivities(evidence, found.screened)
-    comparison = evidence.comparison()
-    model = extended(rig, best.hypothesis, best.fit.values)
-    lefts = left_in_stages(evidence, found)
-    stages = {
-        stage: _stage(evidence, comparison, model, best, stage, lefts[stage], excited(evidence, sizes, stage))
-        for stage in STAGES
-    }
+    findings = _findings(evidence, sizes, remainders(evidence, found))
     named = causes(evidence, found, seed)
-    quiet = any(c.stage in KEY and not excited(evidence, sizes, c.stage) for c in named)
-    unknown = _unknown_stage(lefts)
-    verdict: Verdict
-    if quiet:
-        verdict = "insufficient"
-    elif unknown is not None:
-        verdict = "unknown"
-    elif named:
-        verdict = "effect"
-    elif _judged_enough(evidence, stages):
-        verdict = "consistent"
-    else:
-        verdict = "insufficient"
+    verdict, unknown = decide(findings, [cause.stage for cause in named])
+    signals = signals_along(evidence.comparison(), model)
+    stages = _stage_results(evidence, found.best, findings, signals)
     return Diagnosis(
         verdict=verdict,
-        missing=tuple(f"{stage}: {result.why_not}" for stage, result in stages.items() if not result.judged),
+        missing=_missing(stages),
         stages=stages,
         causes=named if verdict == "effect" else (),
         unknown_stage=unknown,
         depends_on=stages[unknown].depends_on if unknown is not None else (),
         partial=tuple(c.name for c in named) if verdict == "unknown" else (),
-        gain=gain(evidence, best, seed) if verdict == "effect" else None,
+        gain=gain(evidence, found.best, seed) if verdict == "effect" else None,
         rig=rig,
         extended=model if verdict == "effect" else rig,
-        traces={c: _trace(evidence, comparison, model, best, c) for c in evidence.channels},
+        traces={c: _trace(evidence, signals, found.best, c) for c in evidence.channels},
         sensitivities=sizes,
-        not_judged=not_judged,
-        remarks=(*record.remarks, *_incidents(lefts)),
+        not_judged=not_tried,
+        remarks=(*record.remarks, *_incidents(findings)),
         seed=seed,
         wall_s=time.perf_counter() - began,
     )
 
 
-def _incidents(lefts: Mapping[Stage, Mapping[Channel, Left]]) -> list[str]:
-    """Say where a stage stands out of the noise once."""
+def _findings(evidence: Evidence, sizes: Sequence[Sensitivity], left: Sequence[Remainder]) -> dict[Stage, Finding]:
+    friction = evidence.rig.effective().friction
+    return {
+        stage: Finding(
+            tuple(item for item in left if CHANNELS[item.channel] == stage), excited(stage, sizes, friction, evidence.travel)
+        )
+        for stage in STAGES
+    }
+
+
+def _stage_results(
+    evidence: Evidence, best: Assessment, findings: Mapping[Stage, Finding], signals: Mapping[str, Array]
+) -> dict[Stage, StageResult]:
+    held_out = best.held_out.residuals.values
+
+    def dependence(channel: Channel) -> tuple[str, ...]:
+        means = {name: evidence.means(channel, values) for name, values in signals.items()}
+        return depends_on(held_out[channel], means, evidence.block[channel] % 2 == 0)
+
+    nrmse = {
+        c: Nrmse(*(evidence.nrmse(c, e[c]) for e in (evidence.base.values, held_out, evidence.noise)))
+        for c in evidence.channels
+    }
+    return {stage: stage_result(stage, finding, nrmse, dependence) for stage, finding in findings.items()}
+
+
+def _missing(stages: Mapping[Stage, StageResult]) -> tuple[str, ...]:
+    return tuple(f"{stage}: {result.why_not}" for stage, result in stages.items() if not result.judged)
+
+
+def _incidents(findings: Mapping[Stage, Finding]) -> list[str]:
+    """Say where a stage exceeds the noise only once."""
     return [
         f"between {item.incident[0]:.1f} and {item.incident[1]:.1f} s more than noise is left in the {stage.replace('_', ' ')},"
         " and at no other time: nothing is concluded from that, look at what happened there"
-        for stage, channels in lefts.items()
-        for item in channels.values()
+        for stage, finding in findings.items()
+        for item in finding.remainders
         if item.incident is not None
     ]
 
 
-def _judged_enough(evidence: Evidence, stages: Mapping[Stage, StageResult]) -> bool:
-    """Tell whether enough of what could be wrong was excited to say that nothing is: half of the stages that were recorded."""
-    recorded = [stage for stage in KEY if any(CHANNELS[channel] == stage for channel in evidence.channels)]
-    judged = [stage for stage in recorded if stages[stage].judged]
-    balanced = stages["force_balance"].judged or stages["flow"].judged
-    return 2 * len(judged) >= len(recorded) and (balanced or (stages["valve"].judged and "force" not in evidence.channels))
-
-
-def _nothing(record: Record, rig: Rig, seed: int, began: float) -> Diagnosis:
-    stages = {stage: StageResult(judged=False, why_not=f"needs {MISSING[stage]}") for stage in STAGES}
+def _nothing_recorded(record: Record, rig: Rig, seed: int, began: float) -> Diagnosis:
+    """Return the diagnosis of a recording in which no residual can be formed."""
+    stages = {stage: not_recorded(stage) for stage in STAGES}
     return Diagnosis(
         verdict="insufficient",
-        missing=tuple(f"{stage}: {result.why_not}" for stage, result in stages.items()),
+        missing=_missing(stages),
         stages=stages,
         causes=(),
         unknown_stage=None,
@@ -156,63 +153,15 @@ def _nothing(record: Record, rig: Rig, seed: int, began: float) -> Diagnosis:
     )
 
 
-def _stage(
-    evidence: Evidence,
-    comparison: Comparison,
-    model: Rig,
-    best: Judged,
-    stage: Stage,
-    lefts: Mapping[Channel, Left],
-    moved: bool,
-) -> StageResult:
-    if not lefts:
-        return StageResult(judged=False, why_not=f"needs {MISSING[stage]}")
-    if not moved:
-        return StageResult(judged=False, why_not=WANTED[stage])
-    worst = max(lefts, key=lambda c: lefts[c].before / max(lefts[c].noise, 1e-12))
-    unexplained = max(lefts, key=lambda c: lefts[c].after / max(lefts[c].noise, 1e-12))
-    remains = any(item.remains for item in lefts.values())
-    depends: tuple[str, ...] = ()
-    if remains:
-        depends = structure(evidence, comparison, model, unexplained, best.held.errors.values[unexplained]).depends_on
-    return StageResult(
-        judged=True,
-        why_not="",
-        nrmse_before=evidence.nrmse(worst, evidence.base.values[worst]),
-        nrmse_after=evidence.nrmse(worst, best.held.errors.values[worst]),
-        noise_floor=evidence.nrmse(worst, noise_of(evidence, worst)),
-        exceeds=any(item.exceeded for item in lefts.values()),
-        unexplained=any(not item.mended or (item.remains and item.closed < CLOSED) for item in lefts.values()),
-        leaves_much=any(item.exceeded and leaves_much(item) for item in lefts.values()),
-        incident=next((item.incident for item in lefts.values() if item.incident is not None), None),
-        depends_on=depends,
-    )
-
-
-def _unknown_stage(lefts: Mapping[Stage, Mapping[Channel, Left]]) -> Stage | None:
-    """Return the stage in which most is left that no cause explains."""
-    worst, stage = 0.0, None
-    for name, channels in lefts.items():
-        for item in channels.values():
-            if item.mended and (not item.remains or item.closed >= CLOSED):
-                continue
-            # Two sensors that disagree need no model to be wrong.
-            excess = item.after / max(item.noise, 1e-12) * (1e6 if name == "sensors" else 1.0)
-            if excess > worst:
-                worst, stage = excess, name
-    return stage
-
-
-def _trace(evidence: Evidence, comparison: Comparison, model: Rig, best: Judged, channel: Channel) -> ChannelTrace:
+def _trace(evidence: Evidence, signals: Mapping[str, Array], best: Assessment, channel: Channel) -> ChannelTrace:
     floor = evidence.floor[channel]
-    against = {n: evidence.means(channel, v) for n, v in signals_of(evidence, comparison, model).items() if n != "time_s"}
     return ChannelTrace(
         channel=channel,
         unit=UNITS[channel],
-        time=evidence.times(channel),
+        time=evidence.times[channel],
         before=evidence.base.values[channel] * floor,
-        after=best.held.errors.values[channel] * floor,
+        after=best.held_out.residuals.values[channel] * floor,
         floor=floor,
-        noise=noise_of(evidence, channel) * floor,
-        against=against,
+        noise=evidence.noise[channel] * floor,
+        against={name: evidence.means(channel, values) for name, values in signals.items() if name != "time_s"},
     )

@@ -1,4 +1,4 @@
-"""What may be wrong with a model: every effect in every form in which it can be fitted."""
+"""What may be wrong with a model: every effect, in every form in which it can be fitted."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.record import Record
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
@@ -15,19 +16,16 @@ from ehls_ros.physics.effects.base import Form, Peak, Quantile, Share
 from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.schema import Declaration, declarations
 
-OUTER = 0.5
-"""Part of a signal's samples that lie below what counts as the upper end of its range."""
-
 
 class Candidate(NamedTuple):
     """One effect in one of its forms.
 
     Attributes:
-        name: of the effect.
-        number: of the form, in the order of the effect's file.
+        name: the effect's name.
+        number: number of the form, in the order of the effect's file.
         free: names of the parameters to fit.
-        fixed: the other parameters that are not at their neutral values.
-        starts: values of the free parameters from which fits start, shape (starts, free).
+        fixed: names and values of the other parameters that are not neutral.
+        starts: starting values of the free parameters, shape (starts, free).
         lower, upper: range of the free parameters, shape (free,).
         units: units of the free parameters.
         neutral: their neutral values, shape (free,).
@@ -44,55 +42,55 @@ class Candidate(NamedTuple):
     neutral: Array
 
     @property
-    def parts_load(self) -> bool:
-        """Whether this parts the load from the piston; of such there can be but one."""
+    def separates_load(self) -> bool:
+        """Whether this separates the load from the piston; a rig can have only one such effect."""
         return self.use(self.starts[-1]).piston_share > 0.0
 
     def use(self, values: Array) -> EffectUse:
-        """Return the effect switched on with values of the free parameters, held within their ranges."""
+        """Return the effect with values of the free parameters, clipped to their ranges."""
         inside = np.clip(values, self.lower, self.upper)
         named = {**dict(self.fixed), **{n: float(v) for n, v in zip(self.free, inside, strict=True)}}
         return EffectUse(self.name, EFFECTS.load(self.name).Parameters(**named))
 
 
 Hypothesis = tuple[Candidate, ...]
-"""Candidates that act together."""
+"""Candidates that act together; none is the given model."""
 
 
 def parts(hypothesis: Hypothesis) -> list[slice]:
-    """Return where each candidate's parameters stand among those of all of them one after another."""
+    """Return the slice of each candidate in the joint vector of free parameters."""
     ends = np.cumsum([0, *[len(c.free) for c in hypothesis]])
     return [slice(int(begin), int(end)) for begin, end in pairwise(ends)]
 
 
 def extended(rig: Rig, hypothesis: Hypothesis, values: Array) -> Rig:
-    """Return a rig with a hypothesis' effects switched on.
+    """Return a rig with the effects of a hypothesis.
 
     Args:
-        rig: the model as it was given.
-        hypothesis: what is switched on.
-        values: the free parameters of all of them one after another.
+        rig: the given model.
+        hypothesis: the candidates to add.
+        values: the joint vector of their free parameters.
     """
     return rig.with_effects(tuple(c.use(values[part]) for c, part in zip(hypothesis, parts(hypothesis), strict=True)))
 
 
 def bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:
-    """Return the ranges of a hypothesis' free parameters one after another."""
+    """Return lower and upper bounds of the joint vector of free parameters."""
     if not hypothesis:
         return np.empty(0), np.empty(0)
     return np.concatenate([c.lower for c in hypothesis]), np.concatenate([c.upper for c in hypothesis])
 
 
 def candidates(record: Record, rig: Rig, lines: Sequence[float]) -> tuple[list[Candidate], dict[str, str]]:
-    """Return every effect in every form that these data can be asked about.
+    """Return every effect in every form that these data can test.
 
     Args:
         record: the recording.
-        rig: the model as it was given; an effect it already has is asked about as a change on top of it.
+        rig: the given model; an effect it already has is not tried.
         lines: frequencies of the strongest lines in the residuals' spectra [Hz].
 
     Returns:
-        The candidates, and the effects that cannot be judged with the reason.
+        The candidates, and the effects that cannot be tried with the reason.
     """
     found, out = list[Candidate](), dict[str, str]()
     for name in EFFECTS.names():
@@ -110,13 +108,13 @@ def candidates(record: Record, rig: Rig, lines: Sequence[float]) -> tuple[list[C
 
 
 def at_lines(found: Sequence[Candidate], record: Record, rig: Rig, lines: Sequence[float]) -> list[Candidate]:
-    """Return the candidates whose fits start at lines of a spectrum, with starts at other lines.
+    """Return the candidates whose fits start at spectral lines, with starts at other lines.
 
     Args:
-        found: of :func:`candidates`.
+        found: result of :func:`candidates`.
         record: the recording.
-        rig: the model as it was given.
-        lines: frequencies of the strongest lines in the spectrum of what is left [Hz].
+        rig: the given model.
+        lines: frequencies of the strongest lines in the spectrum of the remaining residual [Hz].
     """
     out = []
     for candidate in found:
@@ -142,21 +140,23 @@ def _candidate(name: str, number: int, form: Form, record: Record, lines: Sequen
     for column, parameter in enumerate(free):
         starts = form.free[parameter] or (float(declared[parameter].default),) * count
         if len(starts) != count:
-            raise BadInput(f"{parameter} has {len(starts)} starts", f"effect {name}, form {number}", f"{count} as the others")
+            raise BadInput(
+                f"{parameter} has {len(starts)} starts", f"effect {name}, form {number}", f"{count}, as many as the others"
+            )
         rows[:, column] = [_start(start, record, lines) for start in starts]
     lower = np.array([_finite(declared[p].minimum, -np.inf) for p in free])
     upper = np.array([_finite(declared[p].maximum, np.inf) for p in free])
     for column, parameter in enumerate(free):
         quantiles = [start for start in form.free[parameter] if isinstance(start, Quantile)]
         if quantiles:
-            # What is looked for at an end of a signal's range is not to be found in the middle of it.
+            # A threshold sought at one end of a signal's range must not settle in its middle.
             values = record.values(quantiles[0].signal)
             if min(q.part for q in quantiles) > 0.5:
-                lower[column] = max(lower[column], float(np.quantile(values, OUTER)))
+                lower[column] = max(lower[column], float(np.quantile(values, rules.OUTER)))
             elif max(q.part for q in quantiles) < 0.5:
-                upper[column] = min(upper[column], float(np.quantile(values, 1.0 - OUTER)))
+                upper[column] = min(upper[column], float(np.quantile(values, 1.0 - rules.OUTER)))
     if all(form.free.values()):
-        # What is small is found from the neutral values, wherever they tell a direction.
+        # A small effect is found from the neutral values, provided the loss has a gradient there.
         rows = np.vstack([neutral, rows])
     rows = np.clip(rows, lower, upper)
     units = tuple(declared[p].unit for p in free)

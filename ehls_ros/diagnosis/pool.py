@@ -7,14 +7,16 @@ from typing import TypeVar
 
 import numpy as np
 
-from ehls_ros.diagnosis.evidence import Evidence, loss
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.fit import Worker
-
-SCREENED_BLOCKS = 8
-"""Blocks of the recording from which it is told where fits start."""
+from ehls_ros.diagnosis.loss import loss
 
 Item = TypeVar("Item")
 Done = TypeVar("Done")
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the fraction of the diagnosis that is done."""
 
 
 class Pool:
@@ -22,16 +24,16 @@ class Pool:
 
     def __init__(self, evidence: Evidence, threads: int) -> None:
         """Start the threads."""
-        ranges = _telling_parts(evidence)
-        few = None if ranges is None else Evidence(evidence.record.parts(ranges), evidence.rig, evidence.setup, seed=0)
-        self.few = few or evidence
+        ranges = informative_blocks(evidence)
+        few = None if ranges is None else gather(evidence.record.parts(ranges), evidence.rig, evidence.setup, seed=0)
+        self.subset = few or evidence
         self._free: SimpleQueue[Worker] = SimpleQueue()
         for _ in range(threads):
             self._free.put(Worker(evidence, few))
         self._executor, self._leaders = ThreadPoolExecutor(threads), ThreadPoolExecutor(threads)
 
     def map(self, work: Callable[[Worker, Item], Done], items: Sequence[Item]) -> list[Done]:
-        """Do the work on every item, in their order."""
+        """Do the work on every item and return the results in the items' order; the first exception is raised."""
 
         def one(item: Item) -> Done:
             worker = self._free.get()
@@ -43,7 +45,7 @@ class Pool:
         return list(self._executor.map(one, items))
 
     def lead(self, work: Callable[[Item], Done], items: Sequence[Item]) -> list[Done]:
-        """Do work that has parts of it mapped on the items side by side, in their order."""
+        """Do work that itself calls :meth:`map` on the items side by side; results in their order."""
         return list(self._leaders.map(work, items))
 
     def close(self) -> None:
@@ -52,18 +54,21 @@ class Pool:
         self._executor.shutdown()
 
 
-def _telling_parts(evidence: Evidence) -> list[tuple[int, int]] | None:
-    """Return the blocks in which the given model does worst, and as many spread evenly over the recording."""
-    samples, blocks = len(evidence.record.time), evidence.blocks
-    if blocks <= 3 * SCREENED_BLOCKS // 2:
+def informative_blocks(evidence: Evidence) -> list[tuple[int, int]] | None:
+    """Return the sample ranges of the blocks in which the given model does worst, and of as many spread over the recording.
+
+    None where the recording is too short for a selection to save time.
+    """
+    samples, blocks, count = len(evidence.record.time), evidence.blocks, rules.SCREENED_BLOCKS
+    if blocks <= 3 * count // 2:
         return None
     worst = np.zeros(blocks)
     for c in evidence.channels:
         total = np.bincount(evidence.block[c], weights=loss(evidence.base.values[c]), minlength=blocks)
         worst = np.maximum(worst, total / max(float(total.mean()), 1e-300))
-    chosen = {int(b) for b in np.linspace(0, blocks - 1, SCREENED_BLOCKS // 2).round()}
+    chosen = {int(b) for b in np.linspace(0, blocks - 1, count // 2).round()}
     for b in np.argsort(-worst):
-        if len(chosen) >= SCREENED_BLOCKS:
+        if len(chosen) >= count:
             break
         chosen.add(int(b))
     return [(-(-b * samples // blocks), -(-(b + 1) * samples // blocks)) for b in sorted(chosen)]

@@ -1,4 +1,4 @@
-"""A recording made ready for diagnosis: signals on one even time base, with what can be trusted of them."""
+"""A recording prepared for diagnosis: signals on one even time base, with the samples that can be trusted."""
 
 import math
 from collections.abc import Sequence
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, median_filter
 
 from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask, filled, inliers, noise
@@ -21,37 +22,10 @@ TEMPERATURE, SERVO_POSITION, SERVO_VELOCITY = "oil_temperature_k", "disturbance_
 USED = (
     COMMAND, SPOOL, PRESSURE, SUPPLY, POSITION, VELOCITY, FORCE, LOAD, TEMPERATURE, SERVO_POSITION, SERVO_VELOCITY,
 )  # fmt: skip
-"""Signals diagnosis looks at."""
-
-HELD_SLACK = 0.3
-"""Part of a period by which the stamp of a held value may be late."""
+"""Signals that diagnosis uses."""
 
 HELD = (COMMAND,)
 """Signals that hold their value until the next sample."""
-
-SPIKE, SPIKE_NEIGHBOURS = 20.0, 41
-"""How often the usual change from sample to sample a lone spike of a command is, and the samples that tell it."""
-
-ANSWERED, ANSWERED_WITHIN = 0.3, 0.015
-"""Part of the valve's answer to a command of one sample that tells it from a spike, and how late it may come [s]."""
-
-LONGEST_FILLED = 3
-"""Samples in a row that may be missing and are filled in by a straight line."""
-
-LEAST_SAMPLES = 200
-"""Samples below which nothing can be said."""
-
-MOST_BAD = 0.25
-"""Part of a signal that may be missing or outliers."""
-
-LONGEST_WHOLE = 150.0
-"""Longest recording that is looked at whole [s]; of a longer one, as much, in stretches spread evenly over it."""
-
-STRETCHES = 15
-"""Stretches taken of a long recording."""
-
-UNIT_FACTOR = 20.0
-"""How far beyond the rig's limits a signal may go before only a wrong unit explains it."""
 
 
 class Record(NamedTuple):
@@ -62,10 +36,10 @@ class Record(NamedTuple):
         period: sampling period [s].
         time: sample times, shape (n,) [s].
         signals: values by name, finite everywhere, shape (n,).
-        good: where a signal's values were measured, shape (n,).
-        noise: standard deviation of each signal's white noise, resolution included.
-        fresh: samples that begin a stretch without a break before it.
-        duration: time the whole recording spans [s].
+        good: where a signal's values rest on measured samples, shape (n,).
+        noise: standard deviation of each signal's white noise, including its resolution.
+        fresh: samples at which a continuous stretch begins.
+        duration: time the recording spans, including what was left out [s].
         remarks: what was done to the data, one sentence each.
     """
 
@@ -88,7 +62,7 @@ class Record(NamedTuple):
         return self.signals[signal] if signal in self.signals else np.zeros(len(self.time))
 
     def parts(self, ranges: Sequence[tuple[int, int]]) -> "Record":
-        """Return the record of some ranges of samples, each a stretch of its own."""
+        """Return the record of some ranges of samples, each as a separate stretch."""
         index = np.concatenate([np.arange(*r) for r in ranges])
         fresh = self.fresh[index]
         fresh[np.cumsum([0, *[end - begin for begin, end in ranges[:-1]]])] = True
@@ -101,29 +75,29 @@ class Record(NamedTuple):
 
 
 def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
-    """Bring a recording onto an even time base and find what of it can be trusted.
+    """Resample a recording to an even time base and find the samples that can be trusted.
 
     Args:
         trajectory: the recording, any subset of :data:`USED`.
-        rig: the rig, for limits that tell a wrong unit.
+        rig: the rig, whose limits reveal a wrong unit.
         name: what the recording is called in errors.
 
     Returns:
-        The record. A signal that is missing, or has no finite sample, is not in it.
+        The record, without signals that are missing or have no finite sample.
 
     Raises:
-        BadInput: time does not grow, or a signal is mostly outliers, or of a size no such rig can have.
+        BadInput: time does not increase, too much of a signal is bad, or a signal is far beyond the rig's limits.
     """
     time = np.asarray(trajectory.time_s, dtype=np.float64)
-    if len(time) < LEAST_SAMPLES:
-        raise BadInput(f"there are {len(time)} samples", name, f"at least {LEAST_SAMPLES}")
+    if len(time) < rules.FEWEST_SAMPLES:
+        raise BadInput(f"there are {len(time)} samples", name, f"at least {rules.FEWEST_SAMPLES}")
     steps = np.diff(time)
     if not np.all(np.isfinite(time)) or np.any(steps <= 0.0):
-        raise BadInput("time_s does not grow from sample to sample", name, "increasing times in seconds")
+        raise BadInput("time_s does not increase from sample to sample", name, "increasing times in seconds")
     period = float(np.median(steps))
     remarks: list[str] = []
     chosen = _stretches(time, remarks)
-    # A sample belongs to the grid point it is nearest to.
+    # Each sample belongs to the nearest grid point.
     starts = np.flatnonzero(np.concatenate([[True], np.diff(chosen) > 1]))
     pieces = np.split(chosen, starts[1:])
     grids = [time[p[0]] + period * np.arange(round((time[p[-1]] - time[p[0]]) / period) + 1) for p in pieces]
@@ -132,7 +106,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     fresh[np.cumsum([0, *[len(g) for g in grids[:-1]]])] = True
     signals, good, level = dict[str, Array](), dict[str, Mask](), dict[str, float]()
     lost = 1.0 - len(chosen) / len(grid)
-    if lost > 1e-3:
+    if lost > rules.MENTIONED_LOSS:
         remarks.append(f"{100 * lost:.2g} % of the samples are missing")
     recorded = {s: np.asarray(trajectory[s], dtype=np.float64)[chosen] for s in USED if s in trajectory}
     empty = [s for s, values in recorded.items() if not np.any(np.isfinite(values))]
@@ -144,96 +118,99 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     for signal, values in recorded.items():
         right = trusted[signal]
         bad = 1.0 - float(np.mean(right))
-        if bad > MOST_BAD:
+        if bad > rules.MOST_BAD:
             what = f"{100 * bad:.0f} % of signal '{signal}' are missing or outliers"
-            raise BadInput(what, name, f"at most {100 * MOST_BAD:.0f} %")
-        if bad > 1e-4:
+            raise BadInput(what, name, f"at most {100 * rules.MOST_BAD:.0f} %")
+        if bad > rules.MENTIONED_BAD:
             remarks.append(f"{100 * bad:.2g} % of {signal} are missing or outliers and were left out")
         signals[signal], good[signal] = _on_grid(time[chosen], values, right, grid, period, signal in HELD)
         level[signal] = _noise(values[right])
     _check_sizes(signals, rig, name)
-    if period > 0.0 and float(np.max(np.abs(steps - period))) > 0.01 * period and lost <= 1e-3:
+    if period > 0.0 and float(np.max(np.abs(steps - period))) > rules.UNEVEN * period and lost <= rules.MENTIONED_LOSS:
         remarks.append("the sampling is uneven; values are taken at even times by straight lines")
     return Record(name, period, grid, signals, good, level, fresh, float(time[-1] - time[0]), tuple(remarks))
 
 
 def _stretches(time: Array, remarks: list[str]) -> NDArray[np.intp]:
     duration = float(time[-1] - time[0])
-    if duration <= LONGEST_WHOLE:
+    if duration <= rules.LONGEST_RECORDING:
         return np.arange(len(time))
-    length = LONGEST_WHOLE / STRETCHES
-    begins = time[0] + np.linspace(0.0, duration - length, STRETCHES)
-    remarks.append(f"of {duration:.0f} s, {STRETCHES} stretches of {length:.0f} s spread evenly over it are looked at")
+    length = rules.LONGEST_RECORDING / rules.STRETCHES
+    begins = time[0] + np.linspace(0.0, duration - length, rules.STRETCHES)
+    remarks.append(f"of {duration:.0f} s, {rules.STRETCHES} stretches of {length:.0f} s spread evenly over it are looked at")
     parts = [np.arange(*np.searchsorted(time, [b, b + length])) for b in begins]
-    # Stretches in a gap of the recording may be empty, and one sample between two would join them.
+    # A stretch in a gap of the recording may be empty; dropping the first sample keeps adjacent stretches apart.
     return np.unique(np.concatenate([p[1:] for p in parts if len(p) > 2]))
 
 
 def _on_grid(time: Array, values: Array, right: Mask, grid: Array, period: float, held: bool) -> tuple[Array, Mask]:
-    """Return a signal's values on the grid, and where they rest on measured ones."""
+    """Return a signal's values on the grid, and where they rest on measured samples."""
     known, at = values[right], time[right]
     if held:
-        index = np.clip(np.searchsorted(at, grid + HELD_SLACK * period, side="right") - 1, 0, len(at) - 1)
+        index = np.clip(np.searchsorted(at, grid + rules.COMMAND_LATENESS * period, side="right") - 1, 0, len(at) - 1)
         out = known[index]
     else:
         out = np.interp(grid, at, known)
     after = np.clip(np.searchsorted(at, grid - 0.5 * period), 0, len(at) - 1)
     before = np.clip(after - 1, 0, len(at) - 1)
     near = np.minimum(np.abs(at[after] - grid), np.abs(at[before] - grid)) <= 0.5 * period
-    inside = (at[after] - at[before] <= (LONGEST_FILLED + 1.5) * period) & (grid >= at[0]) & (grid <= at[-1])
+    inside = (at[after] - at[before] <= (rules.LONGEST_FILLED + 1.5) * period) & (grid >= at[0]) & (grid <= at[-1])
     return out, near | inside
 
 
 def _not_spikes(values: Array) -> Mask:
-    """Tell which samples of a command are finite and no lone spikes; a command may jump, and come back later."""
+    """Tell which samples of a command are finite and not lone spikes; a step is followed by more samples at its level."""
     whole = filled(values)
     before, after = np.concatenate([whole[:1], whole[:-1]]), np.concatenate([whole[1:], whole[-1:]])
     off = _stands_off(whole)
     alone = (whole - before) * (whole - after) > 0.0
-    around = median_filter(np.abs(whole - before), SPIKE_NEIGHBOURS, mode="nearest") + np.abs(after - before)
-    good: Mask = np.isfinite(values) & ~(alone & (off > SPIKE * around) & (off > 1e-6 * np.max(np.abs(whole))))
+    around = median_filter(np.abs(whole - before), rules.SPIKE_NEIGHBOURS, mode="nearest") + np.abs(after - before)
+    jumps = (off > rules.SPIKE * around) & (off > rules.LEAST_SPIKE * np.max(np.abs(whole)))
+    good: Mask = np.isfinite(values) & ~(alone & jumps)
     return good
 
 
 def _stands_off(values: Array) -> Array:
-    """Return how far each sample is from the nearer of its two neighbours."""
+    """Return the distance of each sample from the nearer of its two neighbours."""
     off: Array = np.minimum(np.abs(np.diff(values, prepend=values[:1])), np.abs(np.diff(values, append=values[-1:])))
     return off
 
 
 def _answered(command: Array, spool: Array, rig: Rig, period: float) -> Mask:
-    """Tell which samples of a command the spool answers: those were sent, and a switching controller sends lone ones.
+    """Tell which samples of a command the spool responds to: they were sent, however much they look like spikes.
+
+    A switching controller sends such lone samples.
 
     Args:
-        command: the command [m], not a number where it is missing.
-        spool: the spool's position [m], not a number where it is missing or an outlier.
+        command: the command [m], NaN where it is missing.
+        spool: the spool's position [m], NaN where it is missing or an outlier.
         rig: the valve's gain and bandwidth.
         period: sampling period [s].
     """
     spool = filled(spool)
     moves = np.diff(spool, prepend=spool[:1])
     turns = np.abs(np.diff(moves, prepend=moves[:1]))
-    window = max(3, round(ANSWERED_WITHIN / period))
-    # The strongest from each sample on.
+    window = max(3, round(rules.ANSWERED_WITHIN / period))
+    # The strongest in the window that begins at each sample.
     strongest = maximum_filter1d(turns, window, origin=-(window // 2), mode="nearest")
     follows = abs(rig.plant.valve_gain) * (1.0 - math.exp(-rig.plant.valve_bandwidth * period))
-    answered: Mask = np.isfinite(command) & (strongest > ANSWERED * follows * _stands_off(filled(command)))
+    answered: Mask = np.isfinite(command) & (strongest > rules.ANSWERED * follows * _stands_off(filled(command)))
     return answered
 
 
 def _noise(values: Array) -> float:
-    """Return the standard deviation of a signal's noise; a resolution counts where it is coarser."""
-    moves = np.abs(np.diff(values[: min(len(values), 20000)]))
+    """Return the standard deviation of a signal's noise, or of its quantisation where that is larger."""
+    moves = np.abs(np.diff(values[: min(len(values), rules.RESOLUTION_SAMPLES)]))
     moves = moves[moves > 1e-12 * max(float(np.max(np.abs(values))), 1e-300)]
     lattice = float(np.min(moves)) if moves.size else 0.0
-    # Only a step that all differences are multiples of is a resolution.
-    if lattice > 0.0 and np.max(np.abs(moves / lattice - np.round(moves / lattice))) > 1e-3:
+    # A resolution is a step of which all differences are multiples.
+    if lattice > 0.0 and np.max(np.abs(moves / lattice - np.round(moves / lattice))) > rules.RESOLUTION_MISFIT:
         lattice = 0.0
     return max(noise(values), lattice / math.sqrt(12.0))
 
 
 def _check_sizes(signals: dict[str, Array], rig: Rig, name: str) -> None:
-    """Refuse what only a wrong unit explains."""
+    """Refuse a signal so far beyond the rig's limits that its unit must be wrong."""
     room = max(abs(rig.limits.position[0]), abs(rig.limits.position[1]))
     limits = {
         COMMAND: (rig.limits.spool, "m"),
@@ -245,7 +222,7 @@ def _check_sizes(signals: dict[str, Array], rig: Rig, name: str) -> None:
         FORCE: (rig.limits.force, "N"),
     }
     for signal, (limit, unit) in limits.items():
-        if signal in signals and float(np.quantile(np.abs(signals[signal]), 0.99)) > UNIT_FACTOR * limit:
+        if signal in signals and float(np.quantile(np.abs(signals[signal]), rules.UNIT_QUANTILE)) > rules.UNIT_FACTOR * limit:
             largest = float(np.max(np.abs(signals[signal])))
             what = f"{signal} reaches {largest:.3g}, the rig's limit is {limit:.3g} {unit}"
             raise BadInput(what, name, "SI units (see --columns)")

@@ -1,4 +1,4 @@
-"""What a diagnosis says."""
+"""The result of a diagnosis."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,16 +16,16 @@ class StageResult(NamedTuple):
     """How one stage of the model does.
 
     Attributes:
-        judged: whether the data tell anything about it.
-        why_not: what is missing where they do not.
-        nrmse_before: rms residual of the model as it was given, as a part of the stage's largest term; None if not judged.
-        nrmse_after: the same with the causes found, on data they were not fitted to.
-        noise_floor: what the sensors' noise alone makes of it.
-        exceeds: whether the residual before is more than noise, surely and by enough to matter.
-        unexplained: whether the residual after still is.
-        leaves_much: whether the causes leave more of it than right ones do as a rule.
-        incident: the stretch in which alone more than noise is left, if there is one [s].
-        depends_on: the signals that the residual after depends on, strongest first.
+        judged: whether the data are sufficient to judge it.
+        why_not: what is missing if they are not.
+        nrmse_before: rms residual of the given model, as a fraction of the stage's largest term; None if not judged.
+        nrmse_after: the same with the causes named, on held-out data.
+        noise_floor: the same of the sensors' noise alone.
+        exceeds: whether the given model's residual exceeds the noise, by enough to matter.
+        unexplained: whether a remainder does that no cause explains.
+        leaves_much: whether more remains than right causes usually leave.
+        incident: the only interval in which more than noise remains, if there is one [s].
+        depends_on: the signals on which the remainder depends, strongest first.
     """
 
     judged: bool
@@ -41,13 +41,13 @@ class StageResult(NamedTuple):
 
 
 class Rival(NamedTuple):
-    """Another cause in the place of one that was named.
+    """Another effect in the place of a named cause.
 
     Attributes:
-        name: of the effect.
-        behind: by how much it explains less on held-out data [nats].
-        closed_fraction: part of the removable error that it closes.
-        parameters: its best fit.
+        name: name of the effect.
+        behind: how much less it gains on held-out data [nats].
+        closed_fraction: fraction of the removable error that it closes.
+        parameters: its fitted parameters with standard errors.
     """
 
     name: str
@@ -57,18 +57,18 @@ class Rival(NamedTuple):
 
 
 class Cause(NamedTuple):
-    """One cause of what the model gets wrong.
+    """One cause of the model's error.
 
     Attributes:
-        name: of the effect.
-        probability: that it is this one rather than another single effect in its place, or one that no file describes.
-        equivalent_to: effects that the data cannot tell from it.
+        name: name of the effect.
+        probability: probability that it is this effect, not another in its place nor one outside the list.
+        equivalent_to: effects that the data cannot distinguish from it.
         stage: the stage of the model it belongs to.
-        group: what the effect's file calls its stage.
-        parameters: the fitted ones with standard errors.
-        fixed: the others that are not neutral.
-        gain: decrease of the loss on held-out data through it [nats].
-        sigmas: standard errors its surest parameter is from neutral.
+        group: the group that the effect's file names.
+        parameters: the fitted parameters with standard errors.
+        fixed: the other parameters that are not neutral.
+        gain: decrease of the loss on held-out data due to it [nats].
+        sigmas: standard errors between its best determined parameter and the neutral value.
         rivals: other effects in its place, best first.
     """
 
@@ -85,13 +85,15 @@ class Cause(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """What the extension gains on held-out data, over the channels it changes.
+    """What the extended model gains on held-out data, over the channels it changes.
 
     Attributes:
-        channel: the channel that gained most.
-        heldout_nrmse_before, heldout_nrmse_after, noise_floor: of that channel, as parts of its largest term.
-        closed_fraction: part of the removable error power that is gone.
-        ci95: its interval, from resampling the blocks.
+        channel: the channel that gains most.
+        heldout_nrmse_before: rms residual there of the given model, as a fraction of the largest term.
+        heldout_nrmse_after: the same of the extended model.
+        noise_floor: the same of noise alone.
+        closed_fraction: fraction of the removable error power that is gone, over all channels it changes.
+        ci95: its 95 % interval, from resampling the blocks.
     """
 
     channel: Channel
@@ -103,17 +105,17 @@ class Gain(NamedTuple):
 
 
 class ChannelTrace(NamedTuple):
-    """A channel's residual, one value a window, for pictures.
+    """A channel's residual for plots, one value a window, shape (n,).
 
     Attributes:
-        channel: its name.
-        unit: of the residuals.
+        channel: name of the channel.
+        unit: unit of the residuals.
         time: middle of the windows [s].
-        before: residual of the model as it was given.
-        after: residual of the extended model.
-        floor: standard deviation that noise makes.
-        noise: a residual of noise alone, for spectra.
-        against: window means of the signals it may depend on, by the names of the data contract.
+        before: residual of the given model.
+        after: residual with the causes, on held-out data.
+        floor: noise floor.
+        noise: residual of noise alone, for spectra.
+        against: means of the signals it may depend on over the same windows, by the names of the data contract.
     """
 
     channel: Channel
@@ -130,10 +132,10 @@ class Sensitivity(NamedTuple):
     """The smallest size of an effect that these data would have shown.
 
     Attributes:
-        name: of the effect.
-        parameter: of it.
-        smallest: that would have been named.
-        unit: of it.
+        name: name of the effect.
+        parameter: name of its parameter.
+        smallest: smallest size that would have been named.
+        unit: unit of the parameter.
     """
 
     name: str
@@ -144,25 +146,25 @@ class Sensitivity(NamedTuple):
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the simulation gets wrong, why, and what fixing it gains.
+    """What a rig's model gets wrong, why, and what correcting it gains.
 
     Attributes:
         verdict: in one word.
-        missing: for ``insufficient``, what the data lack, one sentence each.
-        stages: every stage of the model.
-        causes: best first.
-        unknown_stage: for ``unknown``, the stage where something is left that no effect explains.
-        depends_on: the signals it depends on.
-        partial: names of the effects that explain part of it.
-        gain: of the extension, where there is one.
-        rig: the model as it was given.
-        extended: the model with the causes switched on; the same where there are none.
+        missing: what the data lack to judge a stage, one sentence for each that is not judged.
+        stages: how each stage of the model does.
+        causes: for ``effect``, the causes, those that gain most first.
+        unknown_stage: the stage in which most remains that no effect explains, if there is one.
+        depends_on: the signals on which that remainder depends.
+        partial: for ``unknown``, names of the effects that explain a part of it.
+        gain: for ``effect``, what the extended model gains.
+        rig: the given model.
+        extended: the model with the causes; the given model if there are none.
         traces: residuals, by channel.
-        sensitivities: what would have been noticed.
+        sensitivities: the sizes that would have been detected.
         not_judged: effects that could not be tried, with the reason.
-        remarks: about the data.
-        seed: of the noise that was added to find the floor.
-        wall_s: time it took [s].
+        remarks: remarks about the data, one sentence each.
+        seed: seed of the noise added to find the noise floor, and of resampling.
+        wall_s: wall time [s].
     """
 
     verdict: Verdict

@@ -1,7 +1,7 @@
-"""Balances over short windows: what a differential equation says, without differentiating a noisy signal.
+"""Balances over short windows: a differential equation's residual without differentiating a noisy signal.
 
-A residual of the model at one instant needs derivatives. Weighted by a smooth window φ that vanishes with its slope at
-both ends and integrated by parts, the derivatives fall on the window: ∫φ dx/dt = -∫φ' x, ∫φ d²x/dt² = ∫φ'' x.
+The residual at one instant needs derivatives. Weighted by a smooth window φ that vanishes with its slope at both ends, and
+integrated by parts, the derivatives fall on the window: ∫φ dx/dt = -∫φ' x, ∫φ d²x/dt² = ∫φ'' x.
 """
 
 from typing import NamedTuple
@@ -14,13 +14,13 @@ from ehls_ros.arrays import Array
 
 
 class Window(NamedTuple):
-    """A window of ``weights.size`` samples, laid every ``hop`` samples.
+    """A window of ``weights.size`` samples that begins every ``hop`` samples.
 
     Attributes:
         weights: φ, their sum is 1, shape (m,).
         slopes: dφ/dt [1/s], shape (m,).
         curvatures: d²φ/dt² [1/s^2], shape (m,).
-        hop: samples from one window to the next.
+        hop: samples from the beginning of one window to that of the next.
     """
 
     weights: Array
@@ -29,7 +29,7 @@ class Window(NamedTuple):
     hop: int
 
     def starts(self, samples: int) -> NDArray[np.intp]:
-        """Return the first sample of each window that lies in so many samples."""
+        """Return the first sample of each window that fits into so many samples."""
         return np.arange(0, max(samples - self.weights.size + 1, 0), self.hop)
 
     def over(self, values: Array, weights: Array) -> Array:
@@ -52,7 +52,7 @@ class Window(NamedTuple):
 
 
 def smooth_window(samples: int, period: float, hop: int = 3) -> Window:
-    """Return the window sin^4 of so many samples, laid ``hop`` times in its length."""
+    """Return a sin^4 window over so many sampling periods, with ``hop`` windows beginning within one length."""
     angle = np.pi * np.arange(samples + 1) / samples
     scale = np.pi / (samples * period)
     sine, cosine = np.sin(angle), np.cos(angle)
@@ -60,7 +60,7 @@ def smooth_window(samples: int, period: float, hop: int = 3) -> Window:
     total = float(np.sum(weights))
     slopes = 4.0 * sine**3 * cosine * scale
     curvatures = (12.0 * sine**2 * cosine**2 - 4.0 * sine**4) * scale**2
-    # Sums are not integrals: scaled so that a line has its slope and a parabola its curvature, however few the samples.
+    # Sums differ from integrals: scaled so that a line has its slope and a parabola its curvature, however few the samples.
     time = period * (np.arange(samples + 1) - 0.5 * samples)
     slopes *= -1.0 / float(np.sum(slopes * time))
     curvatures -= weights / total * float(np.sum(curvatures))

@@ -4,10 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ehls_ros.diagnosis.evidence import TOLERANCE
 from ehls_ros.diagnosis.free_run import FreeRun
 from ehls_ros.diagnosis.result import Cause, Diagnosis
-from ehls_ros.diagnosis.search import CLOSED
+from ehls_ros.diagnosis.rules import CLOSED, TOLERANCE
 from ehls_ros.diagnosis.stages import CHANNELS
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import diagnosis_figures as drawn

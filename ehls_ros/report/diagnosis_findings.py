@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehls_ros.diagnosis.diagnose import MISSING, WANTED
 from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival, Sensitivity, StageResult
+from ehls_ros.diagnosis.stage_results import NEEDED_MOTION, NEEDED_SIGNALS
 from ehls_ros.diagnosis.stages import Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
@@ -331,7 +331,8 @@ def where_to_look(found: Diagnosis) -> list[tuple[str, str]]:
 
 def to_record(found: Diagnosis) -> list[tuple[str, str, str]]:
     """Return what is missing of each stage that was not judged: stage, signals it needs, what the data have to do."""
-    return [(STAGE_NAMES[stage], MISSING[stage], WANTED[stage]) for stage, result in found.stages.items() if not result.judged]
+    not_judged = [stage for stage, result in found.stages.items() if not result.judged]
+    return [(STAGE_NAMES[stage], NEEDED_SIGNALS[stage], NEEDED_MOTION[stage]) for stage in not_judged]
 
 
 def smallest_text(item: Sensitivity) -> str:

@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,13 +26,11 @@ CONTRACT = {
 }  # fmt: skip
 STAGES = {"force_balance", "flow", "valve", "sensors"}
 
-sys.path.append(str(ROOT / "test" / "diagnosis"))
-
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory) -> Path:
     """Twelve seconds of a rig whose Coulomb friction is not what its file says."""
-    from truth import record
+    from truth_generator import record
 
     path = tmp_path_factory.mktemp("recording") / "axis.csv"
     made = record(yaml.safe_load(RIG.read_text()), {"coulomb_shift": {"offset": OFFSET}}, "rich", seed=1, duration=12.0)

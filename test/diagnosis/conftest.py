@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 import yaml
-from truth import Recording, record
 
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.result import Diagnosis
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.trajectory import Trajectory
+from truth_generator import Recording, record
 
 RIG_FILE = Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml"
 

@@ -1,12 +1,12 @@
-"""Spoilt data and wrong rig files: the right answer, or that the data do not tell; never another one with confidence."""
+"""Spoilt data and wrong rig files: the right verdict or an inconclusive one, never a wrong name with confidence."""
 
 import numpy as np
 import pytest
 from test_hidden_effects import CONFIDENT, class_of, told
-from truth import degrade
 
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import rig_from_mapping
+from truth_generator import degrade
 
 DURATION = 10.0
 HIDDEN = {"coulomb_shift": {"offset": 250.0}}
@@ -74,7 +74,7 @@ def test_a_missing_signal_narrows_what_is_judged(how, hidden, diagnosed):
     d = diagnosed(degrade.without(hidden, *LEFT_OUT[how]))
     assert_no_wrong_name(d, NAMES)
     if how == "no position":
-        # What the spring pulls is not known then, and nothing is said of the friction.
+        # The spring force is unknown then, and the friction cannot be judged.
         assert d.verdict == "consistent", told(d)
         assert "position_m" in d.stages["force_balance"].why_not
         return
@@ -115,7 +115,7 @@ def test_other_rates_do_as_well(rate, duration, recorded, diagnosed):
 def test_a_right_model_is_consistent_at_a_low_rate(recorded, diagnosed):
     d = diagnosed(recorded({}, "rich", seed=205, duration=20.0, rate=200.0))
     assert d.verdict in {"consistent", "insufficient"}, told(d)
-    # Valve lag and turns of the piston lie between two samples.
+    # Valve lag and reversals of the piston fall between two samples.
     assert {stage for stage, result in d.stages.items() if result.judged} == {"flow", "sensors"}
 
 
@@ -131,7 +131,7 @@ def test_three_wrong_parameters_of_the_rig_file_are_named(recorded, diagnosed, r
     ]
     assert len(named) >= 2, told(d)
     assert d.gain.closed_fraction >= 0.9, told(d)
-    # The extended model brings back what the rig file had wrong.
+    # The extended model corrects what was wrong in the rig file.
     plant, friction = d.extended.effective().plant, d.extended.effective().friction
     right = {
         "bulk_modulus_shift": (plant.bulk_modulus, rig_file["plant"]["bulk_modulus"]),

@@ -1,14 +1,15 @@
-"""Effects hidden by the truth are found: a fixed list in full, and fresh ones at every run in what must always hold.
+"""Hidden effects are found: a fixed list with their sizes; fresh ones in every run, for what must always hold.
 
-A fresh case that fails says its seed; ``EHLS_HIDDEN_SEED=<seed>`` brings it back.
+A fresh case that fails prints its seed; ``EHLS_HIDDEN_SEED=<seed>`` repeats it.
 """
 
 import os
 
 import numpy as np
 import pytest
-from truth import LISTED, OUTSIDE, draw_effect, record
-from truth.visibility import against, background
+
+from truth_generator import LISTED, OUTSIDE, draw_effect, record
+from truth_generator.visibility import against, background
 
 DURATION = 12.0
 FRESH_DURATION = 15.0
@@ -16,7 +17,7 @@ CONFIDENT = 0.9
 VISIBLE = 5.0
 SEED = int(os.environ.get("EHLS_HIDDEN_SEED") or int.from_bytes(os.urandom(4)))
 
-# Hidden sizes, what diagnosis has to find of each (parameter: value, neutral value), experiment.
+# Hidden sizes, the parameters to be found (name: value, neutral value), experiment.
 SINGLES = {
     "valve_bandwidth_shift": ({"factor": 0.6}, {"factor": (0.6, 1.0)}, "rich"),
     "command_delay": ({"delay": 4.3e-3}, {"delay": (4.3e-3, 0.0)}, "rich"),
@@ -40,7 +41,7 @@ PAIRS = {
         "mass_shift": ({"factor": 1.4}, {"factor": (1.4, 1.0)}),
         "internal_leakage_shift": ({"factor": 4.0}, {"added": (3.0 * 4.7e-12, 0.0)}),
     },
-    # Whose line does not stand out of the spectrum before the friction is right.
+    # The wave's line stands out of the spectrum only once the friction is right.
     "large friction and a weak wave": {
         "coulomb_shift": ({"offset": 250.0}, {"offset": (250.0, 0.0)}),
         "periodic_disturbance": ({"amplitude": 40.0, "frequency": 2.0, "phase": 3.0}, {"frequency": (2.0, 0.0)}),
@@ -50,14 +51,14 @@ STRANGE = {
     "squared_crosstalk": {"coefficient": 1e-4},
     "spool_slew_limit": {"rate": 1e-3},
     "pressure_sensor_hysteresis": {"half_width": 1.5e5},
-    # Imitated to more than nine tenths, by a dead zone and a gain, and by an overdamped mass.
+    # Imitated to more than 90 % by a dead zone with a gain, and by an overdamped mass.
     "laminar_orifice": {"opening": 6e-5},
     "inertial_friction": {"force": 280.0, "acceleration": 0.7},
 }
 
 
 def told(d):
-    """Return what a diagnosis says, for messages."""
+    """Return a diagnosis in one line, for messages."""
     values = [{n: e.value for n, e in c.parameters.items()} for c in d.causes]
     names = [(c.name, round(c.probability, 3), c.equivalent_to, v) for c, v in zip(d.causes, values, strict=True)]
     closed = None if d.gain is None else round(d.gain.closed_fraction, 4)
@@ -69,7 +70,7 @@ def class_of(cause):
 
 
 def assert_found(d, name, wanted):
-    """Assert that an effect is named and its parameters are within 10 % of their distance from neutral."""
+    """Assert that an effect is named, its parameters within 10 % of their distance from neutral."""
     causes = [c for c in d.causes if name in class_of(c)]
     assert causes, told(d)
     if causes[0].name == name:
@@ -126,7 +127,7 @@ def test_what_is_not_on_the_list_is_unknown_in_its_stage(name, recorded, diagnos
 
 
 def drawn(number, pool, rig_file):
-    """Draw one effect that shows, and the experiment's seed; return them with its visibility."""
+    """Draw one visible effect and the experiment's seed; return them with its visibility."""
     rng = np.random.default_rng([SEED, number])
     while True:
         name = str(rng.choice(sorted(pool)))

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import truth
 import yaml
-from truth import EFFECTS, EXPERIMENTS, LISTED, OUTSIDE, degrade, draw_effect, record
-from truth.recording import COLUMNS, SERVO_COLUMNS
-from truth.visibility import against, background, raw_difference
+
+import truth_generator
+from truth_generator import EFFECTS, EXPERIMENTS, LISTED, OUTSIDE, degrade, draw_effect, record
+from truth_generator.recording import COLUMNS, SERVO_COLUMNS
+from truth_generator.visibility import against, background, raw_difference
 
 ROOT = Path(__file__).parents[2]
 RIG = yaml.safe_load((ROOT / "config" / "rig_paper_measured.yaml").read_text(encoding="utf-8"))
@@ -34,7 +35,7 @@ def rng_for(name, seed=0):
 
 
 def test_nothing_in_the_truth_imports_the_package():
-    sources = sorted(Path(truth.__file__).parent.rglob("*.py"))
+    sources = sorted(Path(truth_generator.__file__).parent.rglob("*.py"))
     assert len(sources) >= 7
     for path in sources:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

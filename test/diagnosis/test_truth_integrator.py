@@ -1,4 +1,4 @@
-"""The truth's integrator against scipy's, and what its equations have to conserve."""
+"""The truth generator's integrator against scipy's, and the conservation laws of its equations."""
 
 from pathlib import Path
 
@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import yaml
 from scipy.integrate import solve_ivp, trapezoid
-from truth import experiments, kernel, record
-from truth.effects import EFFECTS
-from truth.recording import nominal_sizes
-from truth.visibility import leftovers
+
+from truth_generator import experiments, kernel, record
+from truth_generator.effects import EFFECTS
+from truth_generator.recording import nominal_sizes
+from truth_generator.visibility import leftovers
 
 CONFIG = Path(__file__).parents[2] / "config"
 RIG = yaml.safe_load((CONFIG / "rig_paper_measured.yaml").read_text(encoding="utf-8"))
@@ -22,7 +23,7 @@ def rig_with(model):
 
 @pytest.fixture
 def shake(monkeypatch):
-    """A third of a second with break-away and reversals, which the kinds of experiment take their time to come to."""
+    """A third of a second with break-away and reversals, which the other experiments reach only later."""
 
     def plan(rng, t, rig):
         x = 4e-3 * np.sin(2 * np.pi * 5 * t) * np.minimum(t / 0.1, 1.0) ** 2
@@ -39,7 +40,7 @@ def sliding_level(v, friction):
 
 
 def paper_equations(rig):
-    """Write (1)-(8) down as they stand, for (x, v, pL, xv, friction); LuGre likewise."""
+    """Return the rates of (1)-(8) for (x, v, pL, xv, friction), or the same with LuGre."""
     plant, friction = rig["plant"], rig["friction"]
     k = np.asarray(friction["element_stiffness"])
     lugre = friction["model"] == "lugre"
@@ -67,7 +68,7 @@ def paper_equations(rig):
 
 
 def kernel_equations(rig, effects):
-    """Return the kernel's own equations with effects, for scipy to integrate: what is left to compare is the integrator."""
+    """Return the kernel's own equations with effects for scipy to integrate, so that only the integrators are compared."""
     p = nominal_sizes(rig)
     for name, sizes in effects.items():
         EFFECTS[name].apply(p[0], EFFECTS[name].neutral | sizes)
@@ -85,7 +86,7 @@ def kernel_equations(rig, effects):
 
 
 def reference(rate, y, r, first_element, friction, at_v, scale):
-    """Integrate the recorded command and disturbance with scipy's Radau, stopping where an element sticks or slips."""
+    """Integrate with the recorded command and disturbance by scipy's Radau, stopping where an element sticks or slips."""
     weight = np.asarray(friction["element_weight"])
     gms = friction["model"] == "gms"
     modes = np.zeros(weight.size if gms else 1)
@@ -129,7 +130,7 @@ def test_with_nothing_hidden_it_is_the_papers_model(shake, model):
     chosen = [kernel.X, kernel.V, kernel.PL, kernel.XV, *range(kernel.N_BASE, r.states.shape[1])]
     states = r.states[:, chosen]
     assert np.abs(states[:, 1]).max() > 0.08
-    assert np.sum(np.diff(np.sign(states[:, 1])) != 0) >= 2  # it turned round
+    assert np.sum(np.diff(np.sign(states[:, 1])) != 0) >= 2  # the motion reversed
     scale = np.abs(states).max(axis=0)
     ours, _ = reference(paper_equations(rig), states[0], r, 4, rig["friction"], 1, scale)
     assert np.abs(ours - states).max(axis=0) / scale == pytest.approx(0.0, abs=2e-6)

@@ -1,8 +1,8 @@
-"""What is done with the rig: references and disturbances, drawn from a seed.
+"""Experiments: references and disturbances drawn from a seed.
 
-A plan holds, at the control's ticks, the wanted force, position and speed and what the disturbing side does. The controller
-(`kernel.control`) feeds the speed forward and closes a slow PI loop on the force, a P loop on the position, or both. The force
-to want follows from the motion to have, or the other way round, by the rig file's load without its hidden effects.
+A plan holds the reference force, position and speed and the disturbance at the control's ticks. The controller
+(`kernel.control`) feeds the speed forward and closes a slow PI loop on the force, a P loop on the position, or both. The
+reference force follows from the motion, or the motion from the force, by the rig file's load without hidden effects.
 """
 
 import math
@@ -21,7 +21,7 @@ SPEEDS = (2, 3, 4, 6, 8, 10, 12, 14, 16, 20, 25, 30, 45, 60, 75, 90, 105, 120, 1
 
 @dataclass
 class Plan:
-    """An experiment, an array value per control tick; x0 is where the piston starts."""
+    """An experiment, one value a control tick; x0 is the piston's initial position."""
 
     force: np.ndarray
     position: np.ndarray
@@ -46,7 +46,7 @@ def experiment(builder):
 
 
 def smooth(a: np.ndarray, rate: float) -> np.ndarray:
-    """Return a behind a critically damped low-pass of second order, there from the start."""
+    """Return a signal after a critically damped second-order low-pass that starts in its steady state."""
     decay = math.exp(-rate * TICK)
     gain = 1.0 - decay
     for _ in range(2):
@@ -55,7 +55,7 @@ def smooth(a: np.ndarray, rate: float) -> np.ndarray:
 
 
 def multisine(rng: Rng, t: np.ndarray, low: float, high: float, tones: int) -> np.ndarray:
-    """Return a sum of sines between two frequencies, of amplitudes falling with frequency, with a largest value of 1."""
+    """Return a sum of sines between two frequencies, with amplitudes that fall with frequency and a peak of 1."""
     out = np.zeros_like(t)
     edges = np.geomspace(low, high, tones + 1)
     for first, last in pairwise(edges):
@@ -65,7 +65,7 @@ def multisine(rng: Rng, t: np.ndarray, low: float, high: float, tones: int) -> n
 
 
 def window(n: int, edge: int) -> np.ndarray:
-    """Return ones with ends that rise and fall smoothly."""
+    """Return ones with a smooth rise and fall at the ends."""
     edge = max(min(edge, n // 2), 1)
     ramp = 0.5 - 0.5 * np.cos(np.pi * np.arange(edge) / edge)
     out = np.ones(n)
@@ -81,7 +81,7 @@ def rates(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def load_of(x: np.ndarray, rig: dict) -> np.ndarray:
-    """Return the force that a motion takes by the rig file, friction's dynamics aside, N."""
+    """Return the force a motion takes according to the rig file, with static friction, N."""
     plant, friction = rig["plant"], rig["friction"]
     v, a = rates(x)
     level = friction["coulomb_force"]
@@ -94,7 +94,7 @@ def load_of(x: np.ndarray, rig: dict) -> np.ndarray:
 
 
 def motion_of(force: np.ndarray, rig: dict) -> np.ndarray:
-    """Return the motion under a force (its disturbance taken off) by the rig file, without Coulomb friction, m."""
+    """Return the motion under a force, less its disturbance, according to the rig file without Coulomb friction, m."""
     plant = rig["plant"]
     damping = plant["viscous_damping"] + rig["friction"]["viscous_coefficient"]
     spring = max(plant["spring_stiffness"], 1.0e4)
@@ -123,18 +123,18 @@ def at_position(x: np.ndarray, fd: np.ndarray, servo: np.ndarray) -> Plan:
 
 
 def servo_motion(rng: Rng, t: np.ndarray, amplitude: float) -> np.ndarray:
-    """Return a displacement of the position servo, from rest, m."""
+    """Return a displacement of the position servo that starts from rest, m."""
     start = np.minimum(t / 1.0, 1.0)
     return amplitude * multisine(rng, t, 0.1, 1.5, 4) * start * start * (3.0 - 2.0 * start)
 
 
 def quiet_servo(rng: Rng, t: np.ndarray) -> np.ndarray:
-    """Return the servo's displacement where it does not matter unless it is coupled to the beam."""
+    """Return a displacement of the servo for experiments in which it matters only if it is coupled to the beam."""
     return servo_motion(rng, t, rng.uniform(0.01, 0.025))
 
 
 def ramps(rng: Rng, n: int, low: float, high: float) -> np.ndarray:
-    """Return a motion at constant speeds between low and high, m/s, forth and back, starting and ending at 0."""
+    """Return a motion to and fro at constant speeds between low and high, m/s, starting and ending at 0."""
     x, at = np.zeros(n), 0
     while at < n:
         speed = math.exp(rng.uniform(math.log(low), math.log(high))) * (1 if rng.random() < 0.5 else -1)
@@ -162,7 +162,7 @@ def bursts(rng: Rng, n: int) -> np.ndarray:
 
 
 def wander_by(rng: Rng, n: int, speed: float) -> np.ndarray:
-    """Return a multisine motion of a given largest speed, starting and ending at 0, m."""
+    """Return a multisine motion with a given peak speed, starting and ending at 0, m."""
     t = TICK * np.arange(n)
     x = multisine(rng, t, 0.08, rng.uniform(1.0, 2.5), 6) * window(n, min(2000, n // 3))
     v = np.abs(np.gradient(x, TICK)).max()
@@ -218,7 +218,7 @@ def paper_constant(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
 
 @experiment
 def steps(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
-    """The wanted force jumps every one to three seconds, within +-2.5 kN of the weight; a weak slow disturbance."""
+    """The reference force steps every one to three seconds, within +-2.5 kN of the weight; a weak slow disturbance."""
     servo = quiet_servo(rng, t)
     weight = rig["plant"]["moving_mass"] * rig["plant"]["gravity"]
     force = np.full(t.size, weight)  # from mid-stroke
@@ -235,7 +235,7 @@ def steps(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
 
 @experiment
 def slow_sweep(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
-    """Position loop: the paper's constant speeds, either way, in some order, as far as the time goes."""
+    """Position loop: the paper's constant speeds in both directions, in random order, as many as the time allows."""
     servo = quiet_servo(rng, t)
     x, at = np.zeros(t.size), 0
     speeds = 1e-3 * np.array(SPEEDS)
@@ -264,7 +264,7 @@ def presliding(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
 
 @experiment
 def servo(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
-    """The position servo moves by some ten mm; what force of it the beam feels without a coupling is recorded as fd."""
+    """The position servo moves by some ten mm; the force on the beam without the coupling is recorded as fd."""
     displacement = servo_motion(rng, t, rng.uniform(0.015, 0.035))
     x = smooth(wander_by(rng, t.size, rng.uniform(0.08, 0.16)), 60.0)
     fd = rng.uniform(0.3e3, 1.2e3) * multisine(rng, t, 0.1, 1.5, 4) * np.minimum(t / 0.5, 1.0)
@@ -290,7 +290,7 @@ def tiny(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
 
 @experiment
 def random(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
-    """Any of it: reference and disturbance of drawn kind, size and spectrum."""
+    """Reference and disturbance of random kind, size and spectrum."""
     servo = quiet_servo(rng, t)
     kind = int(rng.integers(4))
     peak = rng.uniform(1.5e3, 5e3)

@@ -1,4 +1,4 @@
-"""`record`: one experiment on the real rig, as its data acquisition would keep it."""
+"""`record`: one experiment on the rig, as its data acquisition would store it."""
 
 import csv
 import math
@@ -47,9 +47,9 @@ SERVO_COLUMNS = ("disturbance_displacement_m", "disturbance_velocity_m_s")
 class Recording:
     """Samples by the data contract's column names, and the truth behind them.
 
-    truth: effects (their sizes), natural (the same in terms to compare estimates with), stages (of the design's groups),
-    appears_in (the stage whose balance is upset), outside, near, experiment, seed, rate, noise, duration, degraded.
-    states: the kernel's state at every sample, where asked for.
+    truth: effects (their sizes), natural (the same for comparison with estimates), stages (their groups), appears_in (the stage
+    whose residual shows them), outside, near, experiment, seed, rate, noise, duration, degraded.
+    states: the kernel's state at every sample, if requested.
     """
 
     time: np.ndarray
@@ -58,7 +58,7 @@ class Recording:
     states: np.ndarray | None = None
 
     def write_csv(self, path: str | Path) -> None:
-        """Write the samples with a header row; what was not measured is left empty."""
+        """Write the samples with a header row; NaN is left empty."""
         table = [self.time, *self.columns.values()]
         with Path(path).open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
@@ -71,7 +71,7 @@ def nominal_sizes(rig: Mapping[str, Any]) -> np.ndarray:
     """Return the kernel's record for a rig file without hidden effects.
 
     Raises:
-        ValueError: the rig file asks for what this generator does not have.
+        ValueError: the rig file has something this generator does not support.
     """
     p = np.zeros(1, kernel.DTYPE)
     for name, value in kernel.FIELDS.items():
@@ -112,10 +112,10 @@ def nominal_sizes(rig: Mapping[str, Any]) -> np.ndarray:
 
 
 def sensor(rig: Mapping[str, Any], column: str) -> tuple[float, float]:
-    """Return noise and resolution of a sensor: the rig file's, else those of `SENSORS`.
+    """Return noise and resolution of a sensor, from the rig file if given there, else from `SENSORS`.
 
     Raises:
-        ValueError: the rig file knows of a fault; the truth's sensors are faultless until an effect is hidden in them.
+        ValueError: the rig file has a sensor fault; here sensors have no faults other than hidden effects.
     """
     key = RIG_SENSORS[column]
     given = rig.get("sensors", {}).get(key)
@@ -127,7 +127,7 @@ def sensor(rig: Mapping[str, Any], column: str) -> tuple[float, float]:
 
 
 def start(p: np.ndarray, plan: Plan, rig: Mapping[str, Any]) -> np.ndarray:
-    """Return the state to start from: at rest where the nominal load is balanced."""
+    """Return the initial state: at rest with the nominal load in balance."""
     y = np.zeros(kernel.N_BASE + int(p["n_elements"]))
     plant = rig["plant"]
     x = plan.x0
@@ -155,26 +155,25 @@ def record(
     hold: bool = False,
     internals: bool = False,
 ) -> Recording:
-    """Run an experiment on a rig that is what its file says but for hidden effects.
+    """Run an experiment on a rig with hidden effects.
 
     Args:
         rig: content of the rig file.
-        effects: sizes by the effects' names, as `draw_effect` gives them; what a member leaves out is neutral.
+        effects: sizes by the effects' names, as `draw_effect` gives them; sizes left out are neutral.
         experiment: name in `EXPERIMENTS`.
-        seed: of the experiment, the noise, and effects that have chance in them; noise and experiment stay the same
-            whatever the effects are.
-        duration: s.
-        rate: of the recording, 1/s; the control always runs at 1 kHz.
-        noise: times the sensors' noise and resolution; 0 leaves perfect sensors.
-        columns: names to record, else the data contract's, with the servo's columns where the servo moves the beam.
-        hold: the disturbance stands still over a control cycle, as in the simulator, instead of running on between the
-            recorded samples as it does on a rig.
+        seed: of the experiment, the noise and random effects; noise and experiment do not depend on the effects.
+        duration: duration, s.
+        rate: sampling rate of the recording, 1/s; the control always runs at 1 kHz.
+        noise: multiple of the sensors' noise and resolution; 0 for perfect sensors.
+        columns: names to record; by default the data contract's, with the servo's columns if the servo moves the beam.
+        hold: keep the disturbance constant over a control cycle, as in the simulator, instead of linear between samples as on
+            a rig.
         internals: keep the kernel's states.
 
     Raises:
-        KeyError: no such experiment or effect.
-        ValueError: a size or column that there is not, or a rig file this generator cannot do.
-        RuntimeError: the integrator gave up.
+        KeyError: unknown experiment or effect.
+        ValueError: unknown size or column, or a rig file that is not supported.
+        RuntimeError: the integration failed.
     """
     rig = dict(rig)
     seeds = np.random.SeedSequence(seed).spawn(3)

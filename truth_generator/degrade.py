@@ -1,4 +1,4 @@
-"""What happens to measured data on their way, and rig files that are wrong."""
+"""Spoilt recordings and wrong rig files."""
 
 import copy
 import math
@@ -13,14 +13,14 @@ Rng = np.random.Generator
 
 
 def _changed(r: Recording, what: str, time: np.ndarray | None = None) -> Recording:
-    """Return a copy that says what was done to it."""
+    """Return a copy that records what was done to it."""
     truth = copy.deepcopy(r.truth)
     truth["degraded"].append(what)
     return Recording((r.time if time is None else time).copy(), {name: a.copy() for name, a in r.columns.items()}, truth)
 
 
 def drop_samples(r: Recording, rng: Rng, share: float = 0.01) -> Recording:
-    """Lose a share of the samples, whole rows."""
+    """Drop a fraction of the samples, complete rows."""
     keep = rng.random(r.time.size) >= share
     out = _changed(r, f"{share:.2%} of the samples lost", r.time[keep])
     out.columns = {name: a[keep] for name, a in out.columns.items()}
@@ -28,7 +28,7 @@ def drop_samples(r: Recording, rng: Rng, share: float = 0.01) -> Recording:
 
 
 def add_outliers(r: Recording, rng: Rng, share: float = 0.001, columns: Iterable[str] | None = None) -> Recording:
-    """Replace a share of each column's values by ones off by 10 to 100 % of its range."""
+    """Replace a fraction of each column's values by values off by 10 to 100 % of its range."""
     out = _changed(r, f"{share:.2%} outliers")
     for name in columns or list(out.columns):
         a = out.columns[name]
@@ -39,7 +39,7 @@ def add_outliers(r: Recording, rng: Rng, share: float = 0.001, columns: Iterable
 
 
 def blank(r: Recording, rng: Rng, stretches: int = 3, length: float = 0.3, columns: Iterable[str] | None = None) -> Recording:
-    """Put stretches of NaN of a length, s, into every column."""
+    """Replace intervals of a given length, s, by NaN in every column."""
     out = _changed(r, f"{stretches} stretches of NaN, {length} s each")
     n = max(int(length / np.median(np.diff(r.time))), 1)
     for name in columns or list(out.columns):
@@ -49,19 +49,19 @@ def blank(r: Recording, rng: Rng, stretches: int = 3, length: float = 0.3, colum
 
 
 def shift(r: Recording, column: str, late: float) -> Recording:
-    """Let one column come late by a time, s, against the others; early where negative."""
+    """Delay one column against the others by a time, s; advance it if negative."""
     out = _changed(r, f"{column} late by {late * 1e3:g} ms")
     out.columns[column] = np.interp(r.time - late, r.time, r.columns[column])
     return out
 
 
 def jitter(r: Recording, rng: Rng, std: float = 1.0e-4) -> Recording:
-    """Write time stamps that are off by some, s; the samples are where they were."""
+    """Add an error of standard deviation `std`, s, to the time stamps; the samples stay."""
     return _changed(r, f"time stamps off by {std * 1e3:g} ms", np.sort(r.time + std * rng.standard_normal(r.time.size)))
 
 
 def without(r: Recording, *columns: str) -> Recording:
-    """Leave columns away."""
+    """Drop columns."""
     out = _changed(r, f"without {', '.join(columns)}")
     for name in columns:
         del out.columns[name]

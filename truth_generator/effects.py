@@ -1,7 +1,7 @@
-"""What the real rig may do that its rig file does not know: the effects of the design, and some it does not list.
+"""Effects that the rig file does not have: those that `ehls_ros` lists, and some that it does not.
 
-A member says in which stage it acts, draws its own size, writes it into the kernel's record and states it in natural terms.
-Sizes are absolute (N, Pa, m, s) or factors of a nominal value; those that scale with the rig are drawn for a given rig.
+A member declares the stage it acts in, draws its size, writes it into the kernel's record and converts it for comparison with
+estimates. Sizes are absolute (N, Pa, m, s) or factors of a nominal value; those that scale with the rig are drawn for a rig.
 """
 
 import math
@@ -25,7 +25,7 @@ PAPER = {
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect: `sites` tells the stage whose residual it appears in where that differs from `stage`."""
+    """An effect; `sites` gives the stage whose residual it appears in if that differs from `stage`."""
 
     name: str
     stage: str  # "force_balance", "flow", "valve" or "sensors"
@@ -34,7 +34,7 @@ class Effect:
     neutral: Sizes
     range: str
     natural: Callable[[Sizes, dict], Sizes] = lambda sizes, rig: dict(sizes)
-    near: tuple[str, ...] = ()  # listed names that a fair judge would let pass as well
+    near: tuple[str, ...] = ()  # listed names that a fair judge would also accept
 
 
 LISTED: dict[str, Effect] = {}
@@ -55,7 +55,7 @@ def about_one(rng: Rng, low: float, high: float) -> float:
 
 
 def ratio(rng: Rng, low: float, high: float) -> float:
-    """Draw a factor between low and high, or the reciprocal of one."""
+    """Draw a factor between low and high, or its reciprocal."""
     factor = log_uniform(rng, low, high)
     return factor if rng.random() < 0.5 else 1.0 / factor
 
@@ -103,7 +103,7 @@ def outside(*args, **kwargs) -> None:
 
 
 def factor_and_offset(section: str, key: str) -> Callable[[Sizes, dict], Sizes]:
-    """State a factor of a nominal value also as an offset from it."""
+    """Give a factor of a nominal value also as an offset from it."""
 
     def natural(sizes: Sizes, rig: dict) -> Sizes:
         nominal = rig[section][key]
@@ -696,10 +696,10 @@ def draw_effect(name: str, rng: Rng, rig: dict | None = None, **fixed: Any) -> S
     """Draw the size of an effect.
 
     Args:
-        name: of `LISTED` or `OUTSIDE`.
-        rng: where chance comes from.
-        rig: the rig file's content, for sizes in proportion to a nominal value; the paper's without it.
-        fixed: sizes not left to chance, such as `site="ports"`.
+        name: name in `LISTED` or `OUTSIDE`.
+        rng: random number generator.
+        rig: content of the rig file, for sizes proportional to a nominal value; by default the paper's rig.
+        fixed: sizes that are given instead of drawn, such as `site="ports"`.
     """
     sizes = EFFECTS[name].draw(rng, rig or PAPER)
     if unknown := set(fixed) - set(sizes):
@@ -708,13 +708,13 @@ def draw_effect(name: str, rng: Rng, rig: dict | None = None, **fixed: Any) -> S
 
 
 def wander(sizes: Sizes, rng: Rng, n: int, dt: float) -> np.ndarray:
-    """Return the zero of `pressure_zero_wander` at n ticks, Pa."""
+    """Return the zero of the pressure sensor at n ticks for `pressure_zero_wander`, Pa."""
     steps = rng.standard_normal(n)
     return np.cumsum(steps) * sizes["deviation"] * math.sqrt(dt / 60.0)
 
 
 def hang(sizes: Sizes, rng: Rng, n: int, dt: float) -> np.ndarray:
-    """Return at which of n ticks `held_dropouts` holds: bit 0 the pressure, bit 1 the position."""
+    """Return which of n ticks `held_dropouts` holds at the last value: bit 0 the pressure, bit 1 the position."""
     held = np.zeros(n, np.int64)
     if sizes["share"] <= 0.0:
         return held

@@ -1,7 +1,7 @@
 """The rig itself, compiled: equations (1)-(4) with friction, hidden effects, sensors and the experiment's controller.
 
-One kernel serves every effect: all sizes stand in one record (`FIELDS`), each with a value at which the effect does nothing.
-Everything compiled is in this file, because numba's cache looks at the file of the function it keeps and not at those it calls.
+One kernel serves all effects: their sizes are fields of one record (`FIELDS`), each with a value at which the effect does
+nothing. All compiled code is in this file: numba's cache checks the file of the function it keeps, not the files it calls.
 
 State (`N_BASE` values, then the friction forces): piston position and speed, load pressure, spool position and speed, position
 and speed of the second body, supply pressure, inner position of the creeping spring, inner pressure of the swelling hose,
@@ -101,7 +101,7 @@ def softplus(a, corner):
 
 @nb.njit(cache=True)
 def sliding_level(v, side, x, p_load, p):
-    """Return s: the friction that sliding to one side settles at, without the viscous part, N."""
+    """Return s: the steady-state friction of sliding to one side, without the viscous part, N."""
     s = p.fc + (p.fs - p.fc) * math.exp(-((abs(v) / p.vs) ** p.exponent))
     if p.per_position != 0.0:
         s *= 1.0 + p.per_position * p.position_scale * math.tanh(x / p.position_scale)
@@ -126,7 +126,7 @@ def orifice_flow(xv, ps, p_load, p):
     side = 1.0 if x > 0.0 else -1.0
     drop = ps - side * p_load
     root = math.sqrt(drop) if drop >= 0.0 else -math.sqrt(-drop)
-    if p.laminar != 0.0:  # Reynolds' number goes with opening and root; below the transition Cd goes with it
+    if p.laminar != 0.0:  # Reynolds' number is proportional to opening and root; below the transition Cd is proportional to it
         re = abs(x) * abs(root) / (p.laminar * math.sqrt(p.supply))
         x *= re / math.sqrt(1.0 + re * re)
     conductance = p.discharge * p.gradient * x / math.sqrt(p.density)
@@ -147,7 +147,7 @@ def air_modulus(pressure, p):
 def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per effect
     """Write the state's rate.
 
-    c: spool target, disturbance and its rate, servo displacement and its rate, time these hold for, temperature.
+    c: spool target, disturbance and its rate, servo displacement and its rate, time at which these hold, temperature.
     """
     target, fd0, fd_rate, servo0, servo_rate, t0, temperature = c
     for i in range(N_BASE):
@@ -158,7 +158,7 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
     # (4) valve
     if p.hum != 0.0:
         target += p.hum * math.sin(p.hum_rate * t + p.hum_phase)
-    if p.flow_force != 0.0:  # the jet closes the valve: the more the greater opening and pressure drop
+    if p.flow_force != 0.0:  # the jet closes the valve, in proportion to opening and pressure drop
         target -= p.flow_force * xv * max(ps - (p_load if xv > 0.0 else -p_load), 0.0) / p.supply
     if p.second_rate != 0.0:
         rate = y[WV]
@@ -185,7 +185,7 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
     q -= p.area * v + p.leakage * p_load
     if p.turbulent != 0.0:  # laminar below about 0.2 MPa
         q -= p.turbulent * p_load / (p_load * p_load + 4.0e10) ** 0.25
-    if p.external != 0.0:  # one rod seal leaks to the tank: half of it appears in the load flow
+    if p.external != 0.0:  # one rod seal leaks to the tank; half of that leakage appears in the load flow
         q -= 0.5 * p.external * p.external_side * max(0.5 * (ps + p.external_side * p_load), 0.0)
     if p.relief != 0.0:
         q -= p.relief * (
@@ -297,7 +297,7 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
 
 @nb.njit(cache=True)
 def crossed(y, modes, p, out):
-    """Mark the friction elements that have to change between stick and slip; return whether there are any."""
+    """Mark the friction elements that change between stick and slip; return whether there are any."""
     on_second = p.load_on_second != 0.0
     v, x = (y[VB], y[XB]) if on_second else (y[V], y[X])
     found, s = False, -1.0
@@ -317,7 +317,7 @@ def crossed(y, modes, p, out):
 
 @nb.njit(cache=True)
 def switch(y, modes, p, marked):
-    """Change the marked elements over."""
+    """Switch the marked elements."""
     at = VB if p.load_on_second != 0.0 else V
     turned = False
     for i in range(int(p.n_elements)):
@@ -333,7 +333,7 @@ def switch(y, modes, p, marked):
 
 @nb.njit(cache=True)
 def dormand_prince(t, h, y, k, stage, new, n, modes, spool_free, p, c):
-    """One step from y with its rate in k[0]; return the error in units of the tolerance."""
+    """Take one step from y with its rate in k[0]; return the error in units of the tolerance."""
     for i in range(n):
         stage[i] = y[i] + h * A21 * k[0, i]
     rhs(t + h / 5, stage, k[1], modes, spool_free, p, c)
@@ -361,10 +361,10 @@ def dormand_prince(t, h, y, k, stage, new, n, modes, spool_free, p, c):
 
 @nb.njit(cache=True)
 def advance(t, end, h, y, n, modes, spool_free, p, c, work, marked):  # noqa: PLR0912 - the loop is the algorithm
-    """Integrate y in place from t to end with the inputs c; return the step to go on with, negative when it failed.
+    """Integrate y in place from t to end with the inputs c; return the step to continue with, negative on failure.
 
-    A friction element changes between stick and slip at the end of a step, never within: a step that goes past a change is
-    repeated as far as the change, which is found on the step's cubic interpolant.
+    A friction element changes between stick and slip only at the end of a step: a step past a change is repeated up to it, as
+    located on the step's cubic interpolant.
     """
     k, stage, new, trial = work[:7], work[7], work[8], work[9]
     rhs(t, y, k[0], modes, spool_free, p, c)
@@ -377,7 +377,7 @@ def advance(t, end, h, y, n, modes, spool_free, p, c, work, marked):  # noqa: PL
         if left - step < 0.1 * step:
             step = left
         error = dormand_prince(t, step, y, k, stage, new, n, modes, spool_free, p, c)
-        if not error <= 1.0 and step > 1.0e-9:  # also when it is not a number
+        if not error <= 1.0 and step > 1.0e-9:  # also if it is NaN
             h = step * (max(0.2, 0.9 * error**-0.2) if error < 1.0e12 else 0.1)
             continue
         if not error < 1.0e12:
@@ -432,7 +432,7 @@ def temperature_at(t, p):
 
 @nb.njit(cache=True)
 def true_signals(t, y, p, out):
-    """Write what perfect sensors would show."""
+    """Write the readings of perfect sensors."""
     out[POSITION] = y[X]
     out[VELOCITY] = y[V]
     out[PRESSURE] = y[PM] if p.p_lag != 0.0 else y[PL]
@@ -444,10 +444,10 @@ def true_signals(t, y, p, out):
 
 @nb.njit(cache=True)
 def sense(t, dt, tick, history, now, p, unit_noise, zero, held, memory, last, out):  # noqa: PLR0912 - one branch per effect
-    """Write what the sensors show at t: their faults, then noise, then resolution.
+    """Write the sensors' readings at t, with their faults, then noise, then resolution.
 
-    history: true signals at the control's ticks up to `tick`; now: at t. zero: wandering zero of the pressure sensor; held:
-    whether pressure and position hang at their last value. memory: the pressure sensor's play.
+    history: true signals at the control's ticks up to `tick`; now: at t. zero: drifting zero of the pressure sensor; held:
+    whether pressure and position are stuck at their last value. memory: the pressure sensor's play.
     """
     for ch in range(N_CHANNELS):
         value = now[ch]
@@ -489,7 +489,7 @@ def sense(t, dt, tick, history, now, p, unit_noise, zero, held, memory, last, ou
 
 @nb.njit(cache=True)
 def spool_target(u, t, plays, p):
-    """Return where a command sends the spool; plays: state of the plays in the valve's first stage."""
+    """Return the spool position that a command aims at; plays: state of the plays in the valve's first stage."""
     u = min(max(u, -p.spool_limit), p.spool_limit)
     if p.play > 0.0:
         mean = 0.0
@@ -510,7 +510,7 @@ def spool_target(u, t, plays, p):
 
 @nb.njit(cache=True)
 def control(dt, k, seen, f_ref, x_ref, v_ref, memory, p):
-    """Return the command: PI of force and P of position, both as a wanted speed, turned into a spool displacement.
+    """Return the command: PI on force and P on position, both as a reference speed, converted to a spool displacement.
 
     memory: filtered force error, its integral.
     """
@@ -522,13 +522,13 @@ def control(dt, k, seen, f_ref, x_ref, v_ref, memory, p):
         want += p.w_force * p.force_gain * (memory[0] + memory[1])
     if p.w_position != 0.0:
         want += p.w_position * p.position_gain * (x_ref[k] - seen[POSITION])
-    ahead = seen[POSITION] + 0.02 * seen[VELOCITY]  # nobody lets the piston hit the cylinder's end
+    ahead = seen[POSITION] + 0.02 * seen[VELOCITY]  # keep off the cylinder's ends
     if ahead > p.guard:
         want = min(want, 0.0) - 8.0 * (ahead - p.guard)
     elif ahead < -p.guard:
         want = max(want, 0.0) - 8.0 * (ahead + p.guard)
     push = (seen[PRESSURE] if want > 0.0 else -seen[PRESSURE]) / p.nominal_supply
-    if push > 0.75:  # or pushes against something that does not give
+    if push > 0.75:  # do not push against something rigid
         want *= max((0.87 - push) / 0.12, -0.5)
     want = min(max(want, -1.6), 1.6)
     drop = p.nominal_supply - (seen[PRESSURE] if want > 0.0 else -seen[PRESSURE])
@@ -541,10 +541,10 @@ def simulate(  # noqa: PLR0912 - the loop is the algorithm
     p, y, modes, dt, f_ref, x_ref, v_ref, fd, servo, hold, control_noise, zero, held,
     at, noise, same_times, signals, commands, disturbances, displacements, states,
 ):  # fmt: skip
-    """Run an experiment; return the number of control ticks done.
+    """Run an experiment; return the number of control ticks completed.
 
-    Arrays of the control's ticks, one tick longer than the run: f_ref, x_ref, v_ref, fd, servo, zero, held; control_noise.
-    at: times of the recording's samples, with their noise; same_times: they are the ticks. The rest is written.
+    At the control's ticks, one tick longer than the run: f_ref, x_ref, v_ref, fd, servo, zero, held; also control_noise.
+    at: times of the recording's samples, with sample_noise; same_times: whether they are the ticks. The rest is output.
     """
     n_ticks = f_ref.size - 1
     n = N_BASE + int(p.n_elements)

@@ -1,8 +1,8 @@
-"""How far an effect stands out of the noise, whoever looks for it.
+"""How far an effect stands out of the noise, whatever the method of detection.
 
-The nominal model's equations are put to the recorded signals one by one. What they leave over with an effect, less without it
-and free of noise, is compared with what noise alone leaves. A measure for choosing sizes, not a way to diagnose: it knows the
-noise-free signals. As a script it prints the table of all effects.
+The nominal equations are applied to the recorded signals one by one. The noise-free residual with an effect, less that without
+it, is compared with the residual of noise alone. This serves to choose sizes; as it needs noise-free signals, it is no method
+of diagnosis. Run as a script, it prints the table of all effects.
 """
 
 import sys
@@ -26,7 +26,7 @@ STAGES = ("force_balance", "flow", "valve", "sensors")
 
 @nb.njit(cache=True)
 def friction_along(v, dt, stiffness, weight, attraction, fc, fs, vs, exponent, lugre):
-    """Return the friction force, its viscous part aside, of a given motion."""
+    """Return the friction force of a given motion, without the viscous part."""
     force, mode = np.zeros(stiffness.size), np.zeros(stiffness.size)
     out = np.empty(v.size)
     for j in range(v.size):
@@ -53,7 +53,7 @@ def friction_along(v, dt, stiffness, weight, attraction, fc, fs, vs, exponent, l
 
 
 def leftovers(rig: Mapping[str, Any], r: Recording) -> dict[str, list[np.ndarray]]:
-    """Return what the nominal equations leave of a recording at 1 kHz with all columns, by stage."""
+    """Return the residuals of the nominal equations for a recording at 1 kHz with all columns, by stage."""
     plant, friction = rig["plant"], rig["friction"]
     c = r.columns
     low = butter(3, BAND, fs=1.0 / TICK, output="sos")
@@ -101,7 +101,7 @@ def leftovers(rig: Mapping[str, Any], r: Recording) -> dict[str, list[np.ndarray
 
 @nb.njit(cache=True)
 def _follow(command, decay, first):
-    """Return (4)'s spool at the ends of the cycles of a held command."""
+    """Return the spool of (4) at the end of each cycle of a held command."""
     out = np.empty(command.size - 1)
     at = first
     for i in range(out.size):
@@ -112,7 +112,7 @@ def _follow(command, decay, first):
 
 @dataclass
 class Background:
-    """An experiment without effects: recorded without noise, what the equations leave of it, what noise adds to that (rms)."""
+    """An experiment without effects: its noise-free recording, its residuals, and the rms that noise adds to these."""
 
     recording: Recording
     left: dict[str, list[np.ndarray]]
@@ -127,7 +127,7 @@ def background(rig: Mapping[str, Any], experiment: str, *, seed: int, duration: 
 
 
 def against(without: Background, rig: Mapping[str, Any], r: Recording) -> dict[str, float]:
-    """Return `visibility` of what is hidden in a recording without noise."""
+    """Return the `visibility` of the effects hidden in a noise-free recording."""
     found = leftovers(rig, r)
     return {
         stage: max(_rms(a - b) / f for a, b, f in zip(found[stage], without.left[stage], without.floor[stage], strict=True))
@@ -138,8 +138,7 @@ def against(without: Background, rig: Mapping[str, Any], r: Recording) -> dict[s
 def visibility(
     rig: Mapping[str, Any], effects: Mapping[str, Mapping[str, Any]], experiment: str, *, seed: int, duration: float = 60.0
 ) -> dict[str, float]:
-    """Return by stage how large the effects' part of the leftovers is in units of the noise's part, both as rms."""
-
+    """Return the rms residual due to the effects in units of that due to noise, by stage."""
     without = background(rig, experiment, seed=seed, duration=duration)
     return against(without, rig, record(rig, effects, experiment, seed=seed, duration=duration, noise=0.0))
 
@@ -149,7 +148,7 @@ def _rms(a: np.ndarray) -> float:
 
 
 def raw_difference(a: Recording, b: Recording) -> tuple[float, str]:
-    """Return the largest rms difference of a signal in units of its sensor's noise and resolution, and whose it is."""
+    """Return the largest rms difference of a signal in units of its sensor's noise and resolution, and the signal's name."""
     found = (0.0, "")
     for name, (std, resolution) in SENSORS.items():
         if name in a.columns and name in b.columns:
@@ -159,7 +158,7 @@ def raw_difference(a: Recording, b: Recording) -> tuple[float, str]:
 
 
 def main(rig_file: str, experiment: str = "rich", draws: int = 10) -> None:
-    """Print for every effect how visible it is over some draws: smallest, median, largest."""
+    """Print the visibility of every effect over some draws: smallest, median, largest."""
     rig = yaml.safe_load(Path(rig_file).read_text(encoding="utf-8"))
     print(f"{'effect':31s} {'stage':14s} {'seen in':14s} {'visibility: least, median, most':32s} difference of recordings")
     backgrounds = [background(rig, experiment, seed=seed) for seed in range(draws)]

@@ -1,0 +1,1 @@
+"""Hidden cases against the diagnosis; `python -m benchmarks.diagnosis --help`."""

@@ -1,0 +1,90 @@
+"""When a further cause is accepted: it must gain enough, be sure enough and matter enough."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.evidence import Evidence, noise_power
+from ehls_ros.diagnosis.held_out import Assessment
+from ehls_ros.diagnosis.loss import power
+from ehls_ros.diagnosis.stages import Channel
+
+
+def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:
+    """Tell whether a hypothesis with one more cause is surer than chance allows, and different enough to matter.
+
+    Args:
+        evidence: the recording compared with the given model.
+        more: the hypothesis with the cause.
+        less: the hypothesis without it.
+        inflation: by which each channel's losses are divided.
+    """
+    gain = more.score(inflation) - less.score(inflation)
+    main = mostly_in(more, less)
+    beside = main in less.fit.channels
+    apart = list(differences(evidence, more, less))
+    if gain < rules.NEEDED_GAIN or relevance(evidence, more, less) < (rules.RELEVANT_BESIDE if beside else rules.RELEVANT):
+        return False
+    if not beside and not shows(apart):
+        return False
+    before, after = (j.held_out.residuals.values[main] for j in (less, more))
+    if beside and corrects_form(evidence.base.values[main], before, after, noise_power(evidence, main)):
+        return False
+    # A cause that removes little of what remains beside it corrects the form of another, not the model.
+    excess = sum(more.excess(evidence, c) / inflation[c] for c in more.held_out.gain)
+    # A cause that gains more by averaging noise than by explaining is an average.
+    averaged = more.held_out.averaged - less.held_out.averaged
+    return gain >= rules.REMOVED_EXCESS * excess and gain >= averaged and _surest(more, less) >= rules.SURE
+
+
+def differences(evidence: Evidence, more: Assessment, less: Assessment) -> Iterator[Array]:
+    """Yield the difference between two hypotheses' whitened residuals in each channel."""
+    for c in evidence.channels:
+        yield more.fit.residuals.values[c] - less.fit.residuals.values[c]
+
+
+def relevance(evidence: Evidence, more: Assessment, less: Assessment) -> float:
+    """Return how far two hypotheses differ, as a fraction of the largest term of the balance they differ most in."""
+    largest = 0.0
+    for c, difference in zip(evidence.channels, differences(evidence, more, less), strict=True):
+        apart = np.abs(difference) * evidence.floor[c]
+        size = max(evidence.sizes[c], 1e-300)
+        # What acts seldom has a small rms; where it acts it matters.
+        rare = float(np.quantile(apart, rules.RARE_QUANTILE)) / rules.RARE_FACTOR
+        largest = max(largest, float(np.sqrt(np.mean(apart**2))) / size, rare / size)
+    return largest
+
+
+def shows(apart: Sequence[Array]) -> bool:
+    """Tell whether the difference between two hypotheses is comparable with the noise in any channel.
+
+    Args:
+        apart: difference of their whitened residuals, one array a channel.
+    """
+    return any(float(np.sqrt(np.mean(a * a))) >= rules.SHOWN for a in apart)
+
+
+def corrects_form(given: Array, before: Array, after: Array, noise: float) -> bool:
+    """Tell whether a cause finds only what the others' inexact form leaves, and does not close that either.
+
+    Args:
+        given: whitened residual of the given model in the channel.
+        before: the same with the other causes.
+        after: the same with the cause as well.
+        noise: mean square due to noise.
+    """
+    removed_before = power(before) - noise < (1.0 - rules.ALL_BUT_FORM) * (power(given) - noise)
+    return removed_before and power(before) - power(after) < rules.CLOSED * (power(before) - noise)
+
+
+def mostly_in(more: Assessment, less: Assessment) -> Channel:
+    """Return the channel in which a hypothesis explains most beyond another."""
+    before, after = less.held_out.residuals.values, more.held_out.residuals.values
+    return max(after, key=lambda c: float(np.sum(before[c] ** 2 - after[c] ** 2)))
+
+
+def _surest(more: Assessment, less: Assessment) -> float:
+    """Return how many standard errors the best determined parameter of the further cause is from its neutral value."""
+    return max((more.sigmas(i) for i, name in enumerate(more.names) if name not in less.names), default=0.0)

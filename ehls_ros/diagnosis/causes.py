@@ -1,0 +1,119 @@
+"""The causes of the best hypothesis as the result describes them: probability, parameters, equivalents, rivals."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.acceptance import mostly_in
+from ehls_ros.diagnosis.evidence import Evidence
+from ehls_ros.diagnosis.held_out import Assessment
+from ehls_ros.diagnosis.hypotheses import parts
+from ehls_ros.diagnosis.probability import probability_of_first
+from ehls_ros.diagnosis.remainder import remainder_in
+from ehls_ros.diagnosis.result import Cause, Rival
+from ehls_ros.diagnosis.search import Place, Searched
+from ehls_ros.diagnosis.stages import Channel, Stage
+from ehls_ros.estimate import Estimate
+from ehls_ros.physics.effects import EFFECTS
+
+STAGE_OF_GROUP: Mapping[str, Stage] = {
+    "valve": "valve",
+    "flow": "flow",
+    "friction": "force_balance",
+    "mechanics": "force_balance",
+    "sensors": "sensors",
+    "environment": "force_balance",
+}
+"""The stage of the model an effect belongs to, by the group its file names."""
+
+
+def causes(evidence: Evidence, found: Searched, seed: int) -> tuple[Cause, ...]:
+    """Describe the causes of the best hypothesis, those that explain most first.
+
+    Args:
+        evidence: the recording compared with the given model.
+        found: the result of the search.
+        seed: of the resampling.
+    """
+    best, scale = found.best, found.inflation
+    groups = [EFFECTS.load(candidate.name).STAGE for candidate in best.hypothesis]
+    stages = [STAGE_OF_GROUP[group] for group in groups]
+    out = []
+    for index, (candidate, place) in enumerate(zip(best.hypothesis, found.places, strict=True)):
+        gain = best.score(scale) - place.without.score(scale)
+        others = _other_effects(best, place, scale)
+        compared = [best, *others, place.without]
+        probability = probability_of_first(
+            [_per_block(j, scale) for j in compared], [len(j.fit.values) for j in compared], seed
+        )
+        if stages.count(stages[index]) > 1:
+            probability *= rules.BOTH_RIGHT
+        if remainder_in(evidence, best, mostly_in(best, place.without)).doubtful:
+            probability *= rules.FORM_RIGHT
+        equivalent = tuple(
+            j.hypothesis[-1].name
+            for j in others
+            if best.score(scale) - j.score(scale) < max(rules.EQUAL, rules.EQUAL_FRACTION * gain)
+            and len(j.fit.values) <= len(best.fit.values)
+        )
+        out.append(
+            Cause(
+                name=candidate.name,
+                probability=probability,
+                equivalent_to=equivalent,
+                stage=stages[index],
+                group=groups[index],
+                parameters=_estimates(best, index),
+                fixed=dict(candidate.fixed),
+                gain=gain,
+                sigmas=best.sigmas(index),
+                rivals=tuple(_rival(evidence, found, place.without, j) for j in others[: rules.RIVALS]),
+            )
+        )
+    return tuple(sorted(out, key=lambda cause: -cause.gain))
+
+
+def _other_effects(best: Assessment, place: Place, scale: Mapping[Channel, float]) -> list[Assessment]:
+    """Return the best hypothesis with each effect other than those named in the place of a cause, best first."""
+    seen, out = set(best.names), []
+    for rival in sorted(place.rivals, key=lambda j: -j.score(scale)):
+        name = rival.hypothesis[-1].name
+        if name not in seen:
+            seen.add(name)
+            out.append(rival)
+    return out
+
+
+def _per_block(assessed: Assessment, scale: Mapping[Channel, float]) -> Array:
+    rows = [gain / scale[c] for c, gain in assessed.held_out.gain.items()]
+    return np.sum(rows, axis=0) if rows else np.empty(0)
+
+
+def _estimates(assessed: Assessment, index: int) -> dict[str, Estimate]:
+    part, candidate = parts(assessed.hypothesis)[index], assessed.hypothesis[index]
+    deviation = np.sqrt(np.maximum(np.diag(assessed.held_out.covariance)[part], 0.0))
+    used = candidate.use(assessed.fit.values[part]).parameters._asdict()
+    return {
+        name: estimate(float(used[name]), float(candidate.neutral[i]), float(deviation[i]), candidate.units[i])
+        for i, name in enumerate(candidate.free)
+    }
+
+
+def estimate(value: float, neutral: float, deviation: float, unit: str) -> Estimate:
+    """Return a parameter with its standard error: of the fit, and of the form, which no effect has exactly as in its file."""
+    form = rules.FORM * min(abs(value - neutral), abs(value))
+    return Estimate(value, math.hypot(deviation, form), unit)
+
+
+def _rival(evidence: Evidence, found: Searched, without: Assessment, rival: Assessment) -> Rival:
+    before = after = noise = 0.0
+    for c in found.best.held_out.gain:
+        before += float(np.sum(without.held_out.residuals.values[c] ** 2))
+        after += float(np.sum(rival.held_out.residuals.values[c] ** 2))
+        noise += float(np.sum(evidence.noise[c] ** 2))
+    closed = (before - after) / (before - noise) if before > noise else 0.0
+    behind = found.best.score(found.inflation) - rival.score(found.inflation)
+    return Rival(rival.hypothesis[-1].name, behind, closed, _estimates(rival, len(rival.hypothesis) - 1))

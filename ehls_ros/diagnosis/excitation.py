@@ -1,0 +1,81 @@
+"""Whether the data excite each stage enough to show an error in it."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.evidence import Evidence, sections
+from ehls_ros.diagnosis.fit import Fit
+from ehls_ros.diagnosis.result import Sensitivity
+from ehls_ros.diagnosis.stages import Stage
+from ehls_ros.physics.parameters import Friction
+
+
+class Key(NamedTuple):
+    """The parameter that tells whether a stage is excited."""
+
+    effect: str
+    parameter: str
+
+
+KEYS: Mapping[Stage, Key] = {
+    "valve": Key("valve_gain_shift", "gain"),
+    "flow": Key("valve_gain_shift", "flow_gain"),
+    "force_balance": Key("coulomb_shift", "offset"),
+}
+"""The stages that need excitation; the sensors' stage needs none."""
+
+
+def sensitivities(evidence: Evidence, screened: Sequence[Fit]) -> tuple[Sensitivity, ...]:
+    """Return the smallest detectable size of every effect with one parameter that acts smoothly at its neutral value.
+
+    Args:
+        evidence: the recording compared with the given model.
+        screened: every cause alone at its starting values, with its derivatives.
+    """
+    out = []
+    for fit in screened:
+        candidate = fit.hypothesis[0]
+        if len(candidate.free) != 1 or not np.array_equal(fit.values, candidate.neutral):
+            continue
+        column = fit.jacobian[:, 0]
+        # By the channel with the most windows.
+        main = max(fit.channels, key=lambda c: len(evidence.block[c]))
+        effect = evidence.nrmse(main, column[sections(evidence.block, fit.channels)[main]])
+        smallest = smallest_detectable(float(column @ column), effect)
+        if smallest is not None:
+            out.append(Sensitivity(candidate.name, candidate.free[0], smallest, candidate.units[0]))
+    return tuple(out)
+
+
+def smallest_detectable(information: float, effect: float) -> float | None:
+    """Return the smallest size of a parameter that is sure, gains enough and matters; None where the data tell nothing.
+
+    Args:
+        information: sum of squared derivatives of the whitened residuals.
+        effect: derivative of the balance's rms, as a fraction of its largest term.
+    """
+    if information <= 0.0:
+        return None
+    smallest = max(rules.SURE, math.sqrt(2.0 * rules.NEEDED_GAIN)) / math.sqrt(information)
+    return max(smallest, rules.RELEVANT / effect) if effect > 0.0 else smallest
+
+
+def excited(stage: Stage, found: Sequence[Sensitivity], friction: Friction, travel: float) -> bool:
+    """Tell whether the data could show an error of a stage's key parameter; for friction, whether the piston slides.
+
+    Args:
+        stage: the stage.
+        found: the smallest detectable sizes.
+        friction: the given model's friction.
+        travel: range of the piston's motion [m].
+    """
+    if stage not in KEYS:
+        return True
+    if stage == "force_balance" and travel < rules.SLIDING * friction.static_force / sum(friction.element_stiffness):
+        return False
+    nominal = friction.coulomb_force if stage == "force_balance" else 1.0
+    return any(s.smallest < rules.TELLING * nominal for s in found if Key(s.name, s.parameter) == KEYS[stage])

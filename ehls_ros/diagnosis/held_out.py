@@ -1,0 +1,141 @@
+"""Cross-validation: how a fitted hypothesis does on blocks it was not fitted to."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
+from ehls_ros.diagnosis.fit import Fit, Worker
+from ehls_ros.diagnosis.hypotheses import Hypothesis, extended, parts
+from ehls_ros.diagnosis.least_squares import products
+from ehls_ros.diagnosis.loss import inflation, loss, weights
+from ehls_ros.diagnosis.stages import Channel
+
+
+class HeldOut(NamedTuple):
+    """How a fit does on blocks it was not fitted to.
+
+    Attributes:
+        gain: decrease of the loss against the given model, by channel and block, shape (blocks,) [nats]; not yet divided by
+            the channel's inflation.
+        residuals: whitened; in the channels it changes, each block's are those of the fit to the other blocks.
+        covariance: of the parameters, shape (p, p).
+        averaged: loss already subtracted from the gain because it comes from averaging noise, over all channels [nats].
+    """
+
+    gain: Mapping[Channel, Array]
+    residuals: Residuals
+    covariance: Array
+    averaged: float
+
+
+class Assessment(NamedTuple):
+    """A fitted hypothesis and how it does on held-out data."""
+
+    fit: Fit
+    held_out: HeldOut
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """What was fitted."""
+        return self.fit.hypothesis
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its causes."""
+        return tuple(c.name for c in self.fit.hypothesis)
+
+    def sigmas(self, index: int) -> float:
+        """Return how many standard errors the best determined parameter of a cause is from its neutral value."""
+        part = parts(self.hypothesis)[index]
+        deviation = np.sqrt(np.maximum(np.diag(self.held_out.covariance)[part], 1e-300))
+        return float(np.max(np.abs(self.fit.values[part] - self.hypothesis[index].neutral) / deviation))
+
+    def score(self, inflation: Mapping[Channel, float]) -> float:
+        """Return the held-out gain less the penalty for parameters [nats].
+
+        Args:
+            inflation: by which each channel's losses are divided, the same for all hypotheses that are compared.
+        """
+        gain = sum(float(g.sum()) / inflation[c] for c, g in self.held_out.gain.items())
+        return gain - rules.PENALTY * len(self.fit.values)
+
+    def excess(self, evidence: Evidence, channel: Channel) -> float:
+        """Return the loss of a channel beyond what noise explains [nats]."""
+        e = self.fit.residuals.values[channel]
+        return max(0.0, float(np.sum(loss(e)) - rules.NOISE_LOSS * np.sum(loss(evidence.noise[channel]))))
+
+
+def assess(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Assessment:
+    """Assess a fit on each block with the parameters fitted to the others.
+
+    Args:
+        evidence: the recording compared with the given model.
+        fit: the fitted hypothesis.
+        worker: to evaluate what the hypothesis gains by averaging noise, which is subtracted; without it nothing is.
+    """
+    channels = fit.channels
+    e = fit.residuals.joined(channels)
+    block = np.concatenate([evidence.block[c] for c in channels]) if channels else np.empty(0, dtype=np.intp)
+    scatter = np.repeat([inflation(fit.residuals.values[c]) for c in channels], [len(evidence.block[c]) for c in channels])
+    without, covariance = leave_out(fit.jacobian, e, block, evidence.blocks, scatter)
+    averaged: Mapping[Channel, float] = dict.fromkeys(channels, 0.0)
+    if worker is not None and channels:
+        model = extended(evidence.rig, fit.hypothesis, fit.values)
+        averaged = evidence.averaged_noise(worker.noisy, model, fit.residuals, channels)
+    difference = loss(evidence.base.joined(channels)) - loss(without)
+    gain, residuals = dict[Channel, Array](), dict(evidence.base.values)
+    for c, rows in sections(evidence.block, channels).items():
+        quieter = max(averaged[c], 0.0) / evidence.blocks
+        per_block = np.bincount(evidence.block[c], weights=difference[rows], minlength=evidence.blocks)
+        gain[c] = np.asarray(per_block - quieter, dtype=np.float64)
+        residuals[c] = without[rows]
+    saved = sum(max(value, 0.0) for value in averaged.values())
+    return Assessment(fit, HeldOut(gain, Residuals(residuals), covariance, saved))
+
+
+def leave_out(jacobian: Array, e: Array, block: NDArray[np.intp], blocks: int, scatter: Array) -> tuple[Array, Array]:
+    """Return each block's residuals with the parameters fitted to the other blocks, and the parameters' covariance.
+
+    The influence of a block is removed to first order, which takes no further run of the model. The covariance is the larger
+    of what noise and what the disagreement between the blocks implies.
+
+    Args:
+        jacobian: derivatives of the whitened residuals at the optimum, shape (n, p).
+        e: the residuals, shape (n,).
+        block: block of each, shape (n,).
+        blocks: number of blocks.
+        scatter: variance of each residual in units of the noise's, shape (n,).
+
+    Returns:
+        Residuals, shape (n,), and covariance, shape (p, p).
+    """
+    p = jacobian.shape[1]
+    w = weights(e)
+    # In units of what each parameter alone changes, so that newtons per metre and metres can be solved for together.
+    unit = np.sqrt(np.maximum(np.sum(jacobian**2, axis=0), 1e-300)) if p else np.ones(0)
+    j = jacobian / unit if p else jacobian
+    gradients, normals = np.zeros((blocks, p)), np.zeros((blocks, p, p))
+    members = [block == b for b in range(blocks)]
+    for b, inside in enumerate(members):
+        if np.any(inside):
+            normals[b], gradients[b] = products(j[inside], w[inside], e[inside])
+    normal = normals.sum(axis=0)
+    without = e.copy()
+    for b, inside in enumerate(members):
+        if p and np.any(inside):
+            shift = np.linalg.lstsq(normal - normals[b], gradients[b], rcond=rules.HELD_OUT_CUTOFF)[0]
+            without[inside] = e[inside] + j[inside] @ shift
+    if not p:
+        return without, np.empty((0, 0))
+    inverse = np.linalg.pinv(normal)
+    noise = inverse @ products(j, w * w * scatter, scatter)[0] @ inverse
+    between = inverse @ (gradients.T @ gradients) @ inverse * blocks / max(blocks - p, 1)
+    # The errors of a parameter that the data do not determine may overflow.
+    with np.errstate(over="ignore", invalid="ignore"):
+        larger = np.maximum(1.0, np.sqrt(np.maximum(np.diag(between), 0.0) / np.maximum(np.diag(noise), 1e-300)))
+        return without, noise * np.outer(larger, larger) / np.outer(unit, unit)

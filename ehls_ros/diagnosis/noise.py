@@ -1,0 +1,82 @@
+"""What the sensors' noise does to each residual, found by adding more of it to the recording."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.record import COMMAND, LOAD, SERVO_POSITION, SERVO_VELOCITY, Record
+from ehls_ros.diagnosis.stages import Channel, Comparison
+from ehls_ros.physics.rig import Rig
+
+EXACT = (COMMAND, LOAD, SERVO_POSITION, SERVO_VELOCITY)
+"""Signals that are commanded, not measured: they carry no sensor noise."""
+
+
+def with_noise(record: Record, rng: np.random.Generator) -> Record:
+    """Return the record with as much noise added as its sensors have."""
+    noisy = {
+        name: values if name in EXACT else values + record.noise[name] * rng.standard_normal(len(values))
+        for name, values in record.signals.items()
+    }
+    return record._replace(signals=noisy)
+
+
+def scatter(comparison: Comparison, rig: Rig, raw: Mapping[Channel, Array], seed: int) -> dict[Channel, Array]:
+    """Return the standard deviation of each window's residual that is no error of the model, by channel.
+
+    Args:
+        comparison: of the recording.
+        rig: the given model.
+        raw: its residuals, in each channel's unit.
+        seed: of the noise that is added.
+    """
+    rng = np.random.default_rng(seed)
+    record, channels = comparison.record, tuple(raw)
+    squares = {c: np.zeros(len(raw[c])) for c in channels}
+    for _ in range(rules.REALISATIONS):
+        again = Comparison(with_noise(record, rng), comparison.setup).residuals(rig, channels)
+        for c in channels:
+            squares[c] += (again[c] - raw[c]) ** 2
+    led: Mapping[Channel, Array] = raw
+    if record.period > rules.UNSEEN_COMMANDS * rules.RESOLVED_PERIOD and COMMAND in record:
+        # A command sent between two samples was not recorded; the error is at most one sample of lead.
+        early = dict(record.signals) | {COMMAND: np.append(record.signals[COMMAND][1:], record.signals[COMMAND][-1])}
+        led = Comparison(record._replace(signals=early), comparison.setup).residuals(rig, channels)
+    fit = comparison.setup.fit
+    wider = comparison.setup._replace(fit=fit + 2 * max(1, round(rules.WIDER_FIT * fit)))
+    smeared = Comparison(record, wider).residuals(rig, channels)
+    out = {}
+    for c in channels:
+        variance = squares[c] / rules.REALISATIONS
+        typical = float(np.median(variance))
+        local = uniform_filter1d(variance, rules.VARIANCE_WINDOWS, mode="nearest")
+        # Where a wider local fit of the motion gives another residual, the fit is uncertain by the difference.
+        unresolved = uniform_filter1d((smeared[c] - raw[c]) ** 2, rules.FIT_ERROR_WINDOWS, mode="nearest")
+        unresolved += uniform_filter1d((led[c] - raw[c]) ** 2, rules.LEAD_WINDOWS, mode="nearest")
+        out[c] = np.sqrt(np.maximum(local, rules.LEAST_VARIANCE * typical) + unresolved)
+    return out
+
+
+def largest_terms(comparison: Comparison, rig: Rig) -> dict[Channel, float]:
+    """Return the rms of the largest term in each channel's balance, in the channel's unit."""
+    plant, record = rig.effective().plant, comparison.record
+    rms = {name: float(np.sqrt(np.mean(record.signals[name] ** 2))) for name in record.signals}
+    flow = (
+        float(np.sqrt(np.mean(comparison.flow_terms(rig.effective())[:, 0] ** 2)))
+        if "volume" in comparison.setup.channels
+        else 0.0
+    )
+    speed = comparison.motion(rig.effective()).velocity if "force" in comparison.setup.channels else np.zeros(1)
+    swept = plant.piston_area * float(np.sqrt(np.mean(speed**2)))
+    driving = plant.piston_area * rms["load_pressure_pa"] if "load_pressure_pa" in rms else rms.get("force_n", 0.0)
+    return {
+        "spool": rms.get("spool_m", 0.0),
+        "volume": max(flow, swept),
+        "supply": rms.get("supply_pressure_pa", 0.0),
+        "force": max(driving, rms.get("disturbance_force_n", 0.0)),
+        "cell": driving,
+        "velocity": float(np.sqrt(np.mean(speed**2))),
+    }

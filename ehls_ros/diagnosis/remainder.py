@@ -1,0 +1,202 @@
+"""What remains of each channel's residual with the causes named: noise, an incident, or an error that no cause explains."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.acceptance import mostly_in
+from ehls_ros.diagnosis.evidence import Evidence, noise_power
+from ehls_ros.diagnosis.held_out import Assessment
+from ehls_ros.diagnosis.hypotheses import Candidate, parts
+from ehls_ros.diagnosis.loss import power
+from ehls_ros.diagnosis.search import Searched
+from ehls_ros.diagnosis.stages import Channel
+
+
+class Blocks(NamedTuple):
+    """How a channel's windows are grouped.
+
+    Attributes:
+        number: block of each window, shape (n,).
+        total: number of blocks.
+        times: middle of each window, shape (n,) [s].
+    """
+
+    number: NDArray[np.intp]
+    total: int
+    times: Array
+
+    def worst(self, e: Array) -> int:
+        """Return the block in which whitened residuals are largest."""
+        return int(np.argmax(np.bincount(self.number, e * e, self.total)))
+
+    def elsewhere(self, e: Array) -> Array:
+        """Return whitened residuals without the block in which they are largest, unless that is most of them.
+
+        An error of the model recurs. What occurs once may be an incident, or a reversal hidden in noise, after which the
+        friction model's elements differ from the rig's until the next reversal.
+        """
+        others: Array = e[self.number != self.worst(e)]
+        return others if 2 * len(others) >= len(e) else e
+
+    def interval(self, block: int) -> tuple[float, float]:
+        """Return the times of the first and the last window in a block [s]."""
+        times = self.times[self.number == block]
+        return float(times[0]), float(times[-1])
+
+
+class Relevance(NamedTuple):
+    """When a residual is more than noise, and large enough to matter.
+
+    Attributes:
+        noise: mean square due to noise.
+        limit: rms whitened residual beyond the noise that matters.
+    """
+
+    noise: float
+    limit: float
+
+    def exceeded(self, e: Array) -> bool:
+        """Tell whether whitened residuals are more than noise by enough to matter."""
+        rms = power(e) - rules.SCATTER * self.noise
+        # What acts seldom has a small rms; where it acts it matters.
+        rare = float(np.quantile(e * e, rules.RARE_QUANTILE)) - rules.RARE_SCATTER * rules.SCATTER * self.noise
+        return math.sqrt(max(rms, 0.0)) > self.limit or math.sqrt(max(rare, 0.0)) > rules.RARE_FACTOR * self.limit
+
+
+class Remainder(NamedTuple):
+    """What remains of a channel's residual.
+
+    Attributes:
+        channel: the channel.
+        before, after: rms whitened residual of the given model, and with the causes on held-out data.
+        noise: rms due to noise.
+        closed: fraction of the removable power that is gone; 1 where there was none.
+        exceeded: whether there was more than noise, by enough to matter.
+        remains: whether there still is.
+        incident: the only interval in which there is, if there is one [s].
+        explained: whether the causes that act in the channel leave no more than noise or close most of it, and none of them
+            imitates an effect outside the list.
+    """
+
+    channel: Channel
+    before: float
+    after: float
+    noise: float
+    closed: float
+    exceeded: bool
+    remains: bool
+    incident: tuple[float, float] | None
+    explained: bool
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether the model errs here in a way that the causes do not account for."""
+        return not self.explained or (self.remains and self.closed < rules.CLOSED)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether more remains than a right cause usually leaves because of its form."""
+        return self.closed < 1.0 - rules.LEFT_BY_FORM and self.after > rules.STANDS_OUT * self.noise
+
+    @property
+    def excess(self) -> float:
+        """Rms that remains, in multiples of the noise."""
+        return self.after / max(self.noise, 1e-12)
+
+
+def remainder(
+    channel: Channel, before: Array, after: Array, blocks: Blocks, relevance: Relevance, *, changed: bool, imitated: bool
+) -> Remainder:
+    """Describe what remains of one channel's residual.
+
+    Args:
+        channel: the channel.
+        before: whitened residual of the given model, shape (n,).
+        after: the same with the causes, on held-out data, shape (n,).
+        blocks: how the windows are grouped.
+        relevance: when a residual is more than noise by enough to matter.
+        changed: whether a cause acts in the channel.
+        imitated: whether the causes there only imitate an effect outside the list.
+    """
+    noise, was, now = relevance.noise, power(before), power(after)
+    removable = was - noise
+    closed = (was - now) / removable if removable > 0.0 else 1.0
+    others = blocks.elsewhere(after)
+    remains = relevance.exceeded(others)
+    once = not remains and relevance.exceeded(after)
+    little = rules.LITTLE * noise
+    enough = not changed or was < little or closed >= rules.CLOSED or power(others) < little
+    return Remainder(
+        channel=channel,
+        before=math.sqrt(was),
+        after=math.sqrt(now),
+        noise=math.sqrt(noise),
+        closed=closed,
+        exceeded=relevance.exceeded(blocks.elsewhere(before)),
+        remains=remains,
+        incident=blocks.interval(blocks.worst(after)) if once else None,
+        explained=enough and not imitated,
+    )
+
+
+def remainder_in(evidence: Evidence, best: Assessment, channel: Channel, *, imitated: bool = False) -> Remainder:
+    """Describe what a hypothesis leaves in a channel."""
+    return remainder(
+        channel,
+        evidence.base.values[channel],
+        best.held_out.residuals.values[channel],
+        blocks_of(evidence, channel),
+        relevance_in(evidence, channel),
+        changed=channel in best.held_out.gain,
+        imitated=imitated,
+    )
+
+
+def remainders(evidence: Evidence, found: Searched) -> tuple[Remainder, ...]:
+    """Describe what the causes leave in each channel."""
+    imitated = imitated_channels(evidence, found)
+    return tuple(remainder_in(evidence, found.best, c, imitated=c in imitated) for c in evidence.channels)
+
+
+def blocks_of(evidence: Evidence, channel: Channel) -> Blocks:
+    """Return how a channel's windows are grouped."""
+    return Blocks(evidence.block[channel], evidence.blocks, evidence.times[channel])
+
+
+def relevance_in(evidence: Evidence, channel: Channel) -> Relevance:
+    """Return when a channel's residual is more than noise by enough to matter."""
+    typical = float(np.sqrt(np.mean(evidence.floor[channel] ** 2)))
+    size = max(evidence.sizes[channel], 1e-300)
+    limit = rules.RELEVANT_BESIDE * size / typical if typical > 0.0 else math.inf
+    return Relevance(noise_power(evidence, channel), limit)
+
+
+def imitated_channels(evidence: Evidence, found: Searched) -> frozenset[Channel]:
+    """Return the channels in which something remains and a cause closes too little, or ends at a bound of its range.
+
+    A real cause closes nearly all that the others leave. An effect outside the list is imitated by several on it, each of
+    which removes a part of what the one before has left, or by one that is stretched beyond what it stands for.
+    """
+    out = set[Channel]()
+    best = found.best.held_out.residuals.values
+    for index, place in enumerate(found.places):
+        main = mostly_in(found.best, place.without)
+        noise = noise_power(evidence, main)
+        without, after = power(place.without.held_out.residuals.values[main]), power(best[main])
+        if power(blocks_of(evidence, main).elsewhere(best[main])) < rules.LITTLE * noise:
+            continue
+        candidate, values = found.best.hypothesis[index], found.best.fit.values[parts(found.best.hypothesis)[index]]
+        if without - after < rules.CLOSED * (without - noise) or at_a_bound(candidate, values):
+            out.add(main)
+    return frozenset(out)
+
+
+def at_a_bound(candidate: Candidate, values: Array) -> bool:
+    """Tell whether a parameter ended at a bound of its range; zero and its neutral value are no such bounds."""
+    ends = ((values <= candidate.lower) | (values >= candidate.upper)) & (values != 0.0) & (values != candidate.neutral)
+    return bool(np.any(ends))

@@ -1,0 +1,340 @@
+"""The search's steps: hypotheses, spectral lines, acceptance of a further cause, exchanges, threads."""
+
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from plain_evidence import MASS, SIZE, VISCOUS, assessed, candidate, evidence_of, linear_fit, nothing
+
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis import search as searching
+from ehls_ros.diagnosis.acceptance import accepted, corrects_form, mostly_in, relevance, shows
+from ehls_ros.diagnosis.evidence import Residuals
+from ehls_ros.diagnosis.fit import Fit
+from ehls_ros.diagnosis.hypotheses import at_lines, bounds, candidates, extended, parts
+from ehls_ros.diagnosis.pool import Pool, informative_blocks
+from ehls_ros.diagnosis.record import prepare
+from ehls_ros.diagnosis.search import Place, simpler
+from ehls_ros.diagnosis.spectrum import spectral_lines
+from ehls_ros.diagnosis.starts import combined, main_channel
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.rig import EffectUse
+from ehls_ros.trajectory import Trajectory
+
+FORCE = {"force": 1.0}
+
+
+def use(name, **values):
+    return EffectUse(name, EFFECTS.load(name).Parameters(**values))
+
+
+@pytest.fixture
+def noisy(rig, recorded):
+    """Return a short recording of the truth."""
+    r = recorded({}, "rich", seed=11, duration=3.0)
+    return prepare(Trajectory(r.time, r.columns), rig, "noisy")
+
+
+# ---------------------------------------------------------------------------------------------------------- hypotheses
+
+
+def test_every_form_of_every_effect_is_tried(noisy, rig):
+    signals = noisy.signals | {"disturbance_displacement_m": np.zeros(len(noisy.time))}
+    found, out = candidates(noisy._replace(signals=signals), rig, [3.0, 5.0, 7.0])
+    assert not out
+    asked = {(c.name, c.number) for c in found}
+    assert asked == {(n, i) for n in EFFECTS.names() for i in range(len(EFFECTS.load(n).forms(rig)))}
+    for c in found:
+        assert len(c.free) >= 1
+        assert c.starts.shape[1] == len(c.free) == len(c.units) == len(c.neutral)
+        assert np.all(c.starts >= c.lower)
+        assert np.all(c.starts <= c.upper)
+        # Beyond its range a value is clipped to its end.
+        for beyond in (c.lower - 1.0, c.upper + 1.0):
+            extended(rig, (c,), np.nan_to_num(beyond, posinf=1e30, neginf=-1e30))
+
+
+def test_what_the_data_cannot_tell_is_not_tried(noisy, rig):
+    found, out = candidates(noisy, rig, [])
+    assert set(out) == {"coupling_stiffness"}
+    assert "disturbance_displacement_m" in out["coupling_stiffness"]
+    fewer = {n: a for n, a in noisy.signals.items() if n != "oil_temperature_k"}
+    found, out = candidates(noisy._replace(signals=fewer), rig, [])
+    assert set(out) == {"coupling_stiffness", "temperature_dependent_friction"}
+    assert not {c.name for c in found} & set(out)
+    found, out = candidates(noisy, rig.with_effects((use("coulomb_shift", offset=10.0),)), [])
+    assert "coulomb_shift" in out
+    assert "coulomb_shift" not in {c.name for c in found}
+
+
+def test_only_effects_with_a_frequency_start_at_other_lines(noisy, rig):
+    found, _ = candidates(noisy, rig, [11.0, 12.0, 13.0])
+    again = at_lines(found, noisy, rig, [3.5, 7.5, 0.5])
+    assert {c.name for c in again} == {"periodic_disturbance", "flexible_mode"}
+    for c in again:
+        assert set(c.starts[:, c.free.index("frequency")]) == {3.5, 7.5}
+    assert at_lines(found, noisy, rig, []) == []
+
+
+def test_parameters_of_several_causes_are_joined_in_order(rig):
+    both = (
+        candidate("stribeck_shift", "static_offset", "velocity_factor", lower=-5.0),
+        candidate("mass_shift", "factor", upper=7.0),
+    )
+    assert parts(both) == [slice(0, 2), slice(2, 3)]
+    lower, upper = bounds(both)
+    np.testing.assert_array_equal(lower, [-5.0, -5.0, -np.inf])
+    np.testing.assert_array_equal(upper, [np.inf, np.inf, 7.0])
+    effects = extended(rig, both, np.array([10.0, 2.0, 9.0])).effects
+    assert effects == (use("stribeck_shift", static_offset=10.0, velocity_factor=2.0), use("mass_shift", factor=7.0))
+    assert bounds(())[0].size == 0
+
+
+# ------------------------------------------------------------------------------------------------------- spectral lines
+
+
+def test_spectral_lines_are_found_strongest_first():
+    t = 0.0133 * np.arange(1500)
+    e = 3.0 * np.sin(2 * np.pi * 7.3 * t) + np.sin(2 * np.pi * 2.1 * t) + np.random.default_rng(4).standard_normal(len(t))
+    first, second = spectral_lines(e, t, 2)
+    assert first == pytest.approx(7.3, abs=0.02)
+    assert second == pytest.approx(2.1, abs=0.03)
+
+
+def test_few_windows_have_no_lines():
+    t = 0.01 * np.arange(rules.LINE_SAMPLES - 1)
+    assert spectral_lines(np.sin(t), t) == ()
+
+
+def test_lines_are_sought_in_the_force_balance_if_there_is_one():
+    assert main_channel(("spool", "force")) == "force"
+    assert main_channel(("spool", "volume")) == "spool"
+
+
+# ---------------------------------------------------------------------------------------------------------- acceptance
+
+
+def with_and_without(rng, size, n=720):
+    """Return evidence of an effect of some size in units of the noise, with the fit that has it and the given model."""
+    column = rng.standard_normal((n, 1))
+    evidence = evidence_of({"force": rng.standard_normal(n) + size * column[:, 0]})
+    return evidence, linear_fit(evidence, (VISCOUS,), column), nothing(evidence)
+
+
+@pytest.mark.parametrize(("size", "taken"), [(0.0, False), (0.05, False), (0.45, False), (0.8, True), (3.0, True)])
+def test_a_cause_that_gains_and_shows_is_accepted(size, taken):
+    evidence, more, less = with_and_without(np.random.default_rng(3), size)
+    assert accepted(evidence, more, less, FORCE) is taken
+
+
+@pytest.mark.parametrize(("beyond", "taken"), [(-0.5, False), (0.5, True)])
+def test_a_sure_cause_with_too_little_gain_is_not_accepted(beyond, taken):
+    evidence = evidence_of({"force": np.full(240, 1.5)})
+    gain = rules.NEEDED_GAIN + rules.PENALTY + beyond
+    more = assessed((VISCOUS,), {"force": np.full(240, 0.5)}, [1.0], {"force": np.full(12, gain / 12.0)}, 1e-6 * np.eye(1))
+    assert accepted(evidence, more, nothing(evidence), FORCE) is taken
+
+
+def test_a_large_gain_that_matters_to_nobody_is_not_accepted():
+    rng = np.random.default_rng(3)
+    evidence, more, less = with_and_without(rng, 3.0)
+    # The same, where the balance's largest term is so large that the difference is irrelevant.
+    evidence.sizes["force"] = 2.0 * 3.0 / rules.RELEVANT
+    assert not accepted(evidence, more, less, FORCE)
+
+
+def test_a_gain_from_averaging_noise_is_not_accepted():
+    evidence, more, less = with_and_without(np.random.default_rng(3), 3.0)
+    gain = more.score(FORCE) - less.score(FORCE)
+    for averaged, taken in ((0.9 * gain, True), (1.1 * gain, False)):
+        averaging = more._replace(held_out=more.held_out._replace(averaged=averaged))
+        assert accepted(evidence, averaging, less, FORCE) is taken
+
+
+def test_an_unsure_parameter_is_not_accepted():
+    evidence, more, less = with_and_without(np.random.default_rng(3), 3.0)
+    for sigmas, taken in ((rules.SURE + 0.1, True), (rules.SURE - 0.1, False)):
+        covariance = np.array([[(more.fit.values[0] / sigmas) ** 2]])
+        vague = more._replace(held_out=more.held_out._replace(covariance=covariance))
+        assert accepted(evidence, vague, less, FORCE) is taken
+
+
+def test_what_removes_little_of_a_large_excess_is_not_accepted():
+    rng = np.random.default_rng(3)
+    column, other = rng.standard_normal((720, 1)), 30.0 * rng.standard_normal(720)
+    evidence = evidence_of({"force": other + 3.0 * column[:, 0]})
+    more = linear_fit(evidence, (VISCOUS,), column)
+    sure = more._replace(held_out=more.held_out._replace(covariance=1e-6 * np.eye(1)))
+    assert more.score(FORCE) > rules.NEEDED_GAIN
+    assert sure.excess(evidence, "force") * rules.REMOVED_EXCESS > sure.score(FORCE)
+    assert not accepted(evidence, sure, nothing(evidence), FORCE)
+
+
+@pytest.mark.parametrize(("size", "shown"), [(0.9, False), (1.1, True)])
+def test_a_difference_much_smaller_than_the_noise_does_not_show(size, shown):
+    assert shows([np.zeros(9), np.full(9, size * rules.SHOWN)]) is shown
+
+
+def test_relevance_is_the_change_of_the_balance_and_rare_events_count():
+    evidence = evidence_of({"force": np.zeros(1000)})
+    less = assessed((), {"force": np.zeros(1000)})
+    rare = np.where(np.arange(1000) < 20, 10.0, 0.0)
+    assert relevance(evidence, assessed((VISCOUS,), {"force": np.full(1000, 0.3)}, [0.0]), less) == pytest.approx(0.3 / SIZE)
+    assert relevance(evidence, assessed((VISCOUS,), {"force": rare}, [0.0]), less) == pytest.approx(10.0 / 5.0 / SIZE)
+
+
+# Rms of the given model's error, of what the others leave of it, of what the cause leaves then; whether that is form.
+FORMS = [(400.0, 4.0, 1.6, True), (400.0, 4.0, 0.0, False), (40.0, 4.0, 1.6, False), (400.0, 4.0, 0.8, False)]
+
+
+@pytest.mark.parametrize(("given", "before", "after", "form"), FORMS)
+def test_a_cause_that_corrects_the_form_of_another_is_told(given, before, after, form):
+    noise = np.array([1.0, -1.0, 1.0, -1.0])
+    error = np.array([1.0, 1.0, -1.0, -1.0])
+    # Closing all but 16 % of the power is too little; all but 4 % is enough.
+    assert corrects_form(noise + given * error, noise + before * error, noise + after * error, 1.0) is form
+
+
+def test_the_main_channel_of_a_cause_is_where_it_removes_most():
+    less = assessed((), {"force": np.full(9, 3.0), "volume": np.full(9, 5.0)})
+    more = assessed((MASS,), {"force": np.full(9, 1.0), "volume": np.full(9, 4.9)}, [1.0])
+    assert mostly_in(more, less) == "force"
+
+
+# --------------------------------------------------------------------------------------------------- starts, exchanges
+
+
+def test_the_start_of_two_linear_causes_is_their_joint_optimum():
+    rng = np.random.default_rng(6)
+    j = rng.standard_normal((480, 2))
+    j[:, 1] += 0.9 * j[:, 0]
+    base = 0.3 * rng.standard_normal(480) + j @ [0.5, -0.4]
+    evidence = evidence_of({"force": base})
+    one = linear_fit(evidence, (VISCOUS,), j[:, :1]).fit
+    other = Fit((MASS,), np.array([1.0]), ("force",), Residuals({"force": base}), j[:, 1:], 0.0, np.ones(1))
+    start = combined(evidence, one, other)
+    together = -np.linalg.lstsq(j, base, rcond=None)[0]
+    np.testing.assert_allclose(start.trials[0], together + np.array([0.0, 1.0]), atol=1e-6)
+    left = 0.5 * (np.sum(one.residuals.values["force"] ** 2) - np.sum((base + j @ together) ** 2))
+    assert start.promise == pytest.approx(left, rel=1e-6)
+    assert start.fit.hypothesis == (VISCOUS, MASS)
+
+
+def scored(hypothesis, gain):
+    """Return a hypothesis with a held-out gain beyond the penalty [nats]."""
+    p = sum(len(c.free) for c in hypothesis)
+    total = gain + rules.PENALTY * p
+    return assessed(hypothesis, {"force": np.zeros(12)}, np.zeros(p), {"force": np.full(12, total / 12.0)})
+
+
+TWO = candidate("valve_dead_zone", "positive", "negative")
+ONE = candidate("valve_dead_zone", "positive")
+
+
+@pytest.mark.parametrize(
+    ("rival", "behind", "taken"),
+    [
+        (ONE, rules.NEEDED_GAIN - 1.0, True),
+        (ONE, rules.NEEDED_GAIN + 1.0, False),
+        (MASS, 0.9 * rules.SIMPLER * 1000.0, True),
+        (MASS, 1.1 * rules.SIMPLER * 1000.0, False),
+        (candidate("stribeck_shift", "static_offset", "velocity_factor"), 0.0, False),
+    ],
+    ids=["own form, near", "own form, far", "other effect, near", "other effect, far", "as many parameters"],
+)
+def test_fewer_parameters_are_preferred_where_little_is_lost(rival, behind, taken):
+    best = scored((TWO,), 1000.0)
+    other = scored((rival,), 1000.0 - behind)
+    assert simpler(best, [Place(scored((), 0.0), (other,))], FORCE) is (other if taken else None)
+
+
+def exchanged(monkeypatch, best, alone, dropped=None):
+    """Exchange the causes of a hypothesis; of two, one may be dropped, and nothing else can take its place."""
+    monkeypatch.setattr(searching, "accepted", lambda evidence, more, less, scale: len(more.hypothesis) == 1)
+    monkeypatch.setattr(searching, "_without", lambda *given: dropped)
+    monkeypatch.setattr(searching, "_fitted", lambda *given, **named: [])
+    pool = SimpleNamespace(lead=lambda work, items: [work(item) for item in items])
+    starts = SimpleNamespace(extensions=lambda member: [])
+    return searching._exchanged(evidence_of({"force": np.zeros(12)}), pool, best, starts, alone, FORCE)
+
+
+def test_a_simpler_form_that_was_exchanged_is_not_returned_to(monkeypatch):
+    # The one is preferred as it is simpler, the other as it gains more.
+    full, simple = scored((TWO,), 1000.0), scored((ONE._replace(number=1),), 1000.0 - 0.5 * rules.NEEDED_GAIN)
+    alone = Place(scored((), 0.0), (full, simple))
+    for start in (full, simple):
+        best, places = exchanged(monkeypatch, start, alone)
+        assert best is full
+        assert places == (alone,)
+
+
+def test_places_are_those_of_the_hypothesis_when_the_rounds_are_used_up(monkeypatch):
+    monkeypatch.setattr(rules, "MOST_EXCHANGES", 1)
+    one = scored((VISCOUS,), 1000.0)
+    alone = Place(scored((), 0.0), (one,))
+    best, places = exchanged(monkeypatch, scored((VISCOUS, MASS), 990.0), alone, dropped=one)
+    assert best is one
+    assert places == (alone,)
+
+
+# -------------------------------------------------------------------------------------------------------------- threads
+
+
+@pytest.fixture
+def pool(monkeypatch):
+    """Return a pool of two threads with workers that do nothing."""
+    evidence = evidence_of({"force": np.zeros(24)})
+    monkeypatch.setattr("ehls_ros.diagnosis.pool.Worker", lambda evidence, subset: SimpleNamespace())
+    pool = Pool(SimpleNamespace(record=SimpleNamespace(time=np.zeros(24)), blocks=evidence.blocks), 2)
+    yield pool
+    pool.close()
+
+
+def test_results_come_in_the_order_of_the_items(pool):
+    first_waits = threading.Event()
+
+    def work(worker, item):
+        # The first item cannot be done before the second.
+        (first_waits.wait if item == 0 else first_waits.set)()
+        return 10 * item
+
+    assert pool.map(work, [0, 1, 2]) == [0, 10, 20]
+
+
+def test_an_error_in_a_thread_is_raised_and_its_worker_is_used_again(pool):
+    def work(worker, item):
+        if item < 4:
+            raise ZeroDivisionError(item)
+        return item
+
+    for _ in range(3):
+        with pytest.raises(ZeroDivisionError, match="0"):
+            pool.map(work, [0, 1, 2, 3])
+    assert pool.map(work, [4, 5, 6]) == [4, 5, 6]
+
+
+def test_no_two_threads_share_a_worker(pool):
+    both = threading.Barrier(2)
+
+    def work(worker, item):
+        both.wait(60.0)
+        return id(worker)
+
+    assert len(set(pool.map(work, [0, 1]))) == 2
+
+
+def test_leading_work_maps_its_own_on_all_threads(pool):
+    assert pool.lead(lambda item: sum(pool.map(lambda worker, i: i, range(item))), [3, 4, 5]) == [3, 6, 10]
+
+
+def test_the_worst_blocks_of_a_long_recording_are_screened():
+    error = np.where(np.isin(np.arange(600) // 30, [3, 11, 12, 17]), 9.0, 0.1)
+    evidence = evidence_of({"force": error}, blocks=20)
+    long = SimpleNamespace(
+        record=SimpleNamespace(time=np.zeros(6000)), blocks=20, channels=("force",), block=evidence.block, base=evidence.base
+    )
+    ranges = informative_blocks(long)
+    assert [begin // 300 for begin, _ in ranges] == [0, 3, 6, 11, 12, 13, 17, 19]
+    assert all(end - begin == 300 for begin, end in ranges)
+    assert informative_blocks(SimpleNamespace(record=long.record, blocks=12)) is None
