@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from ehls_ros.errors import BadInput
+from ehls_ros.families import offered
 from ehls_ros.hardware.backends import BACKENDS
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
 from ehls_ros.hardware.calibration import Calibration, Input, Output
@@ -122,6 +123,9 @@ def third_party(tmp_path, monkeypatch):
     (info / "entry_points.txt").write_text("[ehls_ros.daq_backends]\nacme = acme_daq\nbroken = acme_missing\nudp = acme_daq\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(BACKENDS, "_loaded", {})
+    offered.cache_clear()
+    yield
+    offered.cache_clear()
 
 
 @pytest.mark.usefixtures("third_party")
