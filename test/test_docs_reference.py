@@ -8,6 +8,8 @@ import pytest
 from docs_snippets import ROOT
 
 from ehls_ros.cli.verbs import VERBS
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.nodes import node_names
 from ehls_ros.schema import declarations
 from ehls_ros.trajectory import SIGNALS
 
@@ -39,8 +41,8 @@ def test_every_verb_has_its_help(reference: ModuleType) -> None:
 
 def test_every_node_message_and_signal_is_there(reference: ModuleType) -> None:
     nodes, messages, signals = reference.nodes_page(), reference.messages_page(), reference.signals_page()
-    for path in (ROOT / "ehls_ros" / "nodes").glob("*_node.py"):
-        assert f"\n## {path.stem}\n" in nodes
+    for name in node_names():
+        assert f"\n## {name}\n" in nodes
     for path in (ROOT / "ehls_msgs" / "msg").glob("*.msg"):
         assert f"\n## {path.stem}\n" in messages
     assert "| `load_pressure` | `float64` | load pressure pL = p1 - p2 [Pa] |" in messages
@@ -58,3 +60,9 @@ def test_a_table_tells_what_is_required_and_what_ranges_are(reference: ModuleTyp
 def test_services_are_those_of_the_plants_node(reference: ModuleType) -> None:
     names = ("emergency_stop", "acknowledge_stop", "reset_trips", "enable")
     assert {name for name, _, _ in reference.services()} == {f"`/ehls/{name}`" for name in names}
+
+
+def test_the_launch_file_offers_every_controller(reference: ModuleType) -> None:
+    default, _, choices = reference.launch_arguments()["controller"]
+    assert tuple(choices) == CONTROLLERS.names()
+    assert default in choices
