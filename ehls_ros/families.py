@@ -3,7 +3,7 @@
 A member is a file in the family's folder, or a module that another distribution offers through an entry point::
 
     [project.entry-points."ehls_ros.controllers"]
-    integrator = "acme_ehls.integrator"
+    proportional = "acme_ehls.proportional"
 
 The group is ``ehls_ros.`` and the plural of the family's noun; docs/how_to/package.md lists all groups.
 """

@@ -9,8 +9,8 @@ An HTML comment before a block says what is done with it beyond the rule that a 
 
 Blocks in the language ``text`` are no snippets: output, drawings and other programs' files.
 
-A page that has the file of a family's member and, in TOML, the entry point through which a package offers it, is followed as a whole
-by ``test_how_to.py``. ``test_docs_snippets.py`` only parses its blocks.
+A page with the file of a family's member, and in TOML the entry point through which a package offers it, is followed from
+top to bottom by ``test_how_to.py``; ``test_docs_snippets.py`` only parses its blocks.
 """
 
 import ast
