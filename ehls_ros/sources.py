@@ -53,7 +53,7 @@ def import_line(member: object, name: str) -> str:
 def _digest_of(files: Iterable[Path]) -> str:
     digest = hashlib.sha256()
     for path in files:
-        # Within the package by its place there, so that two checkouts of the same sources agree.
-        digest.update(str(path.relative_to(PACKAGE) if path.is_relative_to(PACKAGE) else path).encode())
+        # Wherever they lie, the same sources have the same digest.
+        digest.update(str(path.relative_to(PACKAGE) if path.is_relative_to(PACKAGE) else path.name).encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()
