@@ -1,4 +1,4 @@
-"""The whole graph: ``ros2 launch ehls_ros ehls.launch.py plant:=sim controller:=fasmc rig:=config/rig_paper.yaml``.
+"""The complete graph: ``ros2 launch ehls_ros ehls.launch.py plant:=sim controller:=fasmc rig:=config/rig_paper.yaml``.
 
 A node can be left out (``without:=fasmc_node``) and started by hand instead. A second rig runs beside the first in its own
 namespace (``namespace:=rig2``): only /diagnostics is shared, where its nodes are named ``rig2/...``.
@@ -17,7 +17,7 @@ ARGUMENTS = {
     "bridge": ("", "bridge file for plant:=bridge: DAQ backend, channels, calibration; empty: UDP to this host", None),
     "controller": (
         "fasmc",
-        "control law; it has to follow what the spec's reference is, a force or a position",
+        "control law; it must follow what the spec's reference is, a force or a position",
         list(CONTROLLERS.names()),
     ),
     "rig": ("", "rig file in place of the spec's", None),
@@ -28,7 +28,7 @@ ARGUMENTS = {
         ["realtime", "lockstep"],
     ),
     "priority": ("0", "in realtime: SCHED_FIFO priority of the nodes, 1 to 99; 0: none", None),
-    "namespace": ("ehls", "namespace of nodes and topics; one of its own for each further rig, such as rig2", None),
+    "namespace": ("ehls", "namespace of nodes and topics; a second rig needs its own, such as rig2", None),
     "record": ("", "folder to record a bag into; empty: no recording", None),
     "without": ("", "nodes to leave out, separated by commas", None),
 }
@@ -37,7 +37,7 @@ PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
 
 
 def nodes(context: LaunchContext) -> list[Node]:
-    """Return the nodes the arguments ask for."""
+    """Return the nodes that the arguments select."""
     chosen = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     common = {"spec": chosen["spec"], "rig": chosen["rig"], "timing": chosen["timing"], "priority": int(chosen["priority"])}
     controller = f"{chosen['controller']}_node"

@@ -111,6 +111,10 @@ def test_the_newest_complete_cycle_is_answered_and_older_ones_never():
     assert (ready.cycle, ready.elapsed) == (5, 2)
     cycles.add_friction(4, friction(4))
     assert cycles.take(1000.0) is None
+    assert cycles.waited(1000.0) == 0.0
+    # Nor does a later run find what was for them.
+    snapshot(cycles, 4)
+    assert cycles.lacks_reference
 
 
 def test_a_controller_that_joins_late_begins_with_the_newest_cycle():
@@ -159,6 +163,17 @@ def test_patience_is_counted_from_the_oldest_snapshot_of_a_plant_that_waits_for_
     # The newest cycle is answered, and from there on each one at once.
     assert cycle == round(first / PERIOD) - 1
     assert [after - before for (_, before), (_, after) in itertools.pairwise(answers)] == [1] * (len(answers) - 1)
+
+
+def test_patience_is_counted_anew_after_an_answer():
+    cycles = make()
+    snapshot(cycles, 0, now=0.0)
+    snapshot(cycles, 1, now=0.9 * PATIENCE)
+    cycles.add_friction(0, friction(0))
+    assert cycles.take(0.9 * PATIENCE).cycle == 0
+    assert cycles.take(1.8 * PATIENCE) is None
+    assert cycles.waited(1.8 * PATIENCE) == pytest.approx(0.9 * PATIENCE)
+    assert cycles.take(2.0 * PATIENCE).friction is None
 
 
 def test_a_plant_that_begins_anew_is_answered_from_its_first_cycle():
@@ -215,7 +230,8 @@ def test_what_is_kept_does_not_grow_with_the_run(step):
     cycles = make(references=0)
     for cycle in range(3 * KEPT):
         cycles.add_reference(cycle + AHEAD, reference(cycle))
-        cycles.add_reference(cycle % AHEAD, reference(cycle))
+        # A second sender, far behind.
+        cycles.add_reference(max(cycle - AHEAD, 0), reference(cycle))
         cycles.add_friction(cycle, friction(cycle))
         if cycle % step == 0:
             snapshot(cycles, cycle)
