@@ -8,6 +8,7 @@ A member is a file in the family's folder, or a module that another distribution
 The group is ``ehls_ros.`` and the plural of the family's noun; docs/how_to/package.md lists all groups.
 """
 
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
@@ -73,6 +74,14 @@ class Family(Generic[Member]):
         self._loaded[name] = cast(Member, member)
         return self._loaded[name]
 
+    def usable(self) -> dict[str, Member]:
+        """Return all members that can be loaded, by name; one that is broken does not keep the others from being used."""
+        members = {}
+        for name in self.names():
+            with suppress(BadInput):
+                members[name] = self.load(name)
+        return members
+
     def _own(self) -> set[str]:
         found = iter_modules(import_module(self.package).__path__)
         return {m.name for m in found if m.name != "base" and not m.name.startswith("_")}
@@ -89,8 +98,8 @@ class Family(Generic[Member]):
         [point] = points
         try:
             member = point.load()
-        except (ImportError, AttributeError) as error:
-            what = f"{self.noun} {name!r} of {_origin(point)} cannot be imported ({error})"
+        except Exception as error:  # noqa: BLE001 - another's module may fail in any way
+            what = f"{self.noun} {name!r} of {_origin(point)} cannot be imported ({type(error).__name__}: {error})"
             raise BadInput(what, where, f"{point.value} importable") from None
         if not isinstance(member, ModuleType):
             raise BadInput(f"{self.noun} {name!r} of {_origin(point)} is {point.value}", where, "the name of a module")

@@ -97,6 +97,15 @@ def test_what_cannot_be_used_is_refused_with_the_distribution_it_comes_from(site
         assert all(word in complaint for word in ("acme_ehls", repr(name), *words)), complaint
 
 
+def test_a_broken_module_is_refused_and_keeps_no_other_from_use(site):
+    modules = {"acme_ehls.sine": SINE, "acme_ehls.broken": "1/0\n", "acme_ehls.typo": "def\n"}
+    points = {name: f"acme_ehls.{name}" for name in ("broken", "typo")}
+    add(site, modules, {REFERENCES.group: {**points, "acme_sine": "acme_ehls.sine"}})
+    assert "ZeroDivisionError: division by zero" in refused(REFERENCES.group, "broken")
+    assert "SyntaxError" in refused(REFERENCES.group, "typo")
+    assert REFERENCES.usable().keys() == set(REFERENCES.names()) - set(points)
+
+
 def test_an_unknown_name_lists_own_and_installed_members(site):
     add(site, {"acme_ehls.sine": SINE}, {REFERENCES.group: {"acme_sine": "acme_ehls.sine"}})
     complaint = refused(REFERENCES.group, "no_such_one")

@@ -156,7 +156,7 @@ class ControllerNode(ControlNode):
 
     def _without(self, unmeasured: list[str]) -> str:
         """Return which laws of the same kind need none of these readings."""
-        laws = {name: CONTROLLERS.load(name) for name in CONTROLLERS.names()}
+        laws = CONTROLLERS.usable()
         able = [name for name, law in laws.items() if law.FOLLOWS == self.kind.FOLLOWS and not set(law.NEEDS) & set(unmeasured)]
         return f"usable instead: {', '.join(able)}" if able else "no controller can do without"
 
