@@ -36,7 +36,11 @@ PAGES = [page for page in pages() if members(page)]
 @pytest.fixture(scope="module")
 def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder of compiled kernels that starts empty; pages that run the same loop compile it once."""
-    return tmp_path_factory.mktemp("kernels")
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    (folder / "kernels").mkdir(mode=0o700, exist_ok=True)
+    return folder / "kernels"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: Path(page).stem)
