@@ -12,24 +12,9 @@ from pathlib import Path
 
 import pytest
 from docs_snippets import ROOT, blocks, entry_points, members, pages
-from third_party import install_page
+from third_party import families, install_page
 
-from ehls_ros.cli.verbs import VERBS
-from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.disturbances import DISTURBANCES
-from ehls_ros.control.observers import OBSERVERS
-from ehls_ros.control.references import REFERENCES
-from ehls_ros.hardware.backends import BACKENDS
-from ehls_ros.identification.optimisers import OPTIMISERS
-from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.friction import FRICTION_MODELS
-
-FAMILIES = {
-    family.group: family
-    for family in (
-        EFFECTS, FRICTION_MODELS, CONTROLLERS, OBSERVERS, REFERENCES, DISTURBANCES, OPTIMISERS, BACKENDS, VERBS,
-    )
-}  # fmt: skip
+FAMILIES = families()
 PAGES = [page for page in pages() if members(page)]
 
 

@@ -1,11 +1,25 @@
 """A distribution of somebody else's, as pip would leave it: modules, and metadata with entry points."""
 
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-from docs_snippets import Block, entry_points, members
+from docs_snippets import ROOT, Block, entry_points, members
+
+from ehls_ros.families import Family
 
 NAME = "acme_ehls"
+
+
+def families() -> dict[str, Family[Any]]:
+    """Return all families of the project by their groups."""
+    found: dict[str, Family[Any]] = {}
+    for path in sorted((ROOT / "ehls_ros").rglob("__init__.py")):
+        if "Family(" in path.read_text(encoding="utf-8"):
+            package = import_module(".".join(path.parent.relative_to(ROOT).parts))
+            found |= {family.group: family for family in vars(package).values() if isinstance(family, Family)}
+    return found
 
 
 def install(site: Path, modules: Mapping[str, str], points: Mapping[str, Mapping[str, str]], name: str = NAME) -> None:

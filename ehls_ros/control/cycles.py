@@ -1,14 +1,14 @@
-"""Which cycle a controller answers next: snapshot, reference and friction estimate of one cycle are brought together.
+"""Which cycle a controller answers next: matches the snapshot, reference and friction estimate of each cycle.
 
-They come from three senders, each in its own time. A snapshot opens its cycle. The reference is there long before it. The
-friction estimate answers the same snapshot, and may even arrive before it.
+They come from three senders. A snapshot opens its cycle. The reference arrives long before it. The friction estimate answers
+the same snapshot, and may even arrive before it.
 """
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 KEPT = 4000
-"""References that may pile up before those of cycles long answered are dropped."""
+"""Number of references kept before those of answered cycles are dropped."""
 
 
 class Ready(NamedTuple):
@@ -19,9 +19,9 @@ class Ready(NamedTuple):
         stamp_ns: the snapshot's time [ns].
         measured: readings in the order of :data:`ehls_ros.physics.rig.SENSED`.
         reference: what the controller follows and its first and second derivative.
-        friction: force of the elements and viscous force [N]; None where no estimate is to be had.
-        elapsed: cycles since the one answered before; 1 where there was none.
-        anew: whether the cycles began anew, so that nothing learnt in earlier ones applies.
+        friction: force of the elements and viscous force [N]; None if no estimate has arrived.
+        elapsed: cycles since the one answered before; 1 for the first.
+        anew: whether the plant has restarted, so that nothing learnt in earlier cycles applies.
     """
 
     cycle: int
@@ -34,16 +34,16 @@ class Ready(NamedTuple):
 
 
 class Cycles:
-    """What has arrived and is not yet answered.
+    """What has arrived and is not answered yet.
 
     Attributes:
         answered: the cycle answered last; -1 before the first.
-        friction_comes: whether a cycle waits for its friction estimate. After one that stayed away for longer than the
-            patience, none does until another estimate arrives.
+        friction_comes: whether a cycle waits for its friction estimate. Once an estimate is later than the patience, no cycle
+            waits until another estimate arrives.
     """
 
     def __init__(self, *, friction: bool, patience: float) -> None:
-        """Begin with nothing.
+        """Start empty.
 
         Args:
             friction: whether the controller uses the friction estimate.
@@ -61,9 +61,9 @@ class Cycles:
         self._newest_friction = -1
 
     def add_snapshot(self, cycle: int, stamp_ns: int, measured: Sequence[float], now: float) -> None:
-        """Take a snapshot that arrived at a time [s], of any clock that only goes forward."""
+        """Take a snapshot that arrived at a time [s] of a monotonic clock."""
         if cycle <= self._newest:
-            # The plant began anew: what it sent before is never answered.
+            # The plant has restarted: what it sent before is never answered.
             self._pending.clear()
         if not self._pending:
             self._since = now
@@ -79,7 +79,7 @@ class Cycles:
         if not self._uses_friction:
             return
         if cycle < self._newest_friction:
-            # The estimator began anew: what it said before is about earlier cycles of the same numbers.
+            # The estimator has restarted: its earlier estimates belong to other cycles with the same numbers.
             self._frictions.clear()
         self._frictions[cycle] = forces
         self._newest_friction = cycle
@@ -92,22 +92,22 @@ class Cycles:
 
     @property
     def lacks(self) -> Literal["snapshot", "friction", "anything"]:
-        """The message that comes last for the next cycle; anything once its snapshot is there.
+        """The message that the next cycle waits for: the last to arrive, or any once its snapshot is there.
 
-        The friction estimate comes after the snapshot as a rule, so a loop that waits for it wakes once a cycle.
+        The friction estimate usually arrives after the snapshot, so a loop that waits for it wakes up once per cycle.
         """
         if self._pending:
             return "anything"
         return "friction" if self.friction_comes and self._newest_friction <= self.answered else "snapshot"
 
     def waited(self, now: float) -> float:
-        """Return how long the oldest snapshot has waited for its answer [s]; 0 where none waits."""
+        """Return how long snapshots have waited since the last answer [s]; 0 if none waits."""
         return now - self._since if self._pending else 0.0
 
     def take(self, now: float) -> Ready | None:
-        """Return the newest cycle that can be answered at a time [s], which counts as answered; None where there is none.
+        """Return the newest cycle that can be answered at a time [s], and count it as answered; None if there is none.
 
-        Older cycles are never answered: it would be too late.
+        Older cycles are never answered, as the answer would be too late.
         """
         for cycle in sorted(self._pending, reverse=True):
             if cycle in self._references and (cycle in self._frictions or not self._awaits_friction(now)):

@@ -1,6 +1,7 @@
-"""The ROS 2 nodes, one file each but for the controllers: any controller runs in the file ``controller_process``.
+"""The rclpy nodes: parameters, messages and timing. The computations are in the other packages.
 
-The module ``ehls_ros.nodes.<name>_node`` exists for every controller that is installed, as if it had a file of that name.
+Each node is one file, but all controllers share ``controller_process``: the module ``ehls_ros.nodes.<name>_node`` exists
+for every installed controller, as if it had a file of that name.
 """
 
 import sys
@@ -23,7 +24,7 @@ def node_names() -> tuple[str, ...]:
 
 
 def controller_of(node: str) -> str | None:
-    """Return the controller that a node runs, None for a node that is no controller."""
+    """Return the controller that a node runs, or None."""
     name = node.removesuffix(SUFFIX)
     return name if node.endswith(SUFFIX) and name in CONTROLLERS.names() else None
 

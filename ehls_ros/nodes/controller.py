@@ -1,6 +1,6 @@
 """The node of any controller: it answers each loader_state with a valve_command.
 
-What it needs of a cycle is brought together by :mod:`ehls_ros.control.cycles`; here are topics, parameters and diagnostics.
+:mod:`ehls_ros.control.cycles` matches what belongs to a cycle; this file has the topics, parameters and diagnostics.
 """
 
 import os
@@ -134,7 +134,7 @@ class ControllerNode(ControlNode):
         while (driven := self.driving.take()) is not None:
             self.driven = driven
         if ready.anew or not self.driven:
-            # What the valve did not follow, and what belongs to an earlier run, must not be learnt from.
+            # The law must not adapt to cycles that the valve did not follow, or that belong to an earlier run.
             self.controller.reset()
         if self.new_tuning is not None:
             self.controller.retune(self.new_tuning)

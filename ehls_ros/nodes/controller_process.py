@@ -1,4 +1,4 @@
-"""Runs one controller as a process; the module's name, ``ehls_ros.nodes.<name>_node``, says which."""
+"""Runs one controller as a process, the one that the module's name ``ehls_ros.nodes.<name>_node`` says."""
 
 from typing import NoReturn
 
@@ -9,11 +9,11 @@ from ehls_ros.nodes.controller import ControllerNode
 
 def main() -> NoReturn:
     """Run the node."""
-    # Started by `python -m`, the module is called __main__, but its spec keeps the name.
+    # With `python -m` the module is called __main__, but its spec keeps the name.
     name = __spec__.name.rpartition(".")[2]
     controller = controller_of(name)
     if controller is None:
-        raise ImportError(f"{name} is no controller's node: import ehls_ros.nodes.<name>_node")
+        raise ImportError(f"{name} is not the node of a controller: import ehls_ros.nodes.<name>_node")
     run_node(lambda: ControllerNode(controller))
 
 

@@ -1,4 +1,4 @@
-"""Snapshot, reference and friction estimate of one cycle come together, in whatever order and however late they arrive."""
+"""Snapshot, reference and friction estimate of one cycle are matched in whatever order, and however late, they arrive."""
 
 import itertools
 
@@ -36,7 +36,7 @@ def snapshot(cycles, cycle, now=0.0, run=0):
 
 
 def answer(cycles, cycle, now=0.0, run=0):
-    """Let a cycle come complete, and return what is answered."""
+    """Let everything for a cycle arrive, and return what is answered."""
     snapshot(cycles, cycle, now, run)
     cycles.add_friction(cycle, friction(cycle, run))
     return cycles.take(now)
