@@ -6,7 +6,8 @@ from setuptools import find_packages, setup
 
 PACKAGE = "ehls_ros"
 ROOT = Path(__file__).resolve().parent
-NODES = sorted(path.stem for path in (ROOT / PACKAGE / "nodes").glob("*_node.py"))
+NODES = [path.stem for path in (ROOT / PACKAGE / "nodes").glob("*_node.py")]
+CONTROLLERS = [path.stem for path in (ROOT / PACKAGE / "control" / "controllers").glob("[!_]*.py") if path.stem != "base"]
 
 
 def requirements(name: str) -> list[str]:
@@ -56,7 +57,8 @@ setup(
     entry_points={
         "console_scripts": [
             f"ehls = {PACKAGE}.cli.main:entry",
-            *(f"{node} = {PACKAGE}.nodes.{node}:main" for node in NODES),
+            # A controller has no node file of its own: ehls_ros.nodes makes its module.
+            *(f"{node} = {PACKAGE}.nodes.{node}:main" for node in sorted([*NODES, *(f"{name}_node" for name in CONTROLLERS)])),
         ],
     },
     zip_safe=False,

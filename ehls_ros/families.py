@@ -1,8 +1,20 @@
-"""Families of interchangeable parts: one file each, found by its file name."""
+"""Families of interchangeable parts: one file each, known by its file name.
 
+A member is a file in the family's folder, or a module that another distribution offers through an entry point::
+
+    [project.entry-points."ehls_ros.controllers"]
+    proportional = "acme_ehls.proportional"
+
+The group is ``ehls_ros.`` and the plural of the family's noun; docs/how_to/package.md lists all groups.
+"""
+
+from contextlib import suppress
+from functools import cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
+from inspect import isfunction
 from pkgutil import iter_modules
+from types import ModuleType
 from typing import Any, Generic, TypeVar, cast
 
 from ehls_ros.errors import BadInput
@@ -10,59 +22,97 @@ from ehls_ros.errors import BadInput
 Member = TypeVar("Member")
 
 
-class Family(Generic[Member]):
-    """The members of one package: every module in it but ``base`` and those that start with ``_``.
+@cache
+def offered(group: str) -> EntryPoints:
+    """Return the entry points of a group, read once per process: reading all installed distributions takes 20 ms."""
+    return entry_points(group=group)
 
-    ``Member`` is the Protocol that each module satisfies; the package's contract test checks it.
+
+class Family(Generic[Member]):
+    """The members of one package: every module in it except ``base`` and those that start with ``_``.
+
+    ``Member`` is the Protocol that each module satisfies.
+
+    Attributes:
+        package: dotted name of the package that holds the project's own members.
+        noun: what one member is called in errors, such as ``effect``.
+        group: group of entry points through which other distributions add members; the project's own names take precedence.
     """
 
-    def __init__(self, package: str, noun: str, group: str | None = None) -> None:
-        """Name the package.
-
-        Args:
-            package: dotted name of the package that holds the members.
-            noun: what one member is called in errors, such as ``effect``.
-            group: group of entry points by which other distributions add members; a name of the package's own wins.
-        """
+    def __init__(self, package: str, noun: str, protocol: type) -> None:
+        """Name the package, what one member is called, and the Protocol that says what a member's file provides."""
         self.package = package
         self.noun = noun
-        self.group = group
+        self.group = f"ehls_ros.{noun.lower().replace(' ', '_')}s"
+        self._protocol = protocol
         self._loaded: dict[Any, Member] = {}
 
     def names(self) -> tuple[str, ...]:
         """Return the names of all members, sorted."""
-        return tuple(sorted(self._own() | self._installed().keys()))
+        return tuple(sorted(self._own() | offered(self.group).names))
 
     def load(self, name: Any, where: str = "configuration") -> Member:
         """Import a member.
 
         Args:
-            name: file name without ``.py``, as a configuration gives it.
+            name: file name without ``.py``, or the entry point's name, as a configuration gives it.
             where: file and section, for the error.
 
         Raises:
-            BadInput: there is no such member.
+            BadInput: there is no such member, or it cannot be used.
         """
         # Listing the folder takes longer than most of what a member is asked for.
         if isinstance(name, str) and name in self._loaded:
             return self._loaded[name]
-        if name not in self.names():
-            raise BadInput(f"{self.noun} {name!r} is unknown", where, f"one of {', '.join(self.names())}")
-        own = name in self._own()
-        member = cast(Member, import_module(f"{self.package}.{name}") if own else self._from_elsewhere(name, where))
-        self._loaded[name] = member
-        return member
+        if isinstance(name, str) and name in self._own():
+            member: Any = import_module(f"{self.package}.{name}")
+        else:
+            member = self._from_elsewhere(name, where)
+        if missing := [attribute for attribute in self._required() if not hasattr(member, attribute)]:
+            what = f"{self.noun} {name!r} has no {', '.join(missing)}"
+            raise BadInput(what, where, f"what {self.package}.base asks for in {member.__file__}")
+        self._loaded[name] = cast(Member, member)
+        return self._loaded[name]
+
+    def usable(self) -> dict[str, Member]:
+        """Return all members that can be loaded, by name; one that is broken does not keep the others from being used."""
+        members = {}
+        for name in self.names():
+            with suppress(BadInput):
+                members[name] = self.load(name)
+        return members
 
     def _own(self) -> set[str]:
         found = iter_modules(import_module(self.package).__path__)
         return {m.name for m in found if m.name != "base" and not m.name.startswith("_")}
 
-    def _installed(self) -> dict[str, EntryPoint]:
-        return {point.name: point for point in entry_points(group=self.group)} if self.group else {}
-
-    def _from_elsewhere(self, name: str, where: str) -> Any:
-        point = self._installed()[name]
+    def _from_elsewhere(self, name: Any, where: str) -> ModuleType:
+        points = [point for point in offered(self.group) if point.name == name]
+        if not points:
+            raise BadInput(f"{self.noun} {name!r} is unknown", where, f"one of {', '.join(self.names())}")
+        if not str(name).isidentifier():
+            raise BadInput(f"{self.noun} {name!r} of {_origin(points[0])}", where, "a name of letters, digits and underscores")
+        if len(points) > 1:
+            what = f"{self.noun} {name!r} is offered by {' and by '.join(map(_origin, points))}"
+            raise BadInput(what, where, "only one of them installed")
+        [point] = points
         try:
-            return point.load()
-        except (ImportError, AttributeError) as error:
-            raise BadInput(f"{self.noun} {name!r} cannot be imported ({error})", where, f"{point.value} as installed") from None
+            member = point.load()
+        except Exception as error:  # noqa: BLE001 - another's module may fail in any way
+            what = f"{self.noun} {name!r} of {_origin(point)} cannot be imported ({type(error).__name__}: {error})"
+            raise BadInput(what, where, f"{point.value} importable") from None
+        if not isinstance(member, ModuleType):
+            raise BadInput(f"{self.noun} {name!r} of {_origin(point)} is {point.value}", where, "the name of a module")
+        return member
+
+    def _required(self) -> list[str]:
+        """Return the names of what every member's file provides."""
+        classes = [vars(c) for c in self._protocol.__mro__ if getattr(c, "_is_protocol", False)]
+        declared = {name for own in classes for name in own.get("__annotations__", {})}
+        functions = {name for own in classes for name, value in own.items() if isfunction(value)}
+        return sorted(name for name in declared | functions if not name.startswith("_"))
+
+
+def _origin(point: EntryPoint) -> str:
+    """Return the distribution that offers an entry point."""
+    return point.dist.name if point.dist else point.value

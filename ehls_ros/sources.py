@@ -1,8 +1,12 @@
 """Digest of the package's sources, to tell results of this version from those of an older one."""
 
 import hashlib
+import inspect
+import sys
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 
 PACKAGE = Path(__file__).resolve().parent
 
@@ -14,10 +18,42 @@ def sources_digest(*parts: str) -> str:
     Args:
         parts: names of subpackages, and of single files such as ``arrays.py``.
     """
+    places = (PACKAGE / part for part in parts)
+    return _digest_of(path for place in places for path in ([place] if place.suffix else sorted(place.rglob("*.py"))))
+
+
+@cache
+def module_digest(module: ModuleType) -> str:
+    """Return a digest of the sources of a family's member.
+
+    They are its file; for a member from another distribution they include the other files of that distribution's package,
+    which it may import.
+    """
+    file = Path(inspect.getfile(module))
+    top = sys.modules[module.__name__.partition(".")[0]]
+    if top.__name__ == PACKAGE.name or not hasattr(top, "__path__"):
+        return _digest_of([file])
+    return _digest_of(sorted({file, *(path for folder in top.__path__ for path in Path(folder).rglob("*.py"))}))
+
+
+def import_line(member: object, name: str) -> str:
+    """Return the line by which generated source text imports a family's member.
+
+    The line ends with the digest of the member's sources, so that text made from other sources is other text.
+
+    Args:
+        member: the module, as :meth:`ehls_ros.families.Family.load` returns it.
+        name: what the text calls it.
+    """
+    if not isinstance(member, ModuleType):
+        raise TypeError(f"{member!r} is not a module")
+    return f"import {member.__name__} as {name}  # {module_digest(member)[:16]}"
+
+
+def _digest_of(files: Iterable[Path]) -> str:
     digest = hashlib.sha256()
-    for part in parts:
-        place = PACKAGE / part
-        for path in [place] if place.suffix else sorted(place.rglob("*.py")):
-            digest.update(str(path.relative_to(PACKAGE)).encode())
-            digest.update(path.read_bytes())
+    for path in files:
+        # Wherever they lie, the same sources have the same digest.
+        digest.update(str(path.relative_to(PACKAGE) if path.is_relative_to(PACKAGE) else path.name).encode())
+        digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -1,7 +1,7 @@
-"""The whole graph: ``ros2 launch ehls_ros ehls.launch.py plant:=sim controller:=fasmc rig:=config/rig_paper.yaml``.
+"""The complete graph: ``ros2 launch ehls_ros ehls.launch.py plant:=sim controller:=fasmc rig:=config/rig_paper.yaml``.
 
-A node can be left out (``without:=fasmc_node``) and started by hand instead. A second rig runs beside the first in a namespace
-of its own (``namespace:=rig2``): only /diagnostics is shared, where its nodes are named ``rig2/...``.
+A node can be left out (``without:=fasmc_node``) and started by hand instead. A second rig runs beside the first in its own
+namespace (``namespace:=rig2``): only /diagnostics is shared, where its nodes are named ``rig2/...``.
 """
 
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
@@ -9,6 +9,7 @@ from launch.launch_context import LaunchContext
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from ehls_ros.control.controllers import CONTROLLERS
 from launch import LaunchDescription
 
 ARGUMENTS = {
@@ -16,8 +17,8 @@ ARGUMENTS = {
     "bridge": ("", "bridge file for plant:=bridge: DAQ backend, channels, calibration; empty: UDP to this host", None),
     "controller": (
         "fasmc",
-        "control law; fasmc_output_feedback needs no velocity; pid follows a position and needs a spec with one",
-        ["fasmc", "fasmc_output_feedback", "sic", "pid"],
+        "control law; it must follow what the spec's reference is, a force or a position",
+        list(CONTROLLERS.names()),
     ),
     "rig": ("", "rig file in place of the spec's", None),
     "spec": ("", "experiment file; empty: the 10 kN sine that comes with the package", None),
@@ -27,7 +28,7 @@ ARGUMENTS = {
         ["realtime", "lockstep"],
     ),
     "priority": ("0", "in realtime: SCHED_FIFO priority of the nodes, 1 to 99; 0: none", None),
-    "namespace": ("ehls", "namespace of nodes and topics; one of its own for each further rig, such as rig2", None),
+    "namespace": ("ehls", "namespace of nodes and topics; a second rig needs its own, such as rig2", None),
     "record": ("", "folder to record a bag into; empty: no recording", None),
     "without": ("", "nodes to leave out, separated by commas", None),
 }
@@ -36,13 +37,14 @@ PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
 
 
 def nodes(context: LaunchContext) -> list[Node]:
-    """Return the nodes the arguments ask for."""
+    """Return the nodes that the arguments select."""
     chosen = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     common = {"spec": chosen["spec"], "rig": chosen["rig"], "timing": chosen["timing"], "priority": int(chosen["priority"])}
+    controller = f"{chosen['controller']}_node"
     own: dict[str, dict[str, object]] = {
         "reference_node": {},
         "friction_estimator_node": {},
-        f"{chosen['controller']}_node": {},
+        controller: {},
         PLANTS[chosen["plant"]]: {},
     }
     if chosen["plant"] == "bridge":
@@ -55,7 +57,9 @@ def nodes(context: LaunchContext) -> list[Node]:
     return [
         Node(
             package="ehls_ros",
-            executable=name,
+            # A controller of another package has no executable in this one; `ehls run` starts any.
+            executable="ehls" if name == controller else name,
+            arguments=["run", name] if name == controller else [],
             namespace=chosen["namespace"],
             parameters=[{**common, **parameters}],
             output="screen",

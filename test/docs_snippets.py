@@ -8,11 +8,15 @@ An HTML comment before a block says what is done with it beyond the rule that a 
 * ``not run: WHY``  nothing can be checked.
 
 Blocks in the language ``text`` are no snippets: output, drawings and other programs' files.
+
+A page with the file of a family's member, and in TOML the entry point through which a package offers it, is followed from
+top to bottom by ``test_how_to.py``; ``test_docs_snippets.py`` only parses its blocks.
 """
 
 import ast
 import re
 import shlex
+import tomllib
 from argparse import Namespace
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -72,6 +76,21 @@ def blocks(page: str) -> list[Block]:
             if mark == "file" or not (language == "text" or language.startswith("{")):
                 found.append(Block(page, (token.map or [0])[0] + 1, language, token.content, mark, note))
         mark, note = "", ""
+    return found
+
+
+def members(page: str) -> dict[str, Block]:
+    """Return the blocks of a page that are files of families' members, by the members' names."""
+    files = [block for block in blocks(page) if block.mark == "file" and block.language == "python"]
+    return {Path(block.note).stem: block for block in files if block.note.startswith("ehls_ros/")}
+
+
+def entry_points(page: str) -> dict[str, dict[str, str]]:
+    """Return the entry points on a page: by group, each member's module by its name."""
+    found: dict[str, dict[str, str]] = {}
+    for block in blocks(page):
+        if block.language == "toml":
+            found |= tomllib.loads(block.text).get("project", {}).get("entry-points", {})
     return found
 
 

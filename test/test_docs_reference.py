@@ -8,7 +8,9 @@ import pytest
 from docs_snippets import ROOT
 
 from ehls_ros.cli.verbs import VERBS
+from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.diagnosis import rules
+from ehls_ros.nodes import node_names
 from ehls_ros.schema import declarations
 from ehls_ros.trajectory import SIGNALS
 
@@ -40,8 +42,8 @@ def test_every_verb_has_its_help(reference: ModuleType) -> None:
 
 def test_every_node_message_and_signal_is_there(reference: ModuleType) -> None:
     nodes, messages, signals = reference.nodes_page(), reference.messages_page(), reference.signals_page()
-    for path in (ROOT / "ehls_ros" / "nodes").glob("*_node.py"):
-        assert f"\n## {path.stem}\n" in nodes
+    for name in node_names():
+        assert f"\n## {name}\n" in nodes
     for path in (ROOT / "ehls_msgs" / "msg").glob("*.msg"):
         assert f"\n## {path.stem}\n" in messages
     assert "| `load_pressure` | `float64` | load pressure pL = p1 - p2 [Pa] |" in messages
@@ -66,3 +68,9 @@ def test_every_rule_of_diagnosis_has_its_row(reference: ModuleType) -> None:
     for entry in rules.table():
         cells = (f"`{entry.name}`", f"{entry.value:g}", entry.rule.unit, entry.rule.meaning, entry.rule.origin)
         assert f"| {' | '.join(cells)} |" in page
+
+
+def test_the_launch_file_offers_every_controller(reference: ModuleType) -> None:
+    default, _, choices = reference.launch_arguments()["controller"]
+    assert tuple(choices) == CONTROLLERS.names()
+    assert default in choices

@@ -15,7 +15,7 @@ from typing import Any
 import docs_snippets
 import pytest
 import yaml
-from docs_snippets import ROOT, SHELL, Block, Command, ParametersOf, Unknown, blocks, commands, pages
+from docs_snippets import ROOT, SHELL, Block, Command, ParametersOf, Unknown, blocks, commands, members, pages
 
 from ehls_ros.cli.main import main
 from ehls_ros.experiments.campaign.plan import plan_from_mapping
@@ -75,7 +75,7 @@ def test_snippets_of_a_page(page: str, folder: Path, parameters_of: ParametersOf
             pytest.fail(f"{block}: {error}", pytrace=False)
         _counts[done] += 1
         if done in {"parsed", "not run"}:
-            _skipped.append(f"  {done}: {block}: {block.note}")
+            _skipped.append(f"  {done}: {block}: {block.note or 'test_how_to.py runs it'}")
 
 
 def handle(
@@ -97,7 +97,10 @@ def handle(
         case "python" if block.mark == "file":
             load_member(block.note)
         case "python":
-            exec(compile(block.text, str(block), "exec"), names)
+            code = compile(block.text, str(block), "exec")
+            if not runs(block):
+                return "parsed"
+            exec(code, names)
         case "sh" | "bash":
             return shell(block, parameters_of, made)
         case "text":
@@ -105,6 +108,13 @@ def handle(
         case language:
             raise Unknown(f"nobody knows how to run {language!r}")
     return "run"
+
+
+def runs(block: Block) -> bool:
+    """Tell whether a block is run here; test_how_to.py runs those of a page that adds a member."""
+    if members(block.page):
+        return False
+    return block.mark == "" or (block.mark == "slow" and EVERYTHING)
 
 
 def save(block: Block, folder: Path, patch: pytest.MonkeyPatch) -> None:
@@ -150,14 +160,13 @@ def load_yaml(block: Block, folder: Path) -> None:
 
 def shell(block: Block, parameters_of: ParametersOf, made: list[str]) -> str:
     """Parse every command, and run those of `ehls` if the block is to be run."""
-    runs = block.mark == "" or (block.mark == "slow" and EVERYTHING)
     for command in commands(block):
         options = docs_snippets.check(command, parameters_of, made)
-        if runs:
+        if runs(block):
             if options is None:
                 raise Unknown(f"{command.shown} is not run by this test: mark the block with why it is only parsed")
             run(command)
-    return "run" if runs else "parsed"
+    return "run" if runs(block) else "parsed"
 
 
 def run(command: Command) -> None:

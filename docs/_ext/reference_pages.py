@@ -5,6 +5,8 @@ import ast
 import inspect
 import os
 import re
+import runpy
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -24,6 +26,7 @@ from ehls_ros.experiments.campaign import plan, variation
 from ehls_ros.families import Family
 from ehls_ros.hardware import calibration, gate_parameters
 from ehls_ros.hardware.backends import BACKENDS
+from ehls_ros.nodes import controller_of, node_names
 from ehls_ros.physics import parameters as rig
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.recording import columns, topics
@@ -33,6 +36,9 @@ from ehls_ros.trajectory import SIGNALS
 ROOT = Path(ehls_ros.__file__).parent.parent
 MESSAGES = ROOT / "ehls_msgs" / "msg"
 LAUNCH = ROOT / "launch" / "ehls.launch.py"
+LAUNCH_MODULES = (
+    "launch", "launch.actions", "launch.launch_context", "launch.substitutions", "launch_ros", "launch_ros.actions",
+)  # fmt: skip
 WIDTH = "100"
 
 
@@ -249,50 +255,41 @@ def nodes_page() -> str:
         table(import_module("ehls_ros.nodes.control").Common),
     ]
     for name in node_names():
-        module = import_module(f"ehls_ros.nodes.{name}")
-        parts.append(f"## {name}\n\n{first_sentence(module)}\n")
+        law = controller_of(name)
+        about = CONTROLLERS.load(law) if law else import_module(f"ehls_ros.nodes.{name}")
+        parts.append(f"## {name}\n\n{first_sentence(about)}\n")
         parts += [table(own) for own in own_parameters(name)]
-        parts += [f"[Parameters of the control law](parameters.md#{slug(law)}).\n" for law in controller_of(name)]
+        parts += [f"[Parameters of the control law](parameters.md#{slug(law)}).\n"] if law else []
     parts.append(f"## The safety gate\n\nParameters of the plant node.\n\n{table(gate_parameters.Parameters)}")
     return "\n".join(parts)
 
 
-def node_names() -> tuple[str, ...]:
-    """Return the names of all nodes."""
-    return tuple(sorted(path.stem for path in (ROOT / "ehls_ros" / "nodes").glob("*_node.py")))
-
-
-def controller_of(node: str) -> tuple[str, ...]:
-    """Return the controller a node runs, if any."""
-    law = node.removesuffix("_node")
-    return (law,) if law in CONTROLLERS.names() else ()
-
-
 def own_parameters(node: str) -> tuple[type, ...]:
     """Return the parameter sets of a node, without the common ones, the safety gate's and the control law's."""
+    if controller_of(node):
+        return (import_module("ehls_ros.nodes.controller").Parameters,)
     module = import_module(f"ehls_ros.nodes.{node}")
     sets: list[type] = [module.Parameters] if hasattr(module, "Parameters") else []
     if node in {"plant_sim_node", "hardware_bridge_node"}:
         sets.insert(0, import_module("ehls_ros.nodes.plant").Parameters)
-    if controller_of(node):
-        sets.append(import_module("ehls_ros.nodes.controller").Parameters)
     return tuple(sets)
 
 
 def node_parameters(node: str) -> Mapping[str, Declaration]:
     """Return all declared parameters of a node by name."""
     sets = [import_module("ehls_ros.nodes.control").Common, *own_parameters(node)]
-    sets += [CONTROLLERS.load(law).Parameters for law in controller_of(node)]
+    if law := controller_of(node):
+        sets.append(CONTROLLERS.load(law).Parameters)
     if node in {"plant_sim_node", "hardware_bridge_node"}:
         sets.append(gate_parameters.Parameters)
     return {declared.name: declared for parameters in sets for declared in declarations(parameters)}
 
 
 def launch_arguments() -> Mapping[str, tuple[str, str, list[str] | None]]:
-    """Return default, description and choices of the launch arguments, read without importing the file."""
-    tree = ast.parse(LAUNCH.read_text(encoding="utf-8"))
-    values = [node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "ARGUMENTS"]
-    found: Mapping[str, tuple[str, str, list[str] | None]] = ast.literal_eval(values[0])
+    """Return default, description and choices of the launch arguments; `launch` need not be installed."""
+    absent = {name: mock.MagicMock() for name in LAUNCH_MODULES}
+    with mock.patch.dict(sys.modules, absent):
+        found: Mapping[str, tuple[str, str, list[str] | None]] = runpy.run_path(str(LAUNCH))["ARGUMENTS"]
     return found
 
 

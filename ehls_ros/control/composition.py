@@ -2,11 +2,14 @@
 
 from types import ModuleType
 
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.physics.composition import kernel_module
+from ehls_ros.sources import import_line
 
 _CONTROLLER = '''"""Controller kernel, generated."""
 from numba import njit
-from ehls_ros.control.controllers import {name} as law
+{law}
 
 
 @njit(cache=True, error_model="numpy")
@@ -16,7 +19,7 @@ def step(m, r, f, p, model, memory, status):
 
 _OBSERVER = '''"""Friction observer kernel, generated."""
 from numba import njit
-from ehls_ros.control.observers import {name} as observer
+{observer}
 
 
 @njit(cache=True, error_model="numpy")
@@ -27,9 +30,9 @@ def update(velocity, period, friction, p, state):
 
 def controller_kernel(name: str) -> ModuleType:
     """Return a module whose ``step`` is the compiled law of one controller."""
-    return kernel_module(_CONTROLLER.format(name=name))
+    return kernel_module(_CONTROLLER.format(law=import_line(CONTROLLERS.load(name), "law")))
 
 
 def observer_kernel(name: str) -> ModuleType:
     """Return a module whose ``update`` is the compiled update of one friction observer."""
-    return kernel_module(_OBSERVER.format(name=name))
+    return kernel_module(_OBSERVER.format(observer=import_line(OBSERVERS.load(name), "observer")))

@@ -20,12 +20,11 @@ piston is not measured: it moves as what the piston hands on to it and its own b
 """
 
 import hashlib
-import inspect
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +32,9 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array
 from ehls_ros.physics.composition import kernel_module
 from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.rig import EffectUse
+from ehls_ros.sources import import_line
 
 PARTS = {
     "spool": ("received", "command"),
@@ -122,8 +123,7 @@ def _source(part: str, friction_model: str, elements: int) -> str:
     for index, name in enumerate(effects_of(part)):
         effect: Any = EFFECTS.load(name)
         own, count = getattr(effect, "STATES", 0), len(effect.Parameters._fields)
-        digest = hashlib.sha256(Path(inspect.getfile(cast(ModuleType, effect))).read_bytes()).hexdigest()[:16]
-        imports.append(f"from ehls_ros.physics.effects import {name} as effect_{index}  # {digest}")
+        imports.append(import_line(effect, f"effect_{index}"))
         parameters = f"p[{offset}:{offset + count}]"
         view = f"t, y, w, z[{states}:{states + own}], {parameters}, plant"
         for hook in PARTS[part]:
@@ -151,7 +151,8 @@ def _source(part: str, friction_model: str, elements: int) -> str:
     template = {"spool": _SPOOL, "flow": _FLOW, "friction": _FRICTION, "force": _FORCE, "load": _LOAD}[part]
     head = _HEAD.format(imports="\n".join(imports), hooks=hooks, rates="\n".join(rates), jumps="\n".join(jumps))
     own_sources = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]
-    form = {"states": states, "model": friction_model, "elements": elements}
+    law = import_line(FRICTION_MODELS.load(friction_model), "law") if friction_model else ""
+    form = {"states": states, "law": law, "elements": elements}
     return f"# {own_sources}\n" + head + template.format(**form, handed="\n".join(handed), driven="\n".join(driven))
 
 
@@ -340,7 +341,7 @@ def run(m, fresh, period, steps, history, plant, friction, p, on, out):
 )
 
 _FRICTION = """
-from ehls_ros.physics.friction import {model} as law
+{law}
 
 FORCES = FRICTION + {elements}
 MOST_EVENTS = 4
@@ -445,7 +446,7 @@ def run(m, fresh, period, steps, weights, start, plant, friction, p, on, extra, 
 """
 
 _LOAD = """
-from ehls_ros.physics.friction import {model} as law
+{law}
 from ehls_ros.diagnosis.kernels import PARTS_LOAD
 
 

@@ -31,6 +31,7 @@ from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import POSITION, VELOCITY
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.recording.topics import CONTROLLER_STATUS, DISTURBANCE, LOADER_STATE, REFERENCE_TOPICS
+from ehls_ros.sources import import_line
 from ehls_ros.trajectory import Trajectory
 
 CHUNK = 2000
@@ -38,8 +39,8 @@ CHUNK = 2000
 
 _LOOP = """
 
-from ehls_ros.control.controllers import {controller} as law
-from ehls_ros.control.observers import {observer} as observer
+{law}
+{observer}
 
 
 @njit(cache=True, error_model="numpy")
@@ -150,8 +151,9 @@ class ClosedLoop:
         self._spec = spec
         period = spec.settings.control_period
         self._simulator = simulator_of(spec)
-        parts = {"controller": spec.controller.name, "observer": spec.compensation.name}
-        source = plant_source(spec.loader_rig()) + _LOOP.format(**parts)
+        law = import_line(CONTROLLERS.load(spec.controller.name), "law")
+        observer = import_line(OBSERVERS.load(spec.compensation.name), "observer")
+        source = plant_source(spec.loader_rig()) + _LOOP.format(law=law, observer=observer)
         self._loop = kernel_module(source).loop
         self._observer_state = OBSERVERS.load(spec.compensation.name).state(spec.controller_rig.friction)
         self._model = model_of(spec.controller_rig, period)

@@ -1,6 +1,6 @@
-"""The node around any controller: it answers each loader_state with a valve_command.
+"""The node of any controller: it answers each loader_state with a valve_command.
 
-`fasmc_node`, `sic_node` and `pid_node` are this node with the law they are named after.
+:mod:`ehls_ros.control.cycles` matches what belongs to a cycle; this file has the topics, parameters and diagnostics.
 """
 
 import os
@@ -15,6 +15,7 @@ from ehls_msgs.msg import ControllerStatus, FrictionEstimate, LoaderState, Valve
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import SATURATED, model_of
+from ehls_ros.control.cycles import Cycles, Ready
 from ehls_ros.control.estimator import FrictionEstimator
 from ehls_ros.errors import BadInput
 from ehls_ros.nodes.control import OK, WARN, ControlNode
@@ -27,39 +28,36 @@ from ehls_ros.recording.topics import DRIVING, REFERENCE_TOPICS
 from ehls_ros.schema import quantity
 
 PATIENCE = 1.0
-"""How long a cycle may lack something before diagnostics say so [s]."""
+"""Time a cycle may wait before diagnostics say so [s]."""
 
 TURN = 0.005
-"""Longest wait for one message before the others are looked at [s]."""
-
-KEPT = 4000
-"""References and estimates kept ahead of their cycle."""
+"""Longest wait for one topic before the others are read [s]."""
 
 LOCKSTEP_PATIENCE = 10.0
-"""What friction_patience is in lockstep [s]: nothing is late there, and a run stays the same whatever else the machine does."""
+"""friction_patience in lockstep [s]: nothing is late there, and a run must not depend on what else the machine does."""
 
 
 class Parameters(NamedTuple):
-    """What every controller node has besides its law's parameters."""
+    """What every controller node has in addition to the parameters of its law."""
 
     friction_patience: Annotated[
         float,
-        quantity("s", "in realtime, how long a friction estimate that was coming is waited for", minimum=0.0, maximum=60.0),
+        quantity("s", "in realtime, longest time a cycle waits for its friction estimate", minimum=0.0, maximum=60.0),
     ] = 0.005
 
 
 class ControllerNode(ControlNode):
     """Runs one control law.
 
-    While the friction estimate comes, a cycle is answered when it is there. When it stays away, the static
-    Stribeck curve of the rig stands in, and status and diagnostics say so.
+    A cycle is answered once its friction estimate has come. If the estimate stays away, the rig's static Stribeck curve
+    takes its place, and status and diagnostics say so.
     """
 
     def __init__(self, law: str) -> None:
-        """Declare the law's parameters, with the spec's values where it names this law.
+        """Declare the law's parameters, with the spec's values if the spec is for this law.
 
         Raises:
-            BadInput: the spec's reference is none for this law.
+            BadInput: the spec's reference is not what this law follows.
         """
         super().__init__(f"{law}_node")
         declare(self, Parameters, live=False)
@@ -84,147 +82,88 @@ class ControllerNode(ControlNode):
     def prepare(self) -> None:
         """Compile the law and open the topics."""
         period = self.spec.settings.control_period
-        self.period = period
         self.controller = Controller(self.law, self.tuning, model_of(self.spec.controller_rig, period))
         self.static_friction = FrictionEstimator("stribeck", self.spec.controller_rig.friction, period)
-        self.pending: dict[int, tuple[Any, ...]] = {}
-        self.pending_since = 0.0
-        self.references: dict[int, tuple[float, float, float]] = {}
-        self.frictions: dict[int, tuple[float, float]] = {}
-        self.friction_comes = self.kind.FRICTION
-        self.newest_friction = -1
-        self.answered = -1
+        self.cycles = Cycles(friction=self.kind.FRICTION, patience=self.friction_patience)
         self.fallbacks = 0
         self.saturated = False
         self.latency = Latency()
         self.states = Inbox(self, LoaderState, "loader_state")
         topic = REFERENCE_TOPICS[self.kind.FOLLOWS]
         self.reference = Inbox(self, message_class(topic.type), topic.name)
-        # By the frame the plant tells this controller's commands from another's.
+        # The frame tells the plant this controller's commands from another's.
         self.commands = Outbox(self, ValveCommand, "valve_command", frame_id=f"{self.get_fully_qualified_name()}-{os.getpid()}")
         self.status = Outbox(self, ControllerStatus, "controller_status")
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
         self.driving = Inbox(self, Bool, DRIVING.name, control_qos(1), _is_true)
         self.driven = True
-        self.on_state = Waiter([self.states])
-        self.on_friction = Waiter([self.friction])
-        self.on_anything = Waiter([self.states, self.friction, self.reference])
+        self.arrivals = {
+            "snapshot": Waiter([self.states]),
+            "friction": Waiter([self.friction]),
+            "anything": Waiter([self.states, self.friction, self.reference]),
+        }
         self.measured = np.zeros(7)
         self.wanted = np.zeros(3)
         self.estimate = np.zeros(2)
 
     def release(self) -> None:
         """Close the topics."""
-        for part in (
-            self.on_state,
-            self.on_friction,
-            self.on_anything,
-            self.states,
-            self.reference,
-            self.friction,
-            self.driving,
-        ):
-            part.destroy()
-        self.commands.destroy()
-        self.status.destroy()
+        for waiter in self.arrivals.values():
+            waiter.destroy()
+        for inbox in (self.states, self.reference, self.friction, self.driving):
+            inbox.destroy()
+        for outbox in (self.commands, self.status):
+            outbox.destroy()
 
     def once(self) -> None:
         """Wait for what the next cycle lacks; answer the newest cycle that has all it needs."""
-        self._wait()
+        self.arrivals[self.cycles.lacks].wait(TURN)
         arrived = time.perf_counter()
         while (message := self.friction.take()) is not None:
-            self.newest_friction = message[1]
-            self.frictions[self.newest_friction] = message[2:4]
-            self.friction_comes = self.kind.FRICTION
+            self.cycles.add_friction(message[1], message[2:4])
         while (message := self.states.take()) is not None:
-            if not self.pending:
-                self.pending_since = arrived
-            self.pending[message[1]] = message
-        if self.pending and max(self.pending) not in self.references:
+            self.cycles.add_snapshot(message[1], message[0], message[2:], arrived)
+        if self.cycles.lacks_reference:
             while (message := self.reference.take()) is not None:
-                self.references[message[1]] = message[2:5]
-        for cycle in sorted(self.pending, reverse=True):
-            if self._complete(cycle, arrived):
-                self._answer(self.pending[cycle])
-                self.latency.add(time.perf_counter() - arrived)
-                # What is older would be answered too late.
-                self.pending = {k: state for k, state in self.pending.items() if k > cycle}
-                self.pending_since = arrived
-                break
+                self.cycles.add_reference(message[1], message[2:5])
+        if (ready := self.cycles.take(arrived)) is not None:
+            self._answer(ready)
+            self.latency.add(time.perf_counter() - arrived)
 
-    def _wait(self) -> None:
-        """Wait on the one message that comes last, so that a cycle wakes this process once.
-
-        That is the friction estimate as a rule; yet it may overtake its snapshot on the way here.
-        """
-        if self.pending:
-            self.on_anything.wait(TURN)
-        elif self.friction_comes and self.newest_friction <= self.answered:
-            self.on_friction.wait(TURN)
-        else:
-            self.on_state.wait(TURN)
-
-    def _complete(self, cycle: int, now: float) -> bool:
-        """Tell whether a cycle can be answered, if need be without a friction estimate."""
-        if cycle not in self.references:
-            return False
-        if cycle in self.frictions or not self.friction_comes:
-            return True
-        if now - self.pending_since > self.friction_patience:
-            self.friction_comes = False
-        return not self.friction_comes
-
-    def _answer(self, state: tuple[Any, ...]) -> None:
-        stamp, cycle = state[:2]
-        reference, friction = self.references[cycle], self.frictions.get(cycle)
+    def _answer(self, ready: Ready) -> None:
         while (driven := self.driving.take()) is not None:
             self.driven = driven
-        if not self.driven:
-            # What the valve does not follow is nothing to learn from.
+        if ready.anew or not self.driven:
+            # The law must not adapt to cycles that the valve did not follow, or that belong to an earlier run.
             self.controller.reset()
-        elapsed = cycle - self.answered if self.answered >= 0 else 1
-        if elapsed < 1:
-            self.controller.reset()
-            elapsed = 1
         if self.new_tuning is not None:
             self.controller.retune(self.new_tuning)
             self.new_tuning = None
-            self.tuned_at = cycle
-        fallback = friction is None and self.kind.FRICTION
-        self.measured[:] = state[2:]
-        self.wanted[:] = reference
-        if friction is not None:
-            self.estimate[:] = friction
+            self.tuned_at = ready.cycle
+        self.measured[:] = ready.measured
+        self.wanted[:] = ready.reference
+        fallback = ready.friction is None and self.kind.FRICTION
+        if ready.friction is not None:
+            self.estimate[:] = ready.friction
         elif fallback:
-            self.estimate[:] = self.static_friction.update(state[2 + sensors.VELOCITY], elapsed)[:2]
+            self.estimate[:] = self.static_friction.update(ready.measured[sensors.VELOCITY], ready.elapsed)[:2]
             self.fallbacks += 1
-        command = self.controller.step(self.measured, self.wanted, self.estimate, elapsed)
-        self.commands.send(stamp, cycle, command)
+        command = self.controller.step(self.measured, self.wanted, self.estimate, ready.elapsed)
+        self.commands.send(ready.stamp_ns, ready.cycle, command)
         values = self.controller.status.tolist()
         self.saturated = values[SATURATED] != 0.0
-        self.status.send(stamp, cycle, *values[:SATURATED], self.saturated, fallback)
-        self.answered = cycle
-        self._forget(cycle)
-
-    def _forget(self, cycle: int) -> None:
-        """Drop what earlier cycles left, now and then."""
-        self.references.pop(cycle, None)
-        self.frictions.pop(cycle, None)
-        if len(self.references) > KEPT:
-            self.references = {k: v for k, v in self.references.items() if k > cycle}
-        if len(self.frictions) > KEPT:
-            self.frictions = {k: v for k, v in self.frictions.items() if k > cycle}
+        self.status.send(ready.stamp_ns, ready.cycle, *values[:SATURATED], self.saturated, fallback)
 
     def _without(self, unmeasured: list[str]) -> str:
-        """Say which laws control the same without some readings."""
-        laws = {name: CONTROLLERS.load(name) for name in CONTROLLERS.names()}
+        """Return which laws of the same kind need none of these readings."""
+        laws = CONTROLLERS.usable()
         able = [name for name, law in laws.items() if law.FOLLOWS == self.kind.FOLLOWS and not set(law.NEEDS) & set(unmeasured)]
-        return f"without: {', '.join(able)}" if able else "no law does without"
+        return f"usable instead: {', '.join(able)}" if able else "no controller can do without"
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say how answering goes."""
         figures = {
-            "cycle": self.answered,
+            "cycle": self.cycles.answered,
             "friction_fallbacks": self.fallbacks,
             "tuned_at_cycle": self.tuned_at,
             "saturated": self.saturated,
@@ -232,11 +171,11 @@ class ControllerNode(ControlNode):
         }
         unmeasured = [name for name in self.kind.NEEDS if np.isnan(self.measured[SENSED.index(name)])]
         if unmeasured:
-            return WARN, f"not measured, yet needed: {', '.join(unmeasured)}; {self._without(unmeasured)}", figures
-        if self.kind.FRICTION and not self.friction_comes:
-            return WARN, "no friction estimate comes: the static Stribeck curve stands in", figures
-        if self.pending and time.perf_counter() - self.pending_since > PATIENCE:
-            return WARN, f"no {self.kind.FOLLOWS} reference for the cycle under way", figures
+            return WARN, f"needed but not measured: {', '.join(unmeasured)}; {self._without(unmeasured)}", figures
+        if self.kind.FRICTION and not self.cycles.friction_comes:
+            return WARN, "no friction estimate arrives: the static Stribeck curve takes its place", figures
+        if self.cycles.waited(time.perf_counter()) > PATIENCE:
+            return WARN, f"no {self.kind.FOLLOWS} reference for the present cycle", figures
         return OK, "running" if self._active.is_set() else "inactive", figures
 
 

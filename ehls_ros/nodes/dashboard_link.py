@@ -6,7 +6,6 @@ import os
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
-from pkgutil import iter_modules
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +26,6 @@ from rclpy.time import Time
 from rclpy.validate_namespace import validate_namespace
 from std_srvs.srv import SetBool, Trigger
 
-import ehls_ros.nodes
 from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.dashboard.graph import Answer, Health, Tunable, Value
@@ -36,7 +34,7 @@ from ehls_ros.dashboard.window import Window
 from ehls_ros.dashboard.words import NAME, figures, line
 from ehls_ros.errors import BadInput
 from ehls_ros.hardware.realtime import preferring_what_starts
-from ehls_ros.nodes import codec
+from ehls_ros.nodes import SUFFIX, codec, node_names
 from ehls_ros.nodes.control import NAMESPACE
 from ehls_ros.nodes.graph import PLANTS, REALTIME_PRIORITY
 from ehls_ros.nodes.transport import DEPTH, Inbox, message_class
@@ -95,7 +93,7 @@ LONGEST_REPORT = 64 * 1024
 TUNABLES = 200
 """Most parameters of a node."""
 
-OWN = {module.name for module in iter_modules(ehls_ros.nodes.__path__)} | {f"{law}_node" for law in CONTROLLERS.names()}
+OWN = frozenset(node_names())
 """Names that include all of this project's nodes, which are always shown."""
 
 SILENT = 3
@@ -247,7 +245,7 @@ class Link:
     def tunable_nodes(self) -> tuple[str, ...]:
         """Return the nodes with live parameters, the controller first."""
         known = {health.node for health in self.health()}
-        return tuple(node for node in (*(f"{law}_node" for law in CONTROLLERS.names()), *PLANTS.values()) if node in known)
+        return tuple(node for node in (*(law + SUFFIX for law in CONTROLLERS.names()), *PLANTS.values()) if node in known)
 
     def parameters(self, node: str) -> tuple[Tunable, ...]:
         """Return a node's live parameters; empty if it does not answer."""

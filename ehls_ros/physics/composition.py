@@ -7,13 +7,12 @@ any change of either makes a new module, and a cached kernel is never stale.
 """
 
 import hashlib
-import inspect
 import sys
 from importlib.abc import ExecutionLoader
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
-from typing import Any, cast
+from typing import Any
 
 import numba
 import numpy as np
@@ -25,7 +24,7 @@ from ehls_ros.physics.effects.base import HOOKS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.kernel_cache import PREFIX, kept, make_private, sealed
 from ehls_ros.physics.rig import EffectUse, Rig
-from ehls_ros.sources import sources_digest
+from ehls_ros.sources import import_line, sources_digest
 
 
 def kernel_module(source: str) -> ModuleType:
@@ -110,12 +109,9 @@ def plant_source(rig: Rig) -> str:
         effect = EFFECTS.load(use.name)
         own = getattr(effect, "STATES", 0)
         count = len(use.parameters)
-        # An effect may lie in a folder added to the family's path, outside the package's sources.
-        file = Path(inspect.getfile(cast(ModuleType, effect)))
-        text = hashlib.sha256(file.read_bytes()).hexdigest()[:16]
         parameters = f"p[{offset}:{offset + count}]"
         view = f"t, y, w, z[{states}:{states + own}], {parameters}, plant"
-        imports.append(f"from ehls_ros.physics.effects import {use.name} as effect_{index}  # {text}")
+        imports.append(import_line(effect, f"effect_{index}"))
         for hook in HOOKS:
             if hasattr(effect, hook):
                 chains[hook].append(f"    value = effect_{index}.{hook}(value, {view})")
@@ -132,7 +128,7 @@ def plant_source(rig: Rig) -> str:
         for hook in HOOKS
     )
     return _PLANT.format(
-        friction=rig.friction_model,
+        friction=import_line(FRICTION_MODELS.load(rig.friction_model), "friction_model"),
         imports="\n".join(imports),
         hooks=hooks,
         jumps="\n".join(jumps),
@@ -158,7 +154,7 @@ from math import inf
 from numba import njit
 from ehls_ros.arrays import kernel
 from ehls_ros.physics import integration, plant as model, sensors
-from ehls_ros.physics.friction import {friction} as friction_model
+{friction}
 {imports}
 
 EFFECT_STATES = {states}

@@ -65,6 +65,7 @@ def test_bash_completes_verbs_options_choices_and_files(script, tmp_path):
     assert completions(bash, "ehls", "experiment", "--tim") == {"--timing"}
     assert completions(bash, "ehls", "experiment", "--timing", "") == {"lockstep", "realtime"}
     assert completions(bash, "ehls", "run", "plant") == {"plant_sim_node"}
+    assert completions(bash, "ehls", "run", "sic") == {"sic_node"}
     (tmp_path / "my_rig.yaml").touch()
     assert "my_rig.yaml" in completions(bash, "ehls", "experiment", "my_r", folder=tmp_path)
     assert "my_rig.yaml" in completions(bash, "ehls", "identify", "--rig", "my_r", folder=tmp_path)

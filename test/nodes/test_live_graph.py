@@ -3,10 +3,8 @@
 It runs in lockstep, so that each cycle waits for its answers, however slow the machine.
 """
 
-import itertools
 import math
 import signal
-from types import SimpleNamespace
 
 import pytest
 
@@ -18,7 +16,6 @@ from lifecycle_msgs.srv import ChangeState
 from patience import PATIENCE
 
 from ehls_msgs.msg import ControllerStatus
-from ehls_ros.nodes import controller
 
 NODES = ("reference_node", "disturbance_node", "friction_estimator_node", "fasmc_node")
 
@@ -100,41 +97,3 @@ def the_estimator_may_go_and_come_back(running, participant, diagnostics, graph,
     graph.start("friction_estimator_node", spec=spec)
     participant.until(lambda: not running[-1].friction_fallback)
     goes_on(participant, running)
-
-
-class Box:
-    """An inbox that the test fills."""
-
-    def __init__(self):
-        self.messages = []
-
-    def take(self):
-        return self.messages.pop(0) if self.messages else None
-
-
-def test_in_real_time_an_estimate_that_stays_away_is_waited_for_no_longer_than_friction_patience(monkeypatch):
-    period, answers, clock = 1e-3, [], SimpleNamespace(now=0.0)
-    monkeypatch.setattr(controller, "time", SimpleNamespace(perf_counter=lambda: clock.now))
-    # The node's loop alone: what it needs of ROS stands still or is the test's.
-    node = controller.ControllerNode.__new__(controller.ControllerNode)
-    node.kind, node.friction_patience, node.friction_comes = SimpleNamespace(FRICTION=True), 5 * period, True
-    node.friction, node.states, node.reference = Box(), Box(), Box()
-    node.references, node.frictions, node.pending = dict.fromkeys(range(1000), (0.0, 0.0, 0.0)), {}, {}
-    node.pending_since, node.newest_friction, node.answered = 0.0, -1, -1
-    node.latency = SimpleNamespace(add=lambda seconds: None)
-    node._answer = lambda state: answers.append((clock.now, state[1]))
-
-    def wait(seconds):
-        """Advance the time, at most to the next snapshot: one arrives every period, whether answered or not."""
-        cycle = round(clock.now / period)
-        clock.now = min(clock.now + seconds, (cycle + 1) * period)
-        node.states.messages.append((0, cycle))
-
-    node.on_state = node.on_friction = node.on_anything = SimpleNamespace(wait=wait)
-    while clock.now < 0.1:
-        node.once()
-    first, cycle = answers[0]
-    assert first == pytest.approx(node.friction_patience, abs=2.5 * period)
-    # The newest cycle is answered, and from there on each one at once.
-    assert cycle == round(first / period) - 1
-    assert [after - before for (_, before), (_, after) in itertools.pairwise(answers)] == [1] * (len(answers) - 1)

@@ -12,12 +12,13 @@ import pytest
 from patience import PATIENCE
 
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.nodes import controller_of, node_names
 from ehls_ros.nodes.graph import PLANTS
 from ehls_ros.recording.topics import CYCLE_TOPICS, TOPICS
 
 ROOT = Path(__file__).resolve().parents[2]
 POLICY = ROOT / "config" / "sros2" / "policy.xml"
-NODES = sorted(path.stem for path in (ROOT / "ehls_ros" / "nodes").glob("*_node.py"))
+NODES = node_names()
 INCLUDE = "{http://www.w3.org/2001/XInclude}include"
 KINDS = {"publish": "topics", "subscribe": "topics", "reply": "services", "request": "services"}
 
@@ -89,7 +90,8 @@ def test_the_nodes_stay_within_the_policy(graph, participant, spec_file, tmp_pat
         encoding="utf-8",
     )
     for name in NODES:
-        follows = CONTROLLERS.load(name.removesuffix("_node")).FOLLOWS if name[:-5] in CONTROLLERS.names() else "force"
+        controller = controller_of(name)
+        follows = CONTROLLERS.load(controller).FOLLOWS if controller else "force"
         more = {"bag": tmp_path / "bag"} if name == "recorder_node" else {}
         # A configured node has all its topics and services.
         graph.start(name, spec=spec if follows == "force" else position, autostart=False, **more)

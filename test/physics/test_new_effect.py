@@ -1,117 +1,23 @@
-"""One new file is enough: an effect dropped into the folder is found, and each of its hooks acts where it says."""
+"""One new file is enough: an effect of another distribution is found, and each of its hooks acts where it says."""
 
-import itertools
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from reference_solver import Constants, solve
 from rig_runs import PERIOD, run
+from third_party import install
 
-from ehls_ros.physics import effects
+from ehls_ros.families import offered
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS
 from ehls_ros.physics.plant import PL
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.simulator import Simulator
 
-PROBE = '''"""Every hook at once, each with a parameter of its own; and the position, found again by integration."""
-
-from typing import Annotated, NamedTuple
-
-from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form
-from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.plant import PL, V
-from ehls_ros.physics.rig import Rig
-from ehls_ros.schema import quantity
-
-STAGE = "mechanics"
-EQUATION = "see the hooks"
-SOURCE = "a test"
-STATES = 1
-REACH = 0.0
-
-
-class Parameters(NamedTuple):
-    """One a hook."""
-
-    received: Annotated[float, quantity("1", "part that arrives", minimum=0.0, maximum=2.0)] = 1.0
-    command: Annotated[float, quantity("1", "gain of the command", minimum=0.0, maximum=2.0)] = 1.0
-    opening: Annotated[float, quantity("1", "gain of the opening", minimum=0.0, maximum=2.0)] = 1.0
-    supply_pressure: Annotated[float, quantity("1", "part of the supply", minimum=0.0, maximum=2.0)] = 1.0
-    bulk_modulus: Annotated[float, quantity("1", "part of the stiffness", minimum=0.0, maximum=2.0)] = 1.0
-    leakage: Annotated[float, quantity("m^5/(N s)", "more leakage", minimum=0.0, maximum=1e-10)] = 0.0
-    friction_level: Annotated[float, quantity("1", "part of the friction", minimum=0.0, maximum=2.0)] = 1.0
-    force: Annotated[float, quantity("N/m", "a spring", minimum=0.0, maximum=1e6)] = 0.0
-    piston_position: Annotated[float, quantity("1", "travel of the piston for one of the mass", minimum=0.0, maximum=2.0)] = 1.0
-    piston_velocity: Annotated[float, quantity("1", "the same of its velocity", minimum=0.0, maximum=2.0)] = 1.0
-
-
-@kernel
-def received(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[0]
-
-
-@kernel
-def jump(t: float, w: Array, p: Array) -> float:
-    return t + 0.31e-3
-
-
-@kernel
-def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[1]
-
-
-@kernel
-def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[2]
-
-
-@kernel
-def supply_pressure(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[3]
-
-
-@kernel
-def bulk_modulus(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[4]
-
-
-@kernel
-def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value + p[5] * y[PL]
-
-
-@kernel
-def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[6]
-
-
-@kernel
-def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value - p[7] * z[0]
-
-
-@kernel
-def piston_position(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[8]
-
-
-@kernel
-def piston_velocity(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[9]
-
-
-@kernel
-def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
-    dz[0] = y[V]
-
-
-def forms(rig: Rig) -> tuple[Form, ...]:
-    return (Form({"force": ()}),)
-'''
+PROBE = Path(__file__).with_name("probe_effect.py")
 
 PAPER = Constants()
 SWEPT = 0.8
@@ -142,19 +48,21 @@ PRESSURES = {"piston_velocity": SWEPT}
 """What the pressures of those constants have to be multiplied with."""
 
 ADDED = ("leakage", "force")
-_numbers = itertools.count()
 
 
 @pytest.fixture(scope="module")
 def probe(tmp_path_factory):
-    """A new effect's name; its file lies in a folder of its own that the family's package looks into."""
-    folder = tmp_path_factory.mktemp("effects")
-    name = f"probe_{next(_numbers)}"
-    (folder / f"{name}.py").write_text(PROBE, encoding="utf-8")
+    """Return the name of a new effect, whose file is another distribution's."""
+    site = tmp_path_factory.mktemp("site")
+    install(site, {"acme_ehls.probe": PROBE.read_text(encoding="utf-8")}, {EFFECTS.group: {"probe": "acme_ehls.probe"}})
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(effects, "__path__", [*effects.__path__, str(folder)])
-        yield name
-    sys.modules.pop(f"ehls_ros.physics.effects.{name}", None)
+        patch.syspath_prepend(site)
+        offered.cache_clear()
+        yield "probe"
+    offered.cache_clear()
+    EFFECTS._loaded.pop("probe", None)
+    for name in ("acme_ehls.probe", "acme_ehls"):
+        sys.modules.pop(name, None)
 
 
 def test_every_hook_is_tried():

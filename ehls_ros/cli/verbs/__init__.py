@@ -3,4 +3,4 @@
 from ehls_ros.cli.verbs.base import Verb
 from ehls_ros.families import Family
 
-VERBS: Family[Verb] = Family("ehls_ros.cli.verbs", "verb")
+VERBS: Family[Verb] = Family("ehls_ros.cli.verbs", "verb", Verb)

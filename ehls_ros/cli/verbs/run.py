@@ -3,23 +3,16 @@
 import sys
 from argparse import REMAINDER, ArgumentParser, Namespace
 from importlib import import_module
-from pkgutil import iter_modules
 
-import ehls_ros
 from ehls_ros.errors import BadInput
+from ehls_ros.nodes import node_names
 
 HELP = "Start one node, as `ros2 run ehls_ros NODE` does."
 
 
-def nodes() -> list[str]:
-    """Return the names of the nodes: the files of ``ehls_ros/nodes`` that end in ``_node``."""
-    folders = [f"{folder}/nodes" for folder in ehls_ros.__path__]
-    return sorted(module.name for module in iter_modules(folders) if module.name.endswith("_node"))
-
-
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("node", choices=nodes(), help="node to start")
+    parser.add_argument("node", choices=node_names(), help="node to start")
     parser.add_argument("ros_arguments", nargs=REMAINDER, help="handed to ROS, such as --ros-args -p k:=14.0")
 
 

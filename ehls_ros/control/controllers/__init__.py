@@ -3,4 +3,4 @@
 from ehls_ros.control.controllers.base import ControllerLaw
 from ehls_ros.families import Family
 
-CONTROLLERS: Family[ControllerLaw] = Family("ehls_ros.control.controllers", "controller")
+CONTROLLERS: Family[ControllerLaw] = Family("ehls_ros.control.controllers", "controller", ControllerLaw)

@@ -3,4 +3,4 @@
 from ehls_ros.control.disturbances.base import DisturbanceKind
 from ehls_ros.families import Family
 
-DISTURBANCES: Family[DisturbanceKind] = Family("ehls_ros.control.disturbances", "disturbance")
+DISTURBANCES: Family[DisturbanceKind] = Family("ehls_ros.control.disturbances", "disturbance", DisturbanceKind)

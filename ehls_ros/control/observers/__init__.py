@@ -3,4 +3,4 @@
 from ehls_ros.control.observers.base import FrictionObserver
 from ehls_ros.families import Family
 
-OBSERVERS: Family[FrictionObserver] = Family("ehls_ros.control.observers", "friction observer")
+OBSERVERS: Family[FrictionObserver] = Family("ehls_ros.control.observers", "friction observer", FrictionObserver)

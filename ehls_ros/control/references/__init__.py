@@ -3,4 +3,4 @@
 from ehls_ros.control.references.base import ReferenceSignal
 from ehls_ros.families import Family
 
-REFERENCES: Family[ReferenceSignal] = Family("ehls_ros.control.references", "reference")
+REFERENCES: Family[ReferenceSignal] = Family("ehls_ros.control.references", "reference", ReferenceSignal)

@@ -3,4 +3,4 @@
 from ehls_ros.families import Family
 from ehls_ros.identification.optimisers.base import Optimiser
 
-OPTIMISERS: Family[Optimiser] = Family("ehls_ros.identification.optimisers", "optimiser")
+OPTIMISERS: Family[Optimiser] = Family("ehls_ros.identification.optimisers", "optimiser", Optimiser)

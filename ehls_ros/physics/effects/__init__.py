@@ -3,4 +3,4 @@
 from ehls_ros.families import Family
 from ehls_ros.physics.effects.base import Effect
 
-EFFECTS: Family[Effect] = Family("ehls_ros.physics.effects", "effect")
+EFFECTS: Family[Effect] = Family("ehls_ros.physics.effects", "effect", Effect)

@@ -1,0 +1,98 @@
+"""A controller of another distribution has its node without a line in this project: by `ehls run`, and in the launch file."""
+
+import os
+import runpy
+import sys
+from types import SimpleNamespace
+from unittest import mock
+
+import pytest
+from docs_snippets import ROOT
+from third_party import install_page
+
+pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+
+from ehls_msgs.msg import ForceReference, LoaderState, ValveCommand
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.families import offered
+from ehls_ros.nodes import node_names
+from ehls_ros.nodes.transport import control_qos
+
+SPEC = "reference: {name: constant, value: 1.0e+4}\ncontroller: {name: proportional, gain: 2.0e-7}\n"
+FORCE, WANTED = 9_000.0, 10_000.0
+
+
+@pytest.fixture
+def site(tmp_path):
+    """Return a folder of packages with the controller of docs/how_to/controller.md."""
+    install_page(tmp_path / "site", "docs/how_to/controller.md")
+    return tmp_path / "site"
+
+
+def test_its_node_answers_and_is_tuned(site, graph, participant, tmp_path, monkeypatch):
+    spec = tmp_path / "spec.yaml"
+    spec.write_text(f"title: a new law\nrig: {ROOT}/config/rig_paper.yaml\n{SPEC}", encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(site), str(ROOT)]))
+    monkeypatch.setenv("EHLS_CACHE_DIR", str(tmp_path / "kernels"))
+    parameters = ["--ros-args", "-p", f"spec:={spec}", "-p", "timing:=lockstep"]
+    graph.run("proportional_node", ["-m", "ehls_ros.cli.main", "run", "proportional_node", *parameters])
+    commands = participant.collect(ValveCommand, "valve_command")
+    states = participant.node.create_publisher(LoaderState, "loader_state", control_qos())
+    references = participant.node.create_publisher(ForceReference, "force_reference", control_qos())
+
+    def answer(cycle):
+        """Let the plant open a cycle and return the command."""
+        references.publish(ForceReference(cycle=cycle, force=WANTED))
+        states.publish(LoaderState(cycle=cycle, force=FORCE))
+        participant.until(lambda: commands and commands[-1].cycle == cycle)
+        return commands[-1].spool
+
+    assert answer(0) == pytest.approx(-2e-7 * (FORCE - WANTED), rel=1e-12)
+    assert participant.set_parameter("proportional_node", "gain", 0.0).successful
+    # The change is blended in.
+    for cycle in range(1, 401):
+        last = answer(cycle)
+    assert abs(last) < 1e-9
+    refused = participant.set_parameter("proportional_node", "gain", 1.0)
+    assert not refused.successful
+    assert "range" in refused.reason.lower()
+    assert graph.stop("proportional_node") == 0, graph.log("proportional_node")
+
+
+@pytest.fixture
+def installed(site, monkeypatch):
+    """Let this process find the package."""
+    monkeypatch.syspath_prepend(site)
+    offered.cache_clear()
+    yield
+    offered.cache_clear()
+    CONTROLLERS._loaded.pop("proportional", None)
+
+
+@pytest.fixture
+def launch_file():
+    """Return what the launch file defines; where there is no `launch`, it gets stand-ins that keep what they are given."""
+    names = ("launch", "launch.actions", "launch.launch_context", "launch.substitutions", "launch_ros", "launch_ros.actions")
+    stand_ins = {name: mock.MagicMock() for name in names}
+    stand_ins["launch.substitutions"].LaunchConfiguration = lambda name: SimpleNamespace(perform=lambda chosen: chosen[name])
+    stand_ins["launch_ros.actions"].Node = SimpleNamespace
+    with mock.patch.dict(sys.modules, stand_ins):
+        yield lambda: runpy.run_path(str(ROOT / "launch" / "ehls.launch.py"))
+
+
+@pytest.mark.usefixtures("installed")
+def test_it_is_a_word_of_the_launch_file(launch_file):
+    found = launch_file()
+    assert "proportional_node" in node_names()
+    assert "proportional" in found["ARGUMENTS"]["controller"][2]
+    defaults = {name: default for name, (default, _, _) in found["ARGUMENTS"].items()}
+    nodes = found["nodes"]({**defaults, "controller": "proportional"})
+    assert [(node.executable, node.arguments) for node in nodes if node.arguments] == [("ehls", ["run", "proportional_node"])]
+    assert {node.executable for node in nodes if not node.arguments} < set(node_names())
+
+
+def test_what_is_left_out_is_not_started(launch_file):
+    found = launch_file()
+    defaults = {name: default for name, (default, _, _) in found["ARGUMENTS"].items()}
+    nodes = found["nodes"]({**defaults, "without": "fasmc_node,reference_node"})
+    assert {node.executable for node in nodes} == {"friction_estimator_node", "plant_sim_node", "disturbance_node"}

@@ -1,0 +1,67 @@
+"""Each how-to that adds a part is followed as a third party would follow it.
+
+Its file goes into a package of its own, known by the entry point on the page. Then the page's commands and Python run; they
+show by a figure that the part acted.
+"""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from docs_snippets import ROOT, blocks, entry_points, members, pages
+from third_party import families, install_page
+
+FAMILIES = families()
+PAGES = [page for page in pages() if members(page)]
+
+
+@pytest.fixture(scope="module")
+def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder of compiled kernels that starts empty; pages that run the same loop compile it once."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    (folder / "kernels").mkdir(mode=0o700, exist_ok=True)
+    return folder / "kernels"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: Path(page).stem)
+def test_a_part_in_a_package_of_its_own_acts(page: str, tmp_path: Path, kernels: Path) -> None:
+    site, folder = tmp_path / "site", tmp_path / "work"
+    modules = install_page(site, page)
+    folder.mkdir()
+    (folder / "config").symlink_to(ROOT / "config")
+    for block in blocks(page):
+        if block.mark == "file" and block.language != "python":
+            (folder / block.note).write_text(block.text, encoding="utf-8")
+    paths = [str(site), str(ROOT / "test"), str(ROOT)]
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "test" / "follow_page.py"), page, *modules],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths), "EHLS_CACHE_DIR": str(kernels)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: Path(page).stem)
+def test_a_page_shows_file_entry_point_and_figure(page: str) -> None:
+    offered = {name: group for group, own in entry_points(page).items() for name in own}
+    assert offered.keys() == members(page).keys(), "each file needs its entry point, in TOML"
+    for name, group in offered.items():
+        folder = Path(members(page)[name].note).parent
+        assert ".".join(folder.parts) == FAMILIES[group].package
+    checks = [block for block in blocks(page) if block.language == "python" and block.mark in {"", "slow"}]
+    assert any(re.search(r"^assert ", block.text, re.MULTILINE) for block in checks), "nothing shows that the part acts"
+
+
+def test_the_page_on_packages_lists_all_groups() -> None:
+    text = (ROOT / "docs" / "how_to" / "package.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `([\w.]+)` \|.*\| `([\w/]+)/` \|$", text, re.MULTILINE))
+    assert rows == {group: family.package.replace(".", "/") for group, family in FAMILIES.items()}
+    assert entry_points("docs/how_to/package.md").keys() <= FAMILIES.keys()
