@@ -285,10 +285,6 @@ class NextExperiment(NamedTuple):
     separation: tuple[Pair, ...]
     spec: dict[str, Any]
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the mapping that ``diagnosis.json`` holds."""
-        return {**self._asdict(), "separation": [pair._asdict() for pair in self.separation]}
-
 
 class Considered(NamedTuple):
     """One experiment of the catalogue as it was judged.

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import yaml
 
 from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.metrics import Metrics
 from ehls_ros.experiments.spec import Spec, spec_to_mapping
 from ehls_ros.recording.reason import reason
@@ -98,4 +99,4 @@ class RunFolder(NamedTuple):
 
     def write_metrics(self, metrics: Metrics) -> None:
         """Keep the metrics."""
-        (self.path / "metrics.json").write_text(json.dumps(metrics.as_json(), indent=2) + "\n", encoding="utf-8")
+        (self.path / "metrics.json").write_text(json.dumps(json_document(metrics), indent=2) + "\n", encoding="utf-8")

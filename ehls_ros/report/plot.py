@@ -20,6 +20,9 @@ BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE = "#0072B2", "#D55E00", "#009E73", "
 BLACK, GREY, LIGHT_GREY = "#1a1a1a", "#767676", "#dcdcdc"
 """After Okabe and Ito, so that the colour-blind can tell them apart."""
 
+ELEMENT_LINES = ((BLUE, "solid"), (ORANGE, "solid"), (GREEN, "dash"), (SKY, "solid"), (PURPLE, "dash"))
+"""Colour and pattern of each friction element's line."""
+
 FONT = "system-ui, -apple-system, 'Segoe UI', 'Liberation Sans', 'DejaVu Sans', sans-serif"
 BACKDROP = "y9"
 """Axis from 0 to 1 behind the first row, for marks that belong to a time and not to a value."""

@@ -40,7 +40,7 @@ def test_a_row_is_what_the_experiment_gives_by_itself(tmp_path):
     assert make(path, tmp_path / "out")[:2] == (6, 6)
     found = rows(tmp_path / "out")
     for run in load_plan(path).runs():
-        metrics = evaluate(run_in_process(spec_from_mapping(json.loads(run.spec), "run", CONFIG))).as_json()
+        metrics = evaluate(run_in_process(spec_from_mapping(json.loads(run.spec), "run", CONFIG)))._asdict()
         for name in set(work.METRICS) - {"wall_s"}:
             assert found[name][run.number] == metrics[name], name
         assert found["rig.plant.moving_mass"][run.number] == json.loads(run.spec)["rig"]["plant"]["moving_mass"]

@@ -1,7 +1,6 @@
 """The catalogue of experiments, and that what is proposed tells causes apart."""
 
 import itertools
-import json
 from pathlib import Path
 from typing import Any
 
@@ -324,15 +323,6 @@ def test_a_rig_that_nothing_can_be_done_on_is_told_so(rig):
     assert proposal.experiment is None
     assert proposal.reason.startswith("no experiment of the catalogue can be done on this rig: ")
     assert all(entry.note for entry in proposal.considered)
-
-
-@pytest.mark.usefixtures("few")
-def test_it_can_be_written_as_json(rig):
-    experiment = next_experiment(candidates(rig, "viscous_shift", "coulomb_shift")).experiment
-    written = json.loads(json.dumps(experiment.as_json()))
-    assert set(written) == {"name", "purpose", "why", "separation", "spec"}
-    assert set(written["separation"][0]) == {"one", "other", "sigma"}
-    assert "rig" not in written["spec"]
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,13 @@ from typing import Any
 import yaml
 
 from ehls_ros.cli.progress import progress_bar
-from ehls_ros.cli.valid_json import valid_json
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.campaign.backends import dask, local
 from ehls_ros.experiments.campaign.conduct import Outcome, conduct
 from ehls_ros.experiments.campaign.plan import Plan, load_plan
 from ehls_ros.experiments.campaign.store import Folder, opened, read_results
 from ehls_ros.experiments.campaign.work import code_version
+from ehls_ros.experiments.json_document import json_document
 from ehls_ros.report.campaign import write_campaign_report
 from ehls_ros.report.campaign_findings import ERROR, failed, numbers, quantile, unsettled, verdict_sentence
 
@@ -85,4 +85,4 @@ def _print(plan: Plan, folder: Folder, outcome: Outcome, results: dict[str, list
             "results": str(folder.results),
             "report": str(folder.report),
         }
-        print(json.dumps(valid_json(summary)))
+        print(json.dumps(json_document(summary)))

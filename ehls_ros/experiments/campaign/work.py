@@ -12,6 +12,7 @@ import numpy as np
 
 from ehls_ros import __version__
 from ehls_ros.errors import WorkFailed
+from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.spec import spec_from_mapping
@@ -75,7 +76,7 @@ def run_one(spec: str) -> Row:
     start = time.perf_counter()
     try:
         run = run_in_process(spec_from_mapping(json.loads(spec), "run", Path()))
-        row = {name: value for name, value in evaluate(run).as_json().items() if name in METRICS}
+        row = {name: value for name, value in json_document(evaluate(run)).items() if name in METRICS}
         lost = np.flatnonzero(~np.isfinite(run["force_n"]))
         error = f"the force is no finite number from {run.time_s[lost[0]]:g} s on" if lost.size else None
     except Exception as failure:  # noqa: BLE001 - whatever a run dies of is its result, and the others go on
