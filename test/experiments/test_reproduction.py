@@ -114,10 +114,9 @@ def test_the_explicit_law_stops_being_stable_at_two_over_the_rate():
     assert limit == pytest.approx(2.28e-5, rel=0.01)
 
     def error(period: float, theta: float) -> float:
-        change = {"control_period": period, "integration_step": period, "duration": 0.8}
-        return evaluated(
-            Cell(paper.FASMC_2, "sine", "fd2"), Change({**change, "controller": {"implicitness": theta}})
-        ).max_error_n
+        steps = {"control_period": period, "integration_step": period, "duration": 0.8}
+        change = Change({**steps, "controller": {"implicitness": theta}})
+        return evaluated(Cell(GMS, "sine", "fd2"), change).max_error_n
 
     assert error(0.95 * limit, 0.0) < 1.0
     assert error(1.05 * limit, 0.0) > DIVERGED
@@ -200,12 +199,10 @@ def test_reductions_are_means_over_both_disturbances():
 
 @pytest.mark.parametrize("choice", choices.choices(), ids=lambda choice: f"{choice.what}, {choice.other}")
 def test_every_open_choice_can_be_run(choice):
-    cell = choice.cells[0]
-    changed, published = case(cell, choice.change), case(cell)
-    assert changed != published
-    assert np.isfinite(
-        run(cell, choice.change._replace(sections={**choice.change.sections, "duration": 0.02}))["force_n"]
-    ).all()
+    short = choice.change._replace(sections={**choice.change.sections, "duration": 0.5})
+    changed = run(choice.cells[0], short)["force_n"]
+    assert np.isfinite(changed).all()
+    assert not np.array_equal(changed, run(choice.cells[0], Change({"duration": 0.5}))["force_n"])
 
 
 def test_a_unit_read_otherwise_is_so_for_plant_and_controller():
