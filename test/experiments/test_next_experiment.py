@@ -10,6 +10,7 @@ import yaml
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments import next_experiment as module
+from ehls_ros.experiments import separation
 from ehls_ros.experiments.catalogue import CATALOGUE, catalogue_spec, home_of, reach
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.next_experiment import LEAST_SIGMA, next_experiment
@@ -142,7 +143,7 @@ def test_an_error_of_the_force_balance_shows_in_the_pressure_and_one_of_the_flow
     narrow = experiment.along(with_effect(rig, "valve_gain_shift", flow_gain=0.98), record)[late] - record[late]
     velocity = record[late, SENSED.index("velocity")]
     # 2 % of the velocity for as long as the model remembers.
-    assert np.mean((narrow[:, position] / (-0.02 * velocity * module.MEMORY))[fast]) == pytest.approx(1.0, abs=0.15)
+    assert np.mean((narrow[:, position] / (-0.02 * velocity * separation.MEMORY))[fast]) == pytest.approx(1.0, abs=0.15)
     assert np.mean(np.abs(narrow[fast, pressure])) < 0.2 * 400.0 / 2.6e-3
 
 
@@ -173,9 +174,11 @@ def better_explained(rig: Rig, rigs: dict[str, Rig], spec: dict[str, Any], true:
     record = np.column_stack([*(run[name] for name in names), run["valve_command_m"]])
     experiment = module._Experiment(spec, rig)
     columns = [SENSED.index(signal) for signal in WITHOUT_LOAD_CELL]
-    scale = module._scale({true: record}, rigs, columns, {}, experiment.period)
+    scale = separation.scale_of({true: record}, rigs, columns, {}, experiment.period)
     errors = {
-        name: np.linalg.norm(module._blocks(experiment.along(model, record) - record, columns, experiment.period, 1000) / scale)
+        name: np.linalg.norm(
+            separation.block_means(experiment.along(model, record) - record, columns, experiment.period, 1000) / scale
+        )
         for name, model in rigs.items()
     }
     return min(errors, key=lambda name: errors[name])
