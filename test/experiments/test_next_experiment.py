@@ -277,14 +277,14 @@ def test_what_its_own_parameters_explain_separates_nothing(rig):
 def test_candidates_that_are_the_same_are_told_so(rig):
     proposal = next_experiment({"one": rig, "other": rig})
     assert proposal.experiment is None
-    assert proposal.reason == "in no experiment of the catalogue do the candidates differ"
+    assert proposal.reason == "the candidates do not differ in any experiment of the catalogue"
     assert all(entry.sigma == 0.0 for entry in proposal.considered)
 
 
 def test_one_candidate_needs_no_experiment(rig):
     proposal = next_experiment({"one": rig})
     assert proposal.experiment is None
-    assert "nothing to tell apart" in proposal.reason
+    assert "nothing to separate" in proposal.reason
 
 
 @pytest.mark.usefixtures("few")
