@@ -177,9 +177,11 @@ def left_over(result: StageResult) -> str:
         return "an error remains that no effect explains"
     if result.exceeds:
         return "wrong in the given model, explained by the extension"
+    small = (result.nrmse_after or 0.0) <= LEAKY * (result.noise_floor or 0.0)
+    text = "only noise" if small else "no significant error"
     if result.incident is not None:
-        return f"only noise, except between {result.incident[0]:.1f} and {result.incident[1]:.1f} s"
-    return "only noise"
+        return f"{text}, except between {result.incident[0]:.1f} and {result.incident[1]:.1f} s"
+    return text
 
 
 def caveats(found: Diagnosis, remarks: Sequence[str] = ()) -> list[str]:

@@ -140,7 +140,7 @@ def _facts(trajectory: Trajectory, metrics: Metrics | None) -> list[tuple[str, s
             ("Cycles", number(metrics.cycles)),
             ("Missed cycles", number(metrics.missed_cycles)),
         ]
-    for name, label in (("saturated", "Command at its limit"), ("friction_fallback", "Static friction in use")):
+    for name, label in (("saturated", "Command at its limit"), ("friction_fallback", "Steady friction in use")):
         if known(trajectory, name):
             items.append((label, f"{number(int(np.sum(trajectory[name] > 0.5)))} cycles"))
     response = trajectory.signals.get("response_s", np.empty(0))

@@ -159,14 +159,17 @@ Row = Sequence[str | Entry]
 """A row of a table: one text or entry a cell."""
 
 
-def table(header: Sequence[str], rows: Iterable[Row]) -> str:
+def table(header: Sequence[str], rows: Sequence[Row]) -> str:
     """Make a table whose first column names the row.
 
     Args:
         header: one title a column.
         rows: one text or entry a cell.
     """
-    head = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in header)
+    prose = {place for row in rows for place, cell in enumerate(row) if isinstance(cell, Entry) and cell.prose}
+    head = "".join(
+        f'<th scope="col"{_PROSE if place in prose else ""}>{escape(cell)}</th>' for place, cell in enumerate(header)
+    )
     body = "".join(
         f'<tr><th scope="row">{_cell(row[0])[1]}</th>'
         + "".join(f"<td{style}>{inner}</td>" for style, inner in map(_cell, row[1:]))
@@ -176,6 +179,9 @@ def table(header: Sequence[str], rows: Iterable[Row]) -> str:
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
+_PROSE = ' class="prose"'
+
+
 def _cell(cell: str | Entry) -> tuple[str, str]:
     if isinstance(cell, str):
         return "", escape(cell)
@@ -183,7 +189,7 @@ def _cell(cell: str | Entry) -> tuple[str, str]:
     color = "213, 94, 0" if cell.heat > 0 else "0, 114, 178"
     style = f' style="background: rgba({color}, {0.5 * min(abs(cell.heat), 1.0):.2f})"' if cell.heat else ""
     if cell.prose:
-        style += ' class="prose"'
+        style += _PROSE
     return style, escape(cell.text) + beside
 
 
@@ -318,7 +324,8 @@ th, td { border: 1px solid #dcdcdc; padding: 4px 10px; text-align: right; }
 tbody th, thead th:first-child { text-align: left; }
 thead th { background: #f4f5f6; }
 td { white-space: nowrap; }
-td.prose { white-space: normal; text-align: left; }
+td.prose { white-space: normal; }
+td.prose, thead th.prose { text-align: left; }
 td, tbody th { padding: 4px 8px; }
 td small, th small { display: block; color: #4a4a4a; font-weight: normal; }
 .wide { overflow-x: auto; }

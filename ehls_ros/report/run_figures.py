@@ -39,6 +39,7 @@ from ehls_ros.report.plot import (
     time_mark,
 )
 from ehls_ros.report.run_signals import (
+    WITHOUT_VISCOUS,
     columns_of,
     error_of,
     known,
@@ -47,6 +48,7 @@ from ehls_ros.report.run_signals import (
     missing_together,
     response_of,
     setting,
+    several_elements,
     since_start,
     sliding_bound,
 )
@@ -172,7 +174,7 @@ def position_error(run: Trajectory) -> Panel | LeftOut:
 
 
 def friction(run: Trajectory) -> Panel | LeftOut:
-    """Draw the estimated friction, its elements, and when each of them slips."""
+    """Draw the estimated friction; of several elements each one, and when it slips."""
     title = "Estimated friction"
     parts = ("friction_gms_n", "friction_viscous_n", "friction_elements_n")
     if not any(known(run, name) for name in parts):
@@ -180,24 +182,25 @@ def friction(run: Trajectory) -> Panel | LeftOut:
     time = since_start(run)
     traces: list[Trace] = []
     rows: list[Axis] = []
+    several = several_elements(run)
     if known(run, "friction_gms_n") or known(run, "friction_viscous_n"):
         rows.append(Axis("friction", NEWTON, share=2.0))
     for name, label, color, width in (
         ("friction_viscous_n", "viscous", PURPLE, 1.5),
-        ("friction_gms_n", "all elements", BLACK, 1.8),
+        ("friction_gms_n", "all elements" if several else WITHOUT_VISCOUS, BLACK, 1.8),
     ):
         if known(run, name):
             traces.append(time_line(time, run[name], label, NEWTON, color, width=width))
-    if known(run, "friction_elements_n"):
+    if several and known(run, "friction_elements_n"):
         rows.append(Axis("each element", NEWTON, share=2.0))
         for index, force in enumerate(columns_of(run["friction_elements_n"])):
             color, dash = ELEMENT_LINES[index % len(ELEMENT_LINES)]
             label = f"element {index + 1}"
             traces.append(time_line(time, force, label, NEWTON, color, row=len(rows), dash=dash))
     if known(run, "friction_fallback"):
-        traces += event_marks(time, run["friction_fallback"] > 0.5, "static curve in use", VERMILION)
+        traces += event_marks(time, run["friction_fallback"] > 0.5, "steady friction in use", VERMILION)
     note = ""
-    if known(run, "friction_slipping"):
+    if several and known(run, "friction_slipping"):
         slipping = run["friction_slipping"].reshape(len(run), -1)
         names = tuple(str(index + 1) for index in range(slipping.shape[1]))
         rows.append(Axis("element", PURE_NUMBER, (len(names) + 0.5, 0.5), share=1.3, names=names))

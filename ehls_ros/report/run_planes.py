@@ -31,6 +31,7 @@ from ehls_ros.report.plot import (
 )
 from ehls_ros.report.run_signals import (
     PLANE_SAMPLES,
+    WITHOUT_VISCOUS,
     known,
     largest_of,
     last_samples,
@@ -39,6 +40,7 @@ from ehls_ros.report.run_signals import (
     missing_together,
     response_of,
     setting,
+    several_elements,
     sliding_bound,
 )
 from ehls_ros.trajectory import Trajectory
@@ -120,7 +122,8 @@ def friction_against_velocity(run: Trajectory) -> Panel | LeftOut:
     if known(run, "friction_viscous_n"):
         total = elements + run["friction_viscous_n"][steady]
         traces.append(line(velocity, total, "with viscous friction", NEWTON, PURPLE, width=1.2))
-    traces.append(line(velocity, elements, "all elements", NEWTON, BLACK, width=1.4))
+    label = "all elements" if several_elements(run) else WITHOUT_VISCOUS
+    traces.append(line(velocity, elements, label, NEWTON, BLACK, width=1.4))
     layout = plane_layout(Axis("velocity", MILLIMETRE_PER_SECOND), Axis("friction", NEWTON))
     return Panel(title, traces, layout, f"The {last_seconds(run)}.", height=340, over_time=False)
 

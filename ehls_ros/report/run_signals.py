@@ -115,3 +115,12 @@ def last_samples(run: Trajectory) -> slice:
 def last_seconds(run: Trajectory) -> str:
     """Say how long the stretch of :func:`last_samples` is."""
     return f"last {number(float(run.time_s[-1] - run.time_s[last_samples(run).start]), 2)} s"
+
+
+WITHOUT_VISCOUS = "without viscous friction"
+"""Label of the elements' force where there is only one element."""
+
+
+def several_elements(run: Trajectory) -> bool:
+    """Tell whether the friction estimate of a run has more than one element."""
+    return any(known(run, name) and len(columns_of(run[name])) > 1 for name in ("friction_elements_n", "friction_slipping"))

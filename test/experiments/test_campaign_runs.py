@@ -129,7 +129,7 @@ def test_a_run_whose_numbers_are_lost_says_when(tmp_path, monkeypatch):
     monkeypatch.setattr(work, "run_in_process", lost)
     make(write(tmp_path), tmp_path / "out")
     [error] = rows(tmp_path / "out")["error"]
-    assert error == "the force is no finite number from 0.15 s on"
+    assert error == "the force is not finite after 0.15 s"
 
 
 def test_equal_runs_are_made_once_and_told_twice(tmp_path):

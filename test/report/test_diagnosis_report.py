@@ -213,6 +213,7 @@ def test_a_cause_that_leaves_much_is_doubted(doubted):
 
 def test_an_incident_is_told_beside_the_stage():
     assert left_over(QUIET) == "only noise"
+    assert left_over(QUIET._replace(nrmse_after=0.01)) == "no significant error"
     assert left_over(QUIET._replace(incident=(40.0, 42.49))) == "only noise, except between 40.0 and 42.5 s"
 
 
