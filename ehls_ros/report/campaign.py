@@ -9,22 +9,9 @@ from ehls_ros.experiments.campaign.plan import Column
 from ehls_ros.experiments.campaign.results import CampaignResults, quantile
 from ehls_ros.report import campaign_figures as drawn
 from ehls_ros.report import campaign_findings as findings
+from ehls_ros.report import page
 from ehls_ros.report.campaign_findings import Group
-from ehls_ros.report.page import (
-    Configuration,
-    Entry,
-    Row,
-    as_yaml,
-    collapsed,
-    facts,
-    figures,
-    number,
-    paragraph,
-    sections,
-    table,
-    verdict,
-    write_page,
-)
+from ehls_ros.report.page import Configuration, Entry, Row, number
 
 MOST_GROUPS, MOST_ROWS, MOST_COLUMNS = 8, 10, 6
 """Largest number of groups in a figure, of rows in a table of single runs, and of varied columns in it."""
@@ -52,14 +39,14 @@ def write_campaign_report(
         ("Draws", _draws(results, groups) if known else []),
         ("Largest errors", [_run_table(results, findings.worst(results, MOST_ROWS))] if known else []),
         ("Failed runs", _failures(results)),
-        ("How it was made", [facts(making), collapsed("Campaign with its base written out", as_yaml(campaign))]),
+        ("How it was made", [page.facts(making), page.collapsed("Campaign with its base written out", page.as_yaml(campaign))]),
     ]
     sentence, good = findings.verdict_sentence(results)
-    write_page(
+    page.write_page(
         path,
         title=str(campaign["title"]),
         subtitle=f"Campaign of {number(len(results))} experiments",
-        blocks=[verdict(sentence, good=good), *sections(parts)],
+        blocks=[page.verdict(sentence, good=good), *page.sections(parts)],
     )
 
 
@@ -72,7 +59,7 @@ def _group_table(results: CampaignResults, groups: Sequence[Group]) -> str:
         levels = [f"{number(quantile(errors[group.rows], share))} N" for share in (0.5, 0.95, 1.0)]
         settled = f"{number(quantile(times[group.rows], 0.5))} s"
         rows.append([group.name, number(group.rows.size), Entry(number(lost), heat=0.5 if lost else 0.0), *levels, settled])
-    return table(header, rows)
+    return page.table(header, rows)
 
 
 def _sweeps(results: CampaignResults, groups: Sequence[Group]) -> list[str]:
@@ -81,7 +68,7 @@ def _sweeps(results: CampaignResults, groups: Sequence[Group]) -> list[str]:
         return []
     maps = [drawn.heat_map(results, swept[0], swept[1], group) for group in groups[:MOST_GROUPS]] if len(swept) > 1 else []
     lines = [drawn.sweep(results, column, groups[:MOST_GROUPS]) for column in swept]
-    return [figures(lines, columns=2), figures(maps, columns=2), *_rest(groups)]
+    return [page.figures(lines, columns=2), page.figures(maps, columns=2), *_rest(groups)]
 
 
 def _draws(results: CampaignResults, groups: Sequence[Group]) -> list[str]:
@@ -89,21 +76,21 @@ def _draws(results: CampaignResults, groups: Sequence[Group]) -> list[str]:
     if not any(column.drawn for column in results.columns):
         return []
     shown = groups[:MOST_GROUPS]
-    blocks = [figures([drawn.distribution(results, shown)])]
+    blocks = [page.figures([drawn.distribution(results, shown)])]
     if parameters:
         found = np.nan_to_num([findings.correlations(results, parameters, group) for group in shown])
         strongest = np.argsort(-np.abs(found).max(axis=0), kind="stable")[:4]
         blocks += [
-            paragraph(findings.influence_remark(results, parameters, shown)),
-            figures([drawn.influence(results, parameters, shown)]),
-            figures([drawn.scatter(results, parameters[i], shown) for i in strongest], columns=2),
+            page.paragraph(findings.influence_remark(results, parameters, shown)),
+            page.figures([drawn.influence(results, parameters, shown)]),
+            page.figures([drawn.scatter(results, parameters[i], shown) for i in strongest], columns=2),
         ]
     return [*blocks, *_rest(groups)]
 
 
 def _rest(groups: Sequence[Group]) -> list[str]:
     left = len(groups) - MOST_GROUPS
-    return [paragraph(f"The figures show the first {MOST_GROUPS} groups; the table has {left} more.")] if left > 0 else []
+    return [page.paragraph(f"The figures show the first {MOST_GROUPS} groups; the table has {left} more.")] if left > 0 else []
 
 
 def _run_table(results: CampaignResults, rows: Sequence[int]) -> str:
@@ -113,7 +100,7 @@ def _run_table(results: CampaignResults, rows: Sequence[int]) -> str:
         settled = results.convergence_s[row]
         convergence = "never" if np.isnan(settled) else f"{number(settled)} s"
         body.append([number(row), f"{number(results.max_error_n[row])} N", convergence, *_values(results, shown, row)])
-    return table(["run", "largest error", "convergence", *map(_with_unit, shown)], body)
+    return page.table(["run", "largest error", "convergence", *map(_with_unit, shown)], body)
 
 
 def _failures(results: CampaignResults) -> list[str]:
@@ -124,8 +111,8 @@ def _failures(results: CampaignResults) -> list[str]:
     body: list[Row] = [
         [number(row), Entry(results.failures[row] or "", prose=True), *_values(results, shown, row)] for row in rows[:MOST_ROWS]
     ]
-    more = [paragraph(f"The first {MOST_ROWS} of {number(len(rows))}.")] if len(rows) > MOST_ROWS else []
-    return [*more, table(["run", "error", *map(_with_unit, shown)], body)]
+    more = [page.paragraph(f"The first {MOST_ROWS} of {number(len(rows))}.")] if len(rows) > MOST_ROWS else []
+    return [*more, page.table(["run", "error", *map(_with_unit, shown)], body)]
 
 
 def _values(results: CampaignResults, columns: Sequence[Column], row: int) -> list[str]:

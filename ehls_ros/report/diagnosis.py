@@ -14,29 +14,11 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Stage as Group
 from ehls_ros.report import diagnosis_figures as drawn
 from ehls_ros.report import diagnosis_findings as findings
+from ehls_ros.report import page
 from ehls_ros.report.diagnosis_causes import causes, insufficient, rivals, unexplained
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
 from ehls_ros.report.diagnosis_units import likely, percent, quantity
-from ehls_ros.report.page import (
-    MISSING_NUMBER,
-    Entry,
-    LeftOut,
-    Panel,
-    Row,
-    as_yaml,
-    collapsed,
-    facts,
-    figures,
-    left_out,
-    listed,
-    number,
-    paragraph,
-    sections,
-    signed,
-    table,
-    verdict,
-    write_page,
-)
+from ehls_ros.report.page import MISSING_NUMBER, Entry, LeftOut, Panel, Row, listed, number, signed
 
 TITLES = {
     "effect": "What is wrong in the simulation",
@@ -68,14 +50,14 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
         ("Residuals against every signal", _residuals(found)),
         ("Free run", [] if follows.free_run is None else _free_run(follows.free_run)),
         ("Sensitivity", _sensitivity(found)),
-        ("Limits of this result", [paragraph(text) for text in findings.caveats(found, follows.remarks)]),
-        ("Method", [paragraph(_METHOD)]),
+        ("Limits of this result", [page.paragraph(text) for text in findings.caveats(found, follows.remarks)]),
+        ("Method", [page.paragraph(_METHOD)]),
     ]
-    write_page(
+    page.write_page(
         path,
         title=TITLES[found.verdict],
         subtitle=source,
-        blocks=[verdict(sentence, good=good), facts(_facts(found)), *sections(parts)],
+        blocks=[page.verdict(sentence, good=good), page.facts(_facts(found)), *page.sections(parts)],
     )
 
 
@@ -125,7 +107,7 @@ def _stages(found: Diagnosis) -> list[str]:
     )
     if compared:
         note += " The extended model is evaluated on segments it was not fitted to."
-    return [figures(bars), table(header, rows), paragraph(note)]
+    return [page.figures(bars), page.table(header, rows), page.paragraph(note)]
 
 
 def _gain(found: Diagnosis, follows: Consequences) -> list[str]:
@@ -136,7 +118,7 @@ def _gain(found: Diagnosis, follows: Consequences) -> list[str]:
     if gain is not None:
         low, high = gain.ci95
         blocks.append(
-            paragraph(
+            page.paragraph(
                 f"On held-out data the extension reduces the residual of the {STAGE_NAMES[CHANNELS[gain.channel]]} from"
                 f" {percent(gain.heldout_nrmse_before)} to {percent(gain.heldout_nrmse_after)} of its largest term; the noise"
                 f" floor is {percent(gain.noise_floor)}. Over all balances that the extension changes, it closes"
@@ -150,7 +132,9 @@ def _gain(found: Diagnosis, follows: Consequences) -> list[str]:
 def _benefit(benefit: ControllerBenefit) -> list[str]:
     if not benefit.cases:
         return [
-            paragraph(f"The benefit to the controller could not be evaluated: {benefit.reason or 'there is no case to run'}.")
+            page.paragraph(
+                f"The benefit to the controller could not be evaluated: {benefit.reason or 'there is no case to run'}."
+            )
         ]
     rows: list[Row] = []
     for case in benefit.cases:
@@ -166,7 +150,7 @@ def _benefit(benefit: ControllerBenefit) -> list[str]:
             " law uses, so both runs have the same controller: only the simulation benefits."
         )
     header = ["largest steady force error", "designed with the given model", "designed with the extended model", "change"]
-    return [paragraph(text), table(header, rows)]
+    return [page.paragraph(text), page.table(header, rows)]
 
 
 def _steady(run: Steady) -> Entry:
@@ -179,17 +163,17 @@ def _next(follows: Consequences) -> list[str]:
     proposed = follows.next_experiment
     if proposed is None:
         text = f"No experiment of the catalogue would separate the open causes: {follows.no_experiment}."
-        return [paragraph(text)] if follows.no_experiment else []
+        return [page.paragraph(text)] if follows.no_experiment else []
     rows: list[Row] = [
         [f"{words(pair.one).noun} – {words(pair.other).noun}", f"{number(pair.sigma, 2)} σ"] for pair in proposed.separation
     ]
     return [
-        paragraph(
+        page.paragraph(
             f"To separate the open causes, record '{proposed.name}', {proposed.purpose}. {proposed.why.rstrip('.')}."
             " `ehls experiment next_experiment.yaml` runs it on the simulator; on the rig, follow its reference."
         ),
-        table(["pair", "expected separation"], rows),
-        collapsed("next_experiment.yaml", as_yaml(proposed.spec)),
+        page.table(["pair", "expected separation"], rows),
+        page.collapsed("next_experiment.yaml", page.as_yaml(proposed.spec)),
     ]
 
 
@@ -202,7 +186,7 @@ def _residuals(found: Diagnosis) -> list[str]:
         f" noise, at least {100.0 * TOLERANCE:g} % of the largest term. Last picture of each block: the spectrum. The residual"
         " of a correct model stays within the noise and depends on no signal."
     )
-    return [paragraph(note), *(figures([panel]) for panel in panels), left_out(panels)]
+    return [page.paragraph(note), *(page.figures([panel]) for panel in panels), page.left_out(panels)]
 
 
 def _free_run(run: FreeRun) -> list[str]:
@@ -217,11 +201,11 @@ def _free_run(run: FreeRun) -> list[str]:
         f"The first {number(float(run.time[-1]), 2)} s, simulated from the initial state with the recorded command and"
         f" disturbance only. {remarks}"
     )
-    blocks = [paragraph(text), figures([panel]), left_out([panel])]
+    blocks = [page.paragraph(text), page.figures([panel]), page.left_out([panel])]
     if rows:
         header = ["signal", "given model", *(["extended model"] if extended else [])]
         note = "Rms error as a fraction of the measured signal's standard deviation; a dash where the run was stopped."
-        blocks += [table(header, rows), paragraph(note)]
+        blocks += [page.table(header, rows), page.paragraph(note)]
     return blocks
 
 
@@ -231,7 +215,7 @@ def _sensitivity(found: Diagnosis) -> list[str]:
     items = sorted(found.sensitivities, key=lambda item: (groups.index(EFFECTS.load(item.name).STAGE), item.name))
     if items:
         blocks.append(
-            paragraph(
+            page.paragraph(
                 "The smallest size at which this recording would have revealed an effect, for effects that enter smoothly and"
                 " were not named. For effects with a threshold, such as play or a stop, no such size can be predicted."
             )
@@ -244,13 +228,16 @@ def _sensitivity(found: Diagnosis) -> list[str]:
             ]
             for item in items
         ]
-        blocks.append(table(["effect", "parameter", "smallest detectable size"], rows))
+        blocks.append(page.table(["effect", "parameter", "smallest detectable size"], rows))
     stages = [(stage, result) for stage, result in found.stages.items() if not result.judged]
     if (stages or found.not_judged) and found.verdict != "insufficient":
         named = [(Entry(STAGE_NAMES[stage]), result.why_not) for stage, result in stages]
         named += [(Entry(name, words(name).noun), why) for name, why in found.not_judged.items()]
         unjudged: list[Row] = [[what, Entry(why, prose=True)] for what, why in named]
-        blocks += [paragraph("Could not be evaluated from this recording:"), table(["stage or effect", "reason"], unjudged)]
+        blocks += [
+            page.paragraph("Could not be evaluated from this recording:"),
+            page.table(["stage or effect", "reason"], unjudged),
+        ]
     return blocks
 
 

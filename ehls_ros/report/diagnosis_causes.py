@@ -3,11 +3,12 @@
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import diagnosis_findings as findings
+from ehls_ros.report import page
 from ehls_ros.report.diagnosis_figures import residual_against
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
 from ehls_ros.report.diagnosis_units import estimate, likely, percent, quantity
 from ehls_ros.report.diagnosis_views import view_of_cause, view_of_rest
-from ehls_ros.report.page import Entry, Row, figures, listed, number, paragraph, table
+from ehls_ros.report.page import Entry, Row, listed, number
 
 RIVALS = 4
 """Largest number of rivals listed for a cause."""
@@ -22,10 +23,10 @@ def causes(found: Diagnosis) -> list[str]:
         if view is not None and (view.channel, view.signal) not in seen:
             seen.add((view.channel, view.signal))
             noun = words(cause.name).noun
-            blocks.append(figures([residual_against(found, view, noun[0].upper() + noun[1:])]))
+            blocks.append(page.figures([residual_against(found, view, noun[0].upper() + noun[1:])]))
     if found.causes:
         header = ["cause", "stage", "probability", "parameter", "value ± standard error", "in SI units", "significance"]
-        blocks.append(table(header, [row for cause in found.causes for row in _parameters(cause)]))
+        blocks.append(page.table(header, [row for cause in found.causes for row in _parameters(cause)]))
         about: list[Row] = [
             [
                 cause.name,
@@ -35,7 +36,7 @@ def causes(found: Diagnosis) -> list[str]:
             ]
             for cause in found.causes
         ]
-        blocks.append(table(["cause", "meaning", "equation", "to check on the rig"], about))
+        blocks.append(page.table(["cause", "meaning", "equation", "to check on the rig"], about))
     return blocks
 
 
@@ -88,10 +89,10 @@ def rivals(found: Diagnosis) -> list[str]:
             for rival in cause.rivals[:RIVALS]
         ]
         header = [f"instead of {cause.name}", "held-out data, nats", "closes", "with", "why it was not named"]
-        blocks += [paragraph(text), table(header, rows)]
+        blocks += [page.paragraph(text), page.table(header, rows)]
     if blocks:
         blocks.append(
-            paragraph(
+            page.paragraph(
                 "Each nat behind makes a cause e times less likely; beyond about 10 it can be ruled out. The fraction closed is"
                 " relative to the model with all other causes in place."
             )
@@ -107,7 +108,7 @@ def unexplained(found: Diagnosis) -> list[str]:
     view = view_of_rest(found)
     if view is not None:
         blocks.append(
-            figures([residual_against(found, view, f"Unexplained residual of the {STAGE_NAMES[found.unknown_stage]}")])
+            page.figures([residual_against(found, view, f"Unexplained residual of the {STAGE_NAMES[found.unknown_stage]}")])
         )
     if found.depends_on:
         signals = listed([quantity(signal) for signal in found.depends_on])
@@ -120,13 +121,13 @@ def unexplained(found: Diagnosis) -> list[str]:
             "No signal alone predicts the residual on data it was not fitted to, and yet the residual exceeds the noise:"
             " look for an element with memory, or for one that depends on several signals together."
         )
-    blocks.append(paragraph(text))
+    blocks.append(page.paragraph(text))
     if found.partial:
         rows: list[Row] = [[Entry(name, words(name).noun), Entry(findings.meaning(name), prose=True)] for name in found.partial]
-        blocks.append(paragraph("Explains a fraction of it, too little to be named as the cause:"))
-        blocks.append(table(["effect", "meaning"], rows))
+        blocks.append(page.paragraph("Explains a fraction of it, too little to be named as the cause:"))
+        blocks.append(page.table(["effect", "meaning"], rows))
     places: list[Row] = [[on, Entry(place, prose=True)] for on, place in findings.where_to_look(found)]
-    return [*blocks, table(["depends on", "look at"], places)]
+    return [*blocks, page.table(["depends on", "look at"], places)]
 
 
 def insufficient(found: Diagnosis) -> list[str]:
@@ -141,4 +142,4 @@ def insufficient(found: Diagnosis) -> list[str]:
         [stage, Entry(needs, prose=True), Entry(excitation, prose=True)]
         for stage, needs, excitation in findings.to_record(found)
     ]
-    return [paragraph(text), table(["stage of the model", "signals it needs", "excitation it needs"], rows)]
+    return [page.paragraph(text), page.table(["stage of the model", "signals it needs", "excitation it needs"], rows)]

@@ -8,21 +8,11 @@ import numpy as np
 
 from ehls_ros.experiments.metrics import Metrics
 from ehls_ros.hardware.pace import ADVICE
+from ehls_ros.report import page
 from ehls_ros.report import run_figures as drawn
 from ehls_ros.report import run_planes as planes
 from ehls_ros.report.decimation import BUCKETS
-from ehls_ros.report.page import (
-    MISSING_NUMBER,
-    as_yaml,
-    collapsed,
-    facts,
-    figures,
-    left_out,
-    number,
-    paragraph,
-    verdict,
-    write_page,
-)
+from ehls_ros.report.page import MISSING_NUMBER, number
 from ehls_ros.report.run_signals import error_of, known
 from ehls_ros.trajectory import Trajectory, steady_error
 
@@ -62,20 +52,20 @@ def write_experiment_report(trajectory: Trajectory, metrics: Metrics | None, pat
     ]
     metadata = trajectory.metadata
     configuration = {key: metadata[key] for key in ("rig", "spec", "versions") if key in metadata}
-    write_page(
+    page.write_page(
         path,
         title=str(metadata.get("title") or "Experiment"),
         subtitle=_subtitle(trajectory),
         blocks=[
-            verdict(sentence, good=good),
-            *(paragraph(f"Warning: {warning}.") for warning in (() if metrics is None else metrics.warnings)),
+            page.verdict(sentence, good=good),
+            *(page.paragraph(f"Warning: {warning}.") for warning in (() if metrics is None else metrics.warnings)),
             _pace(metrics),
-            facts(_facts(trajectory, metrics)),
+            page.facts(_facts(trajectory, metrics)),
             _resolution(trajectory),
-            figures(over_time),
-            figures(beside, columns=2),
-            left_out([*over_time, *beside]),
-            collapsed("Configuration", as_yaml(configuration)),
+            page.figures(over_time),
+            page.figures(beside, columns=2),
+            page.left_out([*over_time, *beside]),
+            page.collapsed("Configuration", page.as_yaml(configuration)),
         ],
     )
 
@@ -164,14 +154,14 @@ def _pace(metrics: Metrics | None) -> str:
     if metrics is None or metrics.in_real_time is not False:
         return ""
     reached, asked = number(metrics.cycles_per_second_reached), number(metrics.cycles_per_second_asked)
-    return paragraph(f"Not in real time: {reached} of {asked} cycles per second were answered. To be in time: {ADVICE}.")
+    return page.paragraph(f"Not in real time: {reached} of {asked} cycles per second were answered. To be in time: {ADVICE}.")
 
 
 def _resolution(trajectory: Trajectory) -> str:
     if len(trajectory) <= 3 * BUCKETS:
         return ""
     interval = float(trajectory.time_s[-1] - trajectory.time_s[0]) / BUCKETS
-    return paragraph(f"Lines over time show the lowest and the highest sample of every {number(interval)} s.")
+    return page.paragraph(f"Lines over time show the lowest and the highest sample of every {number(interval)} s.")
 
 
 def _subtitle(trajectory: Trajectory) -> str:

@@ -15,28 +15,11 @@ from ehls_ros.experiments.reproduction.results import (
     Results,
     TriedChoice,
 )
+from ehls_ros.report import page
 from ehls_ros.report import reproduction_figures as drawn
 from ehls_ros.report import reproduction_findings as findings
 from ehls_ros.report import reproduction_remarks as remarks
-from ehls_ros.report.page import (
-    Entry,
-    LeftOut,
-    Panel,
-    Row,
-    as_yaml,
-    collapsed,
-    facts,
-    figures,
-    left_out,
-    listed,
-    number,
-    paragraph,
-    sections,
-    signed,
-    table,
-    verdict,
-    write_page,
-)
+from ehls_ros.report.page import Entry, LeftOut, Panel, Row, listed, number, signed
 from ehls_ros.report.reproduction_findings import Runs, place_name
 from ehls_ros.report.run_signals import setting
 from ehls_ros.trajectory import Trajectory
@@ -60,19 +43,19 @@ def write_reproduction_report(results: Results, runs: Runs, path: Path) -> None:
     parts = [
         ("Table 3", _table3(results.cells)),
         ("GMS against Stribeck", [] if beyond is None else _reductions(results, beyond, runs)),
-        ("Table 3 as a figure", [figures([drawn.table_dots(results.cells)])]),
+        ("Table 3 as a figure", [page.figures([drawn.table_dots(results.cells)])]),
         ("The paper's figures", _paper_figures(results, runs)),
         ("Theory", _theory(results)),
         *(() if beyond is None else _studies(results, beyond, runs)),
         ("How it was made", _making(results, runs)),
     ]
     sentence, good = findings.verdict_sentence(results)
-    write_page(
+    page.write_page(
         path,
         title="Reproduction of the paper's simulation study",
         subtitle="Kang, Yan, Dong, Li: finite-time adaptive sliding mode force control, MSSP 102 (2018) 117–138"
         + (" · quick study" if results.quick else ""),
-        blocks=[verdict(sentence, good=good), *sections(parts)],
+        blocks=[page.verdict(sentence, good=good), *page.sections(parts)],
     )
 
 
@@ -88,12 +71,12 @@ def _studies(results: Results, beyond: Beyond, runs: Runs) -> list[tuple[str, li
 
 def _table3(cells: Sequence[CellResult]) -> list[str]:
     return [
-        paragraph(
+        page.paragraph(
             "Largest error in the steady half of each run, in N and in % of 10 kN, with the paper's below it."
             f" {WORSE}marks errors larger than the paper's; – where the paper has no number."
         ),
         _by_cell(cells, _error_entry),
-        paragraph(f"Convergence time. {findings.convergence_remark(cells)}"),
+        page.paragraph(f"Convergence time. {findings.convergence_remark(cells)}"),
         _by_cell(cells, _convergence_entry),
     ]
 
@@ -104,7 +87,7 @@ def _by_cell(cells: Sequence[CellResult], entry: Callable[[CellResult], Entry]) 
     entries = {cell.cell: entry(cell) for cell in cells}
     controllers = dict.fromkeys(cell.controller for cell in cells)
     rows = [[controller, *(entries.get(Cell(controller, *place), "–") for place in places)] for controller in controllers]
-    return table(["", *(place_name(*place) for place in places)], rows)
+    return page.table(["", *(place_name(*place) for place in places)], rows)
 
 
 def _error_entry(cell: CellResult) -> Entry:
@@ -139,9 +122,9 @@ def _reductions(results: Results, beyond: Beyond, runs: Runs) -> list[str]:
         for row in beyond.reductions
     ]
     return [
-        paragraph("Reduction of the largest error by GMS against Stribeck compensation, mean of fd1 and fd2."),
-        table(["reference", f"ours, best width ({best})", f"ours, natural width ({natural})", "the paper's"], rows),
-        *map(paragraph, findings.cause_remarks(results, runs)),
+        page.paragraph("Reduction of the largest error by GMS against Stribeck compensation, mean of fd1 and fd2."),
+        page.table(["reference", f"ours, best width ({best})", f"ours, natural width ({natural})", "the paper's"], rows),
+        *map(page.paragraph, findings.cause_remarks(results, runs)),
     ]
 
 
@@ -159,8 +142,8 @@ def _paper_figures(results: Results, runs: Runs) -> list[str]:
             adapted.append(drawn.paper_adaptation(name, cells[0], runs))
         else:
             force.append(drawn.paper_figure(name, cells, runs))
-    missing = [] if results.quick else [left_out([*force, *adapted])]
-    return [figures(planes, columns=2), figures(force, columns=2), figures(adapted), *missing]
+    missing = [] if results.quick else [page.left_out([*force, *adapted])]
+    return [page.figures(planes, columns=2), page.figures(force, columns=2), page.figures(adapted), *missing]
 
 
 def _theory(results: Results) -> list[str]:
@@ -173,7 +156,7 @@ def _theory(results: Results) -> list[str]:
         ("K times the period of Table 3", number(theory.gain_times_period)),
     ]
     if results.beyond is None:
-        return [facts(numbers)]
+        return [page.facts(numbers)]
     rows = results.beyond.continuous
     header = [
         "FASMC II",
@@ -190,10 +173,10 @@ def _theory(results: Results) -> list[str]:
         "in time",
     ]
     return [
-        *map(paragraph, remarks.bounds_remarks(rows)),
-        facts(numbers),
-        table(header, [_bounds_row(row) for row in rows]),
-        figures(drawn.typical_bounds(rows)),
+        *map(page.paragraph, remarks.bounds_remarks(rows)),
+        page.facts(numbers),
+        page.table(header, [_bounds_row(row) for row in rows]),
+        page.figures(drawn.typical_bounds(rows)),
     ]
 
 
@@ -232,8 +215,8 @@ def _seconds(seconds: float) -> str:
 def _sampling(results: Results, beyond: Beyond, runs: Runs) -> list[str]:
     bound, period = results.theory.error_bound_n, findings.period_of(runs)
     return [
-        paragraph(remarks.sampling_remark(beyond.sampling, bound, period)),
-        figures([drawn.sampling(beyond.sampling, bound, period)]),
+        page.paragraph(remarks.sampling_remark(beyond.sampling, bound, period)),
+        page.figures([drawn.sampling(beyond.sampling, bound, period)]),
     ]
 
 
@@ -241,10 +224,10 @@ def _competitors(results: Results, beyond: Beyond, runs: Runs) -> list[str]:
     used = remarks.used_gains(runs)
     worst = findings.worst_of_controller(results, FASMC_2)
     return [
-        *map(paragraph, remarks.sic_remarks(results, beyond.searches, runs)),
-        figures([drawn.gains(beyond.searches, used and used[0])]),
-        paragraph(remarks.stribeck_remark(results, beyond.searches)),
-        figures([drawn.widths(beyond.searches, worst)]),
+        *map(page.paragraph, remarks.sic_remarks(results, beyond.searches, runs)),
+        page.figures([drawn.gains(beyond.searches, used and used[0])]),
+        page.paragraph(remarks.stribeck_remark(results, beyond.searches)),
+        page.figures([drawn.widths(beyond.searches, worst)]),
     ]
 
 
@@ -259,9 +242,9 @@ def _adaptation(drift: Sequence[DriftRun]) -> list[str]:
         for adaptation in dict.fromkeys(row.adaptation for row in drift)
     ]
     return [
-        *map(paragraph, remarks.adaptation_remarks(drift)),
-        paragraph("Largest steady error with friction that drifts as in warming oil, and without drift below it."),
-        table(["FASMC II", *(place_name(*place) for place in places)], rows),
+        *map(page.paragraph, remarks.adaptation_remarks(drift)),
+        page.paragraph("Largest steady error with friction that drifts as in warming oil, and without drift below it."),
+        page.table(["FASMC II", *(place_name(*place) for place in places)], rows),
     ]
 
 
@@ -284,9 +267,11 @@ def _choices(cells: Sequence[CellResult], choices: Sequence[TriedChoice]) -> lis
         for choice in choices
     ]
     return [
-        paragraph("Settings the paper leaves open, with other values: change of the largest error; ≈ 0 is less than 0.5 %."),
-        *map(paragraph, remarks.choices_remarks(choices, cells)),
-        table(["choice", *(place_name(*place) for place in places)], rows),
+        page.paragraph(
+            "Settings the paper leaves open, with other values: change of the largest error; ≈ 0 is less than 0.5 %."
+        ),
+        *map(page.paragraph, remarks.choices_remarks(choices, cells)),
+        page.table(["choice", *(place_name(*place) for place in places)], rows),
     ]
 
 
@@ -313,10 +298,10 @@ def _robustness(results: Results, beyond: Beyond) -> list[str]:
     for quantiles, label in ((draws.median, "median"), (draws.p95, "95 %"), (draws.max, "largest")):
         rows.append([f"{label} of {number(draws.count)} rigs", *map(findings.error_text, quantiles)])
     return [
-        paragraph(remarks.robustness_remark(robustness, nominal)),
-        figures([drawn.off_by(robustness, nominal)]),
-        paragraph(f"Every coefficient drawn within ±{number(100 * draws.spread, 2)} % of the controller's value."),
-        table(["largest error of FASMC II", *(place_name(*place) for place in robustness.cells)], rows),
+        page.paragraph(remarks.robustness_remark(robustness, nominal)),
+        page.figures([drawn.off_by(robustness, nominal)]),
+        page.paragraph(f"Every coefficient drawn within ±{number(100 * draws.spread, 2)} % of the controller's value."),
+        page.table(["largest error of FASMC II", *(place_name(*place) for place in robustness.cells)], rows),
     ]
 
 
@@ -334,15 +319,15 @@ def _making(results: Results, runs: Runs) -> list[str]:
     ]
     tuning = {cell.controller: _tuning(found) for cell, found in runs.items()}
     return [
-        paragraph(
+        page.paragraph(
             "One tuning of each controller serves all references and disturbances. An error is force minus reference; the"
             " largest error is that of the last half of a run. FASMC I compensates friction by a smoothed Stribeck curve,"
             f" FASMC II by the GMS model; SIC is structure invariance compensation.{_disturbances(runs)}"
             " Sensors are perfect and the controller knows the rig, except in the study of robustness."
             f" 'Lost' marks a run that diverged, with an error of {number(results.diverged_above_n)} N or more."
         ),
-        facts([(label, value) for label, value in items if value]),
-        collapsed("Tuning", as_yaml(tuning)) if any(tuning.values()) else "",
+        page.facts([(label, value) for label, value in items if value]),
+        page.collapsed("Tuning", page.as_yaml(tuning)) if any(tuning.values()) else "",
     ]
 
 

@@ -158,14 +158,9 @@ FOLLOWS = Consequences(FREE_RUN, BENEFIT, Proposal(NEXT, "", ()), ("something we
 
 
 @pytest.fixture
-def report(tmp_path, monkeypatch):
-    """Write a report without the five megabytes of plotly.js."""
-    monkeypatch.setattr("ehls_ros.report.page.get_plotlyjs", lambda: "")
-
+def report(written, without_plotly):
     def write(found, follows=FOLLOWS, source="axis.csv, 60 s"):
-        path = tmp_path / "report.html"
-        write_diagnosis_report(found, path, follows, source)
-        return path.read_text(encoding="utf-8")
+        return written(lambda path: write_diagnosis_report(found, path, follows, source))
 
     return write
 

@@ -69,19 +69,12 @@ UNKNOWN = METRICS._replace(max_error_n=float("nan"), rms_error_n=float("nan"), c
 
 
 @pytest.fixture
-def whole_report(tmp_path):
-    def write(run, metrics=METRICS):
-        path = tmp_path / "report.html"
-        write_experiment_report(run, metrics, path)
-        return path.read_text(encoding="utf-8")
-
-    return write
+def whole_report(written):
+    return lambda run, metrics=METRICS: written(lambda path: write_experiment_report(run, metrics, path))
 
 
 @pytest.fixture
-def report(whole_report, monkeypatch):
-    """The same without the five megabytes of plotly.js."""
-    monkeypatch.setattr("ehls_ros.report.page.get_plotlyjs", lambda: "")
+def report(whole_report, without_plotly):
     return whole_report
 
 

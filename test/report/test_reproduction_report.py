@@ -225,19 +225,12 @@ RUNS = {Cell(controller, *place): make_run(controller, *place) for controller in
 
 
 @pytest.fixture
-def whole_report(tmp_path):
-    def write(results, runs=RUNS):
-        path = tmp_path / "report.html"
-        write_reproduction_report(results, runs, path)
-        return path.read_text(encoding="utf-8")
-
-    return write
+def whole_report(written):
+    return lambda results, runs=RUNS: written(lambda path: write_reproduction_report(results, runs, path))
 
 
 @pytest.fixture
-def report(whole_report, monkeypatch):
-    """The same without the five megabytes of plotly.js."""
-    monkeypatch.setattr("ehls_ros.report.page.get_plotlyjs", lambda: "")
+def report(whole_report, without_plotly):
     return whole_report
 
 
