@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
-from report_pages import check, effort, numbers, panels
+from report_pages import check, numbers, panels
 
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.report.experiment import summary, write_experiment_report
@@ -248,14 +248,6 @@ def test_the_file_of_a_long_run_is_small_and_keeps_its_peak(whole_report):
     assert "every 0.0625 s" in html
 
 
-def test_ten_times_the_samples_take_less_than_ten_times_the_effort_and_give_the_same_again(whole_report):
-    short, long = make_run(10_000), make_run(100_000)
-    _, little = effort(lambda: whole_report(short))
-    first, much = effort(lambda: whole_report(long))
-    assert much < 10.0 * little
-    assert first == whole_report(long)
-
-
 def test_importing_the_report_loads_neither_plotlys_objects_nor_pandas():
     code = "import sys, ehls_ros.report.experiment; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
@@ -307,3 +299,7 @@ def test_the_verdict_looks_at_the_bound():
     assert good is False
     run["force_bound_n"][:] = np.inf
     assert summary(run, metrics)[1] is None
+
+
+def test_the_same_run_gives_the_same_page(report):
+    assert report(make_run()) == report(make_run())
