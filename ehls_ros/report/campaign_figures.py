@@ -28,7 +28,7 @@ def _error_axis(errors: Array) -> Axis:
 
 
 def _value_axis(column: Column, values: Array) -> Axis:
-    """Show a parameter over decades where it was varied over more than one."""
+    """Return the axis of a parameter, logarithmic where it varies over about a decade or more."""
     unit = Unit(column.unit or plot.PURE_NUMBER.symbol)
     known = values[np.isfinite(values)]
     if known.size and known.min() > 0 and known.max() > 8 * known.min():

@@ -77,7 +77,7 @@ def rivals(found: Diagnosis) -> list[str]:
             )
         if cause.equivalent_to:
             names = listed([words(name).noun for name in cause.equivalent_to])
-            text += f" These data cannot distinguish it from {names}."
+            text += f" These data cannot distinguish {words(cause.name).noun} from {names}."
         rows: list[Row] = [
             [
                 Entry(rival.name, words(rival.name).noun),

@@ -161,14 +161,14 @@ def _dark(color: str) -> str:
 def stage_bars(found: Diagnosis) -> Panel | LeftOut:
     """Draw the residual of each stage with both models, beside the noise floor."""
     title = "Residual of each stage"
-    judged = [(stage, result) for stage, result in found.stages.items() if result.judged]
-    if not judged:
+    evaluated = [(stage, result) for stage, result in found.stages.items() if result.judged]
+    if not evaluated:
         return LeftOut(title, "no stage could be evaluated")
-    names = [STAGE_NAMES[stage] for stage, _ in judged]
+    names = [STAGE_NAMES[stage] for stage, _ in evaluated]
     columns: list[tuple[str, str, list[float | None]]] = [
-        (BEFORE, VERMILION, [result.nrmse_before for _, result in judged]),
-        *([(AFTER, BLUE, [r.nrmse_after for _, r in judged])] if compares(found) else []),
-        ("noise floor", GREEN, [result.noise_floor for _, result in judged]),
+        (BEFORE, VERMILION, [result.nrmse_before for _, result in evaluated]),
+        *([(AFTER, BLUE, [r.nrmse_after for _, r in evaluated])] if compares(found) else []),
+        ("noise floor", GREEN, [result.noise_floor for _, result in evaluated]),
     ]
     largest = max((value for *_, values in columns for value in values if value is not None), default=0.0)
     traces: list[Trace] = [

@@ -50,7 +50,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--columns", type=Path, help="YAML that maps the file's own column names and units")
     parser.add_argument("--out", type=Path, default=Path("runs/diagnose"), help="folder of the results (%(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="seed of noise and resampling (%(default)s)")
-    parser.add_argument("--threads", type=int, help="hypotheses tried at once (default: one a processor)")
+    parser.add_argument("--threads", type=int, help="hypotheses fitted in parallel (default: one per processor)")
     parser.add_argument("--json", action="store_true", help="end with one line of JSON: diagnosis.json")
 
 

@@ -1,8 +1,8 @@
-"""A campaign file and the runs it stands for.
+"""A campaign file and its runs.
 
-The grid is every combination of the lists, ranges and zipped groups. Where something is drawn at random, every draw is run
-at every point of the grid, so that points are compared on the same draws. A number drawn depends on the campaign's seed, the
-draw and the path alone: any run can be made again by itself, and more draws or further paths leave it as it is.
+The grid is every combination of the lists, ranges and zipped groups. Every draw of random numbers is run at every point of the
+grid, so that points are compared on the same draws. A drawn number depends only on the campaign's seed, the draw and the path:
+any run can be repeated alone, and more draws or paths do not change it.
 """
 
 import copy
@@ -43,8 +43,8 @@ class Point(NamedTuple):
     """One combination of the grid.
 
     Attributes:
-        values: what stands in the table for each path of the grid.
-        spec: the spec with everything it names written out, as JSON.
+        values: entry in the table for each path of the grid.
+        spec: the spec with all files it names written out, as JSON.
     """
 
     values: dict[str, Any]
@@ -57,8 +57,8 @@ class Run(NamedTuple):
     Attributes:
         number: from 0; all points of the grid in turn, then the next draw.
         draw: which draw, from 0.
-        values: what stands in the table for each varied path.
-        spec: the spec with everything it names written out, as JSON.
+        values: entry in the table for each varied path.
+        spec: the spec with all files it names written out, as JSON.
     """
 
     number: int
