@@ -1,4 +1,4 @@
-"""Experiments to choose the next one from, in the size that suits a rig.
+"""Experiments that can be proposed next, scaled to a rig.
 
 Each is a spec as ``ehls experiment`` runs it, but for ``rig``, five to ten seconds long. Forces, strokes and velocities are
 parts of what the rig allows; creeping and presliding are multiples of where its friction changes.
@@ -17,17 +17,17 @@ from ehls_ros.physics.rig import Rig
 
 
 class Reach(NamedTuple):
-    """What a rig allows, from which the experiments take their size.
+    """Ranges of a rig to which the experiments are scaled.
 
     Attributes:
-        home: position the experiments are centred on [m].
-        stroke: way to either side that stroke and spring allow [m].
+        home: centre position of the experiments [m].
+        stroke: travel to either side that stroke and spring allow [m].
         speed: velocity that valve and damping allow [m/s].
         force: force to either side of ``weight`` that the cylinder, and the stroke against the spring, allow [N].
-        load: disturbance that can be held against [N].
+        load: disturbance that the rig can withstand [N].
         weight: driving force at rest at home [N].
         slow: velocity at which friction changes from static to sliding [m/s].
-        yielding: way in which stuck friction gives way [m].
+        yielding: presliding displacement [m].
     """
 
     home: float
@@ -41,25 +41,25 @@ class Reach(NamedTuple):
 
 
 def home_of(rig: Rig) -> float:
-    """Return where a run starts [m]: where the spring rests, or mid-stroke where that is too near an end."""
+    """Return the position where a run starts [m]: the spring's rest position, or mid-stroke if that is too near an end."""
     low, high = rig.limits.position
     return 0.0 if min(-low, high) > 0.25 * (high - low) else 0.5 * (low + high)
 
 
 def room_of(rig: Rig) -> float:
-    """Return the way from there to the nearer end [m]."""
+    """Return the distance from there to the nearer end of the stroke [m]."""
     low, high = rig.limits.position
     return min(home_of(rig) - low, high - home_of(rig))
 
 
 def largest_force(rig: Rig) -> float:
-    """Return the force that the cylinder may and can reach [N]."""
+    """Return the largest force that limits and supply pressure allow [N]."""
     area = rig.plant.piston_area
     return min(rig.limits.force, rig.limits.load_pressure * area, rig.plant.supply_pressure * area)
 
 
 def reach(rig: Rig) -> Reach:
-    """Return what a rig allows."""
+    """Return the ranges of a rig."""
     plant, friction, limits = rig.plant, rig.friction, rig.limits
     area, home, half, largest = plant.piston_area, home_of(rig), room_of(rig), largest_force(rig)
     weight = plant.spring_stiffness * home + plant.moving_mass * plant.gravity
@@ -84,8 +84,8 @@ class Entry(NamedTuple):
     """One experiment of the catalogue.
 
     Attributes:
-        purpose: what it is good for, in a few words.
-        build: makes the spec's mapping, without ``rig``, from what a rig allows.
+        purpose: what it does, in a few words.
+        build: makes the spec's mapping, without ``rig``, from the ranges of a rig.
     """
 
     purpose: str
@@ -125,7 +125,7 @@ def _velocity_sweep(r: Reach) -> dict[str, Any]:
     fastest = max(min(0.4 * r.speed, r.stroke / 0.4), 4.0 * r.slow)
     velocities = tuple(float(v) for v in np.geomspace(r.slow, fastest, 5))
     values: dict[str, Any] = {"repeats": 1, "travel": 2.0 * r.stroke, "longest": 0.4, "rest": 0.1, "centre": r.home}
-    # Strokes of the highest velocity speed up and slow down in a quarter of their time each.
+    # Strokes at the highest velocity accelerate and decelerate for a quarter of their time each.
     p = velocity_sweep.Parameters(velocities=velocities, acceleration=10.0 * fastest, **values)
     reference = {"name": "velocity_sweep", "velocities": list(velocities), "acceleration": p.acceleration, **values}
     return _following_position(reference, math.ceil(10.0 * velocity_sweep.duration(p)) / 10.0, r)
@@ -181,7 +181,7 @@ def _loaded_motion(r: Reach) -> dict[str, Any]:
 
 
 def _pressure_staircase(r: Reach) -> dict[str, Any]:
-    # A move first, so that friction does not depend on what was before; then the load.
+    # A motion first, so that friction does not depend on the past; then the load.
     way = min(12.0 * r.yielding, 0.5 * r.stroke)
     reference, _ = _stepped([r.home, r.home + way, r.home], hold=0.2, rise=0.5)
     signal, duration = _stepped([0.0, *_staircase(r.load, 2)], hold=0.8, rise=0.2)
@@ -221,18 +221,18 @@ CATALOGUE: Mapping[str, Entry] = MappingProxyType(
         "force_chirp": Entry("force up to high frequency", _force_chirp),
     }
 )
-"""The experiments there are to choose from, by name."""
+"""The experiments by name."""
 
 
 def catalogue_spec(name: str, rig: Rig) -> dict[str, Any]:
-    """Return an experiment of the catalogue in the size that suits a rig.
+    """Return an experiment of the catalogue, scaled to a rig.
 
     Args:
         name: its name in :data:`CATALOGUE`.
-        rig: the rig it is to be run on.
+        rig: the rig it will run on.
 
     Returns:
-        The mapping of a spec file, but for ``rig``.
+        The mapping of a spec file, without ``rig``.
 
     Raises:
         BadInput: there is no such experiment.
@@ -245,7 +245,7 @@ def catalogue_spec(name: str, rig: Rig) -> dict[str, Any]:
 
 
 def _rounded(value: Any) -> Any:
-    """Return numbers as somebody would write them: with five digits."""
+    """Return numbers rounded to five digits."""
     if isinstance(value, float):
         return float(f"{value:.5g}") + 0.0  # no -0.0
     if isinstance(value, dict):

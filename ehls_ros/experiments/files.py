@@ -1,4 +1,4 @@
-"""Where the files that come with the package lie, in a checkout as in an installation."""
+"""Location of the files that come with the package, in a checkout and in an installation."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ def config_folder() -> Path:
     """Return the folder of the rig files and experiment specs that come with the package.
 
     Raises:
-        BadInput: the installation lacks it.
+        BadInput: the installation has none.
     """
     for parent in PACKAGE.parents:
         for folder in (parent / "config", parent / "share" / "ehls_ros" / "config"):

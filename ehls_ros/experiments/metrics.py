@@ -1,4 +1,4 @@
-"""What a run is judged by."""
+"""Figures of merit of a run."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -14,29 +14,35 @@ from ehls_ros.schema import parse
 from ehls_ros.trajectory import Trajectory, steady_error
 
 CONVERGENCE_BAND = 0.01
-"""Part of the largest reference the error must stay within to count as converged."""
+"""Band of a converged error, as a fraction of the largest reference."""
 
 LOST = 0.2
-"""Part of the largest reference from which on an error means that the reference is not followed."""
+"""Error, as a fraction of the largest reference, above which the reference is not followed."""
 
 MOSTLY = 0.5
-"""Part of the last half from which on a command is said to have been at its limit all the time."""
-
+"""Fraction of the last half above which saturation of the command is a warning."""
 
 IN_REAL_TIME = 0.99
-"""Part of the cycles due by the wall's clock that has to be answered for a run to have been in real time."""
+"""Fraction of the cycles due by wall clock that a real-time run must answer."""
 
 
 class Metrics(NamedTuple):
-    """Figures of one run; errors are taken over its last half, the steady part, and NaN where no force was to be followed.
+    """What ``metrics.json`` holds of one run; NaN is null there.
 
-    Cycles a second, those due and those answered, and whether that was real time, are told of a run by the wall's clock.
+    Errors are those of the last half, the steady part; NaN without a force reference.
 
     Attributes:
-        convergence_s: when the error entered its band for good, from the start; None where it did not do so in the first half.
-        convergence_band_n: half width of the band.
-        oscillation_n: half of the way between smallest and largest error.
-        warnings: sentences on what makes the run of little use.
+        max_error_n, rms_error_n: largest and rms force error [N].
+        convergence_s: time from the start until the error stays in its band [s]; None if it does not within the first half.
+        cycles, missed_cycles: control cycles, and those without an answer.
+        duration_s: plant time [s].
+        cycles_per_second_asked, cycles_per_second_reached: cycles due and answered by wall clock [1/s]; None in lockstep.
+        in_real_time: whether enough of them were answered; None in lockstep.
+        wall_s: wall time [s].
+        bag, report: paths of the recording and of the report.
+        convergence_band_n: half width of the band [N].
+        oscillation_n: half the distance between smallest and largest error [N].
+        warnings: one sentence per reason why the run is of little use.
     """
 
     max_error_n: float
@@ -55,26 +61,18 @@ class Metrics(NamedTuple):
     oscillation_n: float = math.nan
     warnings: tuple[str, ...] = ()
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the mapping that ``metrics.json`` holds; JSON has null for NaN."""
-        plain = {**self._asdict(), "warnings": list(self.warnings)}
-        unknown = {name for name, value in plain.items() if isinstance(value, float) and math.isnan(value)}
-        return {name: None if name in unknown else value for name, value in plain.items()}
-
 
 def evaluate(trajectory: Trajectory) -> Metrics:
-    """Judge a run.
+    """Evaluate a run.
 
-    The error has converged when it stays within :data:`CONVERGENCE_BAND` times the largest reference, at the latest
-    from the middle of the run on. The band is the same whatever the error does: an error that keeps swinging beyond
-    it never converges.
+    The error has converged when it stays within :data:`CONVERGENCE_BAND` times the largest reference, by the middle of the
+    run at the latest. The band does not depend on the error: one that keeps oscillating beyond it never converges.
 
     Args:
-        trajectory: must hold a sample; the rig's limits are those of its metadata.
+        trajectory: the run, at least one sample; the rig's limits are those of its metadata.
 
     Returns:
-        The metrics. Errors are NaN and ``convergence_s`` is None when the run has no cycle that holds both force
-        and force reference.
+        The metrics. Errors are NaN and ``convergence_s`` is None if no cycle has both force and force reference.
     """
     time = trajectory.time_s
     late = time >= time[0] + 0.5 * (time[-1] - time[0])
@@ -111,7 +109,7 @@ def evaluate(trajectory: Trajectory) -> Metrics:
 
 
 def _warnings(run: Trajectory, late: Any) -> Iterator[str]:
-    """Say what makes a run of little use: nothing is followed, the valve has no more to give, the rig's limits are left."""
+    """Say why a run is of little use: the reference is not followed, the valve saturates, the rig leaves its limits."""
     followed = (("force", "force_n", "force_reference_n", "N"), ("position", "position_m", "position_reference_m", "m"))
     for quantity, signal, reference, unit in followed:
         error = steady_error(run, signal, reference)
@@ -122,16 +120,16 @@ def _warnings(run: Trajectory, late: Any) -> Iterator[str]:
                 f"the reference {largest:.3g} {unit}"
             )
     if "saturated" in run and (share := float(np.mean(run["saturated"][late] > 0.5))) >= MOSTLY:
-        yield f"the valve command is at its limit for {100.0 * share:.0f} % of the last half: the rig has no more to give"
+        yield f"the valve command is at its limit for {100.0 * share:.0f} % of the last half: the rig can give no more"
     limits = _limits(run.metadata)
     for name in SHOWN if limits is not None else ():
         signal = LOADER_STATE.signals[name]
         if signal in run and limits is not None and (out := beyond(run[signal], limits, name, FLAGGED)) is not None:
-            yield f"the rig's limits are left: {out.what} (at {run.time_s[out.row]:.3g} s); a real rig would have been stopped"
+            yield f"the rig leaves its limits: {out.what} (at {run.time_s[out.row]:.3g} s); a real rig would have been stopped"
 
 
 def _limits(metadata: Mapping[str, Any]) -> Limits | None:
-    """Return the limits of the rig that a run says it is of, None where it says nothing usable."""
+    """Return the limits of the rig from a run's metadata; None where they are missing or unusable."""
     rig = metadata.get("rig")
     if not isinstance(rig, Mapping) or not isinstance(rig.get("limits"), Mapping):
         return None
@@ -142,7 +140,7 @@ def _limits(metadata: Mapping[str, Any]) -> Limits | None:
 
 
 def _pace(trajectory: Trajectory, missed: int) -> tuple[float | None, float | None, bool | None]:
-    """Return cycles a second asked for and answered, and whether that is real time; None of a run by no wall's clock."""
+    """Return cycles due and answered per second of wall clock, and whether that is real time; None for a run in lockstep."""
     wall = trajectory.metadata.get("wall_s")
     duration = float(trajectory.time_s[-1] - trajectory.time_s[0])
     if trajectory.metadata.get("timing") != "realtime" or not isinstance(wall, float) or not (wall > 0.0 < duration):

@@ -1,29 +1,26 @@
-"""The experiment that tells apart the causes a diagnosis left open.
+"""The experiment that separates the causes a diagnosis left open.
 
-Every experiment of :data:`~ehls_ros.experiments.catalogue.CATALOGUE` is simulated with each candidate's rig as the
-plant, under the same controller, which knows the nominal rig. What is compared is not these closed loops: feedback
-drives any two rigs apart in what it does not control and together in what it does, and a loop that sticks a moment
-longer makes a large difference of nothing. Compared is how well one candidate's model **explains the record** of
-another: it is run along that record with the same valve commands and the same disturbance, its position drawn to the
-recorded one with the time constant :data:`MEMORY`. Position is the one state that nothing holds, as valve and cylinder
-integrate; the others follow by the model's own forces. So it is a prediction over a window that moves along: an error
-of the force balance shows in the pressure, one of the flow in the position (as the way gone wrong within the memory),
-one of the valve in the spool.
+Every experiment of :data:`~ehls_ros.experiments.catalogue.CATALOGUE` is simulated with each candidate's rig as the plant,
+under the same controller, which is designed with the nominal rig. These closed loops are not compared with each other:
+feedback makes any two rigs differ in what it does not control and agree in what it does, and a moment of sticking changes all
+that follows. The comparison is how well one candidate's model **explains the record** of another. The model is simulated along
+the record with the same valve commands and disturbance, and its position is drawn to the recorded one with the time constant
+:data:`~ehls_ros.experiments.separation.MEMORY`: valve and cylinder integrate, so no force restores the position. This is a
+prediction over a moving window. An error of the force balance appears in the pressure, one of the flow in the position (as
+wrong travel within the memory), one of the valve in the spool.
 
-Means over :data:`BLOCK`, in which a millisecond earlier or later makes no difference, are divided by what sensors and the
-best model leave open: noise and resolution; :data:`MODEL_ERROR` of the signal's size; and what a valve's null that is
-off by :data:`NULL_ERROR` would do just then, which is much where the piston sticks and a trickle builds up pressure.
-The start is left out until friction has forgotten where it began, for nobody knows that of a real rig. From the rest,
-what the candidate could explain by another value of its own parameters is taken off (least squares, linear around the
-given values, which the data so far hold with a standard deviation), for all data will be fitted anew: the criterion of
-T-optimal design (Atkinson, Fedorov, Biometrika 62, 1975). What remains, root of the sum of squares, is the separation
-in sigma. Of a pair's two directions
-the smaller counts, as nobody knows which one is true, and of all pairs the smallest: an experiment is as good as the
-pair it tells apart worst. An experiment in which a candidate's loop leaves the rig's limits or does not follow its
-reference is not proposed.
+Means over blocks, in which a millisecond earlier or later makes no difference, are divided by the noise floor of sensors and
+model: noise and resolution; the error of the best model of a rig; and the effect of an unknown null of the valve, which is
+large where the piston sticks and a trickle builds up pressure. The start is excluded until friction no longer depends on its
+initial state, which is unknown on a real rig. From the difference, whatever the candidate could explain by other values of its
+own parameters is subtracted (least squares, linear around the given values, which the data so far hold with a standard
+deviation), since all data will be fitted together: the criterion of T-optimal design (Atkinson, Fedorov, Biometrika 62, 1975).
+The root of the sum of squares is the separation in sigma. The smaller of a pair's two directions counts, as the true one is
+unknown, and the smallest of all pairs ranks the experiment. An experiment is not proposed if a candidate's loop leaves the
+rig's limits or does not follow its reference.
 
-A cause that acts only through the displacement of a position servo (``coupling_stiffness``) is not excited: the loads
-of the catalogue are forces.
+A cause that acts only through the displacement of a position servo (``coupling_stiffness``) is not excited: the loads of the
+catalogue are forces.
 """
 
 import math
@@ -44,35 +41,29 @@ from ehls_ros.control.observers import gms
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import CATALOGUE, catalogue_spec, reach
 from ehls_ros.experiments.loop import sampled, simulator_of
+from ehls_ros.experiments.separation import (
+    BLOCK,
+    MEMORY,
+    MODEL_ERROR,
+    NULL_ERROR,
+    SETTLING,
+    Difference,
+    block_means,
+    scale_of,
+    start_of,
+    stepped_rigs,
+    unexplained,
+)
 from ehls_ros.experiments.spec import spec_from_mapping
 from ehls_ros.physics.composition import kernel_module, plant_source
-from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.rig import SENSED, EffectUse, Rig, rig_to_mapping
+from ehls_ros.physics.rig import SENSED, Rig, rig_to_mapping
 from ehls_ros.physics.sensors import FORCE, LOAD_PRESSURE, POSITION, SPOOL, VELOCITY
 
-MEMORY = 0.05
-"""Time within which a model's position is drawn to the recorded one [s]."""
-
-BLOCK = 0.025
-"""Time over which readings are averaged before they are compared [s]; a few periods of oil and mass."""
-
-SETTLING, WORN_IN = 0.5, 6.0
-"""What is left out at the start: a time [s], and until the piston has gone this many times the way friction yields in."""
-
-MODEL_ERROR = 1e-3
-"""Part of a signal's size by which the best model of a rig is wrong; the floor of perfect sensors."""
-
-NULL_ERROR = 2e-4
-"""Part of the spool's limit by which the valve's null is not known."""
-
 LEAST_SIGMA = 5.0
-"""Separation below which causes are said not to be told apart."""
-
-STEP = 0.05
-"""Part of a parameter's value, or of its way from neutral, by which it is moved to see what it can explain."""
+"""Separation below which an experiment is not proposed."""
 
 RECORDED = ("position", "load_pressure", "spool_position", "force")
-"""What is recorded where nothing is said; the names of a rig file's sensors."""
+"""Signals recorded by default; names of a rig file's sensors."""
 
 NAMES = {
     "position": (f"position {1e3 * MEMORY:.0f} ms ahead", "mm", 1e3),
@@ -83,7 +74,7 @@ NAMES = {
     "supply_pressure": ("supply pressure", "bar", 1e-5),
     "oil_temperature": ("oil temperature", "K", 1.0),
 }
-"""How a signal is called in a sentence, with a unit for it and its factor."""
+"""Name of a signal in a sentence, its unit there and the factor of the unit."""
 
 
 # --- running candidates ------------------------------------------------------------------------
@@ -133,14 +124,14 @@ def bench(
 
 
 class _Run(NamedTuple):
-    """Readings in the order of ``SENSED`` and the command, shape (n, 8); and the part of the time at the valve's limit."""
+    """Readings in the order of ``SENSED`` and the command, shape (n, 8); fraction of the time at the valve's limit."""
 
     record: Array
     saturated: float
 
 
 class _Experiment:
-    """One spec, ready to be run on any candidate's rig."""
+    """One experiment, ready to run on any candidate's rig."""
 
     def __init__(self, mapping: Mapping[str, Any], nominal: Rig) -> None:
         """Check the spec and sample what does not depend on the plant."""
@@ -158,7 +149,7 @@ class _Experiment:
         return self._run(rig, _LAWS[self.spec.controller.name][0], np.zeros((1, len(SENSED) + 1)))
 
     def along(self, rig: Rig, given: Array) -> Array:
-        """Run a rig's model along a record and return what its sensors would have read, shape (n, 8)."""
+        """Simulate a rig's model along a record and return its readings, shape (n, 8)."""
         return self._run(rig, _ALONG, given).record
 
     def _run(self, rig: Rig, source: int, given: Array) -> _Run:
@@ -216,10 +207,10 @@ def _bench(rig: Rig) -> Callable[..., int]:
 
 
 MOST_SATURATED = 0.05
-"""Part of the time the valve may be at its limit in an experiment that is proposed."""
+"""Largest fraction of the time at the valve's limit in a proposed experiment."""
 
 LOOSEST = 0.3
-"""Error, as a part of the reference's size, within which a loop that is proposed follows; rms."""
+"""Largest rms error of a proposed experiment's loop, as a fraction of the reference's magnitude."""
 
 
 def _unfit(run: _Run, experiment: _Experiment, rig: Rig) -> str:
@@ -254,12 +245,12 @@ def _unfit(run: _Run, experiment: _Experiment, rig: Rig) -> str:
 
 
 class Pair(NamedTuple):
-    """Two candidates and how far apart an experiment is expected to put them.
+    """Two candidates and their expected separation by an experiment.
 
     Attributes:
         one: a candidate's name.
         other: the other's.
-        sigma: expected separation: what of one's record the other cannot explain, in units of the noise floor.
+        sigma: expected separation: what one cannot explain of the other's record, in units of the noise floor.
     """
 
     one: str
@@ -272,11 +263,10 @@ class NextExperiment(NamedTuple):
 
     Attributes:
         name: its name in :data:`CATALOGUE`.
-        purpose: what it is, in a few words.
-        why: one sentence: which signal tells the two causes that are hardest to tell apart, when, and how large the
-            difference is.
+        purpose: what it does, in a few words.
+        why: one sentence on the pair that is hardest to separate: which signal differs, when, and by how much.
         separation: expected separation of each pair, the smallest first.
-        spec: what ``ehls experiment`` runs, once ``rig`` names a rig file.
+        spec: spec for ``ehls experiment``, without the rig file.
     """
 
     name: str
@@ -285,18 +275,14 @@ class NextExperiment(NamedTuple):
     separation: tuple[Pair, ...]
     spec: dict[str, Any]
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the mapping that ``diagnosis.json`` holds."""
-        return {**self._asdict(), "separation": [pair._asdict() for pair in self.separation]}
-
 
 class Considered(NamedTuple):
-    """One experiment of the catalogue as it was judged.
+    """One experiment of the catalogue and its rating.
 
     Attributes:
         name: its name.
-        sigma: separation of the pair it tells apart worst; an upper bound where ``note`` says so, None where it is unfit.
-        note: why it is unfit, or that the bound was already below another's separation; else empty.
+        sigma: separation of its worst pair; an upper bound where ``note`` says so, None where it is unsuitable.
+        note: why it is unsuitable, or that the bound was already below another's separation; else empty.
     """
 
     name: str
@@ -305,10 +291,10 @@ class Considered(NamedTuple):
 
 
 class Proposal(NamedTuple):
-    """What came of the search.
+    """Result of the search.
 
     Attributes:
-        experiment: the experiment to do next; None if none tells the candidates apart.
+        experiment: the experiment to do next; None if none separates the candidates.
         reason: why there is none; else empty.
         considered: every experiment of the catalogue, the best first.
     """
@@ -318,34 +304,15 @@ class Proposal(NamedTuple):
     considered: tuple[Considered, ...]
 
 
-class _Difference(NamedTuple):
-    """What of one candidate's record another cannot explain.
-
-    Attributes:
-        blocks: in units of the noise floor, shape (blocks, signals).
-        scale: the noise floor of each block and signal in its unit, shape (blocks, signals).
-        bent: how far its parameters were moved off the data so far, in their standard deviations.
-    """
-
-    blocks: Array
-    scale: Array
-    bent: float = 0.0
-
-    @property
-    def sigma(self) -> float:
-        """Separation."""
-        return math.hypot(float(np.linalg.norm(self.blocks)), self.bent)
-
-
-class _Judged(NamedTuple):
-    """An experiment that was run on all candidates, with each one's record and where its comparison starts."""
+class _Rated(NamedTuple):
+    """An experiment simulated on all candidates: each one's record, and the sample where its comparison starts."""
 
     name: str
     mapping: dict[str, Any]
     experiment: _Experiment
     records: dict[str, Array]
     starts: dict[str, int]
-    bounds: dict[tuple[str, str], _Difference]
+    bounds: dict[tuple[str, str], Difference]
 
 
 def next_experiment(
@@ -358,18 +325,18 @@ def next_experiment(
     duration_limit: float = 20.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Proposal:
-    """Propose the experiment that separates candidate causes best.
+    """Propose the experiment that best separates candidate causes.
 
     Args:
-        candidates: the extended rig of each cause that is still open, by its name.
-        nominal: what the controller knows; the first candidate's rig without effects where nothing is said.
-        signals: what will be recorded, names of :data:`~ehls_ros.physics.rig.SENSED`; the command always is.
-        noise: standard deviation of a reading by signal, in its unit; where a signal is left out, what the
-            candidates' rigs say of its noise and resolution.
-        parameter_std: how well the data so far tell the candidates' parameters: standard deviation as a part of the value,
-            or of its way from neutral where that is smaller.
-        duration_limit: longest experiment wanted [s].
-        progress: called with the experiments done and the experiments in all.
+        candidates: the extended rig of each open cause, by its name.
+        nominal: rig the controller is designed with; None: the first candidate's rig without effects.
+        signals: signals to be recorded, names of :data:`~ehls_ros.physics.rig.SENSED`; the command always is.
+        noise: standard deviation of a reading by signal, in its unit; missing signals take noise and resolution from the
+            candidates' rigs.
+        parameter_std: standard deviation of the candidates' parameters by the data so far, as a fraction of the value or of
+            its distance from neutral, whichever is smaller.
+        duration_limit: longest experiment allowed [s].
+        progress: called with the number of experiments done and the total number.
 
     Returns:
         The proposal, or the reason why there is none.
@@ -379,37 +346,37 @@ def next_experiment(
     """
     _check(signals, noise or {}, {"duration_limit": duration_limit, "parameter_std": parameter_std})
     if len(candidates) < 2:
-        return Proposal(None, f"{len(candidates)} candidate: there is nothing to tell apart", ())
+        return Proposal(None, f"{len(candidates)} candidate: there is nothing to separate", ())
     names = tuple(candidates)
     believed = candidates[names[0]]._replace(effects=()) if nominal is None else nominal
     columns = [SENSED.index(signal) for signal in dict.fromkeys(signals)]
-    judged: list[_Judged] = []
+    rated: list[_Rated] = []
     considered: list[Considered] = []
     for index, name in enumerate(CATALOGUE):
-        answer = _judge(name, candidates, believed, columns, noise or {}, duration_limit)
+        answer = _rate(name, candidates, believed, columns, noise or {}, duration_limit)
         if isinstance(answer, str):
             considered.append(Considered(name, None, answer))
         else:
-            judged.append(answer)
+            rated.append(answer)
         if progress is not None:
             progress(index + 1, len(CATALOGUE))
-    judged.sort(key=lambda entry: -min(d.sigma for d in entry.bounds.values()))
-    best: tuple[_Judged, dict[tuple[str, str], _Difference]] | None = None
+    rated.sort(key=lambda entry: -min(d.sigma for d in entry.bounds.values()))
+    best: tuple[_Rated, dict[tuple[str, str], Difference]] | None = None
     most = 0.0
-    for entry in judged:
+    for entry in rated:
         bound = min(d.sigma for d in entry.bounds.values())
-        # What parameters explain only takes away.
+        # Fitting the parameters only reduces the difference.
         if bound <= most:
-            considered.append(Considered(entry.name, bound, "at most this, before its parameters are fitted"))
+            considered.append(Considered(entry.name, bound, "upper bound, before its parameters are fitted"))
             continue
-        left = {pair: _unexplained(entry, pair, candidates, columns, parameter_std) for pair in entry.bounds}
+        left = {pair: _fitted(entry, pair, candidates, columns, parameter_std) for pair in entry.bounds}
         worst = min(d.sigma for d in left.values())
         considered.append(Considered(entry.name, worst))
         if best is None or worst > most:
             best, most = (entry, left), worst
     considered.sort(key=lambda c: -math.inf if c.sigma is None else c.sigma, reverse=True)
-    if best is None and judged:
-        return Proposal(None, "in no experiment of the catalogue do the candidates differ", tuple(considered))
+    if best is None and rated:
+        return Proposal(None, "the candidates do not differ in any experiment of the catalogue", tuple(considered))
     if best is None:
         first = considered[0]
         reason = f"no experiment of the catalogue can be done on this rig: of {first.name}, {first.note}"
@@ -438,15 +405,15 @@ def _check(signals: Sequence[str], noise: Mapping[str, float], positive: Mapping
             raise BadInput(f"{name} is {value:g}", "next experiment", "a number above 0")
 
 
-def _judge(
+def _rate(
     name: str,
     candidates: Mapping[str, Rig],
     nominal: Rig,
     columns: Sequence[int],
     noise: Mapping[str, float],
     duration_limit: float,
-) -> _Judged | str:
-    """Run an experiment on every candidate and every candidate along the others' records, or say why not."""
+) -> _Rated | str:
+    """Simulate an experiment on every candidate, and every candidate along the others' records; or say why not."""
     try:
         mapping = catalogue_spec(name, nominal)
         experiment = _Experiment(mapping, nominal)
@@ -463,9 +430,9 @@ def _judge(
             return f"with {candidate}, {unfit}"
         records[candidate] = run.record
     period = experiment.period
-    scale = _scale(records, candidates, columns, noise, period)
+    scale = scale_of(records, candidates, columns, noise, period)
     yielding = reach(nominal).yielding
-    starts = {candidate: _start(record, period, yielding) for candidate, record in records.items()}
+    starts = {candidate: start_of(record, period, yielding) for candidate, record in records.items()}
     bounds = {}
     for true, model in permutations(candidates, 2):
         given, start = records[true], starts[true]
@@ -474,99 +441,25 @@ def _judge(
         along, off = experiment.along(candidates[model], given), experiment.along(candidates[model], shifted)
         if not np.all(np.isfinite(along + off)):
             return f"the model of {model} does not stay finite along the record of {true}"
-        floor = np.hypot(scale, _blocks(off - along, columns, period, start))
-        bounds[true, model] = _Difference(_blocks(along - given, columns, period, start) / floor, floor)
-    return _Judged(name, mapping, experiment, records, starts, bounds)
+        floor = np.hypot(scale, block_means(off - along, columns, period, start))
+        bounds[true, model] = Difference(block_means(along - given, columns, period, start) / floor, floor)
+    return _Rated(name, mapping, experiment, records, starts, bounds)
 
 
-def _start(record: Array, period: float, yielding: float) -> int:
-    """Return the sample at which friction has forgotten where it began; the last where it never does."""
-    way = np.cumsum(np.abs(record[:, VELOCITY])) * period
-    return max(round(SETTLING / period), int(np.searchsorted(way, WORN_IN * yielding)))
-
-
-def _scale(
-    records: Mapping[str, Array],
-    candidates: Mapping[str, Rig],
-    columns: Sequence[int],
-    noise: Mapping[str, float],
-    period: float,
-) -> Array:
-    """Return what is left open of a block's mean of each signal, in its unit."""
-    scale = np.empty(len(columns))
-    for place, column in enumerate(columns):
-        signal = SENSED[column]
-        scatter = [noise[signal]] if signal in noise else []
-        for rig in candidates.values() if signal not in noise else ():
-            sensor = rig.sensors.get(signal)
-            if sensor is not None:
-                scatter.append(math.hypot(sensor.noise_std, sensor.resolution / math.sqrt(12.0)))
-        largest = max(_size(record, column, period) for record in records.values())
-        scale[place] = math.hypot(max(scatter, default=0.0), MODEL_ERROR * largest) or 1.0
-    return scale
-
-
-def _size(record: Array, column: int, period: float) -> float:
-    """Return the size of what a model has to predict of a signal: of the position, the way gone within the memory."""
-    if column != POSITION:
-        return float(np.max(np.abs(record[:, column])))
-    ahead = max(round(MEMORY / period), 1)
-    return float(np.max(np.abs(record[ahead:, column] - record[:-ahead, column]), initial=0.0))
-
-
-def _blocks(values: Array, columns: Sequence[int], period: float, start: int) -> Array:
-    """Return means over blocks from a sample on, shape (blocks, signals)."""
-    length = max(round(BLOCK / period), 1)
-    settled = values[start:, list(columns)]
-    count = len(settled) // length
-    means: Array = settled[: count * length].reshape(count, length, len(columns)).mean(axis=1)
-    return means
-
-
-def _unexplained(
-    entry: _Judged, pair: tuple[str, str], candidates: Mapping[str, Rig], columns: Sequence[int], parameter_std: float
-) -> _Difference:
-    """Take off what a candidate explains of another's record with its parameters fitted to this and the data so far."""
+def _fitted(
+    entry: _Rated, pair: tuple[str, str], candidates: Mapping[str, Rig], columns: Sequence[int], parameter_std: float
+) -> Difference:
+    """Subtract what a candidate explains of another's record with its parameters fitted to it and to the data so far."""
     true, model = pair
-    period, record, start = entry.experiment.period, entry.records[true], entry.starts[true]
-    base, scale, _ = entry.bounds[pair]
-    slopes = []
-    for rig in _moved(candidates, model):
-        along = entry.experiment.along(rig, record)
-        slope = _blocks(along - record, columns, period, start) / scale - base
-        if np.all(np.isfinite(slope)):
-            slopes.append(slope.ravel())
-    if not slopes:
-        return entry.bounds[pair]
-    directions = np.column_stack(slopes)
-    held = np.eye(len(slopes)) * STEP / parameter_std
-    wanted = np.concatenate([-base.ravel(), np.zeros(len(slopes))])
-    steps, *_ = np.linalg.lstsq(np.vstack([directions, held]), wanted)
-    left = base + (directions @ steps).reshape(base.shape)
-    return _Difference(left, scale, float(np.linalg.norm(held @ steps)))
+    record, base = entry.records[true], entry.bounds[pair]
+    stepped = [
+        block_means(entry.experiment.along(rig, record) - record, columns, entry.experiment.period, entry.starts[true])
+        for rig in stepped_rigs(candidates, model)
+    ]
+    return unexplained(base, [blocks / base.scale for blocks in stepped], parameter_std)
 
 
-def _moved(candidates: Mapping[str, Rig], name: str) -> list[Rig]:
-    """Return a candidate's rig with each parameter that its cause has set a little nearer to its neutral value."""
-    rig = candidates[name]
-    rigs = []
-    for index, use in enumerate(rig.effects):
-        if all(use in other.effects for other in candidates.values()):
-            continue
-        neutral = EFFECTS.load(use.name).Parameters()
-        for field, value in use.parameters._asdict().items():
-            way = getattr(neutral, field) - value
-            if way == 0.0:
-                continue
-            # A neutral value may stand for infinity, as the place of an end stop does.
-            size = min(abs(way), abs(value)) or abs(way)
-            nearer = use.parameters._replace(**{field: value + STEP * math.copysign(size, way)})
-            effects = (*rig.effects[:index], EffectUse(use.name, nearer), *rig.effects[index + 1 :])
-            rigs.append(rig._replace(effects=effects))
-    return rigs
-
-
-def _pairs(names: Sequence[str], left: Mapping[tuple[str, str], _Difference]) -> tuple[Pair, ...]:
+def _pairs(names: Sequence[str], left: Mapping[tuple[str, str], Difference]) -> tuple[Pair, ...]:
     pairs = [
         Pair(one, other, min(left[one, other].sigma, left[other, one].sigma))
         for index, one in enumerate(names)
@@ -575,8 +468,8 @@ def _pairs(names: Sequence[str], left: Mapping[tuple[str, str], _Difference]) ->
     return tuple(sorted(pairs, key=lambda pair: pair.sigma))
 
 
-def _why(entry: _Judged, left: Mapping[tuple[str, str], _Difference], columns: Sequence[int]) -> str:
-    """Name signal, moment and regime in which the pair that is told apart worst differs most."""
+def _why(entry: _Rated, left: Mapping[tuple[str, str], Difference], columns: Sequence[int]) -> str:
+    """Name signal, moment and motion in which the worst pair differs most."""
     (true, model), difference = min(left.items(), key=lambda item: item[1].sigma)
     block, place = np.unravel_index(int(np.argmax(np.abs(difference.blocks))), difference.blocks.shape)
     label, unit, factor = NAMES[SENSED[columns[int(place)]]]

@@ -12,15 +12,16 @@ from typing import NamedTuple
 import yaml
 
 from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.metrics import Metrics
 from ehls_ros.experiments.spec import Spec, spec_to_mapping
 from ehls_ros.recording.reason import reason
 
 HOLDS = ("spec.yaml", "bag", "metrics.json", "report.html", "logs")
-"""What a run folder may hold."""
+"""Files and folders of a run."""
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""The system's words for no room: on the disk, for this user, in one file."""
+"""Errors of a full disk, an exhausted quota and a file too large."""
 
 
 class RunFolder(NamedTuple):
@@ -34,8 +35,8 @@ class RunFolder(NamedTuple):
 
         Args:
             path: the folder; None makes a new one below ``runs/``.
-            name: what the run is called where ``path`` is None.
-            overwrite: replace a run the folder already holds. Nothing but a run is ever replaced.
+            name: name of the run if ``path`` is None.
+            overwrite: replace a run that the folder already holds. Only a run is ever replaced.
 
         Raises:
             BadInput: the folder cannot be written, or holds something that may not be replaced.
@@ -60,10 +61,10 @@ class RunFolder(NamedTuple):
 
     @contextmanager
     def filling(self) -> Iterator[None]:
-        """Say of what is written meanwhile why it could not be.
+        """Turn errors of writing into one line.
 
         Raises:
-            WorkFailed: the system refused something, such as more room on the disk.
+            WorkFailed: the system refused to write, for lack of space for example.
         """
         try:
             yield
@@ -83,12 +84,12 @@ class RunFolder(NamedTuple):
 
     @property
     def spec(self) -> Path:
-        """The spec with everything it names written out."""
+        """The spec with all files it names written out."""
         return self.path / "spec.yaml"
 
     @property
     def logs(self) -> Path:
-        """What the nodes printed, a file each."""
+        """Output of the nodes, one file each."""
         return self.path / "logs"
 
     def write_spec(self, spec: Spec) -> None:
@@ -98,4 +99,4 @@ class RunFolder(NamedTuple):
 
     def write_metrics(self, metrics: Metrics) -> None:
         """Keep the metrics."""
-        (self.path / "metrics.json").write_text(json.dumps(metrics.as_json(), indent=2) + "\n", encoding="utf-8")
+        (self.path / "metrics.json").write_text(json.dumps(json_document(metrics), indent=2) + "\n", encoding="utf-8")

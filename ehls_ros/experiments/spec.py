@@ -39,7 +39,7 @@ class DisturbanceUse(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """What a spec says in plain numbers and names."""
+    """Plain numbers and names of a spec."""
 
     title: Annotated[str, text("what the experiment is called in reports")] = "experiment"
     duration: Annotated[float, quantity("s", "plant time to run", above=0.0, maximum=1e6)] = 10.0
@@ -54,7 +54,7 @@ class Settings(NamedTuple):
 
 
 class Spec(NamedTuple):
-    """A whole experiment.
+    """A complete experiment.
 
     Attributes:
         rig: the rig as it is.
@@ -71,7 +71,7 @@ class Spec(NamedTuple):
 
     @property
     def cycles(self) -> int:
-        """Number of control cycles, the one at the end included."""
+        """Number of control cycles, the last one included."""
         return round(self.settings.duration / self.settings.control_period) + 1
 
     def loader_rig(self) -> Rig:
@@ -147,18 +147,18 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
 
 
 SAMPLES = 4096
-"""Times at which a signal is looked at before an experiment."""
+"""Number of times at which a signal is checked before an experiment."""
 
 
 def check_spec(spec: Spec, where: str) -> None:
-    """Look for what cannot be run to any use, though each of its numbers is allowed.
+    """Refuse numbers that are allowed one by one but make no sense together.
 
     Args:
         spec: the experiment.
         where: the file, for errors.
 
     Raises:
-        BadInput: the first thing that does not make sense.
+        BadInput: the first one that makes no sense.
     """
     settings, rig = spec.settings, spec.rig
     period = settings.control_period
@@ -175,7 +175,7 @@ def check_spec(spec: Spec, where: str) -> None:
     if abs(settings.initial_position - 0.5 * (low + high)) > FLAGGED * 0.5 * (high - low):
         expected = f"{low:g} to {high:g} m, limits.position of the rig"
         raise BadInput(f"initial_position is {settings.initial_position:g} m", where, expected)
-    # Spread evenly, and in step with no frequency.
+    # Spread evenly, and synchronous with no frequency.
     times = settings.duration * (0.5 * (math.sqrt(5.0) - 1.0) * np.arange(SAMPLES, dtype=np.float64) % 1.0)
     follows = CONTROLLERS.load(spec.controller.name).FOLLOWS
     disturbed = "position" if DISTURBANCES.load(spec.disturbance.name).REACTS else "force"
@@ -213,7 +213,7 @@ def _disturbance(data: Any, where: str, folder: Path) -> DisturbanceUse:
 
 
 def _sampled_once(use: Use, where: str) -> None:
-    """Let a signal complain now about parameters that only make sense together."""
+    """Check now the parameters of a signal that must fit together."""
     try:
         rows = REFERENCES.load(use.name).sample(np.zeros(1), use.parameters)
     except BadInput as error:
@@ -226,7 +226,7 @@ def read_points(path: Path) -> list[tuple[float, float]]:
     """Read a load spectrum: a CSV with the columns ``time_s`` and ``value``.
 
     Raises:
-        BadInput: a column is missing, a cell is no finite number, or time does not increase.
+        BadInput: a column is missing, a cell is not a finite number, or time does not increase.
     """
     text = read_text(path, limits.TEXT, "a CSV file", "reference file")
     try:

@@ -1,35 +1,18 @@
-"""The figures of a campaign's report: each function takes the table and gives a panel."""
+"""The figures of a campaign's report: each function takes the results and gives a panel."""
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ehls_ros.report.campaign_findings import ERROR, Column, Group, Results, correlations, numbers
+from ehls_ros.arrays import Array
+from ehls_ros.experiments.campaign.plan import Column
+from ehls_ros.experiments.campaign.results import CampaignResults
+from ehls_ros.report import plot
+from ehls_ros.report.campaign_findings import Group, correlations
 from ehls_ros.report.page import Panel
-from ehls_ros.report.plot import (
-    BLACK,
-    BLUE,
-    FONT,
-    GREEN,
-    GREY,
-    NEWTON,
-    ORANGE,
-    PURE_NUMBER,
-    PURPLE,
-    SKY,
-    VERMILION,
-    Axis,
-    Trace,
-    Unit,
-    decades,
-    dots,
-    line,
-    packed,
-    plane_layout,
-)
+from ehls_ros.report.plot import Axis, Trace, Unit
 
-COLORS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, BLACK, GREY)
+COLORS = (plot.BLUE, plot.VERMILION, plot.GREEN, plot.ORANGE, plot.PURPLE, plot.SKY, plot.BLACK, plot.GREY)
 PERCENT = Unit("%", 100.0)
 SYMBOLS = ("circle", "diamond", "square", "triangle-up")
 ROW_HEIGHT = 22
@@ -40,31 +23,33 @@ def _color(index: int) -> str:
     return COLORS[index % len(COLORS)]
 
 
-def _error_axis(errors: NDArray[np.float64]) -> Axis:
-    return Axis("largest error", NEWTON, decades(errors), logarithmic=True)
+def _error_axis(errors: Array) -> Axis:
+    return Axis("largest error", plot.NEWTON, plot.decades(errors), logarithmic=True)
 
 
-def _value_axis(column: Column, values: NDArray[np.float64]) -> Axis:
-    """Show a parameter over decades where it was varied over more than one."""
-    unit = Unit(column.unit or PURE_NUMBER.symbol)
+def _value_axis(column: Column, values: Array) -> Axis:
+    """Return the axis of a parameter, logarithmic where it varies over about a decade or more."""
+    unit = Unit(column.unit or plot.PURE_NUMBER.symbol)
     known = values[np.isfinite(values)]
     if known.size and known.min() > 0 and known.max() > 8 * known.min():
-        return Axis(column.path, unit, decades(known), logarithmic=True)
+        return Axis(column.path, unit, plot.decades(known), logarithmic=True)
     return Axis(column.path, unit)
 
 
-def distribution(results: Results, groups: Sequence[Group]) -> Panel:
-    """Draw the share of runs whose largest error is at most so large, a line a group."""
-    errors = numbers(results, ERROR)
+def distribution(results: CampaignResults, groups: Sequence[Group]) -> Panel:
+    """Draw the cumulative distribution of the largest error, one line per group."""
+    errors = results.max_error_n
     traces: list[Trace] = []
     for index, group in enumerate(groups):
         known = np.sort(errors[group.rows][np.isfinite(errors[group.rows])])
-        # A run without an error counts among all of them: the line then ends below 100 %.
+        # Runs without an error count as well: the line then ends below 100 %.
         share = np.arange(1, known.size + 1) / group.rows.size
         if known.size:
-            traces.append(line(known, share, group.name, PERCENT, _color(index), width=2.0) | {"line": _steps(_color(index))})
-    layout = plane_layout(_error_axis(errors), Axis("share of runs", PERCENT, (0.0, 101.0)))
-    note = "How many of the runs have no larger error."
+            traces.append(
+                plot.line(known, share, group.name, PERCENT, _color(index), width=2.0) | {"line": _steps(_color(index))}
+            )
+    layout = plot.plane_layout(_error_axis(errors), Axis("fraction of runs", PERCENT, (0.0, 101.0)))
+    note = "Fraction of the runs with no larger error."
     return Panel("Distribution of the largest error", traces, _listed(layout, len(traces)), note, 360, over_time=False)
 
 
@@ -73,47 +58,47 @@ def _steps(color: str) -> dict[str, object]:
 
 
 def _listed(layout: dict[str, object], entries: int) -> dict[str, object]:
-    """Give a legend of long names a line each, above the figure."""
+    """Place a legend of long names above the figure, one line each."""
     margin = {"l": 78, "r": 18, "t": 26 + 19 * max(entries - 1, 0), "b": 44}
     return layout | {"legend": {"x": 0, "xanchor": "left", "y": 1.0, "yanchor": "bottom"}, "margin": margin}
 
 
-def influence(results: Results, columns: Sequence[Column], groups: Sequence[Group]) -> Panel:
-    """Draw the rank correlation of the largest error with each number drawn, a mark a group."""
+def influence(results: CampaignResults, columns: Sequence[Column], groups: Sequence[Group]) -> Panel:
+    """Draw the rank correlation of the largest error with each drawn parameter, one mark per group."""
     found = [correlations(results, columns, group) for group in groups]
     strength = np.nan_to_num(np.max(np.abs(np.nan_to_num(found)), axis=0))
     order = np.argsort(strength)
     at = np.arange(1.0, len(columns) + 1.0)
     traces = [
-        dots(found[index][order], at, group.name, PURE_NUMBER, _color(index), symbol=SYMBOLS[index % len(SYMBOLS)])
+        plot.dots(found[index][order], at, group.name, plot.PURE_NUMBER, _color(index), symbol=SYMBOLS[index % len(SYMBOLS)])
         | {"hovertemplate": "%{x:.2f}"}
         for index, group in enumerate(groups)
     ]
     names = tuple(columns[i].path for i in order)
-    layout = plane_layout(
-        Axis("rank correlation with the largest error", PURE_NUMBER, (-1.05, 1.05)),
-        Axis("parameter", PURE_NUMBER, (0.3, len(columns) + 0.7), names=names),
+    layout = plot.plane_layout(
+        Axis("rank correlation with the largest error", plot.PURE_NUMBER, (-1.05, 1.05)),
+        Axis("parameter", plot.PURE_NUMBER, (0.3, len(columns) + 0.7), names=names),
     )
     height = 150 + ROW_HEIGHT * len(columns) + 19 * len(groups)
-    note = "+1: the larger the parameter, the larger the error; 0: no matter."
-    title = "What the error goes with"
+    note = "+1: the error grows with the parameter; 0: no relation."
+    title = "Correlation with the largest error"
     return Panel(title, traces, _listed(layout, len(groups)), note, height, over_time=False)
 
 
-def scatter(results: Results, column: Column, groups: Sequence[Group]) -> Panel:
-    """Draw the largest error of every run against a number drawn."""
-    errors, values = numbers(results, ERROR), numbers(results, column.path)
+def scatter(results: CampaignResults, column: Column, groups: Sequence[Group]) -> Panel:
+    """Draw the largest error of every run against a drawn parameter."""
+    errors, values = results.max_error_n, results.numbers[column.path]
     traces = [
-        dots(values[group.rows], errors[group.rows], group.name, NEWTON, _color(index), size=3)
+        plot.dots(values[group.rows], errors[group.rows], group.name, plot.NEWTON, _color(index), size=3)
         for index, group in enumerate(groups)
     ]
-    layout = plane_layout(_value_axis(column, values), _error_axis(errors))
+    layout = plot.plane_layout(_value_axis(column, values), _error_axis(errors))
     return Panel(column.path, traces, _listed(layout, len(groups)), height=340 + 19 * len(groups), over_time=False)
 
 
-def sweep(results: Results, column: Column, groups: Sequence[Group]) -> Panel:
-    """Draw the median of the largest error against a swept number, with the smallest and the largest there."""
-    errors, values = numbers(results, ERROR), numbers(results, column.path)
+def sweep(results: CampaignResults, column: Column, groups: Sequence[Group]) -> Panel:
+    """Draw the median of the largest error against a swept parameter, with the smallest and the largest."""
+    errors, values = results.max_error_n, results.numbers[column.path]
     traces: list[Trace] = []
     for index, group in enumerate(groups):
         error, value = errors[group.rows], values[group.rows]
@@ -121,18 +106,18 @@ def sweep(results: Results, column: Column, groups: Sequence[Group]) -> Panel:
         known = [error[(value == one) & np.isfinite(error)] for one in at]
         for take, dash, width in ((np.median, "solid", 2.0), (np.min, "dot", 1.0), (np.max, "dot", 1.0)):
             levels = np.array([take(one) if one.size else np.nan for one in known])
-            trace = line(at, levels, group.name, NEWTON, _color(index), width=width, dash=dash)
+            trace = plot.line(at, levels, group.name, plot.NEWTON, _color(index), width=width, dash=dash)
             hidden = {} if dash == "solid" else {"showlegend": False, "hoverinfo": "skip", "hovertemplate": None}
             traces.append(trace | hidden)
-    layout = plane_layout(_value_axis(column, values), _error_axis(errors))
-    note = "Median over everything else that is varied; dotted: smallest and largest."
+    layout = plot.plane_layout(_value_axis(column, values), _error_axis(errors))
+    note = "Median over all other varied values; dotted: smallest and largest."
     return Panel(column.path, traces, _listed(layout, len(groups)), note, 320 + 19 * len(groups), over_time=False)
 
 
-def heat_map(results: Results, across: Column, up: Column, group: Group) -> Panel:
-    """Draw the median of the largest error over two swept numbers."""
-    errors = numbers(results, ERROR)[group.rows]
-    x, y = (numbers(results, column.path)[group.rows] for column in (across, up))
+def heat_map(results: CampaignResults, across: Column, up: Column, group: Group) -> Panel:
+    """Draw the median of the largest error over two swept parameters."""
+    errors = results.max_error_n[group.rows]
+    x, y = (results.numbers[column.path][group.rows] for column in (across, up))
     columns, rows = np.unique(x), np.unique(y)
     median = np.full((rows.size, columns.size), np.nan)
     for i, row in enumerate(rows):
@@ -142,23 +127,23 @@ def heat_map(results: Results, across: Column, up: Column, group: Group) -> Pane
                 median[i, j] = np.median(here)
     with np.errstate(divide="ignore"):
         shade = np.log10(median)
-    low, high = decades(median.ravel())
+    low, high = plot.decades(median.ravel())
     marks = [step * 10.0**decade for decade in range(int(np.floor(np.log10(low))), 12) for step in (1, 2, 5)]
     marks = [mark for mark in marks if low <= mark <= high]
-    bar = {"title": {"text": f"largest error [{NEWTON.symbol}]", "side": "right"}, "thickness": 14}
+    bar = {"title": {"text": f"largest error [{plot.NEWTON.symbol}]", "side": "right"}, "thickness": 14}
     trace: Trace = {
         "type": "heatmap",
-        "x": packed(columns),
-        "y": packed(rows),
-        "z": packed(shade),
-        "customdata": packed(median),
+        "x": plot.packed(columns),
+        "y": plot.packed(rows),
+        "z": plot.packed(shade),
+        "customdata": plot.packed(median),
         "colorscale": "Viridis",
         "colorbar": bar | {"tickvals": np.log10(marks).tolist(), "ticktext": [f"{mark:g}" for mark in marks]},
         "name": group.name,
-        "hovertemplate": f"%{{x:.4~g}}, %{{y:.4~g}}: %{{customdata:,.4~g}} {NEWTON.symbol}<extra></extra>",
+        "hovertemplate": f"%{{x:.4~g}}, %{{y:.4~g}}: %{{customdata:,.4~g}} {plot.NEWTON.symbol}<extra></extra>",
     }
-    layout = plane_layout(_value_axis(across, x), _value_axis(up, y)) | {
+    layout = plot.plane_layout(_value_axis(across, x), _value_axis(up, y)) | {
         "showlegend": False,
-        "font": {"family": FONT, "size": 12},
+        "font": {"family": plot.FONT, "size": 12},
     }
     return Panel(f"{across.path} and {up.path}", [trace], layout, f"Median; {group.name}.", 380, over_time=False)

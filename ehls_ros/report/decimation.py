@@ -1,26 +1,26 @@
-"""Fewer samples for the same picture."""
+"""Reduction of a series to the samples that a figure can show."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 BUCKETS = 4000
-"""Parts a long series is cut into: about three a pixel, so that there is something left to zoom into."""
+"""Number of intervals a long series is reduced to: about three per pixel, which leaves detail to zoom into."""
 
 
 def kept_samples(values: NDArray[np.float64], buckets: int = BUCKETS) -> NDArray[np.intp]:
     """Choose the samples that draw the same line as all of them.
 
-    A series of up to three samples a bucket is kept whole. Of a longer one the lowest and the highest
-    sample of every bucket stay, so that no peak is lost, and a missing sample wherever half a bucket or
-    more is missing, so that gaps stay gaps. Shorter gaps are bridged: breaking the line at every single
-    missed cycle would leave little of it. Samples inside a run of equal values draw nothing and go.
+    A series of up to three samples per bucket is kept complete. Of a longer one, the lowest and the highest sample of every
+    bucket are kept, so that no peak is lost, and one missing sample wherever half a bucket or more is missing, so that gaps
+    remain. Shorter gaps are bridged: a break at every missed cycle would leave little of the line. Samples within a run of
+    equal values are dropped.
 
     Args:
         values: one signal, shape (n,), with NaN where a sample is missing.
-        buckets: number of parts of equal length.
+        buckets: number of intervals of equal length.
 
     Returns:
-        Indices to keep, increasing, at most three a bucket.
+        Indices to keep, increasing, at most three per bucket.
     """
     count = len(values)
     kept = np.arange(count) if count <= 3 * buckets else _extremes(values, -(-count // buckets))
@@ -46,14 +46,14 @@ def _extremes(values: NDArray[np.float64], size: int) -> NDArray[np.intp]:
 
 
 def part_means(values: NDArray[np.float64], parts: int) -> NDArray[np.float64]:
-    """Average over consecutive parts of equal length.
+    """Average over consecutive intervals of equal length.
 
     Args:
-        values: shape (n,); the mean of a part with NaN is NaN.
-        parts: number of parts, at most n.
+        values: shape (n,); the mean of an interval with NaN is NaN.
+        parts: number of intervals, at most n.
 
     Returns:
-        The mean of each part, shape (parts,).
+        The mean of each interval, shape (parts,).
     """
     starts = np.arange(parts) * len(values) // parts
     means: NDArray[np.float64] = np.add.reduceat(values, starts) / np.diff(starts, append=len(values))

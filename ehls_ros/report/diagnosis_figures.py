@@ -1,17 +1,17 @@
-"""The figures of the diagnosis report: each function takes what was found and gives a panel."""
+"""The figures of the diagnosis report: each function takes a diagnosis and gives a panel."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import welch
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.free_run import FreeRun
-from ehls_ros.diagnosis.result import Cause, ChannelTrace, Diagnosis
-from ehls_ros.diagnosis.stages import CHANNELS, Channel
+from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis
+from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.report.diagnosis_findings import CHANNEL_NAMES, CHANNEL_SHORT, STAGE_NAMES, compares
 from ehls_ros.report.diagnosis_units import Shown, shown_signal, unit_for
+from ehls_ros.report.diagnosis_views import BINS, LEAST_IN_BIN, View, classes, members, signals_of
 from ehls_ros.report.page import LeftOut, Panel, number
 from ehls_ros.report.plot import (
     BLACK,
@@ -31,16 +31,7 @@ from ehls_ros.report.plot import (
 )
 
 POINTS = 2000
-"""Most dots of one residual in the main picture."""
-
-BINS, LEAST_IN_BIN = 40, 12
-"""Classes of a signal over which means are drawn, and the windows each has at least."""
-
-TIMES = 8
-"""Classes of the time by which it is told whether a residual drifts."""
-
-NEAR = 0.05
-"""Part of a residual's power by which a signal may explain less than another and be shown for it."""
+"""Largest number of dots of one residual in the main picture."""
 
 SMALL_BINS = 24
 """Classes in the small pictures."""
@@ -49,33 +40,10 @@ ROW_HEIGHT, MOST_COLUMNS = 190, 4
 """Size of the small pictures."""
 
 LINES = 600
-"""Parts a line of a free run is cut into."""
+"""Number of intervals a line of a free run is reduced to."""
 
-BEFORE, AFTER, FLOOR = "as the model was given", "extended model, held-out data", "noise, ± 2 standard deviations"
+BEFORE, AFTER, FLOOR = "given model", "extended model, held-out data", "noise, ± 2 standard deviations"
 _SPREAD = 2.0
-
-NATURAL: Mapping[str, tuple[str, ...]] = {
-    "valve": ("spool_m", "valve_command_m"),
-    "flow": ("load_pressure_pa", "load_pressure_rate_pa_s", "spool_m"),
-    "friction": ("velocity_m_s",),
-    "mechanics": ("position_m", "acceleration_m_s2"),
-    "sensors": ("load_pressure_pa", "position_m", "velocity_m_s"),
-    "environment": ("time_s",),
-}
-"""Signals that effects of a group act by; the first ones are shown where others explain no more."""
-
-SHOWN_IN: Mapping[str, tuple[Channel, ...]] = {
-    "valve": ("spool", "volume"),
-    "flow": ("volume", "supply"),
-    "friction": ("force",),
-    "mechanics": ("force",),
-    "sensors": ("cell", "velocity", "force", "volume"),
-    "environment": ("force",),
-}
-"""Residuals that effects of a group can show in."""
-
-MENDED = 0.9
-"""Part of a residual's power left, below which the extension has changed it enough to be shown."""
 
 SMALL: tuple[tuple[str, ...], ...] = (
     ("time_s",),
@@ -87,122 +55,8 @@ SMALL: tuple[tuple[str, ...], ...] = (
 )
 """Signals of the small pictures; of each group the first that was recorded."""
 
-
 LAST: Mapping[str, str] = {"volume": "load_pressure_rate_pa_s", "supply": "load_pressure_rate_pa_s"}
-"""A further signal of a channel's small pictures, where it is not the acceleration."""
-
-
-class View(NamedTuple):
-    """A channel's residual against the signal that explains it.
-
-    Attributes:
-        channel: of the residual.
-        signal: on the horizontal axis.
-        along: the residual is counted along the motion: times the sign of the velocity.
-        explained: part of the residual's power that its means over the signal make.
-    """
-
-    channel: Channel
-    signal: str
-    along: bool
-    explained: float
-
-
-# --- which picture -----------------------------------------------------------------------------
-
-
-def view_of_cause(found: Diagnosis, cause: Cause) -> View | None:
-    """Return the picture that shows a cause best; None without traces."""
-    own = [c for c in SHOWN_IN.get(cause.group, ()) if c in found.traces and _mended(found.traces[c])]
-    channels = own or list(found.traces)
-    if not channels:
-        return None
-    return _best_view(found, max(channels, key=lambda c: _gained(found.traces[c])), cause.group, after=False)
-
-
-def view_of_rest(found: Diagnosis) -> View | None:
-    """Return the picture of what no effect explains; None without one."""
-    channels = [c for c in found.traces if CHANNELS[c] == found.unknown_stage]
-    if not channels:
-        return None
-    channel = max(channels, key=lambda c: _power(found.traces[c].after / _safe(found.traces[c].floor)))
-    return _best_view(found, channel, "", after=True, first=found.depends_on[:1])
-
-
-def _gained(trace: ChannelTrace) -> float:
-    floor = _safe(trace.floor)
-    return _power(trace.before / floor) - _power(trace.after / floor)
-
-
-def _mended(trace: ChannelTrace) -> bool:
-    return _power(trace.after) < MENDED * _power(trace.before)
-
-
-def _power(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.mean(known**2)) if known.size else 0.0
-
-
-def _safe(floor: Array) -> Array:
-    return np.maximum(floor, 1e-300)
-
-
-def _best_view(found: Diagnosis, channel: Channel, group: str, *, after: bool, first: Sequence[str] = ()) -> View:
-    trace = found.traces[channel]
-    residual = trace.after if after else trace.before
-    views = [
-        # Whatever changes slowly seems to follow the time, if that is cut finely enough.
-        View(channel, signal, False, explained(values, residual, TIMES if signal == "time_s" else BINS))
-        for signal, values in _signals(trace).items()
-    ]
-    velocity = trace.against.get("velocity_m_s")
-    if channel == "force" and velocity is not None:
-        # What brakes has the sign of the motion; against anything else it would cancel.
-        turned = residual * np.sign(velocity)
-        views += [
-            View(channel, signal, True, explained(values, turned))
-            for signal, values in _signals(trace).items()
-            if signal not in ("velocity_m_s", "acceleration_m_s2", "time_s")
-        ]
-    pointed = [view for view in views if view.signal in first]
-    if pointed:
-        return max(pointed, key=lambda view: view.explained)
-    most = max(view.explained for view in views)
-    order = {signal: place for place, signal in enumerate(NATURAL.get(group, ()))}
-    good = [view for view in views if view.explained >= most - NEAR]
-    return min(good, key=lambda view: (order.get(view.signal, len(order)), view.along, -view.explained))
-
-
-def _signals(trace: ChannelTrace) -> dict[str, Array]:
-    found = {"time_s": trace.time, **trace.against}
-    return {name: values for name, values in found.items() if float(np.ptp(values)) > 0.0} or {"time_s": trace.time}
-
-
-def explained(values: Array, residual: Array, bins: int = BINS) -> float:
-    """Return the part of a residual's power that its means over classes of a signal make."""
-    means, _, counts = _classes(values, residual, bins)
-    total = float(np.sum(residual**2))
-    return float(np.sum(counts * means**2)) / total if total > 0.0 else 0.0
-
-
-def _edges(values: Array, bins: int) -> Array:
-    number_of = int(np.clip(len(values) // LEAST_IN_BIN, 1, bins))
-    return np.unique(np.quantile(values, np.linspace(0.0, 1.0, number_of + 1)))
-
-
-def _which(values: Array, edges: Array) -> Array:
-    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(len(edges) - 2, 0))
-
-
-def _classes(values: Array, residual: Array, bins: int) -> tuple[Array, Array, Array]:
-    """Return mean of a residual, mean of the signal and windows of each class of the signal."""
-    edges = _edges(values, bins)
-    index = _which(values, edges)
-    counts = np.bincount(index, minlength=max(len(edges) - 1, 1)).astype(np.float64)
-    kept = counts > 0
-    means = np.bincount(index, residual, len(counts))[kept] / counts[kept]
-    middles = np.bincount(index, values, len(counts))[kept] / counts[kept]
-    return means, middles, counts[kept]
+"""Last signal of a channel's small pictures; the acceleration for all others."""
 
 
 # --- the main picture --------------------------------------------------------------------------
@@ -211,7 +65,7 @@ def _classes(values: Array, residual: Array, bins: int) -> tuple[Array, Array, A
 def residual_against(found: Diagnosis, view: View, title: str) -> Panel:
     """Draw a residual before and after against a signal, with class means and the band of noise."""
     trace = found.traces[view.channel]
-    x = shown_signal(view.signal, _signals(trace)[view.signal])
+    x = shown_signal(view.signal, signals_of(trace)[view.signal])
     sign = np.sign(trace.against["velocity_m_s"]) if view.along else np.ones(len(trace.time))
     unit = unit_for(trace.unit, float(np.quantile(np.abs(trace.before), 0.98)))
     same = np.array_equal(trace.before, trace.after)
@@ -221,15 +75,15 @@ def residual_against(found: Diagnosis, view: View, title: str) -> Panel:
     for residual, name, color in residuals:
         traces.append(_cloud(x.values[kept], (residual * sign)[kept] * unit.factor, name, unit, color))
     for residual, name, color in residuals:
-        means, middles, _ = _classes(x.values, residual * sign * unit.factor, BINS)
+        means, middles, _ = classes(x.values, residual * sign * unit.factor, BINS)
         traces.append(_curve(middles, means, f"mean, {name}", unit, color) | {"showlegend": False})
-    quantity = f"{CHANNEL_SHORT[view.channel]}: left over{' along the motion' if view.along else ''}"
+    quantity = f"{CHANNEL_SHORT[view.channel]}: residual{' along the motion' if view.along else ''}"
     layout = plane_layout(
         Axis(x.quantity, x.unit, _whole(x.values)), Axis(quantity, unit, _span([r * sign * unit.factor for r, *_ in residuals]))
     )
-    note = f"The {x.quantity} explains {number(100.0 * view.explained, 2)} % of what the model as given leaves over."
+    note = f"The {x.quantity} explains {number(100.0 * view.explained, 2)} % of the given model's residual."
     if found.verdict == "unknown":
-        note = f"The {x.quantity} alone explains {number(100.0 * view.explained, 2)} % of what is left."
+        note = f"The {x.quantity} alone explains {number(100.0 * view.explained, 2)} % of the residual."
     note += " Lines: means over classes."
     if len(trace.time) > POINTS:
         note += f" Dots: one window in {-(-len(trace.time) // POINTS)}."
@@ -255,7 +109,7 @@ def _span(residuals: Sequence[Array], part: float = 0.002) -> tuple[float, float
 
 
 def _band(x: Shown, floor: Array, unit: Unit) -> list[Trace]:
-    squares, middles, _ = _classes(x.values, floor**2, SMALL_BINS)
+    squares, middles, _ = classes(x.values, floor**2, SMALL_BINS)
     half = _SPREAD * np.sqrt(squares) * unit.factor
     at = np.concatenate([middles, middles[::-1]])
     return [
@@ -301,20 +155,20 @@ def _dark(color: str) -> str:
     return {VERMILION: "#8a3c00", BLUE: "#003e63"}.get(color, color)
 
 
-# --- the gain ----------------------------------------------------------------------------------
+# --- the stages ----------------------------------------------------------------------------------
 
 
 def stage_bars(found: Diagnosis) -> Panel | LeftOut:
-    """Draw what each stage leaves over before and after beside what noise makes."""
-    title = "What each part of the model leaves over"
-    judged = [(stage, result) for stage, result in found.stages.items() if result.judged]
-    if not judged:
-        return LeftOut(title, "no part of the model could be judged")
-    names = [STAGE_NAMES[stage].replace("agreement of the ", "") for stage, _ in judged]
+    """Draw the residual of each stage with both models, beside the noise floor."""
+    title = "Residual of each stage"
+    evaluated = [(stage, result) for stage, result in found.stages.items() if result.judged]
+    if not evaluated:
+        return LeftOut(title, "no stage could be evaluated")
+    names = [STAGE_NAMES[stage] for stage, _ in evaluated]
     columns: list[tuple[str, str, list[float | None]]] = [
-        (BEFORE, VERMILION, [result.nrmse_before for _, result in judged]),
-        *([(AFTER, BLUE, [r.nrmse_after for _, r in judged])] if compares(found) else []),
-        ("noise alone", GREEN, [result.noise_floor for _, result in judged]),
+        (BEFORE, VERMILION, [result.nrmse_before for _, result in evaluated]),
+        *([(AFTER, BLUE, [r.nrmse_after for _, r in evaluated])] if compares(found) else []),
+        ("noise floor", GREEN, [result.noise_floor for _, result in evaluated]),
     ]
     largest = max((value for *_, values in columns for value in values if value is not None), default=0.0)
     traces: list[Trace] = [
@@ -332,34 +186,34 @@ def stage_bars(found: Diagnosis) -> Panel | LeftOut:
         for name, color, values in columns
     ]
     layout = plane_layout(
-        Axis("part of the model", PURE_NUMBER, (0.4, len(names) + 0.6), names=tuple(names)),
-        Axis("left over, rms", Unit("% of the largest term"), (0.0, 115.0 * largest or 1.0)),
+        Axis("stage of the model", PURE_NUMBER, (0.4, len(names) + 0.6), names=tuple(names)),
+        Axis("residual, rms", Unit("% of the largest term"), (0.0, 115.0 * largest or 1.0)),
     )
     layout |= {"barmode": "group", "bargap": 0.3, "uniformtext": {"minsize": 10, "mode": "show"}}
     return Panel(title, traces, layout, height=340, over_time=False)
 
 
-# --- small multiples ---------------------------------------------------------------------------
+# --- small pictures ---------------------------------------------------------------------------
 
 
 def residuals_of(found: Diagnosis, channel: Channel) -> Panel | LeftOut:
-    """Draw a channel's residual against everything, and its spectrum."""
+    """Draw a channel's residual against every signal, and its spectrum."""
     trace = found.traces[channel]
     title = CHANNEL_NAMES[channel][0].upper() + CHANNEL_NAMES[channel][1:]
     if len(trace.time) < LEAST_IN_BIN:
-        return LeftOut(title, f"only {len(trace.time)} windows could be used")
+        return LeftOut(title, f"only {len(trace.time)} windows are usable")
     if not (np.any(trace.before) or np.any(trace.after)):
-        return LeftOut(title, "it closes exactly, without any noise")
+        return LeftOut(title, "it closes exactly and has no noise")
     unit = unit_for(trace.unit, float(np.quantile(np.abs(trace.before), 0.98)))
     same = np.array_equal(trace.before, trace.after)
     residuals = [(trace.before, BEFORE, VERMILION)] + ([] if same else [(trace.after, AFTER, BLUE)])
-    signals = _signals(trace)
+    signals = signals_of(trace)
     shown = [next((name for name in group if name in signals), None) for group in SMALL]
     last = LAST.get(channel, "acceleration_m_s2")
     against = [name for name in (*shown, last) if name is not None and name in signals]
     rows = -(-(len(against) + 1) // MOST_COLUMNS)
     columns = -(-(len(against) + 1) // rows)
-    y = Axis("left over", unit, _small_span(trace, [r for r, *_ in residuals], unit))
+    y = Axis("residual", unit, _small_span(trace, [r for r, *_ in residuals], unit))
     traces: list[Trace] = []
     layout: Layout = {}
     for place, signal in enumerate(against):
@@ -385,10 +239,7 @@ def _small(
 ) -> list[Trace]:
     axes = {"xaxis": f"x{number_of}" if number_of > 1 else "x", "yaxis": f"y{number_of}" if number_of > 1 else "y"}
     out: list[Trace] = []
-    edges = _edges(x.values, SMALL_BINS)
-    index = _which(x.values, edges)
-    groups = [np.flatnonzero(index == i) for i in range(max(len(edges) - 1, 1))]
-    groups = [group for group in groups if group.size]
+    groups = members(x.values, SMALL_BINS)
     middles = np.array([float(np.mean(x.values[group])) for group in groups])
     noise = np.array([_SPREAD * float(np.sqrt(np.mean(trace.floor[group] ** 2))) for group in groups]) * unit.factor
     for residual, name, color in residuals:
@@ -440,7 +291,7 @@ def _spectra(
 
 
 def spectrum(time: Array, residual: Array) -> tuple[Array, Array]:
-    """Return frequencies [Hz] and amplitude density of a residual; windows that were left out count as zero."""
+    """Return frequencies [Hz] and amplitude density of a residual; missing windows count as zero."""
     period = float(np.median(np.diff(time)))
     index = np.round((time - time[0]) / period).astype(np.int64)
     index = np.minimum(index, 4 * len(time))
@@ -452,7 +303,7 @@ def spectrum(time: Array, residual: Array) -> tuple[Array, Array]:
 
 
 def _place(layout: Layout, place: int, grid: tuple[int, int], x: Axis, y: Axis) -> None:
-    """Put a small picture into the layout of all; ``grid`` is rows and columns."""
+    """Add the axes of a small picture to the common layout; ``grid`` is rows and columns."""
     rows, columns = grid
     plane = plane_layout(x, y)
     suffix = "" if place == 0 else str(place + 1)
@@ -477,7 +328,7 @@ _FREE = ("position_m", "load_pressure_pa", "force_n", "spool_m")
 
 
 def free_run_panel(run: FreeRun) -> Panel | LeftOut:
-    """Draw both models let go beside what was measured."""
+    """Draw the free run of both models beside the measured signals."""
     title = "Free run"
     chosen = [signal for name in _FREE for signal in run.signals if signal.name == name]
     if any(signal.name == "load_pressure_pa" for signal in chosen):

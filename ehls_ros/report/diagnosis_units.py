@@ -1,4 +1,4 @@
-"""Units that people at the rig read: µm, bar, mm/s in place of SI, by an SI unit and the size of what is shown."""
+"""Units of practice, µm, bar or mm/s in place of SI, chosen by the SI unit and the magnitude of the value."""
 
 import math
 from collections.abc import Mapping
@@ -33,15 +33,15 @@ _UNITS: Mapping[str, tuple[tuple[float, Unit], ...]] = {
     "N/Pa": ((math.inf, Unit("N/bar", 1e5)),),
 }
 ALMOST = 0.9995
-"""Probability that one decimal would write as 100 %."""
+"""Probability above which one decimal would round to 100 %."""
 
 
 def unit_for(unit: str, size: float) -> Unit:
-    """Return the unit in which something of a size is shown.
+    """Return the unit in which values of a magnitude are shown.
 
     Args:
         unit: SI unit, as parameters declare it.
-        size: largest magnitude to be shown, in that unit.
+        size: largest magnitude shown, in that unit.
     """
     key = unit.replace("³", "^3").replace("²", "^2")
     for most, shown in _UNITS.get(key, ()):
@@ -58,23 +58,23 @@ def estimate(found: Estimate, digits: int = 2) -> str:
 
 
 def value(size: float, unit: str, digits: int = 3) -> str:
-    """Write a number in its unit."""
+    """Write a value in a unit of practice."""
     shown = unit_for(unit, abs(size))
     return f"{as_shown(float(f'{shown.factor * size:.{digits}g}'))}{after(shown)}"
 
 
 def change(size: float, unit: str) -> str:
-    """Write a change, of pure numbers in per cent."""
+    """Write a change; that of a pure number in per cent."""
     return f"{number(100.0 * size, 2)} %" if unit == "1" else value(size, unit, 2)
 
 
 def after(unit: Unit) -> str:
-    """Return a unit as it stands behind a number."""
+    """Return a unit as written after a number."""
     return "" if unit.symbol == "–" else f" {unit.symbol}"
 
 
-def part(share: float | None) -> str:
-    """Write a part in per cent, of what is almost all a tenth of a per cent."""
+def percent(share: float | None) -> str:
+    """Write a fraction in per cent; close to 100 % with one decimal."""
     if share is None or not math.isfinite(share):
         return MISSING_NUMBER
     if 0.0 < share < 1e-5:
@@ -85,16 +85,16 @@ def part(share: float | None) -> str:
 
 
 def likely(probability: float) -> str:
-    """Write a probability in per cent, never as certain."""
-    return "> 99.9 %" if probability >= ALMOST else part(probability)
+    """Write a probability in per cent, never as 100 %."""
+    return "> 99.9 %" if probability >= ALMOST else percent(probability)
 
 
 class Shown(NamedTuple):
-    """A signal as an axis shows it.
+    """A signal as shown along an axis.
 
     Attributes:
-        quantity: what it is.
-        unit: of the values.
+        quantity: name of the quantity.
+        unit: unit of the values.
         values: in that unit, shape (n,).
     """
 
@@ -121,15 +121,15 @@ _KELVIN = 273.15
 
 
 def quantity(signal: str) -> str:
-    """Return what a signal is called in a sentence."""
+    """Return the name of a signal in a sentence."""
     return _QUANTITIES.get(signal, (signal.replace("_", " "), ""))[0]
 
 
 def shown_signal(signal: str, values: Array) -> Shown:
-    """Return a signal in the unit an axis has for it.
+    """Return a signal in the unit of its axis.
 
     Args:
-        signal: name by the data contract, or one derived from it.
+        signal: name in the data contract, or one derived from it.
         values: in SI, shape (n,).
     """
     name, unit = _QUANTITIES.get(signal, (signal.replace("_", " "), "1"))

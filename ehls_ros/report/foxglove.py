@@ -1,7 +1,7 @@
-"""A stream of trajectories to Foxglove, or whatever speaks its WebSocket protocol; no ROS is needed.
+"""A stream of trajectories to Foxglove, or any client of its WebSocket protocol, without ROS.
 
-The messages are those of the node graph, topic by topic, with the schemas a bag of it has: a layout made for one shows both.
-Several sources go by one clock, that of the samples, so that a recording and a simulation lie upon each other.
+The messages are those of the node graph, with the same topics and schemas as a bag: one layout shows both. All sources share
+one clock, that of the samples, so that a recording and a simulation can be overlaid.
 """
 
 import heapq
@@ -22,28 +22,28 @@ from ehls_ros.recording.typestore import typestore
 from ehls_ros.trajectory import Trajectory
 
 TICK = 0.02
-"""How long messages that are due gather before they are sent [s]."""
+"""Interval over which due messages are collected before they are sent [s]."""
 
 SETTLED = 0.2
-"""A viewer has asked for all it wants when it asked for nothing more for so long [s]."""
+"""A viewer's subscriptions are complete when none has come for this long [s]."""
 
 BACKLOG = 100_000
-"""Messages kept for a viewer that is slow; then the oldest are dropped."""
+"""Messages kept for a slow viewer; beyond that the oldest are dropped."""
 
 STRETCH = 2000
-"""Samples made into messages at a time."""
+"""Samples converted to messages at a time."""
 
 Message = tuple[int, str, bytes]
-"""Time [ns], topic with its namespace, and what is in it as CDR."""
+"""Time [ns], topic with its namespace, and content as CDR."""
 
 
 class Source(NamedTuple):
-    """What is streamed in one namespace.
+    """A stream in one namespace.
 
     Attributes:
         namespace: namespace of its topics, such as ``/ehls``.
         start_s: time of the clock at which it begins [s].
-        stretches: begins anew and returns the trajectory piece by piece; its times count from any moment on.
+        stretches: starts from the beginning and returns the trajectory piece by piece; its times may start anywhere.
     """
 
     namespace: str
@@ -52,7 +52,7 @@ class Source(NamedTuple):
 
 
 def in_stretches(trajectory: Trajectory) -> Iterator[Trajectory]:
-    """Cut a trajectory into pieces that are quickly made into messages."""
+    """Cut a trajectory into pieces that convert to messages quickly."""
     for first in range(0, len(trajectory), STRETCH):
         rows = slice(first, first + STRETCH)
         yield Trajectory(trajectory.time_s[rows], {name: values[rows] for name, values in trajectory.signals.items()})
@@ -69,7 +69,7 @@ def messages_of(source: Source) -> Iterator[Message]:
     for stretch in source.stretches():
         if first == 0:
             offset = source.start_s - stretch.time_s[0]
-        # When a command was sent is the recording's own affair; here it stands at its sample, as all the others.
+        # The time a command was sent is not shown; it appears at its sample, like all other signals.
         signals = {name: values for name, values in stretch.signals.items() if name != RESPONSE}
         time_s = stretch.time_s + offset if offset else stretch.time_s
         due: list[Message] = []
@@ -81,7 +81,7 @@ def messages_of(source: Source) -> Iterator[Message]:
 
 
 def topics_of(trajectory: Trajectory) -> list[Topic]:
-    """Return the topics that show something of a trajectory."""
+    """Return the topics with signals of a trajectory."""
     return [topic for topic in CYCLE_TOPICS if trajectory.signals.keys() & set(topic.signals.values())]
 
 
@@ -92,13 +92,13 @@ def play(
     tell_time: Callable[[int], None],
     stopping: threading.Event,
 ) -> None:
-    """Publish messages when they are due, never before and :data:`TICK` after at most.
+    """Publish messages when they are due, never earlier and at most :data:`TICK` later.
 
     Args:
-        messages: in the order of their times.
-        rate: seconds of the messages' clock in one of the wall's.
+        messages: messages in the order of their times.
+        rate: seconds of the messages' clock per second of wall clock.
         publish: takes one message.
-        tell_time: takes how far the clock has come [ns].
+        tell_time: takes the time of the clock [ns].
         stopping: ends the play once it is set.
     """
     began = time.perf_counter()
@@ -117,55 +117,55 @@ def play(
 
 
 class Viewers(ServerListener):
-    """Who is looking."""
+    """The connected viewers."""
 
     def __init__(self) -> None:
-        """Start with nobody."""
+        """Start without a viewer."""
         self._changed = threading.Condition()
         self._asked: set[tuple[int, int]] = set()
         self._since = 0.0
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        """Note a viewer's wish."""
+        """Note a subscription."""
         with self._changed:
             self._asked.add((client.id, channel.id))
             self._since = time.monotonic()
             self._changed.notify_all()
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
-        """Note that it was withdrawn, or the viewer has left."""
+        """Note that a subscription was withdrawn, or its viewer has left."""
         with self._changed:
             self._asked.discard((client.id, channel.id))
             self._changed.notify_all()
 
     def present(self) -> bool:
-        """Tell whether somebody has asked for everything wanted."""
+        """Tell whether a viewer has subscribed to all it needs."""
         with self._changed:
             return bool(self._asked) and time.monotonic() - self._since > SETTLED
 
     def wait(self, *, present: bool, stopping: threading.Event) -> None:
-        """Wait until somebody is there, or nobody; or until told to stop."""
+        """Wait until a viewer is present, or none is; or until told to stop."""
         while self.present() != present and not stopping.is_set():
             with self._changed:
                 self._changed.wait(TICK)
 
 
 class FoxgloveServer:
-    """Streams to whoever connects. It is read only: it takes no messages, parameters or services."""
+    """A server for any viewer, read only: it accepts no messages, parameters or services."""
 
     def __init__(self, host: str, port: int, topics: Mapping[str, Sequence[Topic]]) -> None:
-        """Listen, and say what there will be.
+        """Listen, and advertise the topics.
 
         Args:
             host: address to listen at.
-            port: port to listen at; 0: any that is free.
-            topics: by namespace.
+            port: port to listen at; 0: any free one.
+            topics: topics by namespace.
 
         Raises:
             BadInput: it cannot listen there.
         """
         self.viewers = Viewers()
-        # Kept, because a context that nobody holds advertises nothing.
+        # Kept: a context without a reference advertises nothing.
         self._context = foxglove.Context()
         self._channels = {
             topic.resolve(namespace): foxglove.Channel(
@@ -191,7 +191,7 @@ class FoxgloveServer:
 
     @property
     def port(self) -> int:
-        """The port it listens at."""
+        """Port of the server."""
         return self._server.port
 
     def publish(self, message: Message) -> None:
@@ -200,7 +200,7 @@ class FoxgloveServer:
         self._channels[topic].log(data, log_time=time_ns)
 
     def tell_time(self, time_ns: int) -> None:
-        """Say how far the clock has come."""
+        """Send the time of the clock."""
         self._server.broadcast_time(time_ns)
 
     def __enter__(self) -> Self:
@@ -208,23 +208,23 @@ class FoxgloveServer:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Hang up."""
+        """Close the server."""
         self._server.stop()
         for channel in self._channels.values():
             channel.close()
 
 
 def serve(server: FoxgloveServer, sources: Sequence[Source], rate: float, stopping: threading.Event) -> None:
-    """Play when somebody is there to see it, and again for who comes after all have left, until told to stop.
+    """Play while a viewer is present, and again for the next one after all have left, until told to stop.
 
     Args:
-        server: where to.
-        sources: what is streamed, all on one clock.
-        rate: seconds of the clock in one of the wall's.
+        server: the server.
+        sources: the streams, all on one clock.
+        rate: seconds of the clock per second of wall clock.
         stopping: ends it once it is set.
 
     Raises:
-        BadInput: a source holds what messages cannot express.
+        BadInput: a source has values that messages cannot express.
     """
     while not stopping.is_set():
         server.viewers.wait(present=True, stopping=stopping)

@@ -1,6 +1,6 @@
-"""A self-contained HTML page: blocks of text, tables and figures, with plotly.js inside.
+"""A self-contained HTML page: blocks of text, tables and figures, with plotly.js embedded.
 
-Every report is made of these blocks. All text that enters them is escaped here.
+Every report consists of these blocks. All text is escaped here.
 """
 
 import json
@@ -10,7 +10,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -19,6 +18,9 @@ from plotly.offline import get_plotlyjs
 from ehls_ros.report.plot import FONT, Layout, Trace
 
 MISSING_NUMBER = "–"
+
+Configuration = Mapping[str, object]
+"""What a configuration file holds: nested mappings, sequences, scalars and arrays under free names."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +31,9 @@ class Panel:
         title: heading.
         traces: plotly traces.
         layout: plotly layout.
-        note: what a reader has to know to read the figure; one or two sentences.
+        note: how to read the figure, in one or two sentences.
         height: height of the figure in pixels.
-        over_time: its horizontal axis is the time of the run, so that it zooms together with the others.
+        over_time: the horizontal axis is the time of the run; all such figures zoom together.
     """
 
     title: str
@@ -47,7 +49,7 @@ class LeftOut:
     """A figure that could not be drawn.
 
     Attributes:
-        title: heading it would have had.
+        title: its heading.
         reason: what is missing.
     """
 
@@ -57,13 +59,13 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Entry:
-    """A cell of a table that says more than one text.
+    """A cell of a table with more than a text.
 
     Attributes:
-        text: what stands first.
-        beside: what it is to be held against, on a second line.
+        text: first line.
+        beside: second line, such as a value to compare with.
         heat: shade, from -1 (far better, blue) over 0 (none) to 1 (far worse, orange).
-        prose: it is a sentence, which may break and begins on the left.
+        prose: a sentence: aligned left, with line breaks.
     """
 
     text: str
@@ -73,7 +75,7 @@ class Entry:
 
 
 def number(value: object, digits: int = 3) -> str:
-    """Write a number for reading: fixed point, thousands apart, a dash for what is no finite number.
+    """Write a number for reading: fixed point, thousands separated, a dash for what is not a finite number.
 
     Args:
         value: the number.
@@ -95,16 +97,16 @@ def signed(value: float, digits: int = 3) -> str:
 
 
 def listed(parts: Sequence[str]) -> str:
-    """Join words as a sentence does."""
+    """Join words by commas and a final "and"."""
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
 def verdict(text: str, *, good: bool | None) -> str:
-    """Make the sentence that sums the page up.
+    """Make the sentence that summarises the page.
 
     Args:
         text: the sentence.
-        good: True if all is well, False if there is something to look into, None if it cannot be told.
+        good: True if all is well, False if something needs attention, None if the data do not tell.
     """
     kind = {True: "good", False: "look", None: "open"}[good]
     return f'<p class="verdict {kind}">{escape(text)}</p>'
@@ -125,13 +127,26 @@ def _anchor(text: str) -> str:
     return re.sub(r"\W+", "-", text.lower()).strip("-")
 
 
+def sections(parts: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
+    """Make the parts of a page below a line of links to them.
+
+    Args:
+        parts: heading and blocks of each; a part without blocks is left out.
+
+    Returns:
+        The blocks of the page.
+    """
+    made = [(title, kept) for title, blocks in parts if (kept := [block for block in blocks if block])]
+    return [contents(title for title, _ in made), *(block for title, blocks in made for block in (heading(title), *blocks))]
+
+
 def paragraph(text: str) -> str:
     """Make a paragraph."""
     return f"<p>{escape(text)}</p>"
 
 
 def facts(items: Iterable[tuple[str, str]]) -> str:
-    """Make a compact table of figures, one a cell.
+    """Make a compact grid of key figures.
 
     Args:
         items: label and value of each.
@@ -140,14 +155,21 @@ def facts(items: Iterable[tuple[str, str]]) -> str:
     return f'<dl class="facts">{cells}</dl>'
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[str | Entry]]) -> str:
+Row = Sequence[str | Entry]
+"""A row of a table: one text or entry a cell."""
+
+
+def table(header: Sequence[str], rows: Sequence[Row]) -> str:
     """Make a table whose first column names the row.
 
     Args:
         header: one title a column.
         rows: one text or entry a cell.
     """
-    head = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in header)
+    prose = {place for row in rows for place, cell in enumerate(row) if isinstance(cell, Entry) and cell.prose}
+    head = "".join(
+        f'<th scope="col"{_PROSE if place in prose else ""}>{escape(cell)}</th>' for place, cell in enumerate(header)
+    )
     body = "".join(
         f'<tr><th scope="row">{_cell(row[0])[1]}</th>'
         + "".join(f"<td{style}>{inner}</td>" for style, inner in map(_cell, row[1:]))
@@ -157,6 +179,9 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str | Entry]]) -> str:
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
+_PROSE = ' class="prose"'
+
+
 def _cell(cell: str | Entry) -> tuple[str, str]:
     if isinstance(cell, str):
         return "", escape(cell)
@@ -164,7 +189,7 @@ def _cell(cell: str | Entry) -> tuple[str, str]:
     color = "213, 94, 0" if cell.heat > 0 else "0, 114, 178"
     style = f' style="background: rgba({color}, {0.5 * min(abs(cell.heat), 1.0):.2f})"' if cell.heat else ""
     if cell.prose:
-        style += ' class="prose"'
+        style += _PROSE
     return style, escape(cell.text) + beside
 
 
@@ -172,8 +197,8 @@ def figures(panels: Iterable[Panel | LeftOut], *, columns: int = 1) -> str:
     """Make the figures that could be drawn.
 
     Args:
-        panels: what to show, in this order.
-        columns: how many stand side by side.
+        panels: the figures, in this order.
+        columns: number of figures side by side.
     """
     drawn = [panel for panel in panels if isinstance(panel, Panel)]
     if not drawn:
@@ -184,7 +209,7 @@ def figures(panels: Iterable[Panel | LeftOut], *, columns: int = 1) -> str:
 
 
 def left_out(panels: Iterable[Panel | LeftOut]) -> str:
-    """Name the figures that could not be drawn, a line each."""
+    """Name the figures that could not be drawn, one per line."""
     return "".join(
         f'<p class="left-out"><b>{escape(panel.title)}</b> is left out: {escape(panel.reason)}.</p>'
         for panel in panels
@@ -207,18 +232,14 @@ def collapsed(title: str, text: str) -> str:
     """Make a block of preformatted text that opens on a click.
 
     Args:
-        title: what is inside.
-        text: shown as it is.
+        title: its heading.
+        text: shown verbatim.
     """
     return f"<details><summary>{escape(title)}</summary><pre>{escape(text)}</pre></details>"
 
 
-def as_yaml(configuration: Mapping[str, Any]) -> str:
-    """Write a configuration as YAML.
-
-    Args:
-        configuration: nested mappings, sequences, scalars and arrays.
-    """
+def as_yaml(configuration: Configuration) -> str:
+    """Write a configuration as YAML."""
     plain = json.loads(json.dumps(configuration, default=_plain))
     return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True)
 
@@ -236,7 +257,7 @@ def write_page(path: Path, title: str, subtitle: str, blocks: Iterable[str]) -> 
         path: file to write; its folder must exist.
         title: heading.
         subtitle: one line below it.
-        blocks: what the functions of this module made.
+        blocks: results of the other functions of this module.
     """
     path.write_text(
         f"""<!DOCTYPE html>
@@ -303,7 +324,8 @@ th, td { border: 1px solid #dcdcdc; padding: 4px 10px; text-align: right; }
 tbody th, thead th:first-child { text-align: left; }
 thead th { background: #f4f5f6; }
 td { white-space: nowrap; }
-td.prose { white-space: normal; text-align: left; }
+td.prose { white-space: normal; }
+td.prose, thead th.prose { text-align: left; }
 td, tbody th { padding: 4px 8px; }
 td small, th small { display: block; color: #4a4a4a; font-weight: normal; }
 .wide { overflow-x: auto; }
@@ -347,7 +369,7 @@ for (const source of overTime) {
   });
 }
 
-// Figures keep the width they have on the screen, so the whole page is scaled to the width of paper.
+// Figures keep their width on the screen, so the complete page is scaled to the width of the paper.
 const main = document.querySelector('main');
 const paperWidth = 1060;
 addEventListener('beforeprint', () => { main.style.zoom = paperWidth / main.offsetWidth; });

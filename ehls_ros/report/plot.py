@@ -1,7 +1,6 @@
 """The vocabulary of the figures: units, colours, lines and axes as plotly's plain dictionaries.
 
-Dictionaries instead of plotly's Python objects, because building and checking those takes longer than
-everything else a report does.
+Plotly's Python objects are not used: building and checking them would take longer than the rest of a report.
 """
 
 import base64
@@ -18,11 +17,14 @@ Layout = dict[str, Any]
 
 BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE = "#0072B2", "#D55E00", "#009E73", "#B85C92", "#56B4E9", "#E69F00"
 BLACK, GREY, LIGHT_GREY = "#1a1a1a", "#767676", "#dcdcdc"
-"""After Okabe and Ito, so that the colour-blind can tell them apart."""
+"""After Okabe and Ito, distinguishable to colour-blind readers."""
+
+ELEMENT_LINES = ((BLUE, "solid"), (ORANGE, "solid"), (GREEN, "dash"), (SKY, "solid"), (PURPLE, "dash"))
+"""Colour and pattern of each friction element's line."""
 
 FONT = "system-ui, -apple-system, 'Segoe UI', 'Liberation Sans', 'DejaVu Sans', sans-serif"
 BACKDROP = "y9"
-"""Axis from 0 to 1 behind the first row, for marks that belong to a time and not to a value."""
+"""Axis from 0 to 1 behind the first row, for marks that belong to a time rather than a value."""
 
 _SILENT = {"showlegend": False, "hoverinfo": "skip", "hovertemplate": None}
 
@@ -32,7 +34,7 @@ class Unit(NamedTuple):
 
     Attributes:
         symbol: as printed.
-        factor: what a value is multiplied with on its way from the trajectory to the picture.
+        factor: factor from the trajectory's unit to this one.
     """
 
     symbol: str
@@ -51,12 +53,12 @@ class Axis(NamedTuple):
     """An axis of a figure.
 
     Attributes:
-        quantity: what it shows.
-        unit: the unit it shows it in.
+        quantity: quantity shown.
+        unit: unit shown.
         span: lowest and highest value shown, in that unit; None to fit the data.
         share: height relative to the other rows of the figure.
         logarithmic: decades instead of equal steps; needs a span.
-        names: what 1, 2, 3, … on the axis stand for, where it counts things.
+        names: labels of 1, 2, 3, … on an axis that counts; it shows no unit.
     """
 
     quantity: str
@@ -68,7 +70,7 @@ class Axis(NamedTuple):
 
 
 def packed(values: NDArray[Any]) -> dict[str, str]:
-    """Encode numbers the way plotly.js reads them fastest: base64 of single precision, NaN for a gap.
+    """Encode numbers as plotly.js reads them fastest: base64 of single precision, NaN for a gap.
 
     Args:
         values: shape (n,) or (rows, columns).
@@ -107,7 +109,7 @@ def line(
         dash: plotly's name of the pattern.
 
     Returns:
-        A plotly trace. Samples without neighbours, which a line cannot show, make it show dots.
+        A plotly trace. It shows dots as well if there are samples without neighbours, which a line cannot show.
     """
     known = np.concatenate([[False], np.isfinite(y), [False]])
     alone = bool(np.any(known[1:-1] & ~known[:-2] & ~known[2:]))
@@ -136,7 +138,7 @@ def time_line(
     dash: str = "solid",
     buckets: int = BUCKETS,
 ) -> Trace:
-    """Draw a signal over time with as many samples as the picture can show.
+    """Draw a signal over time with as many samples as the figure can show.
 
     Args:
         time: time since the start, shape (n,) [s].
@@ -147,7 +149,7 @@ def time_line(
         row: row of the figure, 1 on top.
         width: line width in pixels.
         dash: plotly's name of the pattern.
-        buckets: parts a long series is cut into; fewer where a page has many small figures.
+        buckets: number of intervals a long series is reduced to; fewer on a page with many small figures.
 
     Returns:
         A plotly trace.
@@ -157,7 +159,7 @@ def time_line(
 
 
 def band(time: NDArray[np.float64], half_width: NDArray[np.float64], name: str, unit: Unit) -> list[Trace]:
-    """Shade what lies between plus and minus a bound.
+    """Shade the region between plus and minus a bound.
 
     Args:
         time: time since the start, shape (n,) [s].
@@ -193,7 +195,7 @@ def limits(time: NDArray[np.float64], value: NDArray[np.float64], name: str, uni
 
 
 def event_marks(time: NDArray[np.float64], happened: NDArray[np.bool_], name: str, color: str) -> list[Trace]:
-    """Mark the times at which something happened with ticks along the upper edge.
+    """Mark the times of an event with ticks along the upper edge.
 
     Args:
         time: time since the start, shape (n,) [s].
@@ -202,7 +204,7 @@ def event_marks(time: NDArray[np.float64], happened: NDArray[np.bool_], name: st
         color: colour of the ticks.
 
     Returns:
-        One plotly trace, or none where nothing happened.
+        One plotly trace, or none without an event.
     """
     at = time[happened]
     if not at.size:
@@ -274,14 +276,14 @@ def dots(
 
     Args:
         x: abscissa as shown, shape (n,).
-        y: ordinate in its own unit, shape (n,); what is not finite is not drawn.
+        y: ordinate in its own unit, shape (n,); values that are not finite are not drawn.
         name: entry in the legend.
         unit: unit to show y in.
         color: colour of the marks.
         row: row of the figure, 1 on top.
         symbol: plotly's name of the mark; "-open" makes it hollow.
         size: size in pixels.
-        remarks: what stands beside the number under the cursor, one a sample.
+        remarks: text beside the value under the cursor, one per sample.
     """
     return {
         "type": "scatter",
@@ -383,7 +385,7 @@ def _layout() -> Layout:
 
 def _axis(axis: Axis) -> Layout:
     layout: Layout = {
-        "title": {"text": f"{axis.quantity} [{axis.unit.symbol}]", "standoff": 8},
+        "title": {"text": axis.quantity if axis.names else f"{axis.quantity} [{axis.unit.symbol}]", "standoff": 8},
         "gridcolor": "#ebebeb",
         "zerolinecolor": "#b0b0b0",
         "zerolinewidth": 1,

@@ -13,7 +13,7 @@ from ehls_ros.cli.main import main
 from ehls_ros.cli.verbs import diagnose as verb
 from ehls_ros.diagnosis.result import Rival
 from ehls_ros.estimate import Estimate
-from ehls_ros.experiments import diagnosis as follows
+from ehls_ros.experiments import consequences as follows
 from ehls_ros.experiments.spec import load_rig, load_spec
 from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.load import load
@@ -163,7 +163,7 @@ def test_what_fails_beside_the_diagnosis_is_a_remark(again, monkeypatch):
         raise ZeroDivisionError("on purpose")
 
     monkeypatch.setattr(follows, "free_run", fail)
-    monkeypatch.setattr(follows, "controller_gain", fail)
+    monkeypatch.setattr(follows, "controller_benefit", fail)
     monkeypatch.setattr(follows, "open_candidates", fail)
     code, result = again()
     assert code == 0

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from ehls_ros.cli.main import main
-from ehls_ros.cli.valid_json import valid_json
 
 
 @pytest.fixture(scope="module")
@@ -64,10 +63,3 @@ def test_a_file_in_the_folders_place_is_bad_input(tmp_path, capsys):
     (tmp_path / "out").touch()
     assert main(["reproduce", "--quick", "--out", str(tmp_path / "out")]) == 2
     assert "cannot be written" in capsys.readouterr().err
-
-
-def test_what_json_has_no_number_for_becomes_null():
-    assert valid_json({"a": [1.0, float("inf")], "b": (float("nan"), "x", None, 2)}) == {
-        "a": [1.0, None],
-        "b": [None, "x", None, 2],
-    }

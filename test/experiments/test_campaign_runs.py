@@ -40,7 +40,7 @@ def test_a_row_is_what_the_experiment_gives_by_itself(tmp_path):
     assert make(path, tmp_path / "out")[:2] == (6, 6)
     found = rows(tmp_path / "out")
     for run in load_plan(path).runs():
-        metrics = evaluate(run_in_process(spec_from_mapping(json.loads(run.spec), "run", CONFIG))).as_json()
+        metrics = evaluate(run_in_process(spec_from_mapping(json.loads(run.spec), "run", CONFIG)))._asdict()
         for name in set(work.METRICS) - {"wall_s"}:
             assert found[name][run.number] == metrics[name], name
         assert found["rig.plant.moving_mass"][run.number] == json.loads(run.spec)["rig"]["plant"]["moving_mass"]
@@ -129,7 +129,7 @@ def test_a_run_whose_numbers_are_lost_says_when(tmp_path, monkeypatch):
     monkeypatch.setattr(work, "run_in_process", lost)
     make(write(tmp_path), tmp_path / "out")
     [error] = rows(tmp_path / "out")["error"]
-    assert error == "the force is no finite number from 0.15 s on"
+    assert error == "the force is not finite after 0.15 s"
 
 
 def test_equal_runs_are_made_once_and_told_twice(tmp_path):

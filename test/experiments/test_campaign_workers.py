@@ -145,7 +145,7 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_is_done(processes, long_campai
     _, said = command.communicate(timeout=PATIENCE)
     assert command.returncode == 130
     assert said.splitlines()[-2:] == [
-        f"what is done is kept in {out / 'parts'}; start again to go on",
+        f"finished runs are kept in {out / 'parts'}; start again to continue",
         "ehls campaign: interrupted",
     ]
     assert "Traceback" not in said

@@ -4,6 +4,7 @@ import math
 import numpy as np
 import pytest
 
+from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.trajectory import Trajectory, steady_error
 
@@ -120,7 +121,7 @@ def test_a_run_that_followed_no_force_has_no_force_error(names):
     metrics = evaluate(run)
     assert math.isnan(metrics.max_error_n)
     assert metrics.cycles == 101
-    plain = metrics.as_json()
+    plain = json_document(metrics)
     assert [plain[name] for name in ("max_error_n", "rms_error_n", "convergence_s")] == [None] * 3
     assert "NaN" not in json.dumps(plain)
 
@@ -138,7 +139,7 @@ def test_the_steady_error_is_that_of_the_last_half_where_both_are_known():
 
 
 def test_json_has_the_contracts_keys():
-    assert list(judged(np.zeros(11)).as_json()) == [
+    assert list(json_document(judged(np.zeros(11)))) == [
         "max_error_n",
         "rms_error_n",
         "convergence_s",

@@ -1,7 +1,7 @@
 """The catalogue of experiments, and that what is proposed tells causes apart."""
 
 import itertools
-import json
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import yaml
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments import next_experiment as module
+from ehls_ros.experiments import separation
 from ehls_ros.experiments.catalogue import CATALOGUE, catalogue_spec, home_of, reach
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.next_experiment import LEAST_SIGMA, next_experiment
@@ -143,7 +144,7 @@ def test_an_error_of_the_force_balance_shows_in_the_pressure_and_one_of_the_flow
     narrow = experiment.along(with_effect(rig, "valve_gain_shift", flow_gain=0.98), record)[late] - record[late]
     velocity = record[late, SENSED.index("velocity")]
     # 2 % of the velocity for as long as the model remembers.
-    assert np.mean((narrow[:, position] / (-0.02 * velocity * module.MEMORY))[fast]) == pytest.approx(1.0, abs=0.15)
+    assert np.mean((narrow[:, position] / (-0.02 * velocity * separation.MEMORY))[fast]) == pytest.approx(1.0, abs=0.15)
     assert np.mean(np.abs(narrow[fast, pressure])) < 0.2 * 400.0 / 2.6e-3
 
 
@@ -174,18 +175,26 @@ def better_explained(rig: Rig, rigs: dict[str, Rig], spec: dict[str, Any], true:
     record = np.column_stack([*(run[name] for name in names), run["valve_command_m"]])
     experiment = module._Experiment(spec, rig)
     columns = [SENSED.index(signal) for signal in WITHOUT_LOAD_CELL]
-    scale = module._scale({true: record}, rigs, columns, {}, experiment.period)
+    scale = separation.scale_of({true: record}, rigs, columns, {}, experiment.period)
     errors = {
-        name: np.linalg.norm(module._blocks(experiment.along(model, record) - record, columns, experiment.period, 1000) / scale)
+        name: np.linalg.norm(
+            separation.block_means(experiment.along(model, record) - record, columns, experiment.period, 1000) / scale
+        )
         for name, model in rigs.items()
     }
     return min(errors, key=lambda name: errors[name])
 
 
+@pytest.fixture(scope="module")
+def proposed(rig):
+    """The proposal for a pair recorded without a load cell, searched for once."""
+    return cache(lambda *pair: next_experiment(candidates(rig, *pair), signals=WITHOUT_LOAD_CELL))
+
+
 @pytest.mark.parametrize("pair", EXPECTED, ids="-".join)
-def test_the_proposal_separates_the_pair(rig, pair):
+def test_the_proposal_separates_the_pair(rig, proposed, pair):
     rigs = candidates(rig, *pair)
-    proposal = next_experiment(rigs, signals=WITHOUT_LOAD_CELL)
+    proposal = proposed(*pair)
     experiment = proposal.experiment
     assert proposal.reason == ""
     assert experiment.name in EXPECTED[pair]
@@ -196,8 +205,8 @@ def test_the_proposal_separates_the_pair(rig, pair):
         assert better_explained(rig, rigs, experiment.spec, true, seed) == true
 
 
-def test_the_best_is_not_what_any_experiment_does(rig):
-    proposal = next_experiment(candidates(rig, "internal_leakage_shift", "turbulent_leakage"), signals=WITHOUT_LOAD_CELL)
+def test_the_best_is_not_what_any_experiment_does(proposed):
+    proposal = proposed("internal_leakage_shift", "turbulent_leakage")
     judged = {entry.name: entry.sigma for entry in proposal.considered}
     assert set(judged) == set(CATALOGUE)
     assert [entry.sigma for entry in proposal.considered] == sorted(judged.values(), reverse=True)
@@ -205,12 +214,10 @@ def test_the_best_is_not_what_any_experiment_does(rig):
     assert np.median(list(judged.values())) < 0.5 * judged[proposal.experiment.name]
 
 
-def test_a_load_cell_tells_a_load_from_a_bias_at_once(rig):
-    rigs = candidates(rig, "constant_load", "pressure_sensor_bias")
-    without, with_it = (next_experiment(rigs, signals=signals) for signals in (WITHOUT_LOAD_CELL, module.RECORDED))
-    assert min(pair.sigma for pair in with_it.experiment.separation) > 2.0 * min(
-        pair.sigma for pair in without.experiment.separation
-    )
+def test_a_load_cell_tells_a_load_from_a_bias_at_once(rig, proposed):
+    without = proposed("constant_load", "pressure_sensor_bias").experiment
+    with_it = next_experiment(candidates(rig, "constant_load", "pressure_sensor_bias")).experiment
+    assert with_it.separation[0].sigma > 2.0 * without.separation[0].sigma
 
 
 def test_of_three_the_worst_pair_decides(rig, monkeypatch):
@@ -224,7 +231,7 @@ def test_of_three_the_worst_pair_decides(rig, monkeypatch):
 
     monkeypatch.setattr(module._Experiment, "_run", counted)
     proposal = next_experiment(rigs, signals=WITHOUT_LOAD_CELL, progress=lambda *count: done.append(count))
-    # Each is run by three and along by six of them; parameters are fitted to what promises most alone. They take 5 s in all.
+    # Each is run by three and along by six of them; parameters are fitted to what promises most alone.
     assert len(runs) < 20 * len(CATALOGUE)
     assert done == [(n + 1, len(CATALOGUE)) for n in range(len(CATALOGUE))]
     sigmas = [pair.sigma for pair in proposal.experiment.separation]
@@ -234,9 +241,9 @@ def test_of_three_the_worst_pair_decides(rig, monkeypatch):
     assert {proposal.experiment.separation[0].one, proposal.experiment.separation[0].other} <= set(rigs)
 
 
-def test_the_sentence_names_signal_moment_and_regime(rig):
-    rigs = candidates(rig, "coulomb_shift", "pressure_dependent_friction")
-    experiment = next_experiment(rigs, signals=WITHOUT_LOAD_CELL).experiment
+def test_the_sentence_names_signal_moment_and_motion(proposed):
+    pair = "coulomb_shift", "pressure_dependent_friction"
+    experiment = proposed(*pair).experiment
     for part in (
         "load pressure",
         " bar (",
@@ -246,17 +253,18 @@ def test_the_sentence_names_signal_moment_and_regime(rig):
         " kN",
     ):
         assert part in experiment.why
-    assert all(name in experiment.why for name in rigs)
+    assert all(name in experiment.why for name in pair)
     assert "\n" not in experiment.why
 
 
-def test_only_warm_oil_tells_friction_from_temperature(rig):
+def test_only_warm_oil_tells_friction_from_temperature(rig, monkeypatch):
     warm = with_effect(rig, "temperature_dependent_friction", coulomb_slope=15.0, reference_temperature=293.15)
     proposal = next_experiment({"temperature": warm, **candidates(rig, "coulomb_shift")}, parameter_std=0.02)
     assert proposal.experiment.name == "warm_velocity_sweep"
     others = [entry.sigma for entry in proposal.considered if entry.name != "warm_velocity_sweep"]
     assert max(others) < 1e-3
-    # Where the data so far do not hold the parameters, one record with warm oil alone is explained by either.
+    # Where the data so far do not hold the parameters, either explains a single record with warm oil.
+    monkeypatch.setattr(module, "CATALOGUE", {"warm_velocity_sweep": CATALOGUE["warm_velocity_sweep"]})
     loose = next_experiment({"temperature": warm, **candidates(rig, "coulomb_shift")}, parameter_std=10.0)
     assert loose.considered[0].sigma < proposal.considered[0].sigma / 2.0
 
@@ -275,14 +283,14 @@ def test_what_its_own_parameters_explain_separates_nothing(rig):
 def test_candidates_that_are_the_same_are_told_so(rig):
     proposal = next_experiment({"one": rig, "other": rig})
     assert proposal.experiment is None
-    assert proposal.reason == "in no experiment of the catalogue do the candidates differ"
+    assert proposal.reason == "the candidates do not differ in any experiment of the catalogue"
     assert all(entry.sigma == 0.0 for entry in proposal.considered)
 
 
 def test_one_candidate_needs_no_experiment(rig):
     proposal = next_experiment({"one": rig})
     assert proposal.experiment is None
-    assert "nothing to tell apart" in proposal.reason
+    assert "nothing to separate" in proposal.reason
 
 
 @pytest.mark.usefixtures("few")
@@ -306,14 +314,16 @@ def test_a_short_limit_leaves_out_what_is_longer(rig):
     assert none.reason.startswith("no experiment of the catalogue can be done on this rig: of velocity_sweep, it takes 7.1 s")
 
 
-def test_an_experiment_that_a_candidates_loop_does_not_bear_is_left_out(rig):
+def test_an_experiment_that_a_candidates_loop_does_not_bear_is_left_out(rig, monkeypatch):
+    tried = ("force_staircase", "force_steps", "force_chirp", "velocity_sweep")
+    monkeypatch.setattr(module, "CATALOGUE", {name: CATALOGUE[name] for name in tried})
     rigs = {"delay": with_effect(rig, "command_delay", delay=0.003), **candidates(rig, "coulomb_shift")}
     proposal = next_experiment(rigs)
     left_out = {entry.name: entry.note for entry in proposal.considered if entry.sigma is None}
-    # The law does not bear 3 ms of delay.
-    assert set(left_out) >= {"force_staircase", "force_steps", "force_chirp"}
+    # The law is unstable with a delay of 3 ms.
+    assert set(left_out) == {"force_staircase", "force_steps", "force_chirp"}
     assert "with delay, its force reaches" in left_out["force_steps"]
-    assert proposal.experiment.name not in left_out
+    assert proposal.experiment.name == "velocity_sweep"
 
 
 @pytest.mark.usefixtures("few")
@@ -324,15 +334,6 @@ def test_a_rig_that_nothing_can_be_done_on_is_told_so(rig):
     assert proposal.experiment is None
     assert proposal.reason.startswith("no experiment of the catalogue can be done on this rig: ")
     assert all(entry.note for entry in proposal.considered)
-
-
-@pytest.mark.usefixtures("few")
-def test_it_can_be_written_as_json(rig):
-    experiment = next_experiment(candidates(rig, "viscous_shift", "coulomb_shift")).experiment
-    written = json.loads(json.dumps(experiment.as_json()))
-    assert set(written) == {"name", "purpose", "why", "separation", "spec"}
-    assert set(written["separation"][0]) == {"one", "other", "sigma"}
-    assert "rig" not in written["spec"]
 
 
 @pytest.mark.parametrize(
@@ -352,3 +353,23 @@ def test_wrong_arguments_are_bad_input(rig, arguments, what):
     with pytest.raises(BadInput) as caught:
         next_experiment({"one": rig, "other": rig}, **arguments)
     assert what in caught.value.what
+
+
+def test_what_a_parameter_explains_is_taken_off_as_far_as_the_data_let_it_move():
+    shape = np.array([[1.0], [2.0], [-1.0]])
+    base = separation.Difference(3.0 * shape + np.array([[1.0], [0.0], [1.0]]), np.ones((3, 1)))
+    stepped = [base.blocks + separation.STEP * shape]
+    free, held = (separation.unexplained(base, stepped, std) for std in (1e6, 1e-6))
+    # The rest has no part along the parameter's own difference.
+    assert np.sum(free.blocks * shape) == pytest.approx(0.0, abs=1e-6)
+    assert free.sigma == pytest.approx(np.sqrt(2.0), rel=1e-6)
+    assert held.sigma == pytest.approx(base.sigma, rel=1e-6)
+    assert separation.unexplained(base, [], 0.1) is base
+
+
+def test_the_start_is_left_out_until_friction_has_forgotten_it():
+    record = np.zeros((4000, len(SENSED) + 1))
+    record[:, SENSED.index("velocity")] = 1e-3
+    assert separation.start_of(record, 1e-3, 1e-4) == round(separation.WORN_IN * 1e-4 / 1e-6) - 1
+    assert separation.start_of(record, 1e-3, 1e-6) == round(separation.SETTLING / 1e-3)
+    assert separation.start_of(np.zeros_like(record), 1e-3, 1e-6) == len(record)

@@ -70,20 +70,20 @@ TRIED = (
     Extreme("rig.limits.spool", 10.0, REFUSED, ("spool", "10 mm is 0.01 m")),
     Extreme("rig.limits.velocity", 2e3, REFUSED, ("velocity", "2000 mm/s is 2 m/s")),
     # the controller's numbers at the ends of their ranges
-    Extreme("controller.h", 1e4, TOLD, ("the force does not follow its reference", "limits are left: position")),
+    Extreme("controller.h", 1e4, TOLD, ("the force does not follow its reference", "leaves its limits: position")),
     Extreme("controller.b", 1e-3, TOLD, ("the force does not follow its reference",)),
     Extreme("controller.delta_f", 1e6, TOLD, ("the force does not follow its reference",)),
     Extreme("controller.xi", 1e-3, TOLD, ("the force does not follow its reference",)),
     # the experiment's
     Extreme("reference.amplitude", 1e6, REFUSED, ("the reference reaches", "plant.supply_pressure", "in N?")),
-    Extreme("reference.amplitude", 1.9e4, TOLD, ("the rig's limits are left",)),
+    Extreme("reference.amplitude", 1.9e4, TOLD, ("the rig leaves its limits",)),
 )
 FURTHER = (
     Extreme("reference.amplitude", 1e-12, TOLD, ("the force does not follow its reference",)),
     Extreme("reference.frequency", 1e3, REFUSED, ("a shorter control_period",)),
     Extreme("reference.frequency", 400.0, TOLD, ("the force does not follow its reference",)),
     Extreme("disturbance.signal.amplitude", 1e6, REFUSED, ("the disturbance reaches",)),
-    Extreme("disturbance.signal.amplitude", 1e5, TOLD, ("the rig's limits are left: position",)),
+    Extreme("disturbance.signal.amplitude", 1e5, TOLD, ("the rig leaves its limits: position",)),
     Extreme("disturbance.signal.frequency", 1e3, REFUSED, ("a shorter control_period",)),
     Extreme("duration", 1e-12, REFUSED, ("duration is 1e-12", "control_period")),
     Extreme("reference.offset", 1e6, REFUSED, ("the reference reaches",)),
@@ -106,7 +106,7 @@ FURTHER = (
     Extreme("effects.end_stop.upper", -10.0, ENDED, ("cannot be true", "integration_step")),
     Extreme("effects.viscous_asymmetry.asymmetry", -1e6, ENDED, ("cannot be true",)),
     Extreme("effects.spring_hardening.cubic", -1e12, ENDED, ("cannot be true",)),
-    Extreme("effects.mass_shift.factor", 50.0, TOLD, ("the rig's limits are left: position",)),
+    Extreme("effects.mass_shift.factor", 50.0, TOLD, ("the rig leaves its limits: position",)),
     Extreme("effects.command_delay.delay", 0.05, TOLD, ("the force does not follow its reference",)),
     Extreme("effects.valve_null_bias.opening", 0.01, TOLD, ("the force does not follow its reference",)),
     Extreme("effects.viscous_shift.added", 1e6, SOUND),

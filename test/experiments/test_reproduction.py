@@ -9,9 +9,10 @@ import pytest
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.reproduction import choices, continuous, drift, paper, robustness, sampling, searches, study
-from ehls_ros.experiments.reproduction.cases import DIVERGED, Change, case, judged, largest_error, run
+from ehls_ros.experiments.reproduction.cases import DIVERGED, Change, case, evaluated, largest_error, run
 from ehls_ros.experiments.reproduction.paper import CELLS, Cell
 from ehls_ros.experiments.reproduction.pool import run_tasks
+from ehls_ros.experiments.reproduction.results import Searches, TriedGains, TriedWidth
 
 REACHED = {
     ("SIC", "constant", "fd1"): 12.8,
@@ -42,6 +43,10 @@ REACHED = {
 """Largest steady error of each cell when it was last bettered [N]."""
 
 
+GMS = paper.FASMC_2
+SHORT = Change({"duration": 0.02})
+
+
 @pytest.fixture(scope="module")
 def errors():
     return {cell: evaluate(run(cell)).max_error_n for cell in CELLS}
@@ -55,7 +60,7 @@ def test_a_cell_of_table_3_stays_where_it_was(errors, cell):
 @pytest.mark.parametrize("cell", [c for c in CELLS if c.controller == paper.FASMC_2], ids=" ".join)
 def test_fasmc_2_is_at_or_below_the_paper_and_converges_no_later(errors, cell):
     assert errors[cell] <= 100.0 * paper.RELATIVE_ERROR[cell]
-    converged = judged(cell).convergence_s
+    converged = evaluated(cell).convergence_s
     assert converged is not None
     if paper.CONVERGENCE[cell] is not None:
         assert converged <= paper.CONVERGENCE[cell]
@@ -70,11 +75,11 @@ def test_each_controller_beats_the_one_before_it(errors, reference, disturbance)
 
 @pytest.mark.parametrize("cell", [c for c in CELLS if c.controller == paper.SIC], ids=" ".join)
 def test_sic_converges_where_its_swing_fits_into_the_band_and_nowhere_else(errors, cell):
-    row = study.cell_row(cell, run(cell))
-    assert row["convergence_band_n"] == pytest.approx(100.0, rel=0.35)
-    assert (row["convergence_s"] is None) == (errors[cell] > row["convergence_band_n"])
-    assert (row["convergence_s"] is not None) == (cell[1:] in {("constant", "fd1"), ("irregular", "fd1")})
-    assert row["oscillation_n"] <= errors[cell]
+    result = study.cell_result(cell, run(cell))
+    assert result.convergence_band_n == pytest.approx(100.0, rel=0.35)
+    assert (result.convergence_s is None) == (errors[cell] > result.convergence_band_n)
+    assert (result.convergence_s is not None) == (cell[1:] in {("constant", "fd1"), ("irregular", "fd1")})
+    assert result.oscillation_n <= errors[cell]
 
 
 def test_a_run_that_leaves_every_limit_has_an_infinite_error():
@@ -94,23 +99,24 @@ def test_table_3_is_the_papers():
 
 def test_the_continuous_law_keeps_its_bounds(monkeypatch):
     monkeypatch.setattr(continuous, "DURATION", 1.0)
-    out = continuous.judge(Cell(paper.FASMC_2, "constant", "fd2"))
-    assert out["holds"]
-    assert out["largest_s"] <= out["s_bound"] == pytest.approx(4.3)
-    assert out["largest_error_n"] <= out["error_bound_n"] == pytest.approx(78.07, abs=0.01)
+    out = continuous.against_bounds(Cell(paper.FASMC_2, "constant", "fd2"))
+    assert out.holds
+    assert out.largest_s <= out.s_bound == pytest.approx(4.3)
+    assert out.largest_error_n <= out.error_bound_n == pytest.approx(78.07, abs=0.01)
     # 3.85 MPa at nearly k/2 = 6 MPa/s; |s| = b/h all the way would leave 1.7 MPa/s.
-    assert 0.6 < out["converged_s"] < 0.7
-    assert out["converged_s"] < out["convergence_bound_s"] == pytest.approx(2.27, abs=0.02)
-    assert max(out["error_line_n"][-100:]) < 1.0
+    assert 0.6 < out.converged_s < 0.7
+    assert out.converged_s < out.convergence_bound_s == pytest.approx(2.27, abs=0.02)
+    assert max(out.error_line_n[-100:]) < 1.0
 
 
 def test_the_explicit_law_stops_being_stable_at_two_over_the_rate():
-    limit = sampling.summary([0.0] * len(sampling.tasks()))["explicit_limit_s"]
+    limit = sampling.summary([0.0] * len(sampling.tasks())).explicit_limit_s
     assert limit == pytest.approx(2.28e-5, rel=0.01)
 
     def error(period: float, theta: float) -> float:
-        change = {"control_period": period, "integration_step": period, "duration": 0.8}
-        return judged(Cell(paper.FASMC_2, "sine", "fd2"), Change({**change, "controller": {"implicitness": theta}})).max_error_n
+        steps = {"control_period": period, "integration_step": period, "duration": 0.8}
+        change = Change({**steps, "controller": {"implicitness": theta}})
+        return evaluated(Cell(GMS, "sine", "fd2"), change).max_error_n
 
     assert error(0.95 * limit, 0.0) < 1.0
     assert error(1.05 * limit, 0.0) > DIVERGED
@@ -127,9 +133,9 @@ def test_the_defaults_are_what_the_searches_find():
     worst[chosen] = 1.0
     worst[run_of[3000.0, 0.0]] = 0.5
     found = searches.summary(np.repeat(worst, cells))
-    assert found["sic_best"]["proportional"] == spec.controller.parameters.proportional
-    assert found["sic_best"]["phase_margin_deg"] >= searches.PHASE_MARGIN_DEG
-    assert found["sic_best_without_margins"]["proportional"] == 3000.0
+    assert found.sic_best.proportional == spec.controller.parameters.proportional
+    assert found.sic_best.phase_margin_deg >= searches.PHASE_MARGIN_DEG
+    assert found.sic_best_without_margins.proportional == 3000.0
     assert case(Cell(paper.FASMC_1, "sine", "fd2")).compensation.parameters.smoothing in searches.SMOOTHING
 
 
@@ -170,23 +176,41 @@ def test_the_drifting_friction_is_the_one_asked_for():
 def test_summaries_put_results_where_they_belong():
     numbered = [float(i) for i in range(len(choices.tasks()))]
     rows = choices.summary(numbered)
-    assert [error for row in rows for error in row["errors_n"].values()] == numbered
+    assert [error for row in rows for error in row.errors_n.values()] == numbered
     single = [float(i) for i in range(len(robustness.one_at_a_time()))]
     draws = [1.0] * (len(robustness.drawn()) - 1) + [inf]
     out = robustness.summary(single, draws)
-    assert [error for row in out["parameters"] for error in row["errors_n"]] == single
-    assert out["draws"]["diverged"] == 1
-    assert out["draws"]["count"] == robustness.DRAWS
-    assert len(drift.summary([judged(drift.CASES[0])] * len(drift.tasks()))) == len(drift.tasks())
+    assert [error for row in out.parameters for error in row.errors_n] == single
+    assert out.draws.diverged == 1
+    assert out.draws.count == robustness.DRAWS
+    assert len(drift.summary([evaluated(drift.CASES[0])] * len(drift.tasks()))) == len(drift.tasks())
 
 
 def test_reductions_are_means_over_both_disturbances():
-    cells = [{**Cell(paper.FASMC_2, r, d)._asdict(), "max_error_n": 10.0} for r, d in searches.MOVING]
-    width = {"errors_n": [20.0 if d == "fd1" else 40.0 for _, d in searches.MOVING]}
-    found = {"cells": [list(key) for key in searches.MOVING], "stribeck_best": width, "stribeck_natural": width}
-    for row in study.reductions(cells, found):
-        assert row["best_width_percent"] == pytest.approx(62.5)
-        assert row["paper_percent"] == paper.REDUCTION[row["reference"]]
+    short = run(Cell(GMS, "sine", "fd2"), SHORT)
+    table = [study.cell_result(cell, short)._replace(max_error_n=10.0) for cell in CELLS if cell.controller == GMS]
+    width = TriedWidth(0.1, tuple(20.0 if place.disturbance == "fd1" else 40.0 for place in searches.MOVING), 40.0)
+    gains = TriedGains(1.0, 0.0, 9.0, 90.0, True, (), 1.0)
+    found = Searches(searches.MOVING, (gains,), gains, gains, (width,), width, width)
+    for row in study.reductions(table, found):
+        assert row.best_width_percent == pytest.approx(62.5)
+        assert row.paper_percent == paper.REDUCTION[row.reference]
+
+
+@pytest.mark.parametrize("choice", choices.choices(), ids=lambda choice: f"{choice.what}, {choice.other}")
+def test_every_open_choice_can_be_run(choice):
+    short = choice.change._replace(sections={**choice.change.sections, "duration": 0.5})
+    changed = run(choice.cells[0], short)["force_n"]
+    assert np.isfinite(changed).all()
+    assert not np.array_equal(changed, run(choice.cells[0], Change({"duration": 0.5}))["force_n"])
+
+
+def test_a_unit_read_otherwise_is_so_for_plant_and_controller():
+    spec = case(Cell(GMS, "sine", "fd2"), Change(known_friction={"element_stiffness": 1e-3}, friction={"coulomb_force": 2.0}))
+    nominal = case(Cell(GMS, "sine", "fd2")).rig.friction
+    assert spec.rig.friction.element_stiffness == pytest.approx([1e-3 * k for k in nominal.element_stiffness])
+    assert spec.controller_rig.friction.element_stiffness == spec.rig.friction.element_stiffness
+    assert spec.rig.friction.coulomb_force == 2.0 * spec.controller_rig.friction.coulomb_force == 2.0 * nominal.coulomb_force
 
 
 def square(x: int) -> int:

@@ -36,7 +36,8 @@ def check(text):
     """What must hold of every figure of every report."""
     for title, (traces, layout) in panels(text).items():
         for name, axis in drawn_axes(layout).items():
-            assert re.search(r"\[[^\]]+\]$", axis["title"]["text"]), f"{title}: {name} has no unit"
+            counts = "ticktext" in axis
+            assert bool(re.search(r"\[[^\]]+\]$", axis["title"]["text"])) != counts, f"{title}: {name} has no unit"
         for trace in traces:
             assert trace.get("yaxis", "y").replace("y", "yaxis") in layout, f"{title}: no axis for {trace.get('name')}"
         shown = [trace for trace in traces if trace.get("hoverinfo") != "skip"]

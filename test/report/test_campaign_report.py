@@ -1,21 +1,19 @@
 import html
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 from report_pages import check, numbers, panels, parts, row, rows
 
+from ehls_ros.experiments.campaign.plan import Column
+from ehls_ros.experiments.campaign.results import quantile, results_of
 from ehls_ros.report.campaign import MOST_GROUPS, MOST_ROWS, write_campaign_report
-from ehls_ros.report.campaign_findings import quantile, rank_correlation, verdict_sentence
+from ehls_ros.report.campaign_findings import rank_correlation, verdict_sentence
 
 K, MASS, WORD = "controller.k", "rig.plant.moving_mass", "reference"
 
 
-class Column(NamedTuple):
-    path: str
-    unit: str
-    numeric: bool = True
-    drawn: bool = False
+def varied(path, unit, *, numeric=True, drawn=False):
+    return Column(path, unit, numeric, drawn)
 
 
 def table(count, **columns):
@@ -32,7 +30,7 @@ def table(count, **columns):
 
 def page(tmp_path, results, *columns):
     path = tmp_path / "report.html"
-    write_campaign_report(results, columns, {"title": "a <study>", "base": {}}, [("Seed", "7")], path)
+    write_campaign_report(results_of(columns, results), {"title": "a <study>", "base": {}}, [("Seed", "7")], path)
     text = path.read_text(encoding="utf-8")
     check(text)
     return text
@@ -48,8 +46,8 @@ def draws(tmp_path):
         max_error_n=(10.0 * k).tolist(),
         **{K: k.tolist(), MASS: mass.tolist(), WORD: ["sine", "constant"] * 50, "seed": list(range(100))},
     )
-    columns = (Column(WORD, "", numeric=False), Column(K, "MPa/s", drawn=True), Column(MASS, "kg", drawn=True))
-    return results, (*columns, Column("seed", "1", drawn=True))
+    columns = (varied(WORD, "", numeric=False), varied(K, "MPa/s", drawn=True), varied(MASS, "kg", drawn=True))
+    return results, (*columns, varied("seed", "1", drawn=True))
 
 
 def test_draws_show_their_distribution_and_what_the_error_goes_with(draws, tmp_path):
@@ -57,8 +55,8 @@ def test_draws_show_their_distribution_and_what_the_error_goes_with(draws, tmp_p
     text = page(tmp_path, results, *columns)
     assert parts(text) == ["Groups", "Draws", "Largest errors", "How it was made"]
     drawn = panels(text)
-    assert list(drawn) == ["Distribution of the largest error", "What the error goes with", K, MASS]
-    traces, layout = drawn["What the error goes with"]
+    assert list(drawn) == ["Distribution of the largest error", "Correlation with the largest error", K, MASS]
+    traces, layout = drawn["Correlation with the largest error"]
     # The strongest stands on top; the seed is no parameter.
     assert layout["yaxis"]["ticktext"] == [MASS, K]
     for trace in traces:
@@ -81,7 +79,7 @@ def test_the_distribution_counts_runs_without_an_error(draws, tmp_path):
 def test_a_sweep_of_two_numbers_is_drawn_as_lines_and_maps(tmp_path):
     k, h = (axis.ravel() for axis in np.meshgrid([1.0, 2.0, 4.0], [10.0, 20.0]))
     results = table(6, max_error_n=(k * h).tolist(), **{K: k.tolist(), "controller.h": h.tolist()})
-    drawn = panels(page(tmp_path, results, Column(K, "MPa/s"), Column("controller.h", "t/s")))
+    drawn = panels(page(tmp_path, results, varied(K, "MPa/s"), varied("controller.h", "t/s")))
     assert list(drawn) == [K, "controller.h", f"{K} and controller.h"]
     median, low, high = (numbers(trace["y"]) for trace in drawn[K][0])
     assert (median.tolist(), low.tolist(), high.tolist()) == ([15, 30, 60], [10, 20, 40], [20, 40, 80])
@@ -96,7 +94,7 @@ def test_the_worst_and_the_failed_are_listed_with_their_reasons(tmp_path):
     for run in (3, 4):
         results["error"][run], results["max_error_n"][run] = lost, None
     results["convergence_s"][29] = None
-    text = page(tmp_path, results, Column(K, "MPa/s"))
+    text = page(tmp_path, results, varied(K, "MPa/s"))
     assert [cells[0] for cells in rows(text, "Largest errors")[1:]] == [str(run) for run in range(29, 29 - MOST_ROWS, -1)]
     assert row(text, "Largest errors", "29")[1:] == ["39.0 N", "never", "30.00"]
     assert row(text, "Failed runs", "3")[1:3] == [lost, "4.000"]
@@ -107,7 +105,7 @@ def test_the_worst_and_the_failed_are_listed_with_their_reasons(tmp_path):
 
 def test_no_run_with_a_force_error_leaves_no_empty_figure(tmp_path):
     results = table(3, max_error_n=[None] * 3, convergence_s=[None] * 3, **{K: [1.0, 2.0, 3.0]})
-    text = page(tmp_path, results, Column(K, "MPa/s"))
+    text = page(tmp_path, results, varied(K, "MPa/s"))
     assert parts(text) == ["Groups", "How it was made"]
     assert panels(text) == {}
 
@@ -115,10 +113,10 @@ def test_no_run_with_a_force_error_leaves_no_empty_figure(tmp_path):
 def test_many_groups_are_all_in_the_table_and_the_rest_is_told(tmp_path):
     count = MOST_GROUPS + 3
     results = table(2 * count, **{WORD: [f"r{run // 2}" for run in range(2 * count)], K: [1.0, 2.0] * count})
-    text = page(tmp_path, results, Column(WORD, "", numeric=False), Column(K, "MPa/s"))
+    text = page(tmp_path, results, varied(WORD, "", numeric=False), varied(K, "MPa/s"))
     assert len(rows(text, "Groups")) == count + 1
     assert len({trace["name"] for trace in panels(text)[K][0]}) == MOST_GROUPS
-    assert "3 more are in the table" in text
+    assert "the table has 3 more" in text
 
 
 def test_quantiles_are_values_that_were_reached():
@@ -135,6 +133,6 @@ def test_rank_correlation_sees_order_alone():
 
 
 def test_the_verdict_is_good_only_where_every_run_ended_and_converged():
-    assert verdict_sentence(table(4))[1]
-    assert not verdict_sentence(table(2, error=[None, "lost"]))[1]
-    assert not verdict_sentence(table(2, convergence_s=[None, 0.1]))[1]
+    assert verdict_sentence(results_of((), table(4)))[1]
+    assert not verdict_sentence(results_of((), table(2, error=[None, "lost"])))[1]
+    assert not verdict_sentence(results_of((), table(2, convergence_s=[None, 0.1])))[1]

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
-from report_pages import check, effort, numbers, panels
+from report_pages import check, numbers, panels
 
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.report.experiment import summary, write_experiment_report
@@ -64,24 +64,17 @@ def only(run, names):
     return replace(run, signals={name: run[name] for name in names})
 
 
-METRICS = evaluate(make_run()).as_json()
-UNKNOWN = METRICS | {"max_error_n": float("nan"), "rms_error_n": float("nan"), "convergence_s": None}
+METRICS = evaluate(make_run())
+UNKNOWN = METRICS._replace(max_error_n=float("nan"), rms_error_n=float("nan"), convergence_s=None)
 
 
 @pytest.fixture
-def whole_report(tmp_path):
-    def write(run, metrics=METRICS):
-        path = tmp_path / "report.html"
-        write_experiment_report(run, metrics, path)
-        return path.read_text(encoding="utf-8")
-
-    return write
+def whole_report(written):
+    return lambda run, metrics=METRICS: written(lambda path: write_experiment_report(run, metrics, path))
 
 
 @pytest.fixture
-def report(whole_report, monkeypatch):
-    """The same without the five megabytes of plotly.js."""
-    monkeypatch.setattr("ehls_ros.report.page.get_plotlyjs", lambda: "")
+def report(whole_report, without_plotly):
     return whole_report
 
 
@@ -117,10 +110,11 @@ def test_any_signal_may_be_missing(report, missing):
 
 
 def test_nothing_recorded(report):
-    html = report(Trajectory(np.empty(0), {}), {})
+    html = report(Trajectory(np.empty(0), {}), None)
     assert not panels(html)
     assert html.count("is left out") == len(TITLES) - 1
     assert "Position error" not in html
+    assert "no reference" in html
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
@@ -180,7 +174,7 @@ def position_run():
 
 def test_a_run_along_a_position_shows_the_position_instead_of_force_tracking(report):
     run = position_run()
-    html = report(run, evaluate(run).as_json())
+    html = report(run, evaluate(run))
     check(html)
     assert list(panels(html))[:2] == ["Motion", "Position error"]
     assert not {"Force tracking", "Force error"} & set(panels(html))
@@ -196,13 +190,13 @@ def test_a_run_along_a_position_shows_the_position_instead_of_force_tracking(rep
 
 @pytest.mark.parametrize(("missed", "good"), [(0, None), (3, False)])
 def test_the_verdict_on_a_run_along_a_position(missed, good):
-    sentence, verdict = summary(position_run(), METRICS | {"max_error_n": None, "missed_cycles": missed})
+    sentence, verdict = summary(position_run(), UNKNOWN._replace(missed_cycles=missed))
     assert f"{missed} of 600 cycles" in sentence
     assert verdict is good
 
 
 def test_bounds_limits_and_convergence_are_drawn(report):
-    html = report(make_run(), METRICS | {"convergence_s": 0.123})
+    html = report(make_run(), METRICS._replace(convergence_s=0.123))
     names = {title: [trace.get("name") for trace in traces] for title, (traces, _) in panels(html).items()}
     assert {"bound (44)", "converged after 0.123 s"} <= set(names["Force error"])
     assert "± limit of the spool" in names["Valve"]
@@ -214,7 +208,7 @@ def test_bounds_limits_and_convergence_are_drawn(report):
 
 def test_a_far_limit_is_told_and_not_drawn(report):
     html = report(make_run(rig={"limits": {"spool": 0.01}}))
-    assert "The limit of the spool, ±10.0 mm, lies outside the picture." in html
+    assert "The limit of the spool, ±10.0 mm, is outside the figure." in html
 
 
 def test_the_error_is_scaled_to_its_steady_part(report):
@@ -229,7 +223,7 @@ def test_the_error_is_scaled_to_its_steady_part(report):
 def test_text_of_the_metadata_is_escaped(report):
     hostile = "<script>alert(1)</script>"
     spec = SPEC | {"controller": {"name": hostile, hostile: hostile}}
-    html = report(make_run(title=hostile, timing=hostile, spec=spec, rig={hostile: hostile}), METRICS | {"bag": hostile})
+    html = report(make_run(title=hostile, timing=hostile, spec=spec, rig={hostile: hostile}), METRICS._replace(bag=hostile))
     assert hostile not in html
     assert html.count("&lt;script&gt;alert(1)&lt;/script&gt;") >= 6
 
@@ -254,18 +248,10 @@ def test_the_file_of_a_long_run_is_small_and_keeps_its_peak(whole_report):
     assert "every 0.0625 s" in html
 
 
-def test_ten_times_the_samples_take_less_than_ten_times_the_effort_and_give_the_same_again(whole_report):
-    short, long = make_run(10_000), make_run(100_000)
-    _, little = effort(lambda: whole_report(short))
-    first, much = effort(lambda: whole_report(long))
-    assert much < 10.0 * little
-    assert first == whole_report(long)
-
-
-def test_importing_the_report_compiles_nothing():
+def test_importing_the_report_loads_neither_plotlys_objects_nor_pandas():
     code = "import sys, ehls_ros.report.experiment; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
-    assert not {"numba", "scipy", "pandas", "rclpy", "plotly.graph_objs"} & set(loaded)
+    assert not {"pandas", "plotly.graph_objs"} & set(loaded)
 
 
 @pytest.mark.parametrize(
@@ -278,38 +264,42 @@ def test_importing_the_report_compiles_nothing():
             ["inside its band of ±100 N from the start"],
             True,
         ),
-        ({"max_error_n": 50.0, "convergence_s": 0.7, "warnings": ["limits are left"]}, ["after 0.700 s"], False),
+        ({"max_error_n": 50.0, "convergence_s": 0.7, "warnings": ("limits are left",)}, ["after 0.700 s"], False),
         (
             {"max_error_n": 509.0, "convergence_s": None, "convergence_band_n": 100.0, "oscillation_n": 505.0},
-            ["had not converged: it swings by ±505 N in the last half, with a band of ±100 N"],
+            ["did not converge: it oscillates by ±505 N in the last half, with a band of ±100 N"],
             False,
         ),
         ({"max_error_n": 50.0, "convergence_s": 0.7, "missed_cycles": 3}, ["3 of 600 cycles"], False),
-        ({"max_error_n": float("nan"), "convergence_s": None}, ["cannot be told"], None),
+        ({"max_error_n": float("nan"), "convergence_s": None}, ["cannot be evaluated"], None),
     ],
 )
 def test_the_verdict(changes, words, good):
     run = only(make_run(), [name for name in SIGNALS if not name.startswith("position_reference")])
     run["force_n"][:] = run["force_reference_n"][:] = 1e4
-    sentence, verdict = summary(run, METRICS | changes)
+    sentence, verdict = summary(run, METRICS._replace(**changes))
     assert verdict is good
     for word in words:
         assert word in sentence
 
 
 def test_warnings_are_shown(report):
-    html = report(make_run(), METRICS | {"warnings": ["the rig's limits are left", "<b>"]})
-    assert "Warning: the rig&#x27;s limits are left." in html or "Warning: the rig's limits are left." in html
+    html = report(make_run(), METRICS._replace(warnings=("the rig leaves its limits", "<b>")))
+    assert "Warning: the rig leaves its limits." in html
     assert "Warning: &lt;b&gt;." in html
 
 
 def test_the_verdict_looks_at_the_bound():
     run = make_run()
     run["force_n"][:] = run["force_reference_n"][:] = 1e4
-    metrics = METRICS | {"max_error_n": 90.0, "convergence_s": 0.1}
+    metrics = METRICS._replace(max_error_n=90.0, convergence_s=0.1)
     run["force_n"][400:403] += 90.0
     sentence, good = summary(run, metrics)
     assert "left its bound (44) in 3 cycles" in sentence
     assert good is False
     run["force_bound_n"][:] = np.inf
     assert summary(run, metrics)[1] is None
+
+
+def test_the_same_run_gives_the_same_page(report):
+    assert report(make_run()) == report(make_run())

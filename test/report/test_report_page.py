@@ -1,3 +1,4 @@
+import re
 from types import MappingProxyType
 
 import numpy as np
@@ -78,3 +79,22 @@ def test_a_table_has_a_cell_for_every_text():
     text = page.table(["case", "error"], [["sine", "1.0 N"], ["constant", "2.0 N"]])
     assert text.count("<td>") == 2
     assert text.count('<th scope="row">') == 2
+
+
+def test_shades_say_better_from_worse():
+    text = page.table(["", ""], [["a", page.Entry("1", "2", 1.0)], ["b", page.Entry("3", heat=-0.5)], ["c", page.Entry("4")]])
+    assert '<td style="background: rgba(213, 94, 0, 0.50)">1<small>2</small></td>' in text
+    assert '<td style="background: rgba(0, 114, 178, 0.25)">3</td>' in text
+    assert "<td>4</td>" in text
+
+
+def test_a_column_of_sentences_has_its_heading_on_the_left():
+    text = page.table(["case", "why", "error"], [["sine", page.Entry("it drifts", prose=True), "1.0 N"]])
+    assert '<th scope="col" class="prose">why</th><th scope="col">error</th>' in text
+
+
+def test_a_part_without_blocks_has_neither_heading_nor_link():
+    contents, *blocks = page.sections([("Valve", ["one", ""]), ("Motion", ["", ""]), ("Force", ["two"])])
+    assert re.findall(r'href="#(.*?)"', contents) == ["valve", "force"]
+    assert [block for block in blocks if not block.startswith("<h2")] == ["one", "two"]
+    assert len(blocks) == 4

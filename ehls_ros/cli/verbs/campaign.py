@@ -5,22 +5,22 @@ import os
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import Any
 
 import yaml
 
 from ehls_ros.cli.progress import progress_bar
-from ehls_ros.cli.valid_json import valid_json
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.campaign.backends import dask, local
 from ehls_ros.experiments.campaign.conduct import Outcome, conduct
 from ehls_ros.experiments.campaign.plan import Plan, load_plan
+from ehls_ros.experiments.campaign.results import CampaignResults, Summary, quantile, results_of
 from ehls_ros.experiments.campaign.store import Folder, opened, read_results
 from ehls_ros.experiments.campaign.work import code_version
+from ehls_ros.experiments.json_document import json_document
 from ehls_ros.report.campaign import write_campaign_report
-from ehls_ros.report.campaign_findings import ERROR, failed, numbers, quantile, unsettled, verdict_sentence
+from ehls_ros.report.campaign_findings import verdict_sentence
 
-HELP = "Run a sweep or a Monte Carlo study of experiments: one table of metrics and a report. Started again, it goes on."
+HELP = "Run a sweep or a Monte Carlo study of experiments: one table of metrics and a report. Started again, it continues."
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -28,9 +28,9 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("campaign", type=Path, help="campaign file (YAML), such as config/campaigns/k_and_h.yaml")
     parser.add_argument("--out", type=Path, help="folder of the results (default: runs/<campaign>)")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--jobs", type=int, help="processes to run in (default: one a processor)")
+    where.add_argument("--jobs", type=int, help="number of processes (default: one per processor)")
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://192.168.0.7:8786")
-    parser.add_argument("--spec", type=int, metavar="RUN", help="print the spec of one run of the table and do nothing else")
+    parser.add_argument("--spec", type=int, metavar="RUN", help="print the spec of one run of the table, and stop")
     parser.add_argument("--json", action="store_true", help="end with one line of JSON: the summary")
 
 
@@ -48,11 +48,11 @@ def run(options: Namespace) -> int:
             with progress_bar(plan.settings.title) as progress:
                 outcome = conduct(plan, folder, place, progress)
         except KeyboardInterrupt:
-            print(f"what is done is kept in {folder.parts}; start again to go on", file=sys.stderr)
+            print(f"finished runs are kept in {folder.parts}; start again to continue", file=sys.stderr)
             raise
-        results = read_results(folder.results)
+        results = results_of(plan.columns, read_results(folder.results))
         making = [*_summary_facts(outcome), ("Seed", str(plan.settings.seed)), ("ehls_ros", code_version())]
-        write_campaign_report(results, plan.columns, plan.file, making, folder.report)
+        write_campaign_report(results, plan.file, making, folder.report)
     _print(plan, folder, outcome, results, machine=options.json)
     return 0
 
@@ -60,29 +60,29 @@ def run(options: Namespace) -> int:
 def _summary_facts(outcome: Outcome) -> list[tuple[str, str]]:
     return [
         ("Runs", str(outcome.runs)),
-        ("Made at the last start", str(outcome.made)),
-        ("Wall time of the last start", f"{outcome.wall_s:.1f} s"),
+        ("Made by the last call", str(outcome.made)),
+        ("Wall time of the last call", f"{outcome.wall_s:.1f} s"),
     ]
 
 
-def _print(plan: Plan, folder: Folder, outcome: Outcome, results: dict[str, list[Any]], *, machine: bool) -> None:
+def _print(plan: Plan, folder: Folder, outcome: Outcome, results: CampaignResults, *, machine: bool) -> None:
     print(plan.settings.title)
     print(f"  {verdict_sentence(results)[0]}")
     print(f"  made now     {outcome.made} of {outcome.runs} runs in {outcome.wall_s:.1f} s")
     print(f"  table        {folder.results}")
     print(f"  report       {folder.report}")
     if machine:
-        errors = numbers(results, ERROR)
-        summary = {
-            "runs": outcome.runs,
-            "made": outcome.made,
-            "failed": len(failed(results)),
-            "not_converged": unsettled(results),
-            "median_max_error_n": quantile(errors, 0.5),
-            "p95_max_error_n": quantile(errors, 0.95),
-            "largest_max_error_n": quantile(errors, 1.0),
-            "wall_s": outcome.wall_s,
-            "results": str(folder.results),
-            "report": str(folder.report),
-        }
-        print(json.dumps(valid_json(summary)))
+        errors = results.max_error_n
+        summary = Summary(
+            outcome.runs,
+            outcome.made,
+            failed=len(results.failed),
+            not_converged=len(results.not_converged),
+            median_max_error_n=quantile(errors, 0.5),
+            p95_max_error_n=quantile(errors, 0.95),
+            largest_max_error_n=quantile(errors, 1.0),
+            wall_s=outcome.wall_s,
+            results=str(folder.results),
+            report=str(folder.report),
+        )
+        print(json.dumps(json_document(summary)))

@@ -1,4 +1,4 @@
-"""`ehls experiment`: run one experiment, record it, judge it, show it."""
+"""`ehls experiment`: run one experiment, record it, evaluate it, write its report."""
 
 import json
 import math
@@ -7,10 +7,11 @@ import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import Implausible, run_in_process
 from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
 from ehls_ros.experiments.run_folder import RunFolder
@@ -66,7 +67,7 @@ def run(options: Namespace) -> int:
         if done.failure is not None:
             metrics = metrics._replace(warnings=(str(done.failure),))
         folder.write_metrics(metrics)
-        write_experiment_report(done.trajectory, metrics.as_json(), folder.report)
+        write_experiment_report(done.trajectory, metrics, folder.report)
     _print(spec, metrics, done.trajectory, machine=options.json)
     if done.failure is not None:
         raise done.failure
@@ -74,7 +75,7 @@ def run(options: Namespace) -> int:
 
 
 class _Done(NamedTuple):
-    """A run, and why it ended early if it did; what there is of it is kept as a whole run is."""
+    """A run, and why it ended early if it did; an incomplete run is kept like a complete one."""
 
     trajectory: Trajectory
     wall_s: float
@@ -124,11 +125,11 @@ def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, *, machine: boo
         print(f"  largest error in the last half  {metrics.max_error_n:10.1f} N")
         print(f"  rms error in the last half      {metrics.rms_error_n:10.1f} N")
         print(f"  converged after                 {converged:>12}")
-        share = f"{100.0 * CONVERGENCE_BAND:g} % of the largest reference"
-        print(f"  convergence band                {metrics.convergence_band_n:10.1f} N, {share}")
+        of_reference = f"{100.0 * CONVERGENCE_BAND:g} % of the largest reference"
+        print(f"  convergence band                {metrics.convergence_band_n:10.1f} N, {of_reference}")
         if metrics.convergence_s is None:
-            print(f"  error in the last half swings by{metrics.oscillation_n:10.1f} N to either side")
-    print(f"  cycles, of them unanswered      {metrics.cycles:8d}, {metrics.missed_cycles}")
+            print(f"  oscillation in the last half    {metrics.oscillation_n:10.1f} N to either side")
+    print(f"  cycles, unanswered ones         {metrics.cycles:8d}, {metrics.missed_cycles}")
     print(f"  wall time                       {wall:10.2f} s ({metrics.duration_s / wall:.1f} x real time)")
     if metrics.in_real_time is not None:
         kept = "yes" if metrics.in_real_time else "NO"
@@ -142,5 +143,4 @@ def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, *, machine: boo
         print(f"  warning: {warning}")
     sys.stdout.flush()
     if machine:
-        line: dict[str, Any] = metrics.as_json()
-        print(json.dumps(line))
+        print(json.dumps(json_document(metrics)))

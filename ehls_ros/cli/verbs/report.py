@@ -26,7 +26,7 @@ def run(options: Namespace) -> int:
     trajectory = load(bag if bag.is_dir() else data, read_columns(options.columns) if options.columns else None)
     out: Path = options.out or (data if bag.is_dir() else data.parent) / "report.html"
     controlled = {"force_reference_n", "position_reference_m"} & trajectory.signals.keys()
-    metrics = evaluate(trajectory).as_json() if controlled else {}
+    metrics = evaluate(trajectory) if controlled else None
     try:
         write_experiment_report(trajectory, metrics, out)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Where the runs are done: processes of this machine, or the workers of a Dask cluster.
+"""Where runs are made: processes of this machine, or the workers of a Dask cluster.
 
 Both take chunks of runs as they need them, a few ahead of the work, and give each chunk's rows back once, as it is done.
 """
@@ -20,14 +20,14 @@ from ehls_ros.experiments.campaign.work import Row, code_version, run_chunk
 from ehls_ros.recording.reason import reason
 
 CONNECTING_S, JOINING_S = 10.0, 60.0
-"""How long a scheduler may take to answer, and its first worker to join it."""
+"""Time limits for a scheduler to answer, and for its first worker to join [s]."""
 
 AHEAD = 2
-"""Chunks handed out for each that is at work."""
+"""Chunks handed out per slot."""
 
 
 class Chunk(NamedTuple):
-    """Runs that go to a worker together.
+    """Runs that a worker makes together.
 
     Attributes:
         digests: key of each.
@@ -54,7 +54,7 @@ class Backend(NamedTuple):
 
 
 Place = AbstractContextManager[Backend]
-"""A backend to be entered and left."""
+"""A backend as a context manager."""
 
 
 @contextmanager
@@ -85,7 +85,7 @@ def local(jobs: int) -> Iterator[Backend]:
 
 
 def _leave_interrupts_to_the_parent() -> None:
-    # A terminal's Ctrl-C reaches all processes; a worker interrupted amid handing a result over would keep the queue locked.
+    # Ctrl-C reaches all processes; a worker interrupted while it returns a result would keep the queue locked.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -95,7 +95,7 @@ def _done(chunk: Chunk, version: str) -> Done:
 
 @contextmanager
 def dask(address: str) -> Iterator[Backend]:
-    """Work on a Dask cluster. A worker that dies has its chunks done again by the others; one that joins gets its share.
+    """Work on a Dask cluster. The chunks of a worker that dies are done again by others; a worker that joins gets its share.
 
     Args:
         address: the scheduler's, such as ``tcp://192.168.0.7:8786``.

@@ -1,4 +1,4 @@
-"""Running a campaign: what is missing is handed out, what comes back is kept."""
+"""Running a campaign: missing runs are handed out, their results are kept."""
 
 import itertools
 import time
@@ -13,24 +13,24 @@ from ehls_ros.experiments.campaign.store import Folder, Index, digests_done, kee
 from ehls_ros.experiments.campaign.work import Row, code_version, run_digest
 
 CHUNK_CYCLES = 400_000
-"""Control cycles that go to a worker together at most: about a second of work."""
+"""Largest number of control cycles in a chunk: about a second of work."""
 
 CHUNKS_LEFT = 3
-"""Chunks a slot is still to get when the chunks begin to shrink, so that all slots end together."""
+"""Chunks left per slot when chunks begin to shrink, so that all slots end together."""
 
 KEPT_EVERY_S = 2.0
-"""Rows wait this long at most before they are written."""
+"""Longest time before rows are written [s]."""
 
 Progress = Callable[[int, int], None]
 
 
 class Outcome(NamedTuple):
-    """What a campaign came to.
+    """What one call made.
 
     Attributes:
-        runs: runs in all.
-        made: those made this time; the others were there.
-        wall_s: wall time of making them, workers' start, kernels and the table included.
+        runs: total number of runs.
+        made: those made by this call; the others had been made before.
+        wall_s: wall time, start of the workers, kernels and table included [s].
     """
 
     runs: int
@@ -39,13 +39,13 @@ class Outcome(NamedTuple):
 
 
 def conduct(plan: Plan, folder: Folder, place: Place, progress: Progress | None = None) -> Outcome:
-    """Make the runs of a campaign that are missing and write its table.
+    """Make the missing runs of a campaign and write its table.
 
     Args:
         plan: the campaign.
         folder: where it keeps its files, opened.
-        place: where the runs are done.
-        progress: called with the runs done and the runs in all.
+        place: where the runs are made.
+        progress: called with the number of runs done and the total number.
     """
     start = time.perf_counter()
     folder.campaign.write_text(yaml.safe_dump(plan.file, sort_keys=False, allow_unicode=True), encoding="utf-8")
@@ -61,8 +61,8 @@ class _Work:
     """The state of one call of :func:`conduct`.
 
     Attributes:
-        index: the runs gone through so far.
-        made: rows that came back.
+        index: the runs so far.
+        made: number of rows received.
     """
 
     def __init__(self, plan: Plan, folder: Folder, progress: Progress | None) -> None:
@@ -76,7 +76,7 @@ class _Work:
         self.made = 0
 
     def do(self, backend: Backend) -> None:
-        """Have every missing run made; an interruption loses nothing that came back."""
+        """Have every missing run made; an interruption loses no received row."""
         chunks = self._chunks(backend.slots)
         try:
             first = next(chunks, None)
@@ -97,7 +97,7 @@ class _Work:
             self._progress(self._found + self.made, len(self._plan))
 
     def _chunks(self, slots: int) -> Iterator[Chunk]:
-        """Go through the runs, note each, and cut what is missing into chunks, smaller ones towards the end."""
+        """Index the runs and divide the missing ones into chunks, smaller ones towards the end."""
         most = max(CHUNK_CYCLES // self._plan.cycles, 1)
         digests: list[str] = []
         specs: list[str] = []

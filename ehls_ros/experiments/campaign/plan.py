@@ -1,8 +1,8 @@
-"""A campaign file and the runs it stands for.
+"""A campaign file and its runs.
 
-The grid is every combination of the lists, ranges and zipped groups. Where something is drawn at random, every draw is run
-at every point of the grid, so that points are compared on the same draws. A number drawn depends on the campaign's seed, the
-draw and the path alone: any run can be made again by itself, and more draws or further paths leave it as it is.
+The grid is every combination of the lists, ranges and zipped groups. Every draw of random numbers is run at every point of the
+grid, so that points are compared on the same draws. A drawn number depends only on the campaign's seed, the draw and the path:
+any run can be repeated alone, and more draws or paths do not change it.
 """
 
 import copy
@@ -23,16 +23,16 @@ from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import declarations, parse, quantity, text
 
 MOST_POINTS, MOST_RUNS = 100_000, 1_000_000
-"""Points of a grid, and runs in all."""
+"""Largest number of grid points, and of runs."""
 
 KEYS = ("title", "base", "vary", "zip", "runs", "seed")
 
 SEED = "seed"
-"""Path of the spec that each draw gets a number of its own for, unless the campaign varies it."""
+"""Path that gets a different number in each draw, unless the campaign varies it."""
 
 
 class Settings(NamedTuple):
-    """What a campaign file says in plain numbers and names."""
+    """Plain numbers and names of a campaign file."""
 
     title: Annotated[str, text("what the campaign is called in its report")] = "campaign"
     runs: Annotated[int, quantity("1", "draws at each point of the grid", minimum=1, maximum=MOST_RUNS)] = 1
@@ -43,8 +43,8 @@ class Point(NamedTuple):
     """One combination of the grid.
 
     Attributes:
-        values: what stands in the table for each path of the grid.
-        spec: the spec with everything it names written out, as JSON.
+        values: entry in the table for each path of the grid.
+        spec: the spec with all files it names written out, as JSON.
     """
 
     values: dict[str, Any]
@@ -57,8 +57,8 @@ class Run(NamedTuple):
     Attributes:
         number: from 0; all points of the grid in turn, then the next draw.
         draw: which draw, from 0.
-        values: what stands in the table for each varied path.
-        spec: the spec with everything it names written out, as JSON.
+        values: entry in the table for each varied path.
+        spec: the spec with all files it names written out, as JSON.
     """
 
     number: int
@@ -110,7 +110,7 @@ class Plan:
         return len(self.points) * self.settings.runs
 
     def runs(self) -> Iterator[Run]:
-        """Make the runs one after another, in their order."""
+        """Yield the runs in their order."""
         return map(self.run, range(len(self)))
 
     def run(self, number: int) -> Run:
@@ -200,7 +200,7 @@ class _Change(NamedTuple):
 
 
 _Group = list[dict[str, _Change]]
-"""What is varied together: changes by path, to be taken one after another."""
+"""Values varied together: changes by path, taken one after another."""
 
 
 def _base(data: Any, where: str, folder: Path) -> dict[str, Any]:
@@ -242,7 +242,7 @@ def _varied(data: Mapping[str, Any], where: str, folder: Path) -> tuple[list[_Gr
             place = f"{where}: zip[{number}]: {path}"
             found = variation(_anywhere(entry, folder), _checked(path, [*drawn, *_paths(groups)], place))
             if not isinstance(found, Values):
-                raise BadInput("a distribution is zipped", place, "a list or a range; what is drawn goes to vary")
+                raise BadInput("a distribution is zipped", place, "a list or a range; distributions belong under vary")
             columns[path] = [_Change(value, found.relative) for value in found.values]
         lengths = {path: len(changes) for path, changes in columns.items()}
         if len(set(lengths.values())) != 1:
@@ -265,7 +265,7 @@ def _checked(path: Any, before: Sequence[str], place: str) -> str:
 
 
 def _anywhere(data: Any, folder: Path, key: str = "") -> Any:
-    """Return data with the files it names as absolute paths, so that it means the same in another folder."""
+    """Return data with all file names as absolute paths, valid in any folder."""
     if isinstance(data, Mapping):
         return {name: _anywhere(value, folder, name) for name, value in data.items()}
     if isinstance(data, list):
@@ -274,7 +274,7 @@ def _anywhere(data: Any, folder: Path, key: str = "") -> Any:
 
 
 def _point(base: Mapping[str, Any], changes: Mapping[str, _Change], where: str, folder: Path) -> tuple[Point, Spec]:
-    """Return a point of the grid and its spec: whole sections first, written out, then what lies in them."""
+    """Return a point of the grid and its spec: complete sections first, then values within them."""
     mapping: dict[str, Any] = copy.deepcopy(dict(base))
     values = {path: label(change.value) for path, change in changes.items()}
     place = f"{where}: {', '.join(f'{path} = {value}' for path, value in values.items())}" if values else where
@@ -297,7 +297,7 @@ def _point(base: Mapping[str, Any], changes: Mapping[str, _Change], where: str, 
 
 
 def _check_draws(point: Point, drawn: Mapping[str, Distribution], where: str) -> None:
-    """Refuse paths a spec does not have, by a run with the middle of every distribution."""
+    """Refuse paths that a spec does not have, by a run with the median of every distribution."""
     mapping = json.loads(point.spec)
     for path, distribution in drawn.items():
         _set(mapping, path, distribution.middle, f"{where}: vary: {path}", relative=distribution.relative)
@@ -305,11 +305,11 @@ def _check_draws(point: Point, drawn: Mapping[str, Distribution], where: str) ->
 
 
 def _set(mapping: dict[str, Any], path: str, value: Any, where: str, *, relative: bool) -> Any:
-    """Put a value into nested mappings and lists, times the one there where it is relative; return what was put."""
+    """Set a value in nested mappings and lists, as a factor on the present one if relative; return the value set."""
     *way, last = path.split(".")
     inner: Any = mapping
     for step in way:
-        # What a spec leaves out, such as a sensor, may be set; what it does not know, its own check refuses.
+        # Optional keys, such as a sensor, may be set; unknown ones are refused by the check of the spec.
         inner = inner.setdefault(step, {}) if isinstance(inner, dict) and not relative else _inside(inner, step, path, where)
     if relative:
         own = _inside(inner, last, path, where)
@@ -357,7 +357,7 @@ def _columns(points: Sequence[Point], drawn: Mapping[str, Distribution], spec: S
 
 
 def _unit(spec: Spec, path: str) -> str:
-    """Return the declared unit of a number of a spec, empty for what has none."""
+    """Return the declared unit of a number in a spec; empty if it has none."""
     *way, last = path.split(".")
     holder: Any = spec if way else spec.settings
     for step in way:

@@ -1,7 +1,7 @@
-"""What is kept of a campaign: parts while it runs, one table at its end.
+"""The files of a campaign: parts while it runs, one table at its end.
 
-A part holds the metrics of runs by their digests and nothing of the campaign, so that a campaign that was changed takes over
-what it shares with the one before. A part is there whole or not at all. One process at a time works in a folder.
+A part holds the metrics of runs by their digests and nothing of the campaign, so that a changed campaign reuses the runs it
+shares with the previous one. A part is complete or missing. One process at a time works in a folder.
 """
 
 import fcntl
@@ -20,7 +20,7 @@ from ehls_ros.experiments.campaign.work import METRICS, Row
 from ehls_ros.recording.reason import reason
 
 COUNTS = ("cycles", "missed_cycles")
-"""Metrics that are whole numbers."""
+"""Metrics that are integers."""
 
 
 class Folder(NamedTuple):
@@ -51,7 +51,7 @@ class Folder(NamedTuple):
 
 @contextmanager
 def opened(path: Path) -> Iterator[Folder]:
-    """Make a campaign's folder, or go on with it, and keep other processes out of it.
+    """Make a campaign's folder, or continue in it, and lock it against other processes.
 
     Raises:
         BadInput: it cannot be written, another campaign is at work in it, or pyarrow is not installed.
@@ -135,7 +135,7 @@ class Index:
         self._values: dict[str, Any] = {column.path: array("d") if column.numeric else [] for column in columns}
 
     def add(self, run: Run, digest: str) -> None:
-        """Take up the next run."""
+        """Add the next run."""
         self._digests.append(digest)
         self._draws.append(run.draw)
         for column in self._columns:
@@ -143,11 +143,11 @@ class Index:
             self._values[column.path].append(value if column.numeric else str(value))
 
     def write_results(self, folder: Folder, about: Mapping[str, Any]) -> None:
-        """Write the table: a row a run, in their order.
+        """Write the table: one row per run, in their order.
 
         Args:
             folder: the campaign's, with the metrics of every run.
-            about: what the file says of itself.
+            about: metadata of the file.
         """
         arrow: Any = import_module("pyarrow")
         compute: Any = import_module("pyarrow.compute")
@@ -165,6 +165,6 @@ class Index:
 
 
 def read_results(path: Path) -> dict[str, list[Any]]:
-    """Return the table's columns by name; what a run has no value for is None."""
+    """Return the table's columns by name; a missing value is None."""
     columns: dict[str, list[Any]] = _read(path).to_pydict()
     return columns

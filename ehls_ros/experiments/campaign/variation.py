@@ -1,4 +1,4 @@
-"""What a campaign file may write in place of one value: a list, a range, a distribution."""
+"""What a campaign file may give instead of one value: a list, a range, a distribution."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ RELATIVE = text("the numbers are factors on the base's own value")
 
 
 class Values(NamedTuple):
-    """Values to be taken in turn; with ``relative`` they are factors on the base's own."""
+    """Values taken in turn; with ``relative``, factors on the base's value."""
 
     values: tuple[Any, ...]
     relative: bool = False
@@ -31,7 +31,7 @@ class Range(NamedTuple):
 
 
 class Distribution(NamedTuple):
-    """Numbers drawn at random, one a draw; exactly one of the three is given."""
+    """Numbers drawn at random, one per draw; exactly one of the three is given."""
 
     uniform: Annotated[tuple[float, float] | None, text("lowest and highest number")] = None
     normal: Annotated[tuple[float, float] | None, text("mean and standard deviation")] = None
@@ -49,7 +49,7 @@ class Distribution(NamedTuple):
 
     @property
     def middle(self) -> float:
-        """The number half of the draws lie below."""
+        """Median of the distribution."""
         if self.uniform is not None:
             return 0.5 * (self.uniform[0] + self.uniform[1])
         if self.normal is not None:
@@ -65,7 +65,7 @@ EXPECTED = (
 
 
 def variation(data: Any, where: str) -> Values | Distribution:
-    """Check what a campaign file writes for a path.
+    """Check the entry of a campaign file for a path.
 
     Args:
         data: the parsed entry.
@@ -115,7 +115,7 @@ def _distribution(data: Mapping[str, Any], where: str) -> Distribution:
 
 
 def label(value: Any) -> Any:
-    """Return a value as one cell of a table: numbers as they are, sections and lists in words.
+    """Return a value as a cell of a table: numbers unchanged, sections and lists in words.
 
     Args:
         value: what a campaign file gives for a path, such as ``{name: sine, amplitude: 1e4}``.

@@ -12,6 +12,7 @@ import numpy as np
 
 from ehls_ros import __version__
 from ehls_ros.errors import WorkFailed
+from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.spec import spec_from_mapping
@@ -24,17 +25,17 @@ METRICS = ("max_error_n", "rms_error_n", "convergence_s", "cycles", "missed_cycl
 Row = dict[str, Any]
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Threads of one worker would import the same new kernel at once; the kernels hold the interpreter anyway."""
+"""Threads of one worker must not import the same new kernel at once; kernels hold the interpreter lock anyway."""
 
 
 def code_version() -> str:
-    """Return the package's version with a digest of the sources a run's numbers come from."""
+    """Return the package's version with a digest of the sources that determine a run's numbers."""
     digest = sources_digest("physics", "control", "experiments", "arrays.py")
     return f"{__version__}+{digest[:12]}"
 
 
 def run_digest(spec: str) -> str:
-    """Return the key of a run: equal for equal specs under equal code, whatever campaign they are part of.
+    """Return the key of a run: equal for equal specs under equal code, in any campaign.
 
     Args:
         spec: the spec as JSON, everything it names written out.
@@ -47,13 +48,13 @@ def run_chunk(specs: Sequence[str], version: str) -> list[Row]:
 
     Args:
         specs: the specs as JSON.
-        version: code version of whoever asks.
+        version: code version of the caller.
 
     Returns:
-        A row a spec.
+        One row per spec.
 
     Raises:
-        WorkFailed: this process has other code than whoever asks.
+        WorkFailed: this process has other code than the caller.
     """
     if code_version() != version:
         raise WorkFailed(
@@ -70,14 +71,14 @@ def run_one(spec: str) -> Row:
         spec: the spec as JSON.
 
     Returns:
-        Its metrics, and ``error``: what the run died of, or None. Nothing else is kept of it.
+        Its metrics, and ``error``: the reason why the run failed, or None.
     """
     start = time.perf_counter()
     try:
         run = run_in_process(spec_from_mapping(json.loads(spec), "run", Path()))
-        row = {name: value for name, value in evaluate(run).as_json().items() if name in METRICS}
+        row = {name: value for name, value in json_document(evaluate(run)).items() if name in METRICS}
         lost = np.flatnonzero(~np.isfinite(run["force_n"]))
-        error = f"the force is no finite number from {run.time_s[lost[0]]:g} s on" if lost.size else None
-    except Exception as failure:  # noqa: BLE001 - whatever a run dies of is its result, and the others go on
+        error = f"the force is not finite after {run.time_s[lost[0]]:g} s" if lost.size else None
+    except Exception as failure:  # noqa: BLE001 - a failure is the result of this run, and the others continue
         row, error = dict.fromkeys(METRICS), f"{type(failure).__name__}: {reason(failure)}"
     return row | {"wall_s": time.perf_counter() - start, "error": error}

@@ -1,15 +1,15 @@
-"""What the paper leaves open, and how much each choice moves Table 3."""
+"""Settings that the paper leaves open, and by how much each one changes Table 3."""
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ehls_ros.control.controllers import fasmc
 from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.cases import Change, largest_error, paper_rig
+from ehls_ros.experiments.reproduction.cases import Change, largest_error
 from ehls_ros.experiments.reproduction.paper import Cell
 from ehls_ros.experiments.reproduction.pool import Task
-from ehls_ros.physics.rig import rig_to_mapping
+from ehls_ros.experiments.reproduction.results import TriedChoice
 
 PHI1_READINGS = 1000.0 / 103.0
 """The text's phi1 is 103 or, with a lost exponent, 10^3."""
@@ -22,8 +22,8 @@ class Choice(NamedTuple):
         what: the setting.
         ours: the value of Table 3.
         other: the value tried.
-        change: how a case is told.
-        cells: the cells it can touch.
+        change: how the cases change.
+        cells: the cells it can affect.
     """
 
     what: str
@@ -42,8 +42,6 @@ def choices() -> list[Choice]:
     every = _cells(paper.FASMC_2)
     triangle, irregular = _cells(paper.FASMC_2, "triangle"), _cells(paper.FASMC_2, "irregular")
     sic = _cells(paper.SIC)
-    rig = paper_rig()
-    stiffness = tuple(1e-3 * k for k in rig.friction.element_stiffness)
 
     def tuned(**values: float) -> Change:
         return Change({"controller": values})
@@ -71,14 +69,9 @@ def choices() -> list[Choice]:
         Choice("keeping α̂, β̂", "forgetting 0.1 1/s and projection", "projection alone", tuned(forgetting=0.0), every),
         Choice("keeping α̂, β̂", "forgetting 0.1 1/s and projection", "forgetting 1 1/s", tuned(forgetting=1.0), every),
         Choice("rate of pL", "model, corrected by what it missed", "model alone", tuned(rate_correction=0.0), every),
-        Choice("unit of k_i in Table 1", "N/mm", "N/m", Change({"rig": _with_stiffness(stiffness)}), every),
+        Choice("unit of k_i in Table 1", "N/mm", "N/m", Change(known_friction={"element_stiffness": 1e-3}), every),
         Choice("sign of gravity in (3)", "as printed", "turned round", Change(plant={"gravity": -1.0}), every),
     ]
-
-
-def _with_stiffness(stiffness: tuple[float, ...]) -> dict[str, Any]:
-    mapping = rig_to_mapping(paper_rig())
-    return {**mapping, "friction": {**mapping["friction"], "element_stiffness": list(stiffness)}}
 
 
 def tasks() -> list[Task]:
@@ -86,20 +79,12 @@ def tasks() -> list[Task]:
     return [partial(largest_error, cell, choice.change) for choice in choices() for cell in choice.cells]
 
 
-def summary(results: Sequence[float]) -> list[dict[str, Any]]:
-    """Return a row a choice, from the results of :func:`tasks`."""
+def summary(results: Sequence[float]) -> tuple[TriedChoice, ...]:
+    """Return a record per choice, from the results of :func:`tasks`."""
     rows, start = [], 0
     for choice in choices():
         errors = results[start : start + len(choice.cells)]
         start += len(choice.cells)
         cells = {f"{cell.reference} {cell.disturbance}": float(error) for cell, error in zip(choice.cells, errors, strict=True)}
-        rows.append(
-            {
-                "what": choice.what,
-                "controller": choice.cells[0].controller,
-                "ours": choice.ours,
-                "other": choice.other,
-                "errors_n": cells,
-            }
-        )
-    return rows
+        rows.append(TriedChoice(choice.what, choice.cells[0].controller, choice.ours, choice.other, cells))
+    return tuple(rows)

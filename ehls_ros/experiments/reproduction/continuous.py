@@ -1,4 +1,4 @@
-"""The law in continuous time: what (44)-(46) promise beside what is measured.
+"""The law in continuous time, compared with the bounds (44) to (46).
 
 The controller is evaluated explicitly at every integration step, short enough to resolve the robust term, whose
 rate is 8.8e4 1/s.
@@ -6,7 +6,6 @@ rate is 8.8e4 1/s.
 
 import math
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -17,13 +16,14 @@ from ehls_ros.experiments.reproduction import paper
 from ehls_ros.experiments.reproduction.cases import Change, case
 from ehls_ros.experiments.reproduction.paper import Cell
 from ehls_ros.experiments.reproduction.pool import Task
+from ehls_ros.experiments.reproduction.results import ContinuousRun
 from ehls_ros.experiments.spec import Spec
 
 STEP = 4e-6
 """Period of control and integration [s]; the robust rate times it is 0.35."""
 
 DURATION = 5.0
-"""Plant time [s]: whole periods of every sine among references and disturbances but fd1's, which has passed its extremes."""
+"""Plant time [s]: complete periods of every sine except fd1, which has passed both extremes."""
 
 POINTS = 2000
 """Points of the lines kept for the report."""
@@ -31,7 +31,7 @@ POINTS = 2000
 
 def tasks() -> list[Task]:
     """Return one run for each FASMC II cell."""
-    return [partial(judge, cell) for cell in paper.CELLS if cell.controller == paper.FASMC_2]
+    return [partial(against_bounds, cell) for cell in paper.CELLS if cell.controller == paper.FASMC_2]
 
 
 def paper_quantities(spec: Spec) -> dict[str, float]:
@@ -42,8 +42,8 @@ def paper_quantities(spec: Spec) -> dict[str, float]:
     return {"e1": e1, "m0": plant.moving_mass, "rate": reaching_rate(p.h, p.b, p.xi, e1, p.delta_f, plant.moving_mass)}
 
 
-def judge(cell: Cell) -> dict[str, Any]:
-    """Run one cell in continuous time and hold it against the bounds."""
+def against_bounds(cell: Cell) -> ContinuousRun:
+    """Run one cell in continuous time and compare it with the bounds."""
     change = Change(
         {"control_period": STEP, "integration_step": STEP, "duration": DURATION, "controller": {"implicitness": 0.0}}
     )
@@ -76,24 +76,24 @@ def judge(cell: Cell) -> dict[str, Any]:
     after = slice(min(outside_e + 1, len(e) - 1), None)
     area = spec.controller_rig.plant.piston_area * 1e6
     edges = np.arange(0, len(s), window)
-    return {
-        "reference": cell.reference,
-        "disturbance": cell.disturbance,
-        "start_s": start_s,
-        "start_error_n": start_e * area,
-        "reached_s": reached,
-        "reaching_bound_s": reaching,
-        "sliding_s": sliding,
-        "sliding_bound_s": kept,
-        "converged_s": converged,
-        "paper_bound_s": reaching + sliding,
-        "convergence_bound_s": reaching + kept,
-        "largest_s": float(s[min(outside_s + 1, len(s) - 1) :].max()),
-        "s_bound": s_bound,
-        "largest_error_n": float(e[after].max()) * area,
-        "error_bound_n": e_bound * area,
-        "holds": bool(reached <= reaching + STEP and converged <= reaching + kept),
-        "time_s": (edges * STEP).tolist(),
-        "s_line": np.maximum.reduceat(s, edges).tolist(),
-        "error_line_n": (np.maximum.reduceat(e, edges) * area).tolist(),
-    }
+    return ContinuousRun(
+        reference=cell.reference,
+        disturbance=cell.disturbance,
+        start_s=start_s,
+        start_error_n=start_e * area,
+        reached_s=reached,
+        reaching_bound_s=reaching,
+        sliding_s=sliding,
+        sliding_bound_s=kept,
+        converged_s=converged,
+        paper_bound_s=reaching + sliding,
+        convergence_bound_s=reaching + kept,
+        largest_s=float(s[min(outside_s + 1, len(s) - 1) :].max()),
+        s_bound=s_bound,
+        largest_error_n=float(e[after].max()) * area,
+        error_bound_n=e_bound * area,
+        holds=bool(reached <= reaching + STEP and converged <= reaching + kept),
+        time_s=tuple((edges * STEP).tolist()),
+        s_line=tuple(np.maximum.reduceat(s, edges).tolist()),
+        error_line_n=tuple((np.maximum.reduceat(e, edges) * area).tolist()),
+    )

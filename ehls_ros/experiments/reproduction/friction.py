@@ -1,11 +1,10 @@
 """The identified friction as the paper's Figures 4 and 5 draw it: Stribeck curve and hysteresis loop."""
 
-from typing import Any
-
 import numpy as np
 
 from ehls_ros.control.estimator import FrictionEstimator
 from ehls_ros.experiments.reproduction.cases import paper_rig
+from ehls_ros.experiments.reproduction.results import FrictionCurves
 from ehls_ros.physics.friction.base import stribeck_level
 
 FASTEST = 0.15
@@ -17,24 +16,24 @@ STROKE, FREQUENCY = 1.2e-3, 0.1
 PERIOD = 1e-3
 
 
-def curves() -> dict[str, Any]:
-    """Return both curves: force over velocity, and force over displacement with each element's part."""
+def curves() -> FrictionCurves:
+    """Return both curves: force over velocity, and force over displacement with the force of each element."""
     friction = paper_rig().friction
     velocity = np.linspace(-FASTEST, FASTEST, 602)
     level = np.array([stribeck_level.py_func(v, friction) for v in velocity])
     steady = np.sign(velocity) * level + friction.viscous_coefficient * velocity
 
-    # Two periods: the first one starts from rest and leads to the loop.
+    # Two periods: the first starts from rest and leads to the loop.
     time = np.arange(round(2.0 / FREQUENCY / PERIOD)) * PERIOD
     omega = 2.0 * np.pi * FREQUENCY
     displacement, speed = STROKE * np.sin(omega * time), STROKE * omega * np.cos(omega * time)
     estimator = FrictionEstimator("gms", friction, PERIOD)
     elements = len(friction.element_stiffness)
     rows = np.array([estimator.update(v)[: 2 + elements].copy() for v in speed])[::20]
-    return {
-        "velocity_m_s": velocity.tolist(),
-        "steady_force_n": steady.tolist(),
-        "displacement_m": displacement[::20].tolist(),
-        "hysteresis_n": rows[:, 0].tolist(),
-        "elements_n": rows[:, 2:].T.tolist(),
-    }
+    return FrictionCurves(
+        velocity_m_s=tuple(velocity.tolist()),
+        steady_force_n=tuple(steady.tolist()),
+        displacement_m=tuple(displacement[::20].tolist()),
+        hysteresis_n=tuple(rows[:, 0].tolist()),
+        elements_n=tuple(map(tuple, rows[:, 2:].T.tolist())),
+    )

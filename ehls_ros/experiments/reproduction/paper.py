@@ -1,4 +1,4 @@
-"""What the paper published of its simulations, section 5.1: Table 3 and the text around it."""
+"""The paper's published simulations, section 5.1: Table 3 and the text around it."""
 
 from typing import Any, NamedTuple
 
@@ -8,7 +8,7 @@ REFERENCES: dict[str, dict[str, Any]] = {
     "triangle": {"name": "triangle", "amplitude": 1e4, "frequency": 0.5},
     "irregular": {"name": "irregular", "amplitude": 1e4},
 }
-"""Wanted forces; triangle and irregular signal are drawn in the paper, not defined."""
+"""Reference forces; the paper draws the triangle and the irregular signal without defining them."""
 
 DISTURBANCES: dict[str, dict[str, Any]] = {
     "fd1": {"name": "sine", "amplitude": 2e3, "frequency": 0.25},
@@ -19,8 +19,12 @@ DISTURBANCES: dict[str, dict[str, Any]] = {
 SIC, FASMC_1, FASMC_2 = CONTROLLERS = ("SIC", "FASMC I", "FASMC II")
 """Controllers as Table 3 names them."""
 
+EVERYTHING, TENFOLD, DELTA_ALONE = "α̂, β̂ and D̂ adapt", "α̂, β̂ ten times as fast", "D̂ alone adapts"
+SCALES_ALONE, NO_ADAPTATION = "α̂ and β̂ alone adapt", "nothing adapts"
+"""Kinds of adaptation of FASMC II that the study compares."""
+
 FULL_SCALE = 1e4
-"""Force the relative errors of Table 3 are parts of [N]."""
+"""Force to which the relative errors of Table 3 refer [N]."""
 
 
 class Cell(NamedTuple):
@@ -62,7 +66,7 @@ CONVERGENCE: dict[Cell, float | None] = {
 """Convergence time in the text [s]; for SIC, sine, fd2 it says "more than 6 s"; none is given for the irregular signal."""
 
 REDUCTION = {"constant": 73.2, "sine": 56.7, "triangle": 61.8, "irregular": 68.7}
-"""By how much GMS lowers the error against Stribeck, the text's averages [%]."""
+"""Reduction of the error by GMS against Stribeck compensation, averages in the text [%]."""
 
 FIGURES: dict[int, tuple[Cell, ...]] = {
     **{
@@ -76,4 +80,4 @@ FIGURES: dict[int, tuple[Cell, ...]] = {
     },
     18: (Cell(FASMC_2, "sine", "fd2"),),
 }
-"""Which runs the paper's figures show; 18 shows alpha, beta and D."""
+"""Runs in each figure of the paper; Figure 18 shows alpha, beta and D."""

@@ -1,4 +1,4 @@
-"""Independent pieces of work on all processors, with progress."""
+"""Independent tasks on all processors, with progress."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -7,18 +7,18 @@ from multiprocessing import get_context
 from typing import Any
 
 Task = Callable[[], Any]
-"""A piece of work: a partial of a module's function, so that it can be sent to another process."""
+"""A partial of a module's function, which can be sent to another process."""
 
 Progress = Callable[[int, int], None]
 
 
 def run_tasks(tasks: Sequence[Task], workers: int | None = None, progress: Progress | None = None) -> list[Any]:
-    """Do pieces of work in processes of their own.
+    """Run tasks in separate processes.
 
     Args:
-        tasks: the work; the longest first keeps all processors busy to the end.
-        workers: number of processes; None: one a processor. With 1 the work is done in this process.
-        progress: called with the number done and the number in all.
+        tasks: the tasks; with the longest first, all processors stay busy to the end.
+        workers: number of processes; None: one per processor. With 1 the tasks run in this process.
+        progress: called with the number of tasks done and the total number.
 
     Returns:
         The results in the order of the tasks.
@@ -31,7 +31,7 @@ def run_tasks(tasks: Sequence[Task], workers: int | None = None, progress: Progr
             if progress is not None:
                 progress(index + 1, len(tasks))
         return results
-    # Processes that start anew hold no lock of a thread that draws the progress.
+    # A forked process could inherit a lock held by the thread that draws the progress.
     with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
         numbers = {pool.submit(task): index for index, task in enumerate(tasks)}
         try:

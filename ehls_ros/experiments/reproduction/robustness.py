@@ -1,23 +1,23 @@
-"""FASMC II on a rig other than the one it was told of."""
+"""FASMC II on a rig other than the one it was designed for."""
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from ehls_ros.experiments.reproduction import paper
 from ehls_ros.experiments.reproduction.cases import Change, largest_error, paper_rig
 from ehls_ros.experiments.reproduction.pool import Task
+from ehls_ros.experiments.reproduction.results import CoefficientOff, Draws, Place, Robustness
 from ehls_ros.physics.parameters import Friction
 
 CELLS = tuple(cell for cell in paper.CELLS if cell.controller == paper.FASMC_2)
 
 FACTORS = (0.8, 1.2)
-"""What each coefficient is multiplied with, one at a time."""
+"""Factors on each coefficient, one at a time."""
 
 DRAWS, SPREAD, SEED = 100, 0.1, 2018
-"""Rigs drawn at random, how far each coefficient may lie from its own, and the seed."""
+"""Number of rigs drawn at random, largest relative deviation of a coefficient, and seed."""
 
 FRICTION = tuple(name for name in Friction._fields if name not in {"element_stiffness", "element_weight"})
 """The friction's coefficients that are single numbers."""
@@ -51,26 +51,15 @@ def drawn() -> list[Task]:
     return tasks
 
 
-def summary(single: Sequence[float], draws: Sequence[float]) -> dict[str, Any]:
-    """Return the table, from the results of :func:`one_at_a_time` and :func:`drawn`; an infinite error diverged."""
+def summary(single: Sequence[float], draws: Sequence[float]) -> Robustness:
+    """Return all errors, from the results of :func:`one_at_a_time` and :func:`drawn`; an infinite error diverged."""
     rows = np.reshape(single, (-1, len(CELLS)))
     keys = [(section, name, factor) for section, name in coefficients() for factor in FACTORS]
-    table = [
-        {"section": section, "parameter": name, "factor": factor, "errors_n": [float(e) for e in row]}
-        for (section, name, factor), row in zip(keys, rows, strict=True)
-    ]
     errors = np.reshape(draws, (-1, len(CELLS)))
-    return {
-        "cells": [[cell.reference, cell.disturbance] for cell in CELLS],
-        "parameters": table,
-        "draws": {
-            "count": len(errors),
-            "spread": SPREAD,
-            "diverged": int(np.sum(~np.isfinite(errors).all(axis=1))),
-            # Picked, not interpolated: an infinite error has no neighbours to lie between.
-            **{
-                name: np.quantile(errors, q, axis=0, method="inverted_cdf").tolist()
-                for name, q in (("median", 0.5), ("p95", 0.95), ("max", 1.0))
-            },
-        },
-    }
+    # Picked, not interpolated: an infinite error has no neighbours to lie between.
+    median, p95, largest = (tuple(np.quantile(errors, q, axis=0, method="inverted_cdf").tolist()) for q in (0.5, 0.95, 1.0))
+    return Robustness(
+        tuple(Place(cell.reference, cell.disturbance) for cell in CELLS),
+        tuple(CoefficientOff(*key, tuple(map(float, row))) for key, row in zip(keys, rows, strict=True)),
+        Draws(len(errors), SPREAD, int(np.sum(~np.isfinite(errors).all(axis=1))), median, p95, largest),
+    )

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 from ehls_ros.experiments.reproduction import paper
 from ehls_ros.experiments.reproduction.cases import Change, case, largest_error
 from ehls_ros.experiments.reproduction.continuous import paper_quantities
 from ehls_ros.experiments.reproduction.paper import Cell
 from ehls_ros.experiments.reproduction.pool import Task
+from ehls_ros.experiments.reproduction.results import Sampling, SamplingLine
 from ehls_ros.physics.simulator import DEFAULT_STEP
 
 PERIODS = (5e-6, 1e-5, 1.5e-5, 2e-5, 2.2e-5, 2.4e-5, 3e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 5e-3)
@@ -42,13 +42,10 @@ def _change(period: float, theta: float) -> Change:
     )
 
 
-def summary(results: Sequence[float]) -> dict[str, Any]:
-    """Return the lines of the figure, from the results of :func:`tasks`; an infinite error is a run that diverged."""
-    count = len(PERIODS)
+def summary(results: Sequence[float]) -> Sampling:
+    """Return the lines of the figure, from the results of :func:`tasks`; an infinite error diverged."""
+    size = len(PERIODS)
     keys = [(cell.reference, name) for cell in CASES for name in IMPLICITNESS]
-    lines = [
-        {"reference": reference, "discretisation": name, "errors_n": list(results[i * count : (i + 1) * count])}
-        for i, (reference, name) in enumerate(keys)
-    ]
+    lines = tuple(SamplingLine(*key, tuple(results[i * size : (i + 1) * size])) for i, key in enumerate(keys))
     rate = paper_quantities(case(CASES[0]))["rate"]
-    return {"periods_s": list(PERIODS), "lines": lines, "explicit_limit_s": 2.0 / rate}
+    return Sampling(PERIODS, lines, explicit_limit_s=2.0 / rate)

@@ -1,30 +1,31 @@
 """The competitors at their best: gains of structure invariance compensation, width of the smoothed Stribeck curve.
 
-Both are judged by the largest steady error over all references and disturbances, as one tuning has to do for all.
+Both are ranked by the largest steady error over all references and disturbances, as one tuning serves all.
 """
 
 import math
 from collections.abc import Sequence
 from functools import partial
 from itertools import product
-from typing import Any
 
 import numpy as np
 
+from ehls_ros.arrays import Array
 from ehls_ros.control.margins import pressure_loop_margins
 from ehls_ros.experiments.reproduction import paper
 from ehls_ros.experiments.reproduction.cases import Change, largest_error, paper_rig
 from ehls_ros.experiments.reproduction.paper import Cell
 from ehls_ros.experiments.reproduction.pool import Task
+from ehls_ros.experiments.reproduction.results import Place, Searches, TriedGains, TriedWidth
 
 GAINS = (
     *product((50.0, 100.0, 150.0, 200.0, 240.0, 260.0, 270.0, 280.0), (0.0, 50.0, 100.0, 150.0, 200.0, 300.0, 1000.0)),
     *product((400.0, 700.0, 1000.0, 2000.0, 3000.0), (0.0, 1000.0)),
 )
-"""Proportional [1/s] and integral gains [1/s^2] tried; the last are beyond what leaves a margin."""
+"""Proportional [1/s] and integral gains [1/s^2] tried; the last ones leave no margin."""
 
 GAIN_MARGIN_DB, PHASE_MARGIN_DEG = 6.0, 30.0
-"""Least margins of a loop that may be put on a rig."""
+"""Smallest margins of a loop that may run on a rig."""
 
 SMOOTHING = tuple(float(width) for width in 1e-3 * np.array([1, 2, 5, 10, 20, 50, 100, 200, 300, 500, 1000, 10_000]))
 """Widths tried of the smoothed Stribeck curve [m/s]."""
@@ -32,7 +33,7 @@ SMOOTHING = tuple(float(width) for width in 1e-3 * np.array([1, 2, 5, 10, 20, 50
 NATURAL_SMOOTHING = 0.01
 """A width of five Stribeck velocities, at which the paper's FASMC I errors come out [m/s]."""
 
-MOVING = tuple(product(paper.REFERENCES, paper.DISTURBANCES))
+MOVING = tuple(Place(*place) for place in product(paper.REFERENCES, paper.DISTURBANCES))
 
 
 def tasks() -> list[Task]:
@@ -50,38 +51,30 @@ def tasks() -> list[Task]:
     return [*sic, *stribeck]
 
 
-def summary(results: Sequence[float]) -> dict[str, Any]:
+def summary(results: Sequence[float]) -> Searches:
     """Return what the searches found, from the results of :func:`tasks`."""
     errors = np.reshape(results, (-1, len(MOVING)))
     rig = paper_rig()
     gains = []
     for (p, i), row in zip(GAINS, errors, strict=False):
         margins = pressure_loop_margins(p, i, rig.plant.valve_bandwidth, 1e-3)
-        gains.append(
-            {
-                "proportional": p,
-                "integral": i,
-                "gain_margin_db": margins.gain_db,
-                "phase_margin_deg": margins.phase_deg,
-                "admissible": margins.gain_db >= GAIN_MARGIN_DB and margins.phase_deg >= PHASE_MARGIN_DEG,
-                "errors_n": [float(e) for e in row],
-                "worst_n": float(row.max()),
-            }
-        )
-    widths = [
-        {"smoothing_m_s": width, "errors_n": [float(e) for e in row], "worst_n": float(row.max())}
-        for width, row in zip(SMOOTHING, errors[len(gains) :], strict=True)
-    ]
-    return {
-        "cells": [list(cell) for cell in MOVING],
-        "sic": gains,
-        "sic_best": min((g for g in gains if g["admissible"]), key=_worst),
-        "sic_best_without_margins": min(gains, key=_worst),
-        "stribeck": widths,
-        "stribeck_best": min(widths, key=_worst),
-        "stribeck_natural": next(w for w in widths if math.isclose(float(str(w["smoothing_m_s"])), NATURAL_SMOOTHING)),
-    }
+        admissible = margins.gain_db >= GAIN_MARGIN_DB and margins.phase_deg >= PHASE_MARGIN_DEG
+        gains.append(TriedGains(p, i, margins.gain_db, margins.phase_deg, admissible, *_errors(row)))
+    widths = [TriedWidth(width, *_errors(row)) for width, row in zip(SMOOTHING, errors[len(gains) :], strict=True)]
+    return Searches(
+        cells=MOVING,
+        sic=tuple(gains),
+        sic_best=min((tried for tried in gains if tried.admissible), key=_worst),
+        sic_best_without_margins=min(gains, key=_worst),
+        stribeck=tuple(widths),
+        stribeck_best=min(widths, key=_worst),
+        stribeck_natural=next(tried for tried in widths if math.isclose(tried.smoothing_m_s, NATURAL_SMOOTHING)),
+    )
 
 
-def _worst(candidate: dict[str, Any]) -> float:
-    return float(candidate["worst_n"])
+def _errors(row: Array) -> tuple[tuple[float, ...], float]:
+    return tuple(map(float, row)), float(row.max())
+
+
+def _worst(tried: TriedGains | TriedWidth) -> float:
+    return tried.worst_n

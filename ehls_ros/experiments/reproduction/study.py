@@ -1,9 +1,9 @@
-"""The whole study: every question's runs in one list for all processors, every answer in one mapping."""
+"""The complete study: the runs of all questions in one list for all processors, all answers in one record."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,16 @@ from ehls_ros.experiments.reproduction import (
 from ehls_ros.experiments.reproduction.cases import AS_PUBLISHED, DIVERGED, Change, case, paper_rig, run
 from ehls_ros.experiments.reproduction.paper import CELLS, Cell
 from ehls_ros.experiments.reproduction.pool import Progress, Task, run_tasks
+from ehls_ros.experiments.reproduction.results import (
+    Beyond,
+    CellResult,
+    Place,
+    Reduction,
+    Results,
+    Searches,
+    Theory,
+    TriedWidth,
+)
 from ehls_ros.trajectory import Trajectory
 
 QUICK = ("constant", "sine")
@@ -30,15 +40,15 @@ QUICK = ("constant", "sine")
 
 
 class Study(NamedTuple):
-    """What came out.
+    """Results of the study.
 
     Attributes:
-        results: every figure, as plain numbers.
-        runs: the runs of Table 3, for pictures.
+        results: all numbers.
+        runs: the runs of Table 3.
     """
 
-    results: dict[str, Any]
-    runs: dict[Cell, Trajectory]
+    results: Results
+    runs: Mapping[Cell, Trajectory]
 
 
 def compile_everything(workers: int | None = None) -> float:
@@ -58,13 +68,16 @@ def compile_everything(workers: int | None = None) -> float:
     return time.perf_counter() - start
 
 
-def reproduce(*, quick: bool = False, workers: int | None = None, progress: Progress | None = None) -> Study:
+def reproduce(
+    *, quick: bool = False, workers: int | None = None, progress: Progress | None = None, compile_s: float = 0.0
+) -> Study:
     """Run the study.
 
     Args:
-        quick: Table 3 for the constant and the sine alone.
-        workers: processes; None: one a processor.
-        progress: called with the runs done and the runs in all.
+        quick: Table 3 for the constant and the sine reference only.
+        workers: number of processes; None: one per processor.
+        progress: called with the runs done and the total number of runs.
+        compile_s: wall time of :func:`compile_everything`, for the results [s].
     """
     start = time.perf_counter()
     cells = [cell for cell in CELLS if not quick or cell.reference in QUICK]
@@ -84,80 +97,84 @@ def reproduce(*, quick: bool = False, workers: int | None = None, progress: Prog
     done = iter(run_tasks(tasks, workers, progress))
     out = {name: [next(done) for _ in section] for name, section in sections.items()}
     runs = dict(zip(cells, out["table"], strict=True))
-    results: dict[str, Any] = {
-        "version": __version__,
-        "quick": quick,
-        "diverged_above_n": DIVERGED,
-        "cells": [cell_row(cell, trajectory) for cell, trajectory in runs.items()],
-    }
+    table = tuple(cell_result(cell, trajectory) for cell, trajectory in runs.items())
+    beyond = None
     if not quick:
         found = searches.summary(out["searches"])
-        results |= {
-            "searches": found,
-            "reductions": reductions(results["cells"], found),
-            "continuous": out["continuous"],
-            "sampling": sampling.summary(out["sampling"]),
-            "drift": drift.summary(out["drift"]),
-            "choices": choices.summary(out["choices"]),
-            "robustness": robustness.summary(out["single"], out["draws"]),
-        }
-    figures = {str(number): [list(cell) for cell in shown] for number, shown in paper.FIGURES.items()}
-    results |= {"theory": theory(), "friction": friction.curves(), "figures": figures}
-    results["wall_s"] = time.perf_counter() - start
+        beyond = Beyond(
+            found,
+            reductions(table, found),
+            tuple(out["continuous"]),
+            sampling.summary(out["sampling"]),
+            drift.summary(out["drift"]),
+            choices.summary(out["choices"]),
+            robustness.summary(out["single"], out["draws"]),
+        )
+    results = Results(
+        version=__version__,
+        quick=quick,
+        diverged_above_n=DIVERGED,
+        cells=table,
+        beyond=beyond,
+        theory=theory(),
+        friction=friction.curves(),
+        figures={str(number): shown for number, shown in paper.FIGURES.items()},
+        wall_s=time.perf_counter() - start,
+        compile_s=compile_s,
+    )
     return Study(results, runs)
 
 
-def cell_row(cell: Cell, trajectory: Trajectory) -> dict[str, Any]:
-    """Return one cell of ``table3.json``."""
+def cell_result(cell: Cell, trajectory: Trajectory) -> CellResult:
+    """Return one cell of Table 3 from its run."""
     metrics = evaluate(trajectory)
-    return {
-        **cell._asdict(),
-        "max_error_n": metrics.max_error_n,
-        "rms_error_n": metrics.rms_error_n,
-        "relative_percent": 100.0 * metrics.max_error_n / paper.FULL_SCALE,
-        "paper_percent": paper.RELATIVE_ERROR[cell],
-        "convergence_s": metrics.convergence_s,
-        "convergence_band_n": metrics.convergence_band_n,
-        "oscillation_n": metrics.oscillation_n,
-        "paper_convergence_s": paper.CONVERGENCE[cell],
-    }
+    return CellResult(
+        *cell,
+        max_error_n=metrics.max_error_n,
+        rms_error_n=metrics.rms_error_n,
+        relative_percent=100.0 * metrics.max_error_n / paper.FULL_SCALE,
+        paper_percent=paper.RELATIVE_ERROR[cell],
+        convergence_s=metrics.convergence_s,
+        convergence_band_n=metrics.convergence_band_n,
+        oscillation_n=metrics.oscillation_n,
+        paper_convergence_s=paper.CONVERGENCE[cell],
+    )
 
 
-def reductions(cells: Sequence[dict[str, Any]], found: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return by how much GMS lowers the error against Stribeck, mean over both disturbances [%].
+def reductions(cells: Sequence[CellResult], found: Searches) -> tuple[Reduction, ...]:
+    """Return the reduction of the error by GMS against Stribeck compensation, mean over both disturbances [%].
 
     Args:
-        cells: rows of Table 3, FASMC II among them.
-        found: result of the searches, which holds FASMC I at every width.
+        cells: Table 3, FASMC II included.
+        found: result of the searches, with FASMC I at every width.
     """
-    gms = {(row["reference"], row["disturbance"]): row["max_error_n"] for row in cells if row["controller"] == paper.FASMC_2}
-    keys = [(reference, disturbance) for reference, disturbance in found["cells"]]
+    gms = {Place(c.reference, c.disturbance): c.max_error_n for c in cells if c.controller == paper.FASMC_2}
 
-    def mean_reduction(width: dict[str, Any], reference: str) -> float:
-        stribeck = dict(zip(keys, width["errors_n"], strict=True))
-        parts = [1.0 - gms[reference, d] / stribeck[reference, d] for d in paper.DISTURBANCES]
-        return float(100.0 * np.mean(parts))
+    def mean_reduction(tried: TriedWidth, reference: str) -> float:
+        stribeck = dict(zip(found.cells, tried.errors_n, strict=True))
+        places = [Place(reference, disturbance) for disturbance in paper.DISTURBANCES]
+        return float(100.0 * np.mean([1.0 - gms[place] / stribeck[place] for place in places]))
 
-    return [
-        {
-            "reference": reference,
-            "paper_percent": paper.REDUCTION[reference],
-            "best_width_percent": mean_reduction(found["stribeck_best"], reference),
-            "natural_width_percent": mean_reduction(found["stribeck_natural"], reference),
-        }
+    return tuple(
+        Reduction(
+            reference,
+            paper.REDUCTION[reference],
+            mean_reduction(found.stribeck_best, reference),
+            mean_reduction(found.stribeck_natural, reference),
+        )
         for reference in paper.REFERENCES
-    ]
+    )
 
 
-def theory() -> dict[str, float]:
-    """Return the bounds and rates that (44)-(46) give with the paper's numbers."""
+def theory() -> Theory:
+    """Return the bounds and rates that (44) to (46) give with the paper's numbers."""
     spec = case(Cell(paper.FASMC_2, "constant", "fd1"))
     p = spec.controller.parameters
-    quantities = continuous.paper_quantities(spec)
-    return {
-        "s_bound_mpa_s": p.b / p.h,
-        "error_bound_n": force_error_bound(p.k, p.g, p.h, p.b, paper_rig().plant.piston_area),
-        "reaching_rate_1_s": quantities["rate"],
-        "gain_times_period": quantities["rate"] * spec.settings.control_period,
-        "slope_mpa_s": 0.5 * p.k,
-    }
+    rate = continuous.paper_quantities(spec)["rate"]
+    return Theory(
+        s_bound_mpa_s=p.b / p.h,
+        error_bound_n=force_error_bound(p.k, p.g, p.h, p.b, paper_rig().plant.piston_area),
+        reaching_rate_1_s=rate,
+        gain_times_period=rate * spec.settings.control_period,
+        slope_mpa_s=0.5 * p.k,
+    )

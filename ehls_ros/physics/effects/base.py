@@ -1,6 +1,6 @@
 """What an effect's file provides.
 
-Always: ``STAGE``, ``EQUATION``, ``SOURCE``; ``Parameters``, a named tuple whose defaults are the neutral
+Always: ``STAGE``, ``EQUATION``, ``SOURCE``, ``WORDS``; ``Parameters``, a named tuple whose defaults are the neutral
 values, those that change nothing; and ``forms(rig) -> tuple[Form, ...]``, the ways in which the effect is
 fitted to data. Then at least one of
 
@@ -71,6 +71,20 @@ HOOKS = (
 Stage = Literal["valve", "flow", "friction", "mechanics", "sensors", "environment"]
 
 
+class Words(NamedTuple):
+    """How a report speaks of an effect.
+
+    Attributes:
+        noun: the effect within a sentence, article included: "The simulation lacks <noun>".
+        check: what to inspect or measure on the rig when the effect is named, in the imperative.
+        lacking: the given model has no such term; False: it has one, with a wrong value ("has <noun> wrong").
+    """
+
+    noun: str
+    check: str
+    lacking: bool = True
+
+
 class Share(NamedTuple):
     """A part of a signal's largest magnitude in the data."""
 
@@ -115,6 +129,7 @@ class Effect(Protocol):
     STAGE: Stage
     EQUATION: str
     SOURCE: str
+    WORDS: Words
     Parameters: Any
 
     def forms(self, rig: "Rig") -> tuple[Form, ...]:

@@ -2,13 +2,18 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "flow"
 EQUATION = "βe -> factor βe"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 2: effective bulk modulus with gas and elastic walls"
+WORDS = Words(
+    "the bulk modulus of the oil",
+    lacking=False,
+    check="check the volume between valve and piston, and its hoses; bleed the cylinder",
+)
 
 
 class Parameters(NamedTuple):

@@ -4,7 +4,7 @@ import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import INPUTS, PERIOD, START
 from ehls_ros.physics.rig import Rig
@@ -13,6 +13,7 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "valve"
 EQUATION = "u(t) -> u(t - delay)"
 SOURCE = "Åström, Wittenmark, Computer-Controlled Systems, 1997: delays that are no whole number of periods"
+WORDS = Words("a delay of the command", check="time the path from controller to valve: cycle time, field bus, converter")
 REACH = 0.05
 
 ROUNDING = 1e-7

@@ -3,7 +3,7 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -11,6 +11,7 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "environment"
 EQUATION = "F = force"
 SOURCE = "Kang et al. 2018, (3), with a constant more on its right side"
+WORDS = Words("a constant force", check="zero the load cell unloaded; look for weights, hoses and mountings under tension")
 
 
 class Parameters(NamedTuple):

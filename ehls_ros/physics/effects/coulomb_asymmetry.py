@@ -4,7 +4,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._level import raised
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.friction.base import sign
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V
@@ -14,6 +14,10 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "friction"
 EQUATION = "s(v) -> s(v) + offset sgn(v), at least 1 N; at standstill as it was"
 SOURCE = "Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models, ... machines with friction, Automatica 30, 1994"
+WORDS = Words(
+    "a Coulomb friction that differs between the directions",
+    check="compare slow strokes in both directions; check which way the seals face",
+)
 
 
 class Parameters(NamedTuple):

@@ -3,7 +3,7 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V, X, servo_displacement, servo_velocity
 from ehls_ros.physics.rig import Rig
@@ -12,6 +12,10 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "environment"
 EQUATION = "F = stiffness (x_servo - x) + damping (v_servo - v)"
 SOURCE = "two masses on an elastic beam; Kang et al. 2018, Fig. 1"
+WORDS = Words(
+    "the elastic coupling to the position servo",
+    check="record the servo's displacement; check the beam and its hinges",
+)
 NEEDS = ("disturbance_displacement_m",)
 
 

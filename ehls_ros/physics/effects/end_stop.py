@@ -3,7 +3,7 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Quantile, Stage
+from ehls_ros.physics.effects.base import Form, Quantile, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V, X
 from ehls_ros.physics.rig import Rig
@@ -14,6 +14,10 @@ EQUATION = "F = -(stiffness d max(1 + loss d', 0) + damping max(d', 0)), d > 0 t
 SOURCE = (
     "Gilardi, Sharf, Literature survey of contact dynamics modelling, Mechanism and Machine Theory 37, 2002: Kelvin-Voigt, "
     "and Hunt-Crossley, whose loss grows with the depth"
+)
+WORDS = Words(
+    "an end stop inside the stroke",
+    check="move slowly over the stroke and look for contact; check the position limits",
 )
 
 

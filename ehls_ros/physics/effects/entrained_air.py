@@ -8,7 +8,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._chambers import ATMOSPHERE, chambers
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL
 from ehls_ros.physics.rig import Rig
@@ -17,6 +17,10 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "flow"
 EQUATION = "1/βe -> 1/βe + fraction (p0/p)^(1/n)/(n p), p absolute, p0 atmospheric, n = 1.4"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 2: 1/βe = 1/βl + (Vg/Vt)/(n p), with Vg of a polytropic change"
+WORDS = Words(
+    "air in the oil",
+    check="bleed the cylinder; check the reservoir's level, the suction line and the return for foam",
+)
 
 POLYTROPIC = 1.4
 """Exponent n of air that has no time to give heat away."""

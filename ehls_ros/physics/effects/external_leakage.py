@@ -4,7 +4,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._chambers import chambers
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -12,6 +12,7 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "flow"
 EQUATION = "leakage -> leakage + ((first + each) p1 - (second + each) p2)/2,  p1,2 = (ps ± pL)/2"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 6: external leakage in the volume balances of both chambers"
+WORDS = Words("a leakage to the outside", check="look for oil at the rod seals, fittings and drain lines")
 
 
 class Parameters(NamedTuple):

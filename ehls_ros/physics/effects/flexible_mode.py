@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._parted import contact, handed_on, piston_rates, without_piston
-from ehls_ros.physics.effects.base import Form, Peak, Stage
+from ehls_ros.physics.effects.base import Form, Peak, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V, X, disturbance_force
 from ehls_ros.physics.rig import Rig
@@ -25,6 +25,10 @@ EQUATION = (
     "with A pL -> F, mp vp' = A pL - F, mp = piston_share m0, F = ml (ω² r + 2 ζ ω r'), r = xp - x"
 )
 SOURCE = "Den Hartog, Mechanical Vibrations, 1956, ch. 3: two-mass systems"
+WORDS = Words(
+    "a flexible mode of the load",
+    check="tap the load and measure its natural frequency; check what is bolted to the piston",
+)
 STATES = 2
 PISTON = 0
 

@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._parted import contact, handed_on, piston_rates, without_piston
 from ehls_ros.physics.effects._play import RATE, dead_zone, dragged
-from ehls_ros.physics.effects.base import Form, Share, Stage
+from ehls_ros.physics.effects.base import Form, Share, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V, X
 from ehls_ros.physics.rig import Rig
@@ -23,6 +23,10 @@ EQUATION = (
     "with A pL -> F, mp vp' = A pL - F, mp = piston_share m0, F = contact of stiffness and damping beyond |xp - x| = load_gap/2"
 )
 SOURCE = "Nordin, Gutman, Controlling mechanical systems with backlash - a survey, Automatica 38, 2002"
+WORDS = Words(
+    "backlash in the hinge",
+    check="turn the load back and forth by hand and measure the free play; check pins and bushings",
+)
 STATES = 3
 PISTON = 1
 

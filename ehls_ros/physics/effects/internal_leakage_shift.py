@@ -2,13 +2,18 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "flow"
 EQUATION = "Ctc -> Ctc + added, at least 0"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 6: leakage across the piston"
+WORDS = Words(
+    "the leakage past the piston",
+    lacking=False,
+    check="hold the piston under pressure and measure the flow past it; inspect the piston seal",
+)
 
 
 class Parameters(NamedTuple):

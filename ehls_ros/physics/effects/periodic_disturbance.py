@@ -4,7 +4,7 @@ import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Peak, Stage
+from ehls_ros.physics.effects.base import Form, Peak, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -12,6 +12,7 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "environment"
 EQUATION = "F = sine sin(2π frequency t) + cosine cos(2π frequency t)"
 SOURCE = "Bodson, Sacks, Khosla, Harmonic generation in adaptive feedforward cancellation schemes, IEEE TAC 39, 1994"
+WORDS = Words("a periodic force", check="compare its frequency with the pump's and with machines nearby; stop them one by one")
 
 
 class Parameters(NamedTuple):

@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._level import raised
-from ehls_ros.physics.effects.base import Form, Share, Stage
+from ehls_ros.physics.effects.base import Form, Share, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import X
 from ehls_ros.physics.rig import Rig
@@ -14,6 +14,10 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "friction"
 EQUATION = "s -> s + slope x + curvature x² + sine sin(2π x/wavelength) + cosine cos(2π x/wavelength), at least 1 N"
 SOURCE = "Armstrong-Hélouvry, Control of Machines with Friction, 1991: position-dependent friction"
+WORDS = Words(
+    "a friction that changes along the stroke",
+    check="record one slow stroke from end to end; check tube, rod and guides there",
+)
 
 
 class Parameters(NamedTuple):

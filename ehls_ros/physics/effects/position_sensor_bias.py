@@ -3,13 +3,18 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects._sensor import with_sensors
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "sensors"
 EQUATION = "x,read = x + bias"
 SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: zero shift"
+WORDS = Words(
+    "the zero of the position sensor",
+    lacking=False,
+    check="move the piston to mid-stroke and set the sensor's zero there",
+)
 
 
 class Parameters(NamedTuple):

@@ -2,13 +2,18 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "friction"
 EQUATION = "k_i -> factor k_i"
 SOURCE = "Kang et al. 2018, (6)"
+WORDS = Words(
+    "the presliding stiffness",
+    lacking=False,
+    check="record small slow oscillations about one position and identify the friction again",
+)
 
 
 class Parameters(NamedTuple):

@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._level import raised
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL
 from ehls_ros.physics.rig import Rig
@@ -15,6 +15,10 @@ STAGE: Stage = "friction"
 EQUATION = "s(v) -> s(v) + slope (√(pL² + onset²) - onset), slope |pL| far beyond the onset; at least 1 N"
 SOURCE = (
     "Bonchis, Corke, Rye, A pressure-based, velocity independent, friction model for asymmetric hydraulic cylinders, ICRA 1999"
+)
+WORDS = Words(
+    "a friction that grows with the pressure",
+    check="repeat a slow stroke at several loads; check the type and the fit of the seals",
 )
 
 

@@ -3,13 +3,18 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects._sensor import with_sensors
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "sensors"
 EQUATION = "pL,read = pL + bias"
 SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: zero shift"
+WORDS = Words(
+    "the zero of the load pressure sensor",
+    lacking=False,
+    check="read both pressure sensors with the rig depressurised",
+)
 
 
 class Parameters(NamedTuple):

@@ -3,13 +3,18 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects._sensor import with_sensors
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "sensors"
 EQUATION = "pL,read = gain pL"
 SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: sensitivity"
+WORDS = Words(
+    "the gain of the load pressure sensor",
+    lacking=False,
+    check="calibrate both pressure sensors against a reference gauge",
+)
 
 
 class Parameters(NamedTuple):

@@ -3,7 +3,7 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import X
 from ehls_ros.physics.rig import Rig
@@ -12,6 +12,10 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "mechanics"
 EQUATION = "ks x -> ks x + cubic x³"
 SOURCE = "Kovacic, Brennan, The Duffing Equation, 2011"
+WORDS = Words(
+    "a spring that hardens with its deflection",
+    check="measure the spring's force at several positions over the stroke",
+)
 
 
 class Parameters(NamedTuple):

@@ -2,13 +2,14 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "mechanics"
 EQUATION = "ks -> ks + added, at least 0"
 SOURCE = "Kang et al. 2018, (3)"
+WORDS = Words("the stiffness of the spring", lacking=False, check="measure the spring's force at two positions at rest")
 
 
 class Parameters(NamedTuple):

@@ -2,13 +2,18 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "friction"
 EQUATION = "Fs -> Fs + static_offset, at least Fc;  Vs -> velocity_factor Vs;  δ -> exponent_factor δ, at most 4"
 SOURCE = "Kang et al. 2018, (7); Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30, 1994"
+WORDS = Words(
+    "the Stribeck curve",
+    lacking=False,
+    check="identify the friction again with slow strokes around the Stribeck velocity; check the lubrication",
+)
 
 STEEPEST = 4.0
 """Largest exponent of a Stribeck curve."""

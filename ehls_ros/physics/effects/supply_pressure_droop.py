@@ -8,7 +8,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._play import RATE
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL, XV
 from ehls_ros.physics.rig import Rig
@@ -17,6 +17,10 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "flow"
 EQUATION = "ps -> ps - loss, at least 0;  loss = resistance |QL| + quadratic QL², at once or behind a first-order lag"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 3: pressure lost in laminar and turbulent flow; ch. 11: supplies"
+WORDS = Words(
+    "a supply pressure that droops under flow",
+    check="record the supply pressure at the valve; check pump control, accumulator charge, line and filter",
+)
 STATES = 1
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._level import raised
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import TEMPERATURE, V
 from ehls_ros.physics.rig import Rig
@@ -14,6 +14,10 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "friction"
 EQUATION = "s(v) -> s(v) + a (T - T0), at least 1 N;  Ff -> Ff + (b (T - T0) + σ (exp(-c (T - T0)) - 1)) v"
 SOURCE = "Simoni, Beschi, Legnani, Visioli, Modelling the temperature in joint friction of industrial manipulators, 2019"
+WORDS = Words(
+    "a friction that changes with the oil's temperature",
+    check="repeat a slow stroke cold and warm, and log the oil temperature",
+)
 NEEDS = ("oil_temperature_k",)
 
 

@@ -4,7 +4,7 @@ import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL
 from ehls_ros.physics.rig import Rig
@@ -13,6 +13,10 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "flow"
 EQUATION = "leakage -> leakage + coefficient pL / (pL² + transition²)^(1/4), which is coefficient sgn(pL) √|pL| from there on"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 3: turbulent flow through an orifice"
+WORDS = Words(
+    "a leakage through an orifice",
+    check="measure the leakage at several pressures; look for a worn edge, a scratch or an open relief valve",
+)
 
 
 class Parameters(NamedTuple):

@@ -2,13 +2,18 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "valve"
 EQUATION = "ωv -> factor ωv"
 SOURCE = "Kang et al. 2018, (4)"
+WORDS = Words(
+    "the bandwidth of the valve",
+    lacking=False,
+    check="measure the valve's frequency response at working pressure; check the pilot supply and its filter",
+)
 
 
 class Parameters(NamedTuple):

@@ -4,7 +4,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._play import dead_zone, ramp
-from ehls_ros.physics.effects.base import Form, Share, Stage
+from ehls_ros.physics.effects.base import Form, Share, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -15,6 +15,10 @@ EQUATION = (
     "c = rounding (positive + negative)/2"
 )
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 5: overlapped (closed-centre) valve"
+WORDS = Words(
+    "a dead zone of the valve",
+    check="measure the flow at small openings either side of null; compare the lap with the valve's data sheet",
+)
 
 
 class Parameters(NamedTuple):

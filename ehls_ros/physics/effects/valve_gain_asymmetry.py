@@ -3,7 +3,7 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -11,6 +11,10 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "valve"
 EQUATION = "u -> (1 + command_±) u,  xv,eff = (1 + opening_±) xv,  by the sign of u and of xv"
 SOURCE = "Jelali, Kroll, Hydraulic Servo-systems, 2003: flow gains of a servo valve that differ by direction"
+WORDS = Words(
+    "a valve gain that differs between the directions",
+    check="measure the flow against the command in both directions; look for worn edges on one side",
+)
 
 
 class Parameters(NamedTuple):

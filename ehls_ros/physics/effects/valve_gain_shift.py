@@ -2,13 +2,18 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "valve"
 EQUATION = "Kv -> gain Kv;  Cd -> flow_gain Cd"
 SOURCE = "Kang et al. 2018, (1) and (4)"
+WORDS = Words(
+    "the gain of the valve",
+    lacking=False,
+    check="check the amplifier's scaling and the spool's stroke; measure the flow at a known pressure drop",
+)
 
 
 class Parameters(NamedTuple):

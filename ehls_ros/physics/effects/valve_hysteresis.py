@@ -4,7 +4,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._play import RATE, dragged
-from ehls_ros.physics.effects.base import Form, Share, Stage
+from ehls_ros.physics.effects.base import Form, Share, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -17,6 +17,10 @@ EQUATION = (
 SOURCE = (
     "Visintin, Differential Models of Hysteresis, 1994: play, and plays in parallel after Prandtl and Ishlinskii; "
     "Merritt, Hydraulic Control Systems, 1967, ch. 7: hysteresis"
+)
+WORDS = Words(
+    "a hysteresis of the valve",
+    check="drive the valve slowly around null with and without dither; check the oil for contamination",
 )
 STATES = 4
 

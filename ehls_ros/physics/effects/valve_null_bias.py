@@ -3,7 +3,7 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -11,6 +11,10 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "valve"
 EQUATION = "u -> u + command;  xv,eff = xv + opening"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 7: null shift of servo valves"
+WORDS = Words(
+    "a null bias of the valve",
+    check="re-null the valve warm and at working pressure; check the zero of its amplifier and of the spool sensor",
+)
 
 
 class Parameters(NamedTuple):

@@ -4,7 +4,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._play import clamp
-from ehls_ros.physics.effects.base import Form, Share, Stage
+from ehls_ros.physics.effects.base import Form, Share, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -12,6 +12,10 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "valve"
 EQUATION = "u -> min(max(u, -command_limit), command_limit);  xv,eff likewise with opening_limit"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 10: saturation"
+WORDS = Words(
+    "a saturation of the valve",
+    check="check the amplifier's output limit and the spool's stroke; compare the demanded flow with the rated one",
+)
 
 
 class Parameters(NamedTuple):

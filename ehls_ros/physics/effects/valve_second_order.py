@@ -6,7 +6,7 @@ The command that (4) is given is such that its spool is Kv q, the second-order a
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -14,6 +14,10 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "valve"
 EQUATION = "q'' = ωn² (u - q) - 2 ζ ωn q';  u -> q + q'/ωv, with which (4) has the solution xv = Kv q"
 SOURCE = "Thayer, Transfer functions for Moog servovalves, Moog Technical Bulletin 103, 1958"
+WORDS = Words(
+    "the second-order dynamics of the spool",
+    check="measure the valve's frequency response beyond its bandwidth; its phase falls below -90 degrees",
+)
 STATES = 2
 
 

@@ -3,7 +3,7 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V
 from ehls_ros.physics.rig import Rig
@@ -12,6 +12,10 @@ from ehls_ros.schema import quantity
 STAGE: Stage = "friction"
 EQUATION = "Ff -> Ff + asymmetry |v|: σf + asymmetry toward +x, σf - asymmetry toward -x"
 SOURCE = "Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models, ... machines with friction, Automatica 30, 1994"
+WORDS = Words(
+    "a viscous friction that differs between the directions",
+    check="compare fast strokes in both directions; look for a restriction in one line",
+)
 
 
 class Parameters(NamedTuple):

@@ -2,13 +2,18 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Stage, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "friction"
 EQUATION = "σf -> σf + added, at least 0"
 SOURCE = "Kang et al. 2018, (5)"
+WORDS = Words(
+    "the viscous friction",
+    lacking=False,
+    check="identify the friction again at several speeds; check the oil's viscosity and temperature",
+)
 
 
 class Parameters(NamedTuple):

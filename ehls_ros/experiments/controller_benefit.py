@@ -1,15 +1,14 @@
-"""What an extended model gives the controller: the law on the extended plant, built on the old model and on the new.
+"""Benefit of an extended model to the controller: FASMC on the extended plant, designed with the given and the extended model.
 
-The law FASMC and its friction observer know a rig by coefficients alone: those of ``plant`` and ``friction``. Of an
-extension they can use what shifts coefficients (``Rig.effective``): another Coulomb force, another mass, another
-bandwidth. What adds to the equations - a dead zone, a hysteresis, leakage through an orifice, friction over position -
-they cannot: there both runs have the same controller and the same error, and the extension gives the simulation
-something and the controller nothing. Tuning is the law's default in both.
+FASMC and its friction observer know a rig only by the coefficients of ``plant`` and ``friction``. They benefit from an
+extension that shifts coefficients (``Rig.effective``): another Coulomb force, mass or bandwidth. They cannot use one that
+adds terms to the equations (a dead zone, a hysteresis, leakage through an orifice, friction over position): then both runs
+have the same controller and the same error, and only the simulation benefits. Both runs use the default tuning.
 """
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,23 +28,23 @@ DURATION = 5.0
 """Length of a run [s]; the errors are those of its last half."""
 
 FORCE, DISTURBANCE, DISTURBANCE_FREQUENCY = 10e3, 5e3, 1.0
-"""The paper's cases: force to follow [N], disturbance against it [N], [Hz]."""
+"""The paper's cases: reference force [N], disturbance force [N] and its frequency [Hz]."""
 
 FORCE_PART = 0.55
-"""Part of the rig's force that may be asked for; the paper asks its rig for this much."""
+"""Largest reference as a fraction of the rig's force; the paper's own ratio."""
 
 STROKE_PART = 1.15
-"""Estimated part of the stroke a case may take; with the paper's case the estimate is 1.11 and the run takes 1.01."""
+"""Largest estimated travel as a fraction of the stroke; the paper's case is estimated at 1.11 and takes 1.01."""
 
 SLACK = 0.05
-"""Part of a limit, and of the stroke, that a run may go beyond it."""
+"""Fraction by which a run may exceed a limit of the rig."""
 
 LOST = 0.5
-"""Steady error, as a part of the reference, from which on the force is not followed."""
+"""Steady error, as a fraction of the reference, above which the force is not followed."""
 
 
 class Steady(NamedTuple):
-    """What one run came to.
+    """Steady error of one run.
 
     Attributes:
         max_error_n: largest steady force error [N]; None where ``trouble`` says why.
@@ -58,14 +57,14 @@ class Steady(NamedTuple):
     trouble: str = ""
 
 
-class ControllerGain(NamedTuple):
+class BenefitCase(NamedTuple):
     """One case on the extended plant.
 
     Attributes:
-        case: what is followed against what.
-        force_n: largest force asked for [N].
-        before: with controller and observer built on the old model.
-        after: with both built on the extended one's coefficients.
+        case: reference and disturbance in words.
+        force_n: largest reference force [N].
+        before: with controller and observer designed with the given model.
+        after: with both designed with the extended model's coefficients.
     """
 
     case: str
@@ -73,27 +72,19 @@ class ControllerGain(NamedTuple):
     before: Steady
     after: Steady
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the mapping a JSON file holds."""
-        return {**self._asdict(), "before": self.before._asdict(), "after": self.after._asdict()}
 
-
-class ControllerGains(NamedTuple):
+class ControllerBenefit(NamedTuple):
     """All cases.
 
     Attributes:
-        cases: one entry a case; empty when the rig has no force to be controlled.
-        same_controller: nothing the law knows of a rig has changed, so before and after are one run.
+        cases: empty when no force can be controlled on the rig.
+        same_controller: no coefficient the law uses has changed, so before and after are the same run.
         reason: why there is no case; else empty.
     """
 
-    cases: tuple[ControllerGain, ...]
+    cases: tuple[BenefitCase, ...]
     same_controller: bool
     reason: str = ""
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the mapping a JSON file holds."""
-        return {**self._asdict(), "cases": [case.as_json() for case in self.cases]}
 
 
 class _Case(NamedTuple):
@@ -103,52 +94,51 @@ class _Case(NamedTuple):
     disturbance: DisturbanceUse
 
 
-def controller_gain(before: Rig, extended: Rig, *, progress: Callable[[int, int], None] | None = None) -> ControllerGains:
-    """Run the law on the extended plant, knowing the old model and knowing the new.
+def controller_benefit(before: Rig, extended: Rig, *, progress: Callable[[int, int], None] | None = None) -> ControllerBenefit:
+    """Run FASMC on the extended plant, designed with the given model and with the extended one.
 
-    The cases are the paper's 10 kN and 10 sin(pi t) kN against 5 kN at 1 Hz, made smaller where the rig's force or
-    stroke asks for it.
+    The cases are the paper's 10 kN and 10 sin(pi t) kN against 5 kN at 1 Hz, scaled down to the rig's force and stroke.
 
     Args:
-        before: the model the controller has been built on so far.
-        extended: that model with effects switched on: the plant of both runs, with its sensors.
-        progress: called with the cases done and the cases in all.
+        before: the model the controller has been designed with so far.
+        extended: that model with effects switched on: plant and sensors of both runs.
+        progress: called with the cases done and the total number of cases.
 
     Returns:
-        The steady errors of each case; a run that leaves the rig's limits is a result that says so. No case, with the
-        reason, where neither controller follows a force and the old model does not let it even on its own plant, or
-        where there is no room for a force: an axis without hydraulics or without a load to press against.
+        The steady errors of each case. A run that leaves the rig's limits is a result that says so. There is no case, with
+        the reason, where neither controller follows a force, not even on the given model's own plant; and where no force
+        can be built up: an axis without hydraulics, or without a load to press against.
     """
     try:
         old, new = before.effective(), extended.effective()
         size = _size(new)
     except (BadInput, ArithmeticError, ValueError) as error:
         reason = f"the extended rig cannot be simulated ({error}); look at its effects' parameters"
-        return ControllerGains((), same_controller=False, reason=reason)
+        return ControllerBenefit((), same_controller=False, reason=reason)
     same = (old.plant, old.friction, old.limits.spool) == (new.plant, new.friction, new.limits.spool)
     if FORCE * size <= _least_force(new):
-        return ControllerGains((), same, _no_room(new, size))
+        return ControllerBenefit((), same, _no_room(new, size))
     cases = _cases(size)
     results = []
     for index, case in enumerate(cases):
         knowing_old = _run(case, extended, old)
         knowing_new = knowing_old if same else _run(case, extended, new)
-        results.append(ControllerGain(case.title, case.force, knowing_old, knowing_new))
+        results.append(BenefitCase(case.title, case.force, knowing_old, knowing_new))
         if progress is not None:
             progress(index + 1, len(cases))
     if all(result.before.trouble and result.after.trouble for result in results):
         trouble = _run(cases[0], before, old).trouble
         if trouble:
-            reason = f"the law with its default tuning does not control the old model's own plant: {trouble}"
-            return ControllerGains((), same, reason)
-    return ControllerGains(tuple(results), same)
+            reason = f"the law with its default tuning does not control the given model's own plant: {trouble}"
+            return ControllerBenefit((), same, reason)
+    return ControllerBenefit(tuple(results), same)
 
 
 def _size(rig: Rig) -> float:
-    """Return by what the paper's forces are multiplied so that the rig has force and stroke for them."""
+    """Return the factor on the paper's forces for which the rig has enough force and stroke."""
     plant = rig.plant
     damping = plant.viscous_damping + rig.friction.viscous_coefficient
-    # A force held moves the beam up to its spring, or as far as damping lets it in the time there is.
+    # A constant force deflects the spring; without one, damping limits the travel within the run.
     stiffness = max(plant.spring_stiffness, damping / DURATION)
     omega = 2.0 * math.pi * DISTURBANCE_FREQUENCY
     dynamic = abs(complex(plant.spring_stiffness - plant.moving_mass * omega**2, damping * omega))
@@ -160,15 +150,15 @@ def _size(rig: Rig) -> float:
 
 
 def _least_force(rig: Rig) -> float:
-    """Return the force below which friction and weight are all there is [N]."""
+    """Return the force that friction and weight alone take up [N]."""
     return rig.friction.static_force + abs(rig.plant.moving_mass * rig.plant.gravity)
 
 
 def _no_room(rig: Rig, size: float) -> str:
     low, high = rig.limits.position
     return (
-        f"no force to be controlled: a stroke of {high - low:g} m, spring of {rig.plant.spring_stiffness:g} N/m and a largest "
-        f"force of {largest_force(rig):g} N leave {FORCE * size:.3g} N, friction and weight take {_least_force(rig):.3g} N"
+        f"no force can be controlled: a stroke of {high - low:g} m, spring of {rig.plant.spring_stiffness:g} N/m and a largest "
+        f"force of {largest_force(rig):g} N leave {FORCE * size:.3g} N; friction and weight take {_least_force(rig):.3g} N"
     )
 
 
@@ -185,7 +175,7 @@ def _cases(size: float) -> tuple[_Case, ...]:
 
 
 def _run(case: _Case, plant: Rig, believed: Rig) -> Steady:
-    """Run one case; whatever goes wrong is told in the result."""
+    """Run one case; a failure is part of the result."""
     spec = Spec(
         settings=Settings(title=case.title, duration=DURATION, initial_position=home_of(plant)),
         rig=plant,
@@ -211,7 +201,7 @@ def _run(case: _Case, plant: Rig, believed: Rig) -> Steady:
 
 
 def _left_limits(run: Trajectory, rig: Rig) -> str:
-    """Return which limit the run leaves first, with what to do; empty if none."""
+    """Return which limit the run leaves first, and what to do; empty if none."""
     low, high = rig.limits.position
     beyond = SLACK * (high - low)
     checks = {
@@ -226,7 +216,7 @@ def _left_limits(run: Trajectory, rig: Rig) -> str:
             outside = np.flatnonzero(~((values >= least) & (values <= most)))
         if outside.size:
             first = int(outside[0])
-            value = f"{values[first]:.3g}" if math.isfinite(values[first]) else "no number"
+            value = f"{values[first]:.3g}" if math.isfinite(values[first]) else "not finite"
             found.append(
                 (first, f"diverged: leaves the {what} at {run.time_s[first]:.2f} s ({signal} is {value}); try {advice}")
             )
@@ -238,7 +228,7 @@ def _around(limit: float) -> tuple[float, float]:
 
 
 def _lost(run: Trajectory, force: float) -> str:
-    """Return that the force was not followed, with what to do; empty if it was."""
+    """Return that the force was not followed, and what to do; empty if it was."""
     largest = evaluate(run).max_error_n
     if largest <= LOST * force:
         return ""

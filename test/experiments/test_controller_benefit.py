@@ -5,8 +5,9 @@ from typing import Any
 
 import pytest
 
-from ehls_ros.experiments import controller_gain as module
-from ehls_ros.experiments.controller_gain import ControllerGains, controller_gain
+from ehls_ros.experiments import controller_benefit as module
+from ehls_ros.experiments.controller_benefit import controller_benefit
+from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 
@@ -27,13 +28,13 @@ DEAD_ZONE = {"name": "valve_dead_zone", "positive": 5e-5, "negative": 5e-5}
 
 
 def test_knowing_the_mass_the_law_errs_less(make_rig):
-    gains = controller_gain(make_rig(), make_rig(MASS))
-    assert [case.case for case in gains.cases] == [
+    benefit = controller_benefit(make_rig(), make_rig(MASS))
+    assert [case.case for case in benefit.cases] == [
         "10 kN held against 5 kN at 1 Hz",
         "10 kN sine of 0.5 Hz against 5 kN at 1 Hz",
     ]
-    assert not gains.same_controller
-    for case in gains.cases:
+    assert not benefit.same_controller
+    for case in benefit.cases:
         assert case.before.trouble == case.after.trouble == ""
         assert case.after.max_error_n < 0.5 * case.before.max_error_n
         assert case.after.rms_error_n < 0.5 * case.before.rms_error_n
@@ -41,35 +42,35 @@ def test_knowing_the_mass_the_law_errs_less(make_rig):
 
 
 def test_without_a_change_the_errors_are_the_papers(make_rig):
-    gains = controller_gain(make_rig(), make_rig())
-    assert gains.same_controller
+    benefit = controller_benefit(make_rig(), make_rig())
+    assert benefit.same_controller
     # Table 3: 42.1 and 91.3 N.
-    assert [case.after.max_error_n for case in gains.cases] == pytest.approx([35.4, 35.8], abs=1.0)
+    assert [case.after.max_error_n for case in benefit.cases] == pytest.approx([35.4, 35.8], abs=1.0)
 
 
 def test_of_what_adds_to_the_equations_the_law_has_nothing(make_rig):
-    gains = controller_gain(make_rig(), make_rig(DEAD_ZONE))
-    assert gains.same_controller
-    for case in gains.cases:
+    benefit = controller_benefit(make_rig(), make_rig(DEAD_ZONE))
+    assert benefit.same_controller
+    for case in benefit.cases:
         assert case.before == case.after
         assert case.before.max_error_n > 200.0
 
 
 def test_both_at_once_are_known_in_part(make_rig):
-    gains = controller_gain(make_rig(DEAD_ZONE), make_rig(DEAD_ZONE, MASS))
-    assert not gains.same_controller
-    assert all(case.after.rms_error_n != case.before.rms_error_n for case in gains.cases)
+    benefit = controller_benefit(make_rig(DEAD_ZONE), make_rig(DEAD_ZONE, MASS))
+    assert not benefit.same_controller
+    assert all(case.after.rms_error_n != case.before.rms_error_n for case in benefit.cases)
 
 
 def test_an_effect_the_old_model_had_is_known_before(make_rig):
-    gains = controller_gain(make_rig(MASS), make_rig(MASS, DEAD_ZONE))
-    assert gains.same_controller
+    benefit = controller_benefit(make_rig(MASS), make_rig(MASS, DEAD_ZONE))
+    assert benefit.same_controller
 
 
 def test_a_loop_that_diverges_says_so_instead_of_a_number(make_rig):
-    gains = controller_gain(make_rig(), make_rig({"name": "command_delay", "delay": 0.004}))
-    assert len(gains.cases) == 2
-    for case in gains.cases:
+    benefit = controller_benefit(make_rig(), make_rig({"name": "command_delay", "delay": 0.004}))
+    assert len(benefit.cases) == 2
+    for case in benefit.cases:
         assert case.after.max_error_n is None
         assert case.after.rms_error_n is None
         assert case.after.trouble.startswith("diverged: leaves the largest force at 0.0")
@@ -78,12 +79,12 @@ def test_a_loop_that_diverges_says_so_instead_of_a_number(make_rig):
 
 def test_a_smaller_rig_gets_smaller_cases(make_rig):
     small = make_rig(limits={"force": 9.1e3})
-    gains = controller_gain(small, small)
-    assert [case.force_n for case in gains.cases] == pytest.approx([5005.0, 5005.0])
-    assert gains.cases[0].case == "5 kN held against 2.5 kN at 1 Hz"
-    assert all(case.after.max_error_n < 50.0 for case in gains.cases)
+    benefit = controller_benefit(small, small)
+    assert [case.force_n for case in benefit.cases] == pytest.approx([5005.0, 5005.0])
+    assert benefit.cases[0].case == "5 kN held against 2.5 kN at 1 Hz"
+    assert all(case.after.max_error_n < 50.0 for case in benefit.cases)
     short = make_rig(limits={"position": [-0.15, 0.15]})
-    assert [case.force_n for case in controller_gain(short, short).cases] == pytest.approx([5200.0, 5200.0], rel=0.01)
+    assert [case.force_n for case in controller_benefit(short, short).cases] == pytest.approx([5200.0, 5200.0], rel=0.01)
 
 
 def electric_axis(rig_mapping: dict[str, Any]) -> Rig:
@@ -107,9 +108,9 @@ def electric_axis(rig_mapping: dict[str, Any]) -> Rig:
 
 def test_an_electric_axis_has_no_force_to_be_controlled(rig_mapping):
     axis = electric_axis(rig_mapping)
-    gains = controller_gain(axis, axis)
-    assert gains.cases == ()
-    assert gains.reason
+    benefit = controller_benefit(axis, axis)
+    assert benefit.cases == ()
+    assert benefit.reason
 
 
 ODD = [
@@ -133,12 +134,12 @@ ODD = [
 @pytest.mark.parametrize("sections", ODD)
 def test_an_odd_rig_is_a_result_not_an_exception(make_rig, sections):
     odd = make_rig(**sections)
-    gains = controller_gain(odd, odd)
-    assert gains.cases or len(gains.reason) > 20
-    for case in gains.cases:
+    benefit = controller_benefit(odd, odd)
+    assert benefit.cases or len(benefit.reason) > 20
+    for case in benefit.cases:
         for steady in (case.before, case.after):
             assert bool(steady.trouble) == (steady.max_error_n is None)
-    assert "NaN" not in json.dumps(gains.as_json())
+    assert "NaN" not in json.dumps(json_document(benefit))
 
 
 def test_it_simulates_twenty_seconds_and_tells_how_far_it_is(make_rig, monkeypatch):
@@ -150,16 +151,6 @@ def test_it_simulates_twenty_seconds_and_tells_how_far_it_is(make_rig, monkeypat
         return run_in_process(spec)
 
     monkeypatch.setattr(module, "run_in_process", noted)
-    controller_gain(make_rig(), make_rig(MASS), progress=lambda *count: done.append(count))
+    controller_benefit(make_rig(), make_rig(MASS), progress=lambda *count: done.append(count))
     assert simulated == [5.0, 5.0, 5.0, 5.0]
     assert done == [(1, 2), (2, 2)]
-
-
-def test_it_can_be_written_as_json(make_rig):
-    gains = controller_gain(make_rig(), make_rig())
-    written = json.loads(json.dumps(gains.as_json()))
-    assert written["same_controller"] is True
-    assert written["reason"] == ""
-    assert set(written["cases"][0]) == {"case", "force_n", "before", "after"}
-    assert set(written["cases"][0]["before"]) == {"max_error_n", "rms_error_n", "trouble"}
-    assert isinstance(gains, ControllerGains)

@@ -1,0 +1,158 @@
+"""What follows from a diagnosis: a free run of both models, the benefit to the controller, the next experiment.
+
+Nothing here changes the verdict. Whatever fails becomes a remark, and the diagnosis stands.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, TypeVar
+
+from ehls_ros.diagnosis.free_run import FreeRun, free_run
+from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival
+from ehls_ros.diagnosis.stages import SENSED as RECORDED_AS
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.controller_benefit import ControllerBenefit, controller_benefit
+from ehls_ros.experiments.next_experiment import NextExperiment, Proposal, next_experiment
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.rig import EffectUse, Rig
+from ehls_ros.trajectory import Trajectory
+
+SURE = 0.9
+"""Probability of a cause above which its rivals are ruled out."""
+
+CLOSE = 10.0
+"""A rival of a cause less probable than that stays open if it is behind by less than this [nats]."""
+
+MOST_RIVALS = 2
+"""Largest number of rivals that the next experiment has to separate from a cause."""
+
+LEAST_STD, MOST_STD = 0.01, 0.3
+"""Limits on the assumed uncertainty of the candidates' parameters, as a fraction of their values."""
+
+Progress = Callable[[str, float], None]
+"""Called with the current step and the fraction of all steps that is done."""
+
+Made = TypeVar("Made")
+
+
+class Consequences(NamedTuple):
+    """What follows from a diagnosis.
+
+    Attributes:
+        free_run: free run of both models along the recording; None where it could not be simulated.
+        controller: benefit of the extended model to the controller; None unless an effect was named.
+        proposal: search for the next experiment; None where no two causes are open.
+        remarks: why a result is missing.
+    """
+
+    free_run: FreeRun | None
+    controller: ControllerBenefit | None
+    proposal: Proposal | None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def next_experiment(self) -> NextExperiment | None:
+        """The experiment proposed, if there is one."""
+        return None if self.proposal is None else self.proposal.experiment
+
+    @property
+    def no_experiment(self) -> str:
+        """Why no experiment is proposed although causes are open; else empty."""
+        return "" if self.proposal is None or self.proposal.experiment is not None else self.proposal.reason
+
+    @property
+    def all_remarks(self) -> tuple[str, ...]:
+        """The remarks, with the reason why no experiment is proposed."""
+        return (*self.remarks, f"no next experiment: {self.no_experiment}") if self.no_experiment else self.remarks
+
+
+NOTHING = Consequences(None, None, None)
+"""Nothing follows, or nothing was computed."""
+
+
+def consequences(
+    diagnosis: Diagnosis, trajectory: Trajectory, name: str, *, progress: Progress = lambda step, fraction: None
+) -> Consequences:
+    """Compute what follows from a diagnosis.
+
+    Args:
+        diagnosis: the diagnosis.
+        trajectory: the recording it was made from.
+        name: what the recording is called in errors.
+        progress: called with the current step and the fraction that is done.
+
+    Returns:
+        The results, and why any of them is missing.
+    """
+    remarks: list[str] = []
+    run = controller = proposal = None
+    if diagnosis.verdict != "insufficient":
+        progress("simulating a free run", 0.0)
+        run = _tried("free run", remarks, lambda: free_run(trajectory, diagnosis.rig, diagnosis.extended, name))
+    if diagnosis.verdict == "effect":
+        progress("running the controller on the extended plant", 0.3)
+        controller = _tried("run of the controller", remarks, lambda: controller_benefit(diagnosis.rig, diagnosis.extended))
+        candidates = _tried("next experiment", remarks, lambda: open_candidates(diagnosis)) or {}
+        if len(candidates) > 1:
+            progress("looking for the next experiment", 0.5)
+            signals = tuple(sensor for sensor, signal in RECORDED_AS.items() if signal in trajectory)
+            std = parameter_std(diagnosis)
+
+            def looked_for(done: int, total: int) -> None:
+                progress("looking for the next experiment", 0.5 + 0.5 * done / total)
+
+            proposal = _tried(
+                "next experiment",
+                remarks,
+                lambda: next_experiment(
+                    candidates, nominal=diagnosis.rig, signals=signals, parameter_std=std, progress=looked_for
+                ),
+            )
+    return Consequences(run, controller, proposal, tuple(remarks))
+
+
+def _tried(what: str, remarks: list[str], make: Callable[[], Made]) -> Made | None:
+    try:
+        return make()
+    except BadInput as error:
+        remarks.append(f"no {what}: {error.what}")
+        return None
+    except Exception as error:  # noqa: BLE001 - whatever happens here, the diagnosis stands
+        remarks.append(f"no {what}: it failed ({type(error).__name__}: {error})")
+        return None
+
+
+def open_rivals(cause: Cause) -> tuple[Rival, ...]:
+    """Return the rivals of a cause that the data do not rule out, closest first."""
+    close = CLOSE if cause.probability < SURE else 0.0
+    rivals = [rival for rival in cause.rivals if rival.name in cause.equivalent_to or rival.behind < close]
+    return tuple(rivals[:MOST_RIVALS])
+
+
+def open_candidates(diagnosis: Diagnosis) -> dict[str, Rig]:
+    """Return the extended rigs that the next experiment has to tell apart, by the causes' names.
+
+    They are those of the least probable cause with open rivals.
+    """
+    for cause in sorted(diagnosis.causes, key=lambda cause: cause.probability):
+        rivals = open_rivals(cause)
+        if rivals:
+            others = [use for use in diagnosis.extended.effects if use.name != cause.name]
+            return {cause.name: diagnosis.extended} | {
+                rival.name: diagnosis.extended._replace(effects=(*others, _use(rival, diagnosis.rig))) for rival in rivals
+            }
+    return {}
+
+
+def _use(rival: Rival, rig: Rig) -> EffectUse:
+    """Return a rival switched on as fitted, with the values its form fixes."""
+    effect = EFFECTS.load(rival.name)
+    fixed: Mapping[str, float] = next((form.fixed for form in effect.forms(rig) if set(form.free) == set(rival.parameters)), {})
+    return EffectUse(rival.name, effect.Parameters(**fixed, **{n: e.value for n, e in rival.parameters.items()}))
+
+
+def parameter_std(diagnosis: Diagnosis) -> float:
+    """Return the largest relative standard error among the parameters of the named causes."""
+    errors = [e.std / abs(e.value) for cause in diagnosis.causes for e in cause.parameters.values() if e.value != 0.0]
+    worst = max(filter(math.isfinite, errors), default=MOST_STD)
+    return min(max(worst, LEAST_STD), MOST_STD)

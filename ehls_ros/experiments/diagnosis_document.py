@@ -1,0 +1,255 @@
+"""``diagnosis.json``: its schema as frozen records, and how a diagnosis with its consequences fills them.
+
+The field names are the keys. A record of :mod:`ehls_ros.diagnosis.result` that is written as it is stands here by its own name.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
+
+from ehls_ros import __version__
+from ehls_ros.diagnosis.free_run import FreeRun
+from ehls_ros.diagnosis.result import Cause, Diagnosis, Sensitivity, StageResult, Verdict
+from ehls_ros.diagnosis.stages import Channel, Stage
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.consequences import Consequences
+from ehls_ros.experiments.controller_benefit import ControllerBenefit
+from ehls_ros.experiments.next_experiment import NextExperiment
+from ehls_ros.physics.effects import EFFECTS
+
+
+class RivalEntry(NamedTuple):
+    """Another effect in the place of a cause.
+
+    Attributes:
+        name: name of the effect.
+        behind_nats: by how much it explains held-out data worse [nats].
+        closed_fraction: fraction of the removable error it closes.
+        parameters: its best fit.
+    """
+
+    name: str
+    behind_nats: float
+    closed_fraction: float
+    parameters: Mapping[str, Estimate]
+
+
+class Evidence(NamedTuple):
+    """Why a cause is named.
+
+    Attributes:
+        gain_nats: gain on held-out data [nats].
+        standard_errors_from_neutral: distance of its surest parameter from neutral, in standard errors.
+        equation: what the effect changes in the model.
+        rivals: other effects in its place, best first.
+    """
+
+    gain_nats: float
+    standard_errors_from_neutral: float
+    equation: str
+    rivals: tuple[RivalEntry, ...]
+
+
+class CauseEntry(NamedTuple):
+    """A named cause; attributes as in :class:`ehls_ros.diagnosis.result.Cause`."""
+
+    name: str
+    probability: float
+    equivalent_to: tuple[str, ...]
+    stage: Stage
+    group: str
+    parameters: Mapping[str, Estimate]
+    fixed: Mapping[str, float]
+    evidence: Evidence
+
+
+class UnknownEvidence(NamedTuple):
+    """What is known of an error that no effect explains.
+
+    Attributes:
+        depends_on: signals that predict it, strongest first.
+        partial: effects that explain a fraction of it.
+        nrmse: residual with those effects in the model.
+        noise_floor: residual that noise alone would leave.
+    """
+
+    depends_on: tuple[str, ...]
+    partial: tuple[str, ...]
+    nrmse: float | None
+    noise_floor: float | None
+
+
+class UnknownEntry(NamedTuple):
+    """Stands in the list of causes for one that no effect describes."""
+
+    name: Literal["unknown"]
+    probability: float
+    equivalent_to: tuple[str, ...]
+    stage: Stage
+    parameters: Mapping[str, Estimate]
+    evidence: UnknownEvidence
+
+
+class GainEntry(NamedTuple):
+    """Gain of the extension on held-out data; without an extension, of the stage that stands out most, with nothing gained.
+
+    Attributes:
+        channel: residual that gained most; None without an extension.
+        heldout_nrmse_before: residual of the given model.
+        heldout_nrmse_after: residual of the extended model.
+        noise_floor: residual that noise alone would leave.
+        closed_fraction: fraction of the removable error power that is closed.
+        ci95: its 95 % interval.
+    """
+
+    channel: Channel | None
+    heldout_nrmse_before: float | None
+    heldout_nrmse_after: float | None
+    noise_floor: float | None
+    closed_fraction: float | None
+    ci95: tuple[float | None, float | None]
+
+
+class BeforeAfter(NamedTuple):
+    """A residual of the given and of the extended model."""
+
+    before: float | None
+    after: float | None
+
+
+class FreeRunEntry(NamedTuple):
+    """Both models simulated along the recording.
+
+    Attributes:
+        seconds: simulated time [s].
+        nrmse: by signal, as fractions of its standard deviation.
+        remarks: what a reader has to know.
+    """
+
+    seconds: float
+    nrmse: Mapping[str, BeforeAfter]
+    remarks: tuple[str, ...]
+
+
+class DiagnosisDocument(NamedTuple):
+    """What ``diagnosis.json`` holds.
+
+    Attributes:
+        verdict: the verdict in one word.
+        summary: the verdict in one or two sentences.
+        stages: every stage of the model.
+        causes: best first; empty when the model agrees with the recording.
+        depends_on: for ``unknown``, signals that predict the residual.
+        gain: what the extension gains.
+        next_experiment: what would separate the open causes; None where nothing is open or nothing would.
+        extended_rig: file name of the extended rig.
+        seed: seed of noise and resampling.
+        version: version of this package.
+        unknown_stage: for ``unknown``, the stage where the error is.
+        partial: effects that explain a fraction of an unknown error.
+        missing: for ``insufficient``, what the data lack.
+        not_judged: effects that could not be evaluated, with the reason.
+        sensitivities: smallest effects that these data would have shown.
+        controller_gain: benefit of the extended model to the controller.
+        free_run: both models simulated along the recording.
+        remarks: on the data, and on results that are missing.
+        diagnosis_s: wall time of the diagnosis alone [s].
+        wall_s: wall time of everything [s].
+    """
+
+    verdict: Verdict
+    summary: str
+    stages: Mapping[Stage, StageResult]
+    causes: tuple[CauseEntry | UnknownEntry, ...]
+    depends_on: tuple[str, ...]
+    gain: GainEntry
+    next_experiment: NextExperiment | None
+    extended_rig: str
+    seed: int
+    version: str
+    unknown_stage: Stage | None
+    partial: tuple[str, ...]
+    missing: tuple[str, ...]
+    not_judged: Mapping[str, str]
+    sensitivities: Sequence[Sensitivity]
+    controller_gain: ControllerBenefit | None
+    free_run: FreeRunEntry | None
+    remarks: tuple[str, ...]
+    diagnosis_s: float
+    wall_s: float
+
+
+def diagnosis_document(
+    diagnosis: Diagnosis, follows: Consequences, summary: str, extended_rig: str, wall_s: float
+) -> DiagnosisDocument:
+    """Return what ``diagnosis.json`` holds.
+
+    Args:
+        diagnosis: the diagnosis.
+        follows: its consequences.
+        summary: the verdict in a sentence.
+        extended_rig: file name of the extended rig.
+        wall_s: wall time of everything [s].
+    """
+    unknown = _unknown(diagnosis)
+    return DiagnosisDocument(
+        verdict=diagnosis.verdict,
+        summary=summary,
+        stages=diagnosis.stages,
+        causes=tuple(_cause(cause) for cause in diagnosis.causes) or (() if unknown is None else (unknown,)),
+        depends_on=diagnosis.depends_on,
+        gain=_gain(diagnosis),
+        next_experiment=follows.next_experiment,
+        extended_rig=extended_rig,
+        seed=diagnosis.seed,
+        version=__version__,
+        unknown_stage=diagnosis.unknown_stage,
+        partial=diagnosis.partial,
+        missing=diagnosis.missing,
+        not_judged=diagnosis.not_judged,
+        sensitivities=diagnosis.sensitivities,
+        controller_gain=follows.controller,
+        free_run=None if follows.free_run is None else _free_run(follows.free_run),
+        remarks=(*diagnosis.remarks, *follows.all_remarks),
+        diagnosis_s=diagnosis.wall_s,
+        wall_s=wall_s,
+    )
+
+
+def _cause(cause: Cause) -> CauseEntry:
+    rivals = tuple(RivalEntry(r.name, r.behind, r.closed_fraction, r.parameters) for r in cause.rivals)
+    return CauseEntry(
+        cause.name,
+        cause.probability,
+        cause.equivalent_to,
+        cause.stage,
+        cause.group,
+        cause.parameters,
+        cause.fixed,
+        Evidence(cause.gain, cause.sigmas, EFFECTS.load(cause.name).EQUATION, rivals),
+    )
+
+
+def _unknown(diagnosis: Diagnosis) -> UnknownEntry | None:
+    stage = diagnosis.unknown_stage
+    if diagnosis.verdict != "unknown" or stage is None:
+        return None
+    result = diagnosis.stages[stage]
+    evidence = UnknownEvidence(diagnosis.depends_on, diagnosis.partial, result.nrmse_after, result.noise_floor)
+    return UnknownEntry("unknown", 1.0, (), stage, {}, evidence)
+
+
+def _gain(diagnosis: Diagnosis) -> GainEntry:
+    if diagnosis.gain is not None:
+        return GainEntry(*diagnosis.gain)
+    judged = [result for result in diagnosis.stages.values() if result.judged and result.nrmse_before is not None]
+    if diagnosis.unknown_stage is not None:
+        judged = [diagnosis.stages[diagnosis.unknown_stage]]
+    worst = max(judged, key=lambda r: (r.nrmse_before or 0.0) / max(r.noise_floor or 0.0, 1e-300), default=None)
+    before, floor = (None, None) if worst is None else (worst.nrmse_before, worst.noise_floor)
+    closed = 0.0 if diagnosis.verdict == "unknown" else None
+    return GainEntry(None, before, before, floor, closed, (closed, closed))
+
+
+def _free_run(run: FreeRun) -> FreeRunEntry:
+    nrmse = {signal.name: BeforeAfter(signal.nrmse_before, signal.nrmse_after) for signal in run.signals}
+    return FreeRunEntry(float(run.time[-1]), nrmse, run.remarks)

@@ -1,0 +1,28 @@
+"""Results as JSON: every result is a frozen record, and this is the one place that turns records into documents."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+
+def json_document(value: object) -> Any:
+    """Return a record as JSON holds it.
+
+    Args:
+        value: a named tuple or frozen dataclass, whose field names become keys; or a mapping, sequence or scalar of them.
+
+    Returns:
+        Dictionaries, lists and scalars; null for a number that is not finite, such as the error of a run that diverged.
+    """
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        value = value._asdict()
+    elif is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {key: json_document(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_document(entry) for entry in value]
+    return value

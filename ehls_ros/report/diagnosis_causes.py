@@ -1,0 +1,145 @@
+"""The parts of a diagnosis' report on its causes: named ones with their rivals, an unknown one, data that are insufficient."""
+
+from ehls_ros.diagnosis.result import Cause, Diagnosis
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.report import diagnosis_findings as findings
+from ehls_ros.report import page
+from ehls_ros.report.diagnosis_figures import residual_against
+from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
+from ehls_ros.report.diagnosis_units import estimate, likely, percent, quantity
+from ehls_ros.report.diagnosis_views import view_of_cause, view_of_rest
+from ehls_ros.report.page import Entry, Row, listed, number
+
+RIVALS = 4
+"""Largest number of rivals listed for a cause."""
+
+
+def causes(found: Diagnosis) -> list[str]:
+    """Show the named causes: the residual each one explains, its parameters, and what to check on the rig."""
+    blocks = []
+    seen: set[tuple[str, str]] = set()
+    for cause in found.causes:
+        view = view_of_cause(found, cause)
+        if view is not None and (view.channel, view.signal) not in seen:
+            seen.add((view.channel, view.signal))
+            noun = words(cause.name).noun
+            blocks.append(page.figures([residual_against(found, view, noun[0].upper() + noun[1:])]))
+    if found.causes:
+        header = ["cause", "stage", "probability", "parameter", "value ± standard error", "in SI units", "significance"]
+        blocks.append(page.table(header, [row for cause in found.causes for row in _parameters(cause)]))
+        about: list[Row] = [
+            [
+                cause.name,
+                Entry(findings.meaning(cause.name), prose=True),
+                Entry(EFFECTS.load(cause.name).EQUATION, prose=True),
+                Entry(words(cause.name).check, prose=True),
+            ]
+            for cause in found.causes
+        ]
+        blocks.append(page.table(["cause", "meaning", "equation", "to check on the rig"], about))
+    return blocks
+
+
+def _parameters(cause: Cause) -> list[Row]:
+    rows: list[Row] = []
+    sure = "" if cause.sigmas <= 0.0 else f"{number(min(cause.sigmas, 1e6), 2)} standard errors from neutral"
+    for index, (name, fitted) in enumerate(cause.parameters.items()):
+        first = index == 0
+        rows.append(
+            [
+                Entry(cause.name, words(cause.name).noun) if first else "",
+                STAGE_NAMES[cause.stage] if first else "",
+                likely(cause.probability) if first else "",
+                Entry(name, findings.parameter_meaning(cause.name, name), prose=True),
+                estimate(fitted),
+                f"{fitted.value:.5g} ± {fitted.std:.2g} {'' if fitted.unit == '1' else fitted.unit}".rstrip(),
+                sure if first else "",
+            ]
+        )
+    for name, fixed in cause.fixed.items():
+        parameter = Entry(name, findings.parameter_meaning(cause.name, name), prose=True)
+        rows.append(["", "", "", parameter, "fixed", f"{fixed:g}", ""])
+    return rows
+
+
+def rivals(found: Diagnosis) -> list[str]:
+    """Show which other effects were fitted instead of each cause, and why they were not named."""
+    blocks = []
+    for cause in found.causes:
+        if not cause.rivals:
+            continue
+        runner = findings.runner_up(cause)
+        text = f"Every other effect was fitted to the same data instead of {words(cause.name).noun}."
+        if runner is not None:
+            text += (
+                f" The runner-up is {words(runner.name).noun}, {findings.behind(runner)} nats behind on held-out data:"
+                f" it {findings.why_lost(cause, runner)}."
+            )
+        if cause.equivalent_to:
+            names = listed([words(name).noun for name in cause.equivalent_to])
+            text += f" These data cannot distinguish {words(cause.name).noun} from {names}."
+        rows: list[Row] = [
+            [
+                Entry(rival.name, words(rival.name).noun),
+                "equal" if rival.name in cause.equivalent_to else f"{findings.behind(rival)} behind",
+                percent(rival.closed_fraction),
+                Entry(findings.parameters_text(rival.parameters, 2), prose=True),
+                Entry(findings.why_lost(cause, rival), prose=True),
+            ]
+            for rival in cause.rivals[:RIVALS]
+        ]
+        header = [f"instead of {cause.name}", "held-out data, nats", "closes", "with", "why it was not named"]
+        blocks += [page.paragraph(text), page.table(header, rows)]
+    if blocks:
+        blocks.append(
+            page.paragraph(
+                "Each nat behind makes a cause e times less likely; beyond about 10 it can be ruled out. The fraction closed is"
+                " relative to the model with all other causes in place."
+            )
+        )
+    return blocks
+
+
+def unexplained(found: Diagnosis) -> list[str]:
+    """Show an error that no effect explains: what it depends on, and where to look."""
+    if found.verdict != "unknown" or found.unknown_stage is None:
+        return []
+    blocks = []
+    view = view_of_rest(found)
+    if view is not None:
+        blocks.append(
+            page.figures([residual_against(found, view, f"Unexplained residual of the {STAGE_NAMES[found.unknown_stage]}")])
+        )
+    if found.depends_on:
+        signals = listed([quantity(signal) for signal in found.depends_on])
+        text = (
+            f"These signals, the strongest first, predict the residual on data they were not fitted to: {signals}."
+            " The residual is therefore not noise, and its model must contain them."
+        )
+    else:
+        text = (
+            "No signal alone predicts the residual on data it was not fitted to, and yet the residual exceeds the noise:"
+            " look for an element with memory, or for one that depends on several signals together."
+        )
+    blocks.append(page.paragraph(text))
+    if found.partial:
+        rows: list[Row] = [[Entry(name, words(name).noun), Entry(findings.meaning(name), prose=True)] for name in found.partial]
+        blocks.append(page.paragraph("Explains a fraction of it, too little to be named as the cause:"))
+        blocks.append(page.table(["effect", "meaning"], rows))
+    places: list[Row] = [[on, Entry(place, prose=True)] for on, place in findings.where_to_look(found)]
+    return [*blocks, page.table(["depends on", "look at"], places)]
+
+
+def insufficient(found: Diagnosis) -> list[str]:
+    """Show what the data lack."""
+    if found.verdict != "insufficient":
+        return []
+    text = (
+        "A stage of the model can be evaluated if its signals are recorded and excited. The best recording has all signals at"
+        " 1 kHz for a minute, with slow and fast, small and large motions in both directions under a changing load."
+    )
+    rows: list[Row] = [
+        [stage, Entry(needs, prose=True), Entry(excitation, prose=True)]
+        for stage, needs, excitation in findings.to_record(found)
+    ]
+    return [page.paragraph(text), page.table(["stage of the model", "signals it needs", "excitation it needs"], rows)]

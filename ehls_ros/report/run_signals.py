@@ -1,0 +1,126 @@
+"""Signals and settings of one run as its report needs them."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.report.page import Configuration, number
+from ehls_ros.trajectory import Trajectory
+
+PLANE_SAMPLES = 10_000
+"""Samples of a figure of one signal against another: a few periods."""
+
+UNUSED_AT_ZERO = frozenset({"e3_mpa", "s_mpa_s", "alpha", "beta", "delta_n", "force_error_n", "force_bound_n"})
+"""Signals that a controller without a sliding mode fills with zeros."""
+
+
+def known(run: Trajectory, name: str) -> bool:
+    """Tell whether a signal was recorded and has values."""
+    return not _absence(run, name)
+
+
+def since_start(run: Trajectory) -> NDArray[np.float64]:
+    """Give the time since the start [s], shape (n,)."""
+    time: NDArray[np.float64] = run.time_s - run.time_s[0]
+    return time
+
+
+def error_of(run: Trajectory) -> NDArray[np.float64] | None:
+    """Give force minus reference [N], shape (n,), as measured, else as the controller saw it; None if neither is known."""
+    if "force_n" in run and "force_reference_n" in run:
+        with np.errstate(invalid="ignore"):
+            error: NDArray[np.float64] = run["force_n"] - run["force_reference_n"]
+        if np.isfinite(error).any():
+            return error
+    return run["force_error_n"] if known(run, "force_error_n") else None
+
+
+def setting(metadata: Configuration, *keys: str) -> float | None:
+    """Look up a number in the configuration; None if there is none.
+
+    Args:
+        metadata: a trajectory's metadata.
+        keys: path to the number.
+    """
+    value: object = metadata
+    for key in keys:
+        value = value.get(key) if isinstance(value, Mapping) else None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)
+
+
+def sliding_bound(metadata: Configuration) -> float | None:
+    """Give the bound b/h of the sliding variable [MPa/s]; None if the controller has none."""
+    b, h = setting(metadata, "spec", "controller", "b"), setting(metadata, "spec", "controller", "h")
+    return b / h if b is not None and h else None
+
+
+def _absence(run: Trajectory, name: str) -> str:
+    if name not in run:
+        return "not been recorded"
+    values = run[name][np.isfinite(run[name])]
+    if not values.size:
+        return "no values"
+    return "no values but zero" if name in UNUSED_AT_ZERO and not values.any() else ""
+
+
+def missing_reason(run: Trajectory, *names: str) -> str:
+    """Say why signals cannot be shown; empty where all can."""
+    reasons: dict[str, list[str]] = {}
+    for name in names:
+        if absence := _absence(run, name):
+            reasons.setdefault(absence, []).append(name)
+    return ", ".join(
+        f"{' and '.join(which)} {'has' if len(which) == 1 else 'have'} {absence}" for absence, which in reasons.items()
+    )
+
+
+def missing_together(run: Trajectory, samples: slice, *names: str) -> str:
+    """Say why signals cannot be shown together in some samples; empty where they can."""
+    if missing := missing_reason(run, *names):
+        return missing
+    together = np.logical_and.reduce([np.isfinite(run[name][samples]) for name in names])
+    return "" if together.any() else f"none of the cycles shown has both {' and '.join(names)}"
+
+
+def columns_of(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the columns of a signal, shape (columns, n)."""
+    columns: NDArray[np.float64] = values.reshape(len(values), -1).T
+    return columns
+
+
+def response_of(run: Trajectory) -> NDArray[np.float64] | None:
+    """Return the response times of the loop [s], NaN where none was timed, shape (n,); None where none was."""
+    if not known(run, "response_s"):
+        return None
+    # Zero means not timed, and has no place on a logarithmic axis.
+    response = np.where(np.isfinite(run["response_s"]) & (run["response_s"] > 0), run["response_s"], np.nan)
+    return response if np.isfinite(response).any() else None
+
+
+def largest_of(values: NDArray[np.float64]) -> float:
+    """Return the largest finite magnitude, 0 where there is none."""
+    known = np.abs(values[np.isfinite(values)])
+    return float(known.max()) if known.size else 0.0
+
+
+def last_samples(run: Trajectory) -> slice:
+    """Return the samples of the last half that a figure of one signal against another shows."""
+    return slice(len(run) - min(len(run) - len(run) // 2, PLANE_SAMPLES), len(run))
+
+
+def last_seconds(run: Trajectory) -> str:
+    """Say how long the stretch of :func:`last_samples` is."""
+    return f"last {number(float(run.time_s[-1] - run.time_s[last_samples(run).start]), 2)} s"
+
+
+WITHOUT_VISCOUS = "without viscous friction"
+"""Label of the elements' force where there is only one element."""
+
+
+def several_elements(run: Trajectory) -> bool:
+    """Tell whether the friction estimate of a run has more than one element."""
+    return any(known(run, name) and len(columns_of(run[name])) > 1 for name in ("friction_elements_n", "friction_slipping"))

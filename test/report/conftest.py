@@ -1,0 +1,21 @@
+"""What the tests of reports share."""
+
+import pytest
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Write a page with a report's function and return its text."""
+
+    def write(report):
+        path = tmp_path / "report.html"
+        report(path)
+        return path.read_text(encoding="utf-8")
+
+    return write
+
+
+@pytest.fixture
+def without_plotly(monkeypatch):
+    """Pages without the five megabytes of plotly.js."""
+    monkeypatch.setattr("ehls_ros.report.page.get_plotlyjs", lambda: "")
