@@ -93,14 +93,21 @@ def load_rig(path: Path) -> Rig:
     return rig_from_mapping(read_yaml(path, "rig file"), str(path))
 
 
-def load_spec(path: Path) -> Spec:
+def load_spec(path: Path, rig: Path | None = None) -> Spec:
     """Read an experiment's YAML file; files it names are looked for beside it.
 
+    Args:
+        path: the file.
+        rig: a rig file in place of the experiment's rig, its effects and its controller's rig.
+
     Raises:
-        BadInput: the file or one of its keys is wrong, or its numbers together make no sense.
+        BadInput: a file or one of its keys is wrong, or its numbers together make no sense.
     """
-    spec = spec_from_mapping(read_yaml(path, "spec"), str(path), path.parent)
-    check_spec(spec, str(path))
+    data = read_yaml(path, "spec")
+    if rig is not None and isinstance(data, Mapping):
+        data = {**data, "rig": str(rig.resolve()), "controller_rig": None, "effects": None}
+    spec = spec_from_mapping(data, str(path), path.parent)
+    check_spec(spec, str(rig or path))
     return spec
 
 

@@ -41,7 +41,7 @@ def state(model: FrictionModel, friction: Any) -> ObserverState:
 def updater(model: FrictionModel) -> Callable[..., None]:
     """Build the update of one friction model."""
     level, rates, force, event, switch = model.level, model.rates, model.force, model.event, model.switch
-    relaxation_rate = kernel(model.relaxation_rate)
+    begin, relaxation_rate = model.begin, kernel(model.relaxation_rate)
 
     @kernel
     def evaluate(t: float, y: Array, mode: Array, c: Motion, rate: Array) -> float:
@@ -69,12 +69,14 @@ def updater(model: FrictionModel) -> Callable[..., None]:
             motion = Motion(friction, last, (velocity - last) / period)
             advance(0.0, state.forces, state.mode, motion, period / steps, steps, state.work)
         elements = state.forces.size
-        most = level(0.0, friction)
+        most, total, lost = level(0.0, friction), 0.0, False
         for i in range(elements):
-            value = state.forces[i]
-            # Only steps too long for an absurd velocity lead beyond.
-            if not abs(value) <= most:
-                state.forces[i] = math.copysign(most, value if math.isfinite(value) else velocity)
+            total += state.forces[i]
+            lost = lost or not abs(state.forces[i]) <= most
+        if lost:
+            # Steps too long for an absurd velocity lead beyond what the contact holds.
+            begin(total if math.isfinite(total) else math.copysign(most, velocity), most, friction, state.forces)
+        for i in range(elements):
             state.estimate[ELEMENTS + i] = state.forces[i]
             state.estimate[ELEMENTS + elements + i] = abs(state.mode[i])
         # At v = 0 the viscous term is zero, and what is left is the elements' force.
