@@ -14,6 +14,7 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.plant import FRICTION, V
 from ehls_ros.physics.plausibility import check_rig, check_step
+from ehls_ros.physics.rig import EffectUse
 from ehls_ros.physics.simulator import DEFAULT_STEP, Simulator
 
 PAGE = "docs/how_to/friction_model.md"
@@ -36,8 +37,11 @@ def test_the_model_of_the_page_runs(model, make_rig):
     check_rig(rig, "rig")
     check_step(rig, DEFAULT_STEP, "rig")
     assert rig.friction.presliding_stiffness == 1.884e6 + 1.969e5 + 1.841e5
-    assert EFFECTS.load("coulomb_shift").forms(rig)
-    assert EFFECTS.load("stribeck_shift").forms(rig) == ()
+    for effect in ("coulomb_shift", "viscous_shift", "presliding_stiffness_shift", "stribeck_shift"):
+        member = EFFECTS.load(effect)
+        for form in member.forms(rig):
+            use = EffectUse(effect, member.Parameters(**dict.fromkeys(form.free, 1.5)))
+            assert rig.with_effects((use,)).effective().friction != rig.friction
 
     simulator, estimator = Simulator(rig, PERIOD), FrictionEstimator(default_observer(rig), rig, PERIOD)
     true, found = [], []
@@ -45,5 +49,5 @@ def test_the_model_of_the_page_runs(model, make_rig):
         found.append(estimator.update(simulator.y[V])[0])
         true.append(simulator.y[FRICTION])
         simulator.advance(2e-4 * np.sin(9.0 * k * PERIOD), 0.0, 0.0, 0.0, 0.0)
-    assert np.ptp(true) == pytest.approx(2.0 * 640.8, rel=0.01)
+    assert 2.0 * 640.8 < np.ptp(true) < 2.0 * 865.4
     assert np.sqrt(np.mean(np.subtract(found, true) ** 2)) < 5.0
