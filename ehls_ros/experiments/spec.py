@@ -16,7 +16,7 @@ from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.plausibility import FLAGGED, check_ranges, check_rig, check_signal, check_step
-from ehls_ros.physics.rig import Rig, check_friction_effects, effects_from_list, rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.rig import Rig, effects_from_list, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP
 from ehls_ros.recording import limits
 from ehls_ros.recording.regular_file import read_text
@@ -137,7 +137,6 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
     believed = data.get("controller_rig")
     controller_rig = rig if believed is None else _rig(believed, f"{where}: controller_rig", folder)
     rig = rig.with_effects(effects_from_list(data.get("effects") or [], f"{where}: effects"))
-    check_friction_effects(rig, f"{where}: effects")
     spec = Spec(
         settings=settings,
         rig=rig,

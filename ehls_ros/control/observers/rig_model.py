@@ -14,7 +14,7 @@ DRIVING = 1e9
 """Force that drives the measured motion [N]: more than any friction holds."""
 
 MOST_STEPS = 1000
-"""Most integration steps between two measurements; a velocity that asks for more is no piston's."""
+"""Largest number of integration steps between two measurements; no piston's velocity needs more."""
 
 
 class Parameters(NamedTuple):
@@ -63,7 +63,7 @@ def updater(model: FrictionModel) -> Callable[..., None]:
         last, started = state.last[0], state.last[1] == 1.0
         velocity = held(velocity, state)
         if started:
-            # One step for each time constant of the forces, and more where more are asked for.
+            # At least one step for each time constant of the forces.
             needed = period * relaxation_rate(friction, max(abs(last), abs(velocity)))
             steps = max(p.steps, math.ceil(min(needed, MOST_STEPS)))
             motion = Motion(friction, last, (velocity - last) / period)
@@ -74,12 +74,12 @@ def updater(model: FrictionModel) -> Callable[..., None]:
             total += state.forces[i]
             lost = lost or not abs(state.forces[i]) <= most
         if lost:
-            # Steps too long for an absurd velocity lead beyond what the contact holds.
+            # At an absurd velocity the steps are too long: back to a force that the contact can hold.
             begin(total if math.isfinite(total) else math.copysign(most, velocity), most, friction, state.forces)
         for i in range(elements):
             state.estimate[ELEMENTS + i] = state.forces[i]
             state.estimate[ELEMENTS + elements + i] = abs(state.mode[i])
-        # At v = 0 the viscous term is zero, and what is left is the elements' force.
+        # At v = 0 the viscous term is zero and the force is that of the elements.
         state.estimate[0] = force(0.0, 0.0, level(velocity, friction), state.forces, state.mode, friction)
         if elements == 1:
             state.estimate[ELEMENTS] = state.estimate[0]
