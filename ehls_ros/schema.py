@@ -47,9 +47,9 @@ def quantity(
     )
 
 
-def text(description: str) -> Any:
-    """Declare a non-numeric field, such as a name or a list, with one sentence of help."""
-    return Field(description=description)
+def text(description: str, unit: str = "") -> Any:
+    """Declare a non-numeric field, such as a name or a list, with one sentence of help and the unit of its entries."""
+    return Field(description=description, json_schema_extra={"unit": unit})
 
 
 class Declaration(NamedTuple):

@@ -8,7 +8,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.causes import causes
 from ehls_ros.diagnosis.dependence import depends_on, signals_along
 from ehls_ros.diagnosis.evidence import Evidence, gather
-from ehls_ros.diagnosis.excitation import excited, sensitivities
+from ehls_ros.diagnosis.excitation import excited, sensitivities, sliding
 from ehls_ros.diagnosis.gain import gain
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
@@ -90,11 +90,9 @@ def diagnose(
 
 
 def _findings(evidence: Evidence, sizes: Sequence[Sensitivity], left: Sequence[Remainder]) -> dict[Stage, Finding]:
-    friction = evidence.rig.effective().friction
+    slid = sliding(evidence)
     return {
-        stage: Finding(
-            tuple(item for item in left if CHANNELS[item.channel] == stage), excited(stage, sizes, friction, evidence.travel)
-        )
+        stage: Finding(tuple(item for item in left if CHANNELS[item.channel] == stage), excited(stage, sizes, slid))
         for stage in STAGES
     }
 

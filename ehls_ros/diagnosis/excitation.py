@@ -11,7 +11,6 @@ from ehls_ros.diagnosis.evidence import Evidence, sections
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.result import Sensitivity
 from ehls_ros.diagnosis.stages import Stage
-from ehls_ros.physics.parameters import Friction
 
 
 class Key(NamedTuple):
@@ -64,18 +63,38 @@ def smallest_detectable(information: float, effect: float) -> float | None:
     return max(smallest, rules.RELEVANT / effect) if effect > 0.0 else smallest
 
 
-def excited(stage: Stage, found: Sequence[Sensitivity], friction: Friction, travel: float) -> bool:
+class Sliding(NamedTuple):
+    """What tells whether the piston slides.
+
+    Attributes:
+        travel: range of the piston's motion [m].
+        presliding: travel over which static friction builds up [m].
+        coulomb: friction of steady sliding in the given model [N].
+    """
+
+    travel: float
+    presliding: float
+    coulomb: float
+
+
+def sliding(evidence: Evidence) -> Sliding:
+    """Compare the recorded travel with the given model's friction."""
+    rig = evidence.rig.effective()
+    presliding = rig.friction_level(0.0) / rig.friction_law.stiffness(rig.friction)
+    return Sliding(evidence.travel, presliding, rig.friction_level(math.inf))
+
+
+def excited(stage: Stage, found: Sequence[Sensitivity], slid: Sliding) -> bool:
     """Tell whether the data could show an error of a stage's key parameter; for friction, whether the piston slides.
 
     Args:
         stage: the stage.
         found: the smallest detectable sizes.
-        friction: the given model's friction.
-        travel: range of the piston's motion [m].
+        slid: how the piston moved.
     """
     if stage not in KEYS:
         return True
-    if stage == "force_balance" and travel < rules.SLIDING * friction.static_force / sum(friction.element_stiffness):
+    if stage == "force_balance" and slid.travel < rules.SLIDING * slid.presliding:
         return False
-    nominal = friction.coulomb_force if stage == "force_balance" else 1.0
+    nominal = slid.coulomb if stage == "force_balance" else 1.0
     return any(s.smallest < rules.TELLING * nominal for s in found if Key(s.name, s.parameter) == KEYS[stage])

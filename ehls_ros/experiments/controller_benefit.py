@@ -14,13 +14,13 @@ import numpy as np
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.disturbances import DISTURBANCES
-from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import home_of, largest_force, room_of
 from ehls_ros.experiments.loop import Implausible, run_in_process
 from ehls_ros.experiments.metrics import evaluate
-from ehls_ros.experiments.spec import DEFAULT_COMPENSATION, DisturbanceUse, Settings, Spec, Use
+from ehls_ros.experiments.spec import DisturbanceUse, Settings, Spec, Use
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
@@ -137,7 +137,7 @@ def controller_benefit(before: Rig, extended: Rig, *, progress: Callable[[int, i
 def _size(rig: Rig) -> float:
     """Return the factor on the paper's forces for which the rig has enough force and stroke."""
     plant = rig.plant
-    damping = plant.viscous_damping + rig.friction.viscous_coefficient
+    damping: float = plant.viscous_damping + rig.friction.viscous_coefficient
     # A constant force deflects the spring; without one, damping limits the travel within the run.
     stiffness = max(plant.spring_stiffness, damping / DURATION)
     omega = 2.0 * math.pi * DISTURBANCE_FREQUENCY
@@ -151,7 +151,7 @@ def _size(rig: Rig) -> float:
 
 def _least_force(rig: Rig) -> float:
     """Return the force that friction and weight alone take up [N]."""
-    return rig.friction.static_force + abs(rig.plant.moving_mass * rig.plant.gravity)
+    return rig.friction_level(0.0) + abs(rig.plant.moving_mass * rig.plant.gravity)
 
 
 def _no_room(rig: Rig, size: float) -> str:
@@ -176,6 +176,7 @@ def _cases(size: float) -> tuple[_Case, ...]:
 
 def _run(case: _Case, plant: Rig, believed: Rig) -> Steady:
     """Run one case; a failure is part of the result."""
+    observer = default_observer(believed)
     spec = Spec(
         settings=Settings(title=case.title, duration=DURATION, initial_position=home_of(plant)),
         rig=plant,
@@ -183,7 +184,7 @@ def _run(case: _Case, plant: Rig, believed: Rig) -> Steady:
         reference=case.reference,
         disturbance=case.disturbance,
         controller=Use("fasmc", CONTROLLERS.load("fasmc").Parameters()),
-        compensation=Use(DEFAULT_COMPENSATION, OBSERVERS.load(DEFAULT_COMPENSATION).Parameters()),
+        compensation=Use(observer, OBSERVERS.load(observer).Parameters()),
     )
     try:
         run = run_in_process(spec)

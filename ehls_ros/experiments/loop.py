@@ -41,6 +41,9 @@ _LOOP = """
 
 {law}
 {observer}
+{believed}
+
+observe_friction = observer.updater(believed_friction)
 
 
 @njit(cache=True, error_model="numpy")
@@ -52,7 +55,7 @@ def loop(
     for i in range(record.shape[0]):
         k = first + i
         observe(k, k * period, y, plant, inputs, effects, sensor_state, noise[i], truth, measured)
-        observer.update(measured[sensors.VELOCITY], period, design_friction, compensation, observer_state)
+        observe_friction(measured[sensors.VELOCITY], period, design_friction, compensation, observer_state)
         u = law.step(measured, reference[i], observer_state.estimate, tuning, design, memory, status)
         column = 0
         for value in measured:
@@ -158,9 +161,11 @@ class ClosedLoop:
         self._simulator = simulator_of(spec)
         law = import_line(CONTROLLERS.load(spec.controller.name), "law")
         observer = import_line(OBSERVERS.load(spec.compensation.name), "observer")
-        source = plant_source(spec.loader_rig()) + _LOOP.format(law=law, observer=observer)
+        believed = spec.controller_rig
+        friction = import_line(believed.friction_law, "believed_friction")
+        source = plant_source(spec.loader_rig()) + _LOOP.format(law=law, observer=observer, believed=friction)
         self._loop = kernel_module(source).loop
-        self._observer_state = OBSERVERS.load(spec.compensation.name).state(spec.controller_rig.friction)
+        self._observer_state = OBSERVERS.load(spec.compensation.name).state(believed.friction_law, believed.friction)
         self._model = model_of(spec.controller_rig, period)
         self._memory = CONTROLLERS.load(spec.controller.name).memory(spec.controller.parameters)
         self.columns = Columns.of(self._observer_state.estimate.size)

@@ -11,8 +11,9 @@ import numpy as np
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.disturbances import DISTURBANCES
-from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.references import REFERENCES
+from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.plausibility import FLAGGED, check_ranges, check_rig, check_signal, check_step
 from ehls_ros.physics.rig import Rig, effects_from_list, rig_from_mapping, rig_to_mapping
@@ -80,9 +81,6 @@ class Spec(NamedTuple):
         return self.rig.with_effects(kind.loader_effects(self.disturbance.parameters))
 
 
-DEFAULT_COMPENSATION = "gms"
-"""The friction observer of FASMC II."""
-
 SECTIONS = (*Settings._fields, "rig", "controller_rig", "effects", "reference", "disturbance", "controller", "compensation")
 
 
@@ -95,14 +93,21 @@ def load_rig(path: Path) -> Rig:
     return rig_from_mapping(read_yaml(path, "rig file"), str(path))
 
 
-def load_spec(path: Path) -> Spec:
+def load_spec(path: Path, rig: Path | None = None) -> Spec:
     """Read an experiment's YAML file; files it names are looked for beside it.
 
+    Args:
+        path: the file.
+        rig: a rig file in place of the experiment's rig, its effects and its controller's rig.
+
     Raises:
-        BadInput: the file or one of its keys is wrong, or its numbers together make no sense.
+        BadInput: a file or one of its keys is wrong, or its numbers together make no sense.
     """
-    spec = spec_from_mapping(read_yaml(path, "spec"), str(path), path.parent)
-    check_spec(spec, str(path))
+    data = read_yaml(path, "spec")
+    if rig is not None and isinstance(data, Mapping):
+        data = {**data, "rig": str(rig.resolve()), "controller_rig": None, "effects": None}
+    spec = spec_from_mapping(data, str(path), path.parent)
+    check_spec(spec, str(rig or path))
     return spec
 
 
@@ -139,7 +144,9 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
         reference=_use(REFERENCES, data.get("reference"), f"{where}: reference", folder),
         disturbance=_disturbance(data.get("disturbance"), f"{where}: disturbance", folder),
         controller=_use(CONTROLLERS, data.get("controller"), f"{where}: controller", folder),
-        compensation=_use(OBSERVERS, data.get("compensation", DEFAULT_COMPENSATION), f"{where}: compensation", folder),
+        compensation=_use(
+            OBSERVERS, data.get("compensation", default_observer(controller_rig)), f"{where}: compensation", folder
+        ),
     )
     _sampled_once(spec.reference, f"{where}: reference")
     _sampled_once(spec.disturbance.signal, f"{where}: disturbance: signal")
@@ -167,6 +174,8 @@ def check_spec(spec: Spec, where: str) -> None:
         raise BadInput(f"duration is {settings.duration:g}", where, expected)
     for section in ("rig", "controller_rig"):
         check_rig(getattr(spec, section), f"{where}: {section}")
+    check_serves(OBSERVERS, spec.compensation.name, spec.controller_rig, f"{where}: compensation")
+    check_serves(CONTROLLERS, spec.controller.name, spec.controller_rig, f"{where}: controller")
     # What disturbs the rig may have a cylinder of its own.
     check_ranges(spec.disturbance.parameters, "plant", f"{where}: disturbance")
     steps = max(1, math.ceil(period / settings.integration_step - 1e-9))

@@ -14,7 +14,8 @@ from ehls_ros.arrays import Array
 from ehls_ros.control.observers import gms
 from ehls_ros.identification.motion import Motion
 from ehls_ros.physics.composition import kernel_module
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.friction import gms as model
+from ehls_ros.physics.friction.gms import Parameters as Friction
 
 ONE_STEP = gms.Parameters(steps=1)
 
@@ -24,6 +25,9 @@ MOST_PARTS = 60
 _RUN = '''"""Friction elements along a motion, generated."""
 from numba import njit
 from ehls_ros.control.observers import gms
+from ehls_ros.physics.friction import gms as model
+
+update = gms.updater(model)
 
 
 @njit(cache=True, error_model="numpy")
@@ -41,7 +45,7 @@ def run(velocity, fresh, period, parts, friction, p, state, out):
             # From the block's beginning to its end, the velocity straight between the blocks' middles.
             at = (part + 0.5) / parts - 0.5
             v = velocity[i] + at * (velocity[i] - before if at < 0.0 else after - velocity[i])
-            gms.update(v, step, friction, p, state)
+            update(v, step, friction, p, state)
             total += state.estimate[0]
         out[i] = total / parts
 '''
@@ -54,7 +58,7 @@ def elements_force(motion: Motion, friction: Friction) -> Array:
     quickest = friction.attraction_rate / min(friction.coulomb_force, friction.static_force)
     parts = max(1, min(math.ceil(quickest * motion.period), MOST_PARTS))
     run = kernel_module(_RUN).run
-    run(motion.velocity, motion.fresh, motion.period, parts, friction, ONE_STEP, gms.state(friction), out)
+    run(motion.velocity, motion.fresh, motion.period, parts, friction, ONE_STEP, gms.state(model, friction), out)
     return out
 
 

@@ -14,7 +14,7 @@ from ehls_ros.identification.gms_force import elements_force, linear_columns
 from ehls_ros.identification.motion import SMALL_TRAVEL, Motion, prepare, slope_noise
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.uncertainty import estimates
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask, noise
 from ehls_ros.trajectory import Trajectory

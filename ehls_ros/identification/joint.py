@@ -17,7 +17,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.identification.gms_force import MOST_PARTS, elements_force, linear_columns
 from ehls_ros.identification.motion import Motion
 from ehls_ros.identification.presliding import corrected_turns
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.samples import GAUSS, Mask
 
 STEP = 1e-4

@@ -12,7 +12,8 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.joint import JointFit
-from ehls_ros.physics.parameters import Friction, Plant
+from ehls_ros.physics.friction.gms import Parameters as Friction
+from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import declarations
 

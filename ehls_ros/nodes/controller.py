@@ -16,7 +16,8 @@ from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import SATURATED, model_of
 from ehls_ros.control.cycles import Cycles, Ready
-from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.control.friction_estimator import FrictionEstimator
+from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput
 from ehls_ros.nodes.control import OK, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
@@ -49,8 +50,8 @@ class Parameters(NamedTuple):
 class ControllerNode(ControlNode):
     """Runs one control law.
 
-    A cycle is answered once its friction estimate has come. If the estimate stays away, the rig's static Stribeck curve
-    takes its place, and status and diagnostics say so.
+    A cycle is answered once its friction estimate has come. If the estimate stays away, the rig's friction of steady
+    sliding takes its place, and status and diagnostics say so.
     """
 
     def __init__(self, law: str) -> None:
@@ -64,6 +65,7 @@ class ControllerNode(ControlNode):
         self.friction_patience = LOCKSTEP_PATIENCE if self.lockstep else float(self.get_parameter("friction_patience").value)
         self.law = law
         self.kind = CONTROLLERS.load(law)
+        check_serves(CONTROLLERS, law, self.spec.controller_rig, self.get_name())
         given = self.spec.controller
         meant_for = CONTROLLERS.load(given.name).FOLLOWS
         if meant_for != self.kind.FOLLOWS:
@@ -83,7 +85,7 @@ class ControllerNode(ControlNode):
         """Compile the law and open the topics."""
         period = self.spec.settings.control_period
         self.controller = Controller(self.law, self.tuning, model_of(self.spec.controller_rig, period))
-        self.static_friction = FrictionEstimator("stribeck", self.spec.controller_rig.friction, period)
+        self.static_friction = FrictionEstimator("stribeck", self.spec.controller_rig, period)
         self.cycles = Cycles(friction=self.kind.FRICTION, patience=self.friction_patience)
         self.fallbacks = 0
         self.saturated = False
@@ -173,7 +175,7 @@ class ControllerNode(ControlNode):
         if unmeasured:
             return WARN, f"needed but not measured: {', '.join(unmeasured)}; {self._without(unmeasured)}", figures
         if self.kind.FRICTION and not self.cycles.friction_comes:
-            return WARN, "no friction estimate arrives: the static Stribeck curve takes its place", figures
+            return WARN, "no friction estimate arrives: the friction of steady sliding takes its place", figures
         if self.cycles.waited(time.perf_counter()) > PATIENCE:
             return WARN, f"no {self.kind.FOLLOWS} reference for the present cycle", figures
         return OK, "running" if self._active.is_set() else "inactive", figures

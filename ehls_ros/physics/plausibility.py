@@ -1,8 +1,8 @@
-"""What a rig's numbers imply, and whether what it comes to can be true.
+"""Whether a rig's numbers make sense together, and whether a run's results are possible.
 
-Numbers that are each allowed may still describe no rig: a pressure in bar where pascals are meant, an area in mm², a mass so
-small that no integration step resolves what its friction does to it. :data:`RANGES`, :data:`RELATIONS` and :func:`rates` say
-what a rig's numbers have to be before it is run; :data:`FLAGGED` and :data:`ENDS`, how far a run may leave the rig's limits.
+Numbers that are each allowed may still describe no rig: a pressure in bar instead of pascals, an area in mm², a mass too small
+for the integration step to resolve its motion under friction. :data:`RANGES`, :data:`RELATIONS` and :func:`rates` check a rig's
+numbers before a run; :data:`FLAGGED` and :data:`ENDS` say how far a run may leave the rig's limits.
 """
 
 import math
@@ -15,15 +15,15 @@ from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.composition import effects_in_kernel
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.parameters import Friction, Limits, Plant
-from ehls_ros.physics.rig import SENSED, Rig
+from ehls_ros.physics.parameters import Limits
+from ehls_ros.physics.rig import SENSED, Rig, check_friction_effects
 from ehls_ros.schema import declarations
 
 FLAGGED = 1.05
-"""Multiple of the rig's limits beyond which a run is told to have left them. The paper's piston leaves its stroke by 1.4 %."""
+"""Multiple of the rig's limits above which a run is said to leave them. The paper's piston leaves its stroke by 1.4 %."""
 
 ENDS = 10.0
-"""Multiple of the rig's limits beyond which the numbers are no rig's and a run ends; a blow of the servo's beam reaches 2.4."""
+"""Multiple of the rig's limits above which readings are impossible and a run ends; impacts of the servo's beam reach 2.4."""
 
 RESOLVED = 2.0
 """Largest product of integration step and a rate of the plant; the Runge-Kutta scheme is stable up to 2.8."""
@@ -40,7 +40,7 @@ UNITS: dict[str, tuple[tuple[str, float], ...]] = {
     "N/m": (("N/mm", 1e3),),
     "rad/s": (("kHz", 2e3 * math.pi),),
 }
-"""What may have been written for a unit, and how much of it that is."""
+"""Units that may have been written instead, and their size in the SI unit."""
 
 RANGES: dict[tuple[str, str], tuple[float, float]] = {
     ("plant", "supply_pressure"): (1e5, 2e8),
@@ -63,18 +63,18 @@ RANGES: dict[tuple[str, str], tuple[float, float]] = {
     ("limits", "spool"): (1e-7, 1.0),
     ("limits", "velocity"): (1e-4, 100.0),
 }
-"""What hydraulic rigs have, with room on both sides; zero stands where an equation can do without."""
+"""Ranges of hydraulic rigs, with a margin on both sides; zero where the equations allow it."""
 
 
 class Relation(NamedTuple):
-    """A number made of several of a rig's.
+    """A quantity derived from several numbers of a rig.
 
     Attributes:
-        value: the number, of a rig.
-        low: smallest that makes sense.
-        high: largest that makes sense.
-        what: what it is, and of which keys.
-        advice: what to look at.
+        value: computes it.
+        low: smallest plausible value.
+        high: largest plausible value.
+        what: its name, with the keys it depends on.
+        advice: what to check.
     """
 
     value: Callable[[Rig], float]
@@ -85,18 +85,12 @@ class Relation(NamedTuple):
 
 
 def largest_force(rig: Rig) -> float:
-    """Return what the supply pressure gives on the piston area [N]."""
+    """Return the force of the supply pressure on the piston area [N]."""
     return rig.plant.supply_pressure * rig.plant.piston_area
 
 
 def _stroke(rig: Rig) -> float:
     return rig.limits.position[1] - rig.limits.position[0]
-
-
-def _break_away(rig: Rig) -> float:
-    friction = rig.friction
-    pairs = zip(friction.element_weight, friction.element_stiffness, strict=True)
-    return max(friction.static_force * weight / stiffness for weight, stiffness in pairs)
 
 
 RELATIONS = (
@@ -115,10 +109,10 @@ RELATIONS = (
         "N, Pa and m^2; 1 mm^2 is 1e-6 m^2, 1 kN is 1e3 N, 1 bar is 1e5 Pa",
     ),
     Relation(
-        lambda rig: rig.friction.static_force / largest_force(rig),
+        lambda rig: rig.friction_level(0.0) / largest_force(rig),
         0.0,
         1.0,
-        "friction.static_force over what plant.supply_pressure gives on plant.piston_area",
+        "break-away, friction.static_force or coulomb_force, over what plant.supply_pressure gives on plant.piston_area",
         "a friction in N that the cylinder can overcome",
     ),
     Relation(
@@ -136,11 +130,11 @@ RELATIONS = (
         "m; 1 mm is 1e-3 m",
     ),
     Relation(
-        lambda rig: _break_away(rig) / _stroke(rig),
+        lambda rig: rig.friction_law.break_away(rig.friction) / _stroke(rig),
         0.0,
         0.1,
-        "way to break-away, element_weight times static_force over element_stiffness, over the stroke",
-        "element_stiffness in N/m; 1 N/mm is 1e3 N/m",
+        "travel to break-away, friction force over its stiffness in presliding, over the stroke",
+        "a stiffness in N/m; 1 N/mm is 1e3 N/m",
     ),
     Relation(
         lambda rig: rig.plant.total_volume / (rig.plant.piston_area * _stroke(rig)),
@@ -157,7 +151,7 @@ RELATIONS = (
         "m; 1 mm is 1e-3 m",
     ),
 )
-"""What a rig's numbers have to be to one another."""
+"""Relations between a rig's numbers."""
 
 SCALES: dict[str, Callable[[Rig], float]] = {
     "position": _stroke,
@@ -168,24 +162,25 @@ SCALES: dict[str, Callable[[Rig], float]] = {
     "supply_pressure": lambda rig: rig.plant.supply_pressure,
     "oil_temperature": lambda rig: 450.0,
 }
-"""The largest a sensor has to read; what spoils its reading is no larger."""
+"""Largest value of each signal; no imperfection of its sensor may be larger."""
 
 GAINS = (0.01, 100.0)
-"""A sensor's reading per true value."""
+"""Smallest and largest reading per true value."""
 
 
 def check_rig(rig: Rig, where: str) -> None:
-    """Look for numbers that no rig has.
+    """Check that a rig's numbers are plausible.
 
     Args:
         rig: a rig whose numbers are each allowed.
         where: the file, for errors.
 
     Raises:
-        BadInput: the first number, or relation of several, that does not make sense.
+        BadInput: the first number, or relation of several, that is not plausible; or an effect with nothing to act on.
     """
     for section in ("plant", "friction", "limits"):
         check_ranges(getattr(rig, section), section, f"{where}: {section}")
+    check_friction_effects(rig, f"{where}: effects")
     for relation in RELATIONS:
         value = relation.value(rig)
         if not relation.low <= value <= relation.high:
@@ -204,10 +199,10 @@ def check_rig(rig: Rig, where: str) -> None:
 
 
 def check_ranges(parameters: Any, section: str, where: str) -> None:
-    """Look for numbers out of :data:`RANGES`.
+    """Check numbers against :data:`RANGES`.
 
     Args:
-        parameters: a section of a rig, or other parameters that have numbers of the same names and meaning.
+        parameters: a section of a rig, or other parameters whose fields have the same names and meaning.
         section: name of the section.
         where: file and section, for errors.
 
@@ -226,7 +221,7 @@ def check_ranges(parameters: Any, section: str, where: str) -> None:
 
 
 def _likely(value: float, unit: str, low: float, high: float) -> str:
-    """Return which other unit may have been meant; nothing where none fits."""
+    """Return which other unit may have been meant; empty where none fits."""
     meant = [
         f"{value:g} {name} is {value * factor:g} {unit}"
         for name, factor in UNITS.get(unit, ())
@@ -241,12 +236,12 @@ def units_of(parameters: Any) -> dict[str, str]:
 
 
 class Rate(NamedTuple):
-    """How fast a part of the plant changes by itself.
+    """Natural rate of a part of the plant.
 
     Attributes:
         what: the part.
         rate: time constant's inverse, or natural frequency [1/s].
-        of: what it comes of, values and units included.
+        of: the keys it depends on, with values and units.
     """
 
     what: str
@@ -255,23 +250,23 @@ class Rate(NamedTuple):
 
 
 def rates(rig: Rig) -> Iterator[Rate]:
-    """Tell how fast each part of a plant is by itself.
+    """Yield the natural rate of each part of a plant.
 
     Args:
-        rig: the rig, its effects included; those of one's own stiffness or damping are counted as if they always acted.
+        rig: the rig with its effects; a stiffness or damping of an effect counts as if it always acted.
 
     Yields:
         The parts. Springs and dampers act on the smallest of the masses.
     """
     effective = rig.effective()
-    p, f, limits = effective.plant, effective.friction, effective.limits
+    p, f, law, limits = effective.plant, effective.friction, effective.friction_law, effective.limits
     piston = effective.piston_mass()
     mass = min(p.moving_mass, piston) if piston > 0.0 else p.moving_mass
     oil = 4.0 * p.bulk_modulus / p.total_volume
-    said = _said(p, Plant) | _said(f, Friction)
+    said = _said(p) | _said(f)
     of_mass = f"on {mass:g} kg"
-    presliding = f"element_stiffness {', '.join(f'{k:g}' for k in f.element_stiffness)} N/m"
-    # Through the valve flows no more than the piston takes at its largest velocity; the spool's limit may be far beyond.
+    springs = ", ".join(said[key] for key, unit in units_of(type(f)).items() if unit == "N/m")
+    # The flow is limited by the piston's largest velocity; the spool's limit may allow far more.
     gradient = p.discharge_coefficient * p.valve_area_gradient * math.sqrt(p.supply_pressure / p.oil_density)
     flow = min(gradient * p.valve_gain * limits.spool, p.piston_area * limits.velocity)
     yield Rate("valve", p.valve_bandwidth, said["valve_bandwidth"])
@@ -281,12 +276,14 @@ def rates(rig: Rig) -> Iterator[Rate]:
     yield Rate("leakage", oil * p.leakage_coefficient, leaking)
     orifice = f"{said['supply_pressure']}, {said['bulk_modulus']}, {said['total_volume']}, flow {flow:g} m^3/s"
     yield Rate("valve's flow", 0.5 * oil * flow / p.supply_pressure, orifice)
-    yield Rate("presliding friction", math.sqrt(sum(f.element_stiffness) / mass), f"{presliding} {of_mass}")
+    if math.isfinite(stiffness := law.stiffness(f)):
+        yield Rate("presliding friction", math.sqrt(stiffness / mass), f"{springs} {of_mass}")
     damping = p.viscous_damping + f.viscous_coefficient
     yield Rate("damping", damping / mass, f"{said['viscous_damping']}, {said['viscous_coefficient']} {of_mass}")
     yield Rate("spring", math.sqrt(p.spring_stiffness / mass), f"{said['spring_stiffness']} {of_mass}")
-    slipping = f"{said['attraction_rate']}, {said['coulomb_force']}"
-    yield Rate("slipping friction", f.attraction_rate / f.coulomb_force, slipping)
+    slipping = ", ".join(said[key] for key in f._fields if key != "viscous_coefficient")
+    relaxation = law.relaxation_rate(f, limits.velocity)
+    yield Rate("slipping friction", relaxation, f"{slipping} at {limits.velocity:g} m/s")
     for use in effects_in_kernel(rig):
         of_unit: dict[str, Callable[[float], float]] = {
             "N/m": lambda value: math.sqrt(abs(value) / mass),
@@ -300,12 +297,21 @@ def rates(rig: Rig) -> Iterator[Rate]:
                 yield Rate(f"effect {use.name}", of_unit[unit](value), f"{key} {value:g} {unit} {of_mass}")
 
 
-def _said(parameters: Any, kind: Any) -> dict[str, str]:
-    return {key: f"{key} {getattr(parameters, key):g} {unit}" for key, unit in units_of(kind).items() if unit}
+def _said(parameters: Any) -> dict[str, str]:
+    """Return each field as a message has it: name, value or values, unit."""
+
+    def shown(value: float | tuple[float, ...]) -> str:
+        return ", ".join(f"{one:g}" for one in value) if isinstance(value, tuple) else f"{value:g}"
+
+    units = units_of(type(parameters))
+    return {
+        key: f"{key} {shown(value)}{'' if units[key] == '1' else f' {units[key]}'}"
+        for key, value in parameters._asdict().items()
+    }
 
 
 def check_step(rig: Rig, step: float, where: str) -> None:
-    """Look for parts of a plant that are too fast for an integration step.
+    """Check that an integration step resolves all parts of a plant.
 
     Args:
         rig: the rig.
@@ -336,12 +342,12 @@ REACH: dict[tuple[str, str], tuple[Callable[[Rig], tuple[float, float]], float, 
     ),
     ("disturbance", "position"): (lambda rig: rig.limits.position, 2.0, "limits.position; is it in m?"),
 }
-"""What a signal acts on, by its part in the experiment and its kind: the rig's range, the multiple of it about its middle that
-makes sense, and what the range is. What lies between range and multiple is run, and told of."""
+"""By role and kind of a signal: the rig's range, the largest plausible multiple of it about its middle, and its name. A signal
+between range and multiple is run with a warning."""
 
 
 def check_signal(rows: Array, part: str, kind: str, rig: Rig, period: float, where: str) -> None:
-    """Look for signals that a rig cannot follow or bear, or that the control period cannot show.
+    """Check that a rig can follow or bear a signal, and that the control period resolves it.
 
     Args:
         rows: value and first derivative of the signal, among others, at times of the experiment, shape (n, 2 or more).
@@ -372,11 +378,11 @@ def check_signal(rows: Array, part: str, kind: str, rig: Rig, period: float, whe
 
 
 class Beyond(NamedTuple):
-    """A reading that is farther out than it may be.
+    """A reading beyond its limit.
 
     Attributes:
         row: which reading.
-        what: signal, value and limit, as a sentence has it.
+        what: signal, value and limit in words.
     """
 
     row: int
@@ -394,7 +400,7 @@ def within(limits: Limits, signal: str) -> tuple[float, float]:
 
 
 def excess(values: Array, limits: Limits, signal: str) -> Array:
-    """Return how far readings are from the middle between a rig's limits, as parts of the way to a limit, shape of the values.
+    """Return the distance of readings from the middle between a rig's limits, as a fraction of the distance to a limit.
 
     Args:
         values: readings.
@@ -407,13 +413,13 @@ def excess(values: Array, limits: Limits, signal: str) -> Array:
 
 
 def beyond(values: Array, limits: Limits, signal: str, factor: float) -> Beyond | None:
-    """Return the reading farthest outside a rig's limits, if it is outside their multiple; gaps are passed over.
+    """Return the reading farthest outside a rig's limits, if it is outside their multiple; gaps are skipped.
 
     Args:
         values: readings, shape (n,).
         limits: the rig's.
         signal: one of :data:`SHOWN`.
-        factor: multiple of the way from the middle to a limit.
+        factor: multiple of the distance from the middle to a limit.
     """
     away = np.nan_to_num(excess(values, limits, signal), nan=0.0, posinf=math.inf)
     row = int(np.argmax(away))
@@ -432,18 +438,18 @@ ADVICE = (
     "a smaller integration_step if it is the step; else look at the units of rig, reference and disturbance, and at the "
     "controller's parameters"
 )
-"""What to do where a state has run away."""
+"""What to do where a state has diverged."""
 
 
 def implausible(readings: Array, limits: Limits) -> Beyond | None:
-    """Return the first reading of a run that cannot be a rig's: not finite, or :data:`ENDS` times beyond its limits.
+    """Return the first impossible reading of a run: not finite, or :data:`ENDS` times beyond its limits.
 
     Args:
-        readings: in the order of ``SENSED``, shape (n, signals); columns beyond these are looked at for finite numbers alone.
+        readings: in the order of ``SENSED``, shape (n, signals); further columns are checked for finite numbers only.
         limits: the rig's.
 
     Returns:
-        Its row, and what is wrong with advice; of several signals the one that is farthest out. None if all can be.
+        Its row, and what is wrong, with advice; of several signals the one farthest out. None if all are possible.
     """
     columns = {signal: readings[:, SENSED.index(signal)] for signal in SHOWN}
     away = np.max([excess(values, limits, signal) for signal, values in columns.items()], axis=0)

@@ -3,9 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.physics.friction import FRICTION_MODELS
+from ehls_ros.physics.friction.base import in_python
 from ehls_ros.physics.plant import FRICTION, V
+from ehls_ros.physics.rig import rig_from_mapping
 from ehls_ros.physics.simulator import Simulator
 
 PERIOD = 1e-3
@@ -26,14 +29,56 @@ NARROW = {"stribeck": {"smoothing": 0.025}}
 
 def estimates(rig, name: str, velocity: np.ndarray, **values: float) -> np.ndarray:
     parameters = OBSERVERS.load(name).Parameters(**{**NARROW.get(name, {}), **values})
-    estimator = FrictionEstimator(name, rig.friction, PERIOD, parameters)
+    estimator = FrictionEstimator(name, rig, PERIOD, parameters)
     return np.array([estimator.update(v).copy() for v in velocity])
+
+
+@pytest.mark.parametrize("model", FRICTION_MODELS.names())
+@pytest.mark.parametrize("amplitude", [1e-3, 2e-4])
+def test_the_rigs_own_model_follows_the_friction_inside_the_plant(rig_mapping, model, amplitude):
+    """To what the straight line between two velocities misses; where the contact stands still, nobody can know its force."""
+    rig_mapping["friction"]["model"] = model
+    rig = rig_from_mapping(rig_mapping, "rig")
+    simulator, estimator = Simulator(rig, PERIOD), FrictionEstimator("rig_model", rig, PERIOD)
+    elements = rig.friction_law.states(rig.friction)
+    force = in_python(rig.friction_law.force)
+    true, found = [], []
+    for k in range(2000):
+        velocity = simulator.y[V]
+        estimate = estimator.update(velocity)
+        mode = simulator.mode[1:]
+        if mode.all() or math.isfinite(rig.friction_law.stiffness(rig.friction)):
+            level = rig.friction_level(velocity)
+            true.append(force(velocity, 0.0, level, simulator.y[FRICTION : FRICTION + elements], mode, rig.friction))
+            found.append(estimate[0] + estimate[1])
+        simulator.advance(amplitude * math.sin(2.0 * math.pi * 1.5 * k * PERIOD), 0.0, 0.0, 0.0, 0.0)
+    error = np.abs(np.subtract(found, true))
+    assert len(true) > 1000
+    assert np.ptp(true) > 1000.0
+    assert np.sqrt(np.mean(error**2)) < 2e-3 * np.ptp(true)
+    assert np.median(error) < 1e-3 * np.ptp(true)
+
+
+@pytest.mark.parametrize("model", FRICTION_MODELS.names())
+@pytest.mark.parametrize("velocity", [0.3, 1e9, -1e300])
+def test_it_stays_within_the_level_after_a_long_gap_or_an_absurd_velocity(rig_mapping, model, velocity):
+    rig_mapping["friction"]["model"] = model
+    rig = rig_from_mapping(rig_mapping, "rig")
+    estimator = FrictionEstimator("rig_model", rig, PERIOD)
+    most = rig.friction_level(0.0) * (1.0 + 1e-9)
+    for v, elapsed in ((0.0, 1), (velocity, 1), (velocity, 50), (-0.1, 50), (0.1, 1)):
+        estimate = estimator.update(v, elapsed)
+        assert np.all(np.isfinite(estimate[:3]))
+        assert abs(estimate[0]) <= most
+    for _ in range(5000):
+        estimate = estimator.update(0.1)
+    assert estimate[0] == pytest.approx(rig.friction_level(0.1), rel=1e-3)
 
 
 @pytest.mark.parametrize("amplitude", [1e-3, 2e-4, 2e-5])
 def test_gms_follows_the_friction_inside_the_plant(rig, amplitude):
     simulator = Simulator(rig, PERIOD)
-    estimator = FrictionEstimator("gms", rig.friction, PERIOD)
+    estimator = FrictionEstimator("gms", rig, PERIOD)
     wrong = []
     for k in range(4000):
         estimate = estimator.update(simulator.y[V])
@@ -99,11 +144,11 @@ def test_gms_converges_with_its_steps(rig):
 @pytest.mark.parametrize("name", OBSERVERS.names())
 @pytest.mark.parametrize("cycles", [2, 7, 50])
 def test_an_update_after_a_gap_is_that_of_the_longer_period(rig, name, cycles):
-    late, slow = FrictionEstimator(name, rig.friction, PERIOD), FrictionEstimator(name, rig.friction, cycles * PERIOD)
+    late, slow = FrictionEstimator(name, rig, PERIOD), FrictionEstimator(name, rig, cycles * PERIOD)
     for v in velocities(2, 2000)[::cycles]:
         assert late.update(v, cycles).tobytes() == slow.update(v).tobytes()
     # The cycle after a gap is a usual one.
-    usual = FrictionEstimator(name, rig.friction, PERIOD)
+    usual = FrictionEstimator(name, rig, PERIOD)
     for kept, from_gap in zip(usual.state, late.state, strict=True):
         kept[:] = from_gap
     assert late.update(0.03).tobytes() == usual.update(0.03).tobytes()
@@ -111,7 +156,7 @@ def test_an_update_after_a_gap_is_that_of_the_longer_period(rig, name, cycles):
 
 @pytest.mark.parametrize("cycles", [1, 5, 30])
 def test_gms_sticks_over_a_gap_as_a_spring_does(rig, cycles):
-    estimator = FrictionEstimator("gms", rig.friction, PERIOD)
+    estimator = FrictionEstimator("gms", rig, PERIOD)
     estimator.update(2e-3)
     # On the mean 3 mm/s for the time of the gap, at 2265 N/mm: at most 0.09 mm, and nothing slips before 0.28 mm.
     assert estimator.update(4e-3, cycles)[0] == pytest.approx(2265e3 * 3e-3 * cycles * PERIOD, rel=1e-9)
@@ -119,7 +164,7 @@ def test_gms_sticks_over_a_gap_as_a_spring_does(rig, cycles):
 
 @pytest.mark.parametrize("name", OBSERVERS.names())
 def test_reset_puts_it_at_rest(rig, name):
-    estimator = FrictionEstimator(name, rig.friction, PERIOD)
+    estimator = FrictionEstimator(name, rig, PERIOD)
     first = np.array([estimator.update(v).copy() for v in velocities(0, 500)])
     estimator.reset()
     assert np.array_equal(first, np.array([estimator.update(v).copy() for v in velocities(0, 500)]))
@@ -138,7 +183,7 @@ def test_a_velocity_that_is_no_number_leaves_no_trace(rig, name, bad):
 
 def test_a_rig_with_another_number_of_elements_works(rig):
     friction = rig.friction._replace(element_stiffness=(2e6, 1e5), element_weight=(0.7, 0.3))
-    estimator = FrictionEstimator("gms", friction, PERIOD)
+    estimator = FrictionEstimator("gms", rig._replace(friction=friction), PERIOD)
     for _ in range(2000):
         estimate = estimator.update(0.05)
     assert estimate.shape == (6,)

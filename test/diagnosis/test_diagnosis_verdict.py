@@ -9,7 +9,7 @@ from plain_evidence import MASS, SIZE, VALVE, VISCOUS, assessed, candidate, evid
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.causes import causes, estimate
 from ehls_ros.diagnosis.dependence import depends_on, explained_fraction
-from ehls_ros.diagnosis.excitation import excited, sensitivities, smallest_detectable
+from ehls_ros.diagnosis.excitation import Sliding, excited, sensitivities, smallest_detectable
 from ehls_ros.diagnosis.gain import closed_fraction, gain
 from ehls_ros.diagnosis.probability import probability_of_first
 from ehls_ros.diagnosis.remainder import Blocks, Relevance, Remainder, at_a_bound, imitated_channels, remainder, remainders
@@ -332,12 +332,12 @@ TRAVEL = {"slides": 1.01, "sticks": 0.99}
         ("sensors", ("mass_shift", "factor"), 1.01, "sticks", True),
     ],
 )
-def test_a_stage_is_excited_if_its_key_parameter_is_detectable(rig, stage, key, limit, travel, expected):
-    friction = rig.friction
-    nominal = friction.coulomb_force if stage == "force_balance" else 1.0
+def test_a_stage_is_excited_if_its_key_parameter_is_detectable(stage, key, limit, travel, expected):
+    presliding, coulomb = 2e-5, 300.0
+    nominal = coulomb if stage == "force_balance" else 1.0
     sizes = [Sensitivity(*key, limit * rules.TELLING * nominal, "1")]
-    presliding = friction.static_force / sum(friction.element_stiffness)
-    assert excited(stage, sizes, friction, TRAVEL[travel] * rules.SLIDING * presliding) is expected
+    slid = Sliding(TRAVEL[travel] * rules.SLIDING * presliding, presliding, coulomb)
+    assert excited(stage, sizes, slid) is expected
 
 
 # --------------------------------------------------------------------------------------------------------- probability

@@ -11,7 +11,8 @@ from ehls_ros.experiments.metrics import Metrics, evaluate
 from ehls_ros.experiments.reproduction import paper
 from ehls_ros.experiments.reproduction.paper import Cell
 from ehls_ros.experiments.spec import Spec, load_rig, spec_from_mapping
-from ehls_ros.physics.parameters import Friction, Plant
+from ehls_ros.physics.friction import gms
+from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
@@ -44,7 +45,7 @@ class Change(NamedTuple):
 
 AS_PUBLISHED = Change()
 
-Coefficients = TypeVar("Coefficients", Plant, Friction)
+Coefficients = TypeVar("Coefficients", Plant, gms.Parameters)
 
 
 @cache

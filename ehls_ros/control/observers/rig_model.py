@@ -1,0 +1,88 @@
+"""The rig's own friction model, whichever it is, run along the measured velocity: A^T B of (16)."""
+
+import math
+from collections.abc import Callable
+from typing import Annotated, Any, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.control.observers.base import ELEMENTS, ObserverState, empty_state, held
+from ehls_ros.physics.friction.base import FrictionModel, sign
+from ehls_ros.physics.integration import integrator
+from ehls_ros.schema import quantity
+
+DRIVING = 1e9
+"""Force that drives the measured motion [N]: more than any friction holds."""
+
+MOST_STEPS = 1000
+"""Largest number of integration steps between two measurements; no piston's velocity needs more."""
+
+
+class Parameters(NamedTuple):
+    """How finely the model is run."""
+
+    steps: Annotated[
+        int, quantity("1", "least number of integration steps between two measurements", minimum=1, maximum=100)
+    ] = 4
+
+
+class Motion(NamedTuple):
+    """Velocity between two measurements: a straight line."""
+
+    friction: Any
+    velocity: float
+    acceleration: float
+
+
+def state(model: FrictionModel, friction: Any) -> ObserverState:
+    """Return the elements at rest."""
+    return empty_state(model.states(friction))
+
+
+def updater(model: FrictionModel) -> Callable[..., None]:
+    """Build the update of one friction model."""
+    level, rates, force, event, switch = model.level, model.rates, model.force, model.event, model.switch
+    begin, relaxation_rate = model.begin, kernel(model.relaxation_rate)
+
+    @kernel
+    def evaluate(t: float, y: Array, mode: Array, c: Motion, rate: Array) -> float:
+        v = c.velocity + c.acceleration * t
+        s = level(v, c.friction)
+        rates(v, s, y, mode, c.friction, rate)
+        return event(v, DRIVING * sign(v), s, y, mode, c.friction)
+
+    @kernel
+    def change(t: float, y: Array, mode: Array, c: Motion) -> None:
+        v = c.velocity + c.acceleration * t
+        switch(v, DRIVING * sign(v), level(v, c.friction), y, mode, c.friction)
+
+    advance = integrator(evaluate, change)
+
+    @kernel
+    def update(velocity: float, period: float, friction: Any, p: Parameters, state: ObserverState) -> None:
+        """Run the elements from the last measurement to this one."""
+        last, started = state.last[0], state.last[1] == 1.0
+        velocity = held(velocity, state)
+        if started:
+            # At least one step for each time constant of the forces.
+            needed = period * relaxation_rate(friction, max(abs(last), abs(velocity)))
+            steps = max(p.steps, math.ceil(min(needed, MOST_STEPS)))
+            motion = Motion(friction, last, (velocity - last) / period)
+            advance(0.0, state.forces, state.mode, motion, period / steps, steps, state.work)
+        elements = state.forces.size
+        most, total, lost = level(0.0, friction), 0.0, False
+        for i in range(elements):
+            total += state.forces[i]
+            lost = lost or not abs(state.forces[i]) <= most
+        if lost:
+            # At an absurd velocity the steps are too long: back to a force that the contact can hold.
+            begin(total if math.isfinite(total) else math.copysign(most, velocity), most, friction, state.forces)
+        for i in range(elements):
+            state.estimate[ELEMENTS + i] = state.forces[i]
+            state.estimate[ELEMENTS + elements + i] = abs(state.mode[i])
+        # At v = 0 the viscous term is zero and the force is that of the elements.
+        state.estimate[0] = force(0.0, 0.0, level(velocity, friction), state.forces, state.mode, friction)
+        if elements == 1:
+            state.estimate[ELEMENTS] = state.estimate[0]
+        state.estimate[1] = friction.viscous_coefficient * velocity
+
+    return update
