@@ -28,6 +28,7 @@ from ehls_ros.diagnosis.record import (
 )
 from ehls_ros.diagnosis.stages import SENSED as RECORDED_AS
 from ehls_ros.errors import BadInput
+from ehls_ros.physics.along import part_kernel
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.plant import FRICTION, PL, XV, V, X
 from ehls_ros.physics.plant import TEMPERATURE as OIL
@@ -36,13 +37,13 @@ from ehls_ros.physics.simulator import OIL_TEMPERATURE, Simulator
 from ehls_ros.trajectory import Trajectory
 
 LONGEST = 20.0
-"""Time that is simulated at most [s]."""
+"""Longest time that is simulated [s]."""
 
 START = 0.01
 """Time at the start over which the initial state is averaged [s]."""
 
 MOVED = 10.0
-"""Size of a signal, in that of its noise, from which on it is compared."""
+"""Size of a signal, in that of its noise, above which it is compared."""
 
 BEYOND = 1.0
 """How far beyond the stroke, in strokes, a run is given up."""
@@ -56,7 +57,7 @@ class Followed(NamedTuple):
         measured: shape (n,).
         before: of the model as it was given, NaN from where it was given up, shape (n,).
         after: of the extended model; None where there is none.
-        nrmse_before, nrmse_after: rms difference as a part of the measured signal's standard deviation; None where there is
+        nrmse_before, nrmse_after: rms difference as a fraction of the measured signal's standard deviation; None where there is
             no model, or it was given up.
     """
 
@@ -74,7 +75,7 @@ class FreeRun(NamedTuple):
     Attributes:
         time: since the recording's start, shape (n,) [s].
         signals: those that were measured and move.
-        remarks: what has to be known to read it.
+        remarks: what a reader has to know.
     """
 
     time: Array
@@ -187,7 +188,6 @@ def _start(simulator: Simulator, record: Record) -> None:
         y[V] = float(np.polyfit(record.time[:samples] - record.time[0], record.signals[POSITION][:samples], 1)[0])
     driving = plant.piston_area * pressure - plant.spring_stiffness * y[X] - plant.moving_mass * plant.gravity
     held = driving - record.values(LOAD)[0] - (plant.viscous_damping + friction.viscous_coefficient) * y[V]
-    elements = y[FRICTION : FRICTION + len(simulator.mode) - 1]
-    if elements.size:
-        share = np.array(friction.element_weight[: elements.size])
-        elements[:] = share / share.sum() * np.clip(held, -friction.coulomb_force, friction.coulomb_force)
+    elements = len(simulator.mode) - 1
+    forces = y[FRICTION : FRICTION + elements]
+    part_kernel("friction", simulator.rig.friction_model, elements).begin(held, y[V], friction, forces)

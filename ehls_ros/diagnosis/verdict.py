@@ -166,7 +166,7 @@ def _more_than_noise(evidence: Evidence, channel: Channel, e: Array, noise: floa
 def causes(evidence: Evidence, found: Searched, seed: int) -> tuple[Cause, ...]:
     """Describe the causes of the best hypothesis, those that explain most first."""
     out = []
-    groups = [EFFECTS.load(candidate.name).STAGE for candidate in found.best.hypothesis]
+    groups = [EFFECTS.load(candidate.name).GROUP for candidate in found.best.hypothesis]
     stages = [STAGE_OF_GROUP[group] for group in groups]
     for index, candidate in enumerate(found.best.hypothesis):
         rest = found.rests[index]

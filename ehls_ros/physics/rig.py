@@ -19,7 +19,7 @@ class EffectUse(NamedTuple):
 
     @property
     def piston_share(self) -> float:
-        """Part of the moving mass that this effect leaves with the piston, parted from the load; 0 where it parts none."""
+        """Fraction of the moving mass that this effect leaves with the piston, parted from the load; 0 where it parts none."""
         share = getattr(EFFECTS.load(self.name), "piston_share", None)
         return 0.0 if share is None else float(share(self.parameters))
 
@@ -29,7 +29,7 @@ SENSED = ("position", "velocity", "load_pressure", "spool_position", "force", "s
 
 
 class Rig(NamedTuple):
-    """A whole rig; ``effects`` is empty for the paper's model."""
+    """A rig as its file describes it; ``effects`` is empty for the paper's model."""
 
     plant: Plant
     friction_model: str
@@ -38,22 +38,14 @@ class Rig(NamedTuple):
     sensors: Mapping[str, Sensor]
     limits: Limits
 
-    def effective(self) -> "Rig":
-        """Return the rig with every effect that shifts parameters worked into them."""
+    def effective(self) -> "EffectiveRig":
+        """Return the rig with the shifts of its effects applied to its parameters."""
         rig = self
         for use in self.effects:
             shift = getattr(EFFECTS.load(use.name), "shift", None)
             if shift is not None:
                 rig = shift(rig, use.parameters)
-        return rig
-
-    def piston_mass(self) -> float:
-        """Return the mass that moves with the piston and not with the load; 0 where they are one [kg].
-
-        Of the effective rig, whose moving mass is the load's.
-        """
-        share = max((use.piston_share for use in self.effects), default=0.0)
-        return self.plant.moving_mass * share / (1.0 - share)
+        return EffectiveRig(*rig)
 
     def quiet(self) -> "Rig":
         """Return the rig with sensors that neither scatter nor round, for what is expected of it."""
@@ -63,6 +55,30 @@ class Rig(NamedTuple):
     def with_effects(self, more: tuple[EffectUse, ...]) -> "Rig":
         """Return the rig with further effects switched on after its own."""
         return self._replace(effects=self.effects + more)
+
+
+class EffectiveRig(NamedTuple):
+    """A rig whose parameters have the shifts of its effects applied: what the equations take.
+
+    Made by :meth:`Rig.effective`, and of another type than a :class:`Rig`, so that no shift is applied twice. ``effects``
+    are the rig's, whose hooks still act.
+    """
+
+    plant: Plant
+    friction_model: str
+    friction: Friction
+    effects: tuple[EffectUse, ...]
+    sensors: Mapping[str, Sensor]
+    limits: Limits
+
+    def piston_mass(self) -> float:
+        """Return the mass that moves with the piston and not with the load; 0 where they are one [kg]."""
+        share = max((use.piston_share for use in self.effects), default=0.0)
+        return self.plant.moving_mass * share / (1.0 - share)
+
+    def without_effects(self) -> Rig:
+        """Return a rig of these parameters and no effects: what somebody knows of it who knows its parameters only."""
+        return Rig(*self)._replace(effects=())
 
 
 SECTIONS = ("plant", "friction", "effects", "sensors", "limits")

@@ -410,7 +410,7 @@ _GROUPS = ("valve", "flow", "friction", "mechanics", "sensors", "environment")
 
 def _noticed(found: Diagnosis) -> list[str]:
     blocks = []
-    items = sorted(found.sensitivities, key=lambda item: (_GROUPS.index(EFFECTS.load(item.name).STAGE), item.name))
+    items = sorted(found.sensitivities, key=lambda item: (_GROUPS.index(EFFECTS.load(item.name).GROUP), item.name))
     if items:
         blocks.append(
             paragraph(

@@ -3,11 +3,11 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects._level import LEAST
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Group
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "friction"
+GROUP: Group = "friction"
 EQUATION = "s(v) -> s(v) + offset: Fc and Fs move together"
 SOURCE = "Olsson, Åström, Canudas de Wit, Gäfvert, Lischinsky, Friction Models and Friction Compensation, 1998"
 

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects._sensor import with_sensors
-from ehls_ros.physics.effects.base import Form, Stage
+from ehls_ros.physics.effects.base import Form, Group
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "sensors"
+GROUP: Group = "sensors"
 EQUATION = "read(t) = true(t - delay)"
 SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: dead-time elements"
 

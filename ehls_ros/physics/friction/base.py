@@ -8,6 +8,8 @@ their arguments, the same for all:
 * ``v`` velocity [m/s]; ``s`` Stribeck level s(v) [N], effects included; ``F`` forces of the elements [N];
 * ``mode`` modes of the elements; ``p`` the rig's :class:`~ehls_ros.physics.rig.Friction`;
 * ``applied`` every other force on the mass [N]; ``rate`` where the derivatives of F go [N/s].
+
+``relaxation_rate`` alone is called from Python and not compiled.
 """
 
 import math
@@ -37,6 +39,12 @@ class FrictionModel(Protocol):
 
     def switch(self, v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
         """Change the modes whose event has come and return the velocity after it."""
+
+    def begin(self, balance: float, s: float, p: Friction, F: Array) -> None:
+        """Write forces that together balance a force [N] as far as they can: a start where nobody knows the history."""
+
+    def relaxation_rate(self, p: Friction, speed: float) -> float:
+        """Return how fast the forces relax at a speed [m/s] that is passed quickly [1/s]; 0 where that is never stiff."""
 
 
 @kernel

@@ -61,3 +61,18 @@ def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Frictio
         elif mode[i] * v < 0.0:
             mode[i] = 0.0
     return v
+
+
+@kernel
+def begin(balance: float, s: float, p: Friction, F: Array) -> None:
+    """Share the force out by weight, none beyond its break-away."""
+    total = 0.0
+    for i in range(len(p.element_weight)):
+        total += p.element_weight[i]
+    for i in range(len(p.element_weight)):
+        F[i] = min(max(balance, -s), s) * (p.element_weight[i] / total)
+
+
+def relaxation_rate(p: Friction, speed: float) -> float:
+    """Return 0: C/s is slow beside any sampling."""
+    return 0.0

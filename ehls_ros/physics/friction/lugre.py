@@ -41,3 +41,14 @@ def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Frictio
     if mode[0] * v <= 0.0:
         mode[0] = sign(v)
     return v
+
+
+@kernel
+def begin(balance: float, s: float, p: Friction, F: Array) -> None:
+    """Deflect the bristle, no further than it goes in steady motion."""
+    F[0] = min(max(balance, -s), s)
+
+
+def relaxation_rate(p: Friction, speed: float) -> float:
+    """Return σ0 |v|/s with the lowest level."""
+    return sum(p.element_stiffness) * speed / p.coulomb_force

@@ -46,3 +46,14 @@ def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Frictio
         mode[0] = sign(applied) if abs(applied) > s else 0.0
         return 0.0
     return v
+
+
+@kernel
+def begin(balance: float, s: float, p: Friction, F: Array) -> None:
+    """Leave the state at zero: the law is static."""
+    F[0] = 0.0
+
+
+def relaxation_rate(p: Friction, speed: float) -> float:
+    """Return 0: there is nothing that relaxes."""
+    return 0.0
