@@ -1,4 +1,4 @@
-"""The diagnosis piece by piece: windows, reading of the data, kernels, stages, evidence, fits, verdict."""
+"""The diagnosis piece by piece: windows, reading of the data, the model along it, stages, evidence, fits, verdict."""
 
 import math
 from types import SimpleNamespace
@@ -235,7 +235,7 @@ def test_of_a_long_recording_stretches_are_taken(rig):
     np.testing.assert_allclose(r.signals["position_m"][good], 0.02 * np.sin(3.0 * r.time)[good], atol=1e-4)
 
 
-# ------------------------------------------------------------------------------------------------------------- kernels
+# ---------------------------------------------------------------------------------------------- the model along the data
 
 
 def perfect(rig):

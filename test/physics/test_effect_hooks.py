@@ -154,6 +154,13 @@ def test_a_shift_moves_what_it_says(name, parameters, place, value, make_rig):
     assert attrgetter(place)(rig.effective()) == pytest.approx(value, rel=1e-12)
 
 
+def test_no_shift_is_applied_twice(make_rig):
+    effective = make_rig(effects=[{"name": "mass_shift", "factor": 1.3}]).effective()
+    assert effective.plant.moving_mass == pytest.approx(91.0)
+    assert not hasattr(effective, "effective")
+    assert effective.without_effects().effective().plant.moving_mass == effective.plant.moving_mass
+
+
 def test_two_shifts_add_up(make_rig):
     rig = make_rig(effects=[{"name": "mass_shift", "factor": 1.5}, {"name": "flexible_mode", "mass": 5.0, "taken": 1.0}])
     assert rig.effective().plant.moving_mass == pytest.approx(100.0)

@@ -1,5 +1,6 @@
 """A friction model run along a recorded motion."""
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -113,6 +114,9 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Rubbing:
                 mode[:] = 0.0
                 level, applied = balance(begun.extra[k], t, y, z, Coefficients(a.plant, a.friction, w, a.effects, w[U]))
                 begin(begun.balance[k], level, a.friction, forces)
+                if y[V] != 0.0:
+                    # It moves, whatever is applied.
+                    change(y[V], math.copysign(math.inf, y[V]), level, forces, mode, a.friction)
             lead(k, a, slope)
             if y[V] == 0.0 and slope[V] == 0.0:
                 # At rest; which way it moved before says what slipped until then.
