@@ -22,7 +22,7 @@ import yaml
 from ehls_ros.arrays import Array
 from ehls_ros.physics.plant import FD, FD_RATE, START, U
 from ehls_ros.physics.rig import Rig, rig_from_mapping
-from ehls_ros.physics.simulator import DEFAULT_STEP, Simulator
+from ehls_ros.physics.simulator import DEFAULT_STEP, Moving, Simulator, Standing
 
 HERE = Path(__file__).resolve().parent
 RIG = HERE.parent / "config" / "rig_paper.yaml"
@@ -65,24 +65,22 @@ class NumbaKernel:
         simulator = Simulator(rig, PERIOD, DEFAULT_STEP)
         advance = simulator._advance  # noqa: SLF001
         self.y, self.mode, self.inputs = simulator.y, simulator.mode, simulator.inputs
-        self._rest = (simulator.rig.plant, simulator.rig.friction, simulator.inputs, simulator.effects)
-        self._work = simulator.work
+        # A period of 1 s: what counts as cycles for the kernel is then time.
+        self._standing, self._moving = simulator.standing._replace(period=1.0), simulator.moving
 
         @numba.njit(error_model="numpy")
-        def run(y: Array, mode: Array, rest: Any, commands: Array, step: float, steps: int, work: Array) -> int:
-            plant, friction, inputs, effects = rest
-            dense = 0
+        def run(standing: Standing, moving: Moving, commands: Array) -> int:
+            inputs, dense = moving.inputs, 0
             for k in range(len(commands)):
                 inputs[U], inputs[FD], inputs[FD_RATE], inputs[START] = commands[k]
-                dense += advance(inputs[START], y, mode, plant, friction, inputs, effects, step, steps, work)
+                dense += advance(inputs[START], standing, moving)
             return dense
 
         self._run = run
 
     def run(self, motion: Motion) -> int:
         """Run a motion from the present state."""
-        arguments = (self.y, self.mode, self._rest, motion.inputs, DEFAULT_STEP, motion.steps, self._work)
-        dense: int = self._run(*arguments)
+        dense: int = self._run(self._standing._replace(steps=motion.steps), self._moving, motion.inputs)
         return dense
 
 

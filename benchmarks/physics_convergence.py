@@ -19,23 +19,13 @@ from ehls_ros.arrays import Array
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.spec import Spec, load_spec, spec_from_mapping, spec_to_mapping
-from ehls_ros.physics.composition import kernel_module, plant_source
 from ehls_ros.physics.rig import Rig, rig_from_mapping
-from ehls_ros.physics.simulator import DEFAULT_STEP, Simulator
+from ehls_ros.physics.simulator import DEFAULT_STEP, Simulator, plant_kernel
 
 ROOT = Path(__file__).resolve().parent.parent
 PERIOD = 1e-3
 STEPS = tuple(PERIOD / n for n in (1, 2, 4, 8, 10, 20, 40, 80))
 FINEST = PERIOD / 320
-_UNLOCATED = """
-
-unlocated = integration.integrator(evaluate, switch, size=model.FRICTION + {elements} + EFFECT_STATES, most_events=0)
-
-
-@njit(cache=True, error_model="numpy")
-def advance_unlocated(t, y, mode, plant, friction, inputs, effects, step, steps, work):
-    return unlocated(t, y, mode, model.Coefficients(plant, friction, inputs, effects, inputs[model.U]), step, steps, work)
-"""
 
 
 class Motion(NamedTuple):
@@ -64,10 +54,8 @@ def open_loop(plant: Rig, motion: Motion, step: float, duration: float, located:
     """Return the load pressure at each cycle of an open-loop motion."""
     simulator = Simulator(plant, PERIOD, step)
     if not located:
-        elements = simulator.mode.size - 1
-        simulator._advance = kernel_module(  # noqa: SLF001
-            plant_source(plant) + _UNLOCATED.format(elements=elements)
-        ).advance_unlocated
+        parts = simulator.parts._replace(numbers={**simulator.parts.numbers, "most_events": 0})
+        simulator._advance = plant_kernel(parts).advance  # noqa: SLF001
     pressures = []
     spool, disturbance = 2.0 * np.pi * motion.spool_frequency, 2.0 * np.pi * motion.disturbance_frequency
     for t in (np.arange(round(duration / PERIOD)) * PERIOD).tolist():
@@ -160,8 +148,8 @@ def bristle_grows(step: float, velocity: float) -> bool:
     plant = plant._replace(plant=plant.plant._replace(moving_mass=1e15, gravity=0.0, leakage_coefficient=0.0))
     simulator = Simulator(plant, PERIOD, step)
     simulator.y[1] = velocity
-    simulator.step = step
-    simulator._run(round(2.0 / step))  # noqa: SLF001
+    standing = simulator.standing._replace(step=step, steps=round(2.0 / step))
+    simulator._advance(0, standing, simulator.moving)  # noqa: SLF001
     force = float(simulator.y[4])
     return not abs(force - plant.friction.coulomb_force) < 1.0
 

@@ -1,43 +1,44 @@
 """Compiled entries of the control side, callable from Python once a cycle."""
 
+from collections.abc import Callable
 from types import ModuleType
+from typing import NamedTuple
 
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.controllers.base import ControllerLaw
 from ehls_ros.control.observers import OBSERVERS
-from ehls_ros.physics.composition import kernel_module
+from ehls_ros.control.observers.base import FrictionObserver
+from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.friction import FRICTION_MODELS
-from ehls_ros.sources import import_line
-
-_CONTROLLER = '''"""Controller kernel, generated."""
-from numba import njit
-{law}
-
-
-@njit(cache=True, error_model="numpy")
-def step(m, r, f, p, model, memory, status):
-    return law.step(m, r, f, p, model, memory, status)
-'''
-
-_OBSERVER = '''"""Friction observer kernel, generated."""
-from numba import njit
-{observer}
-{model}
-
-run = observer.updater(friction_model)
-
-
-@njit(cache=True, error_model="numpy")
-def update(velocity, period, friction, p, state):
-    run(velocity, period, friction, p, state)
-'''
+from ehls_ros.physics.friction.base import FrictionModel
 
 
 def controller_kernel(name: str) -> ModuleType:
     """Return a module whose ``step`` is the compiled law of one controller."""
-    return kernel_module(_CONTROLLER.format(law=import_line(CONTROLLERS.load(name), "law")))
+    return compiled(law_itself, {"step": "m, r, f, p, model, memory, status"}, {"law": CONTROLLERS.load(name)})
 
 
 def observer_kernel(name: str, model: str) -> ModuleType:
     """Return a module whose ``update`` is the compiled update of one friction observer, for one friction model."""
-    observer, law = import_line(OBSERVERS.load(name), "observer"), import_line(FRICTION_MODELS.load(model), "friction_model")
-    return kernel_module(_OBSERVER.format(observer=observer, model=law))
+    members = {"observer": OBSERVERS.load(name), "friction": FRICTION_MODELS.load(model)}
+    return compiled(build_observer, {"update": "velocity, period, friction, p, state"}, members)
+
+
+def law_itself(law: ControllerLaw) -> ControllerLaw:
+    """Return a controller's file: its functions need no building."""
+    return law
+
+
+class Observer(NamedTuple):
+    """A friction observer built for one friction model.
+
+    Attributes:
+        update: that of :mod:`ehls_ros.control.observers.base`.
+    """
+
+    update: Callable[..., None]
+
+
+def build_observer(observer: FrictionObserver, friction: FrictionModel) -> Observer:
+    """Build an observer for a friction model."""
+    return Observer(observer.updater(friction))

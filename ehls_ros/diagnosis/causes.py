@@ -39,7 +39,7 @@ def causes(evidence: Evidence, found: Searched, seed: int) -> tuple[Cause, ...]:
         seed: of the resampling.
     """
     best, scale = found.best, found.inflation
-    groups = [EFFECTS.load(candidate.name).STAGE for candidate in best.hypothesis]
+    groups = [EFFECTS.load(candidate.name).GROUP for candidate in best.hypothesis]
     stages = [STAGE_OF_GROUP[group] for group in groups]
     out = []
     for index, (candidate, place) in enumerate(zip(best.hypothesis, found.places, strict=True)):

@@ -37,13 +37,13 @@ from ehls_ros.physics.simulator import OIL_TEMPERATURE, Simulator
 from ehls_ros.trajectory import Trajectory
 
 LONGEST = 20.0
-"""Time that is simulated at most [s]."""
+"""Longest time that is simulated [s]."""
 
 START = 0.01
 """Time at the start over which the initial state is averaged [s]."""
 
 MOVED = 10.0
-"""Size of a signal, in that of its noise, from which on it is compared."""
+"""Size of a signal, in that of its noise, above which it is compared."""
 
 BEYOND = 1.0
 """How far beyond the stroke, in strokes, a run is given up."""
@@ -57,7 +57,7 @@ class Followed(NamedTuple):
         measured: shape (n,).
         before: of the model as it was given, NaN from where it was given up, shape (n,).
         after: of the extended model; None where there is none.
-        nrmse_before, nrmse_after: rms difference as a part of the measured signal's standard deviation; None where there is
+        nrmse_before, nrmse_after: rms difference as a fraction of the measured signal's standard deviation; None where there is
             no model, or it was given up.
     """
 
@@ -75,7 +75,7 @@ class FreeRun(NamedTuple):
     Attributes:
         time: since the recording's start, shape (n,) [s].
         signals: those that were measured and move.
-        remarks: what has to be known to read it.
+        remarks: what a reader has to know.
     """
 
     time: Array

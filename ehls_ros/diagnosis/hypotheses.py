@@ -151,9 +151,9 @@ def _candidate(name: str, number: int, form: Form, record: Record, lines: Sequen
         if quantiles:
             # A threshold sought at one end of a signal's range must not settle in its middle.
             values = record.values(quantiles[0].signal)
-            if min(q.part for q in quantiles) > 0.5:
+            if min(q.fraction for q in quantiles) > 0.5:
                 lower[column] = max(lower[column], float(np.quantile(values, rules.OUTER)))
-            elif max(q.part for q in quantiles) < 0.5:
+            elif max(q.fraction for q in quantiles) < 0.5:
                 upper[column] = min(upper[column], float(np.quantile(values, 1.0 - rules.OUTER)))
     if all(form.free.values()):
         # A small effect is found from the neutral values, provided the loss has a gradient there.
@@ -169,9 +169,9 @@ def _finite(value: float | None, otherwise: float) -> float:
 
 def _start(start: float | Share | Quantile | Peak, record: Record, lines: Sequence[float]) -> float:
     if isinstance(start, Share):
-        return start.part * float(np.max(np.abs(record.values(start.signal))))
+        return start.fraction * float(np.max(np.abs(record.values(start.signal))))
     if isinstance(start, Quantile):
-        return float(np.quantile(record.values(start.signal), start.part))
+        return float(np.quantile(record.values(start.signal), start.fraction))
     if isinstance(start, Peak):
         return float(lines[min(start.rank, len(lines)) - 1]) if lines else 1.0
     return float(start)

@@ -21,7 +21,6 @@ from scipy.ndimage import shift
 from scipy.signal import savgol_coeffs
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis import kernels
 from ehls_ros.diagnosis.record import (
     COMMAND,
     FORCE,
@@ -37,9 +36,14 @@ from ehls_ros.diagnosis.record import (
     Record,
 )
 from ehls_ros.diagnosis.windows import Window, smooth_window
+from ehls_ros.physics.along import PARTS, part_kernel
+from ehls_ros.physics.along.base import Along, Motion
+from ehls_ros.physics.along.friction import Begun
+from ehls_ros.physics.along.load import Piston
 from ehls_ros.physics.composition import rig_elements
+from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Sensor
-from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, earlier_commands
 from ehls_ros.samples import Mask
 
@@ -88,6 +92,13 @@ SETTLING = 0.3
 MEMORY_STEP = 5e-4
 """Integration step where an effect has states of its own [s]."""
 
+FRICTION_STEP = 1e-3
+"""Longest integration step of a friction model [s]."""
+
+PASSED, RELAXED, MOST_STEPS = 0.999, 1.5, 40
+"""Fraction of the samples whose speed a stiff friction model is integrated for; how far it relaxes in a step; and the most
+integration steps in a sample."""
+
 GUIDE = 2.0 * math.pi / WINDOW
 """How fast a piston parted from the load is drawn to where it was measured [rad/s].
 
@@ -99,7 +110,8 @@ SHORTEST_STEP = 1e-4
 """Step below which none is taken for a lighter one: what then diverges is no rig's [s]."""
 
 LOAD_STEP, GUIDED_STEP = 2.5e-4, 0.6
-"""Longest integration step where load and piston are parted [s]; and as a part of how fast the lighter one is guided."""
+"""Longest integration step where load and piston are parted [s]; and as a fraction of the time in which the lighter one is
+guided."""
 
 SENSED = {
     "position": POSITION,
@@ -157,17 +169,17 @@ class Comparison:
         Returns:
             Measured minus modelled of each channel in its unit, one a window.
         """
-        whole = rig.effective()
+        effective = rig.effective()
         wanted = self.setup.channels if channels is None else channels
         # A model that diverges leaves no finite residual, and its fit is refused.
         with np.errstate(over="ignore", invalid="ignore"):
-            return {channel: getattr(self, f"_{channel}")(whole) for channel in wanted}
+            return {channel: getattr(self, f"_{channel}")(effective) for channel in wanted}
 
     def relevant(self, rig: Rig) -> dict[Channel, Any]:
         """Return what each channel's residual depends on: where it is equal, so are the residuals."""
         whole = rig.effective()
         plant, sensors = whole.plant, whole.sensors
-        hooks = {part: self._switched_key(part, whole) for part in kernels.PARTS}
+        hooks = {part: _used(part, whole) and (_used(part, whole), plant) for part in PARTS}
         spool = (plant.valve_bandwidth, plant.valve_gain, hooks["spool"])
         seen = spool if SPOOL not in self.record else None
         x, v, p = sensors.get("position"), sensors.get("velocity"), sensors.get("load_pressure")
@@ -178,7 +190,7 @@ class Comparison:
         spool_sensor = sensors.get("spool_position")
         moved = (x, v, p, spool_sensor)
         return {
-            "spool": (spool, spool_sensor, moved if any(kernels.switched("spool", whole.effects).on) else None),
+            "spool": (spool, spool_sensor, moved if hooks["spool"] else None),
             "volume": (flow, hooks["flow"], seen, moved),
             "supply": (valve, hooks["flow"], seen, moved, sensors.get("supply_pressure")),
             "force": (_beam(whole), whole.friction_model, whole.friction, hooks["friction"], hooks["force"], moved),
@@ -186,18 +198,13 @@ class Comparison:
             "velocity": (x, v),
         }
 
-    def _switched_key(self, part: str, rig: Rig) -> Any:
-        use = kernels.switched(part, rig.effects)
-        # A hook may read any of the plant's coefficients.
-        return (use.on.tobytes(), use.parameters.tobytes(), rig.plant) if use.on.any() else None
-
     # --- residuals -----------------------------------------------------------------------------
 
-    def _spool(self, rig: Rig) -> Array:
+    def _spool(self, rig: EffectiveRig) -> Array:
         average = self.setup.average
         return average.mean(self.corrected(rig, "spool_position")) - average.mean(self.simulated_spool(rig))
 
-    def _volume(self, rig: Rig) -> Array:
+    def _volume(self, rig: EffectiveRig) -> Array:
         window, plant, motion = self.setup.window, rig.plant, self.motion(rig)
         terms = self.flow_terms(rig)
         stored = plant.total_volume / (4.0 * terms[:, 2])
@@ -209,15 +216,15 @@ class Comparison:
         swept = plant.piston_area * self._swept(rig, motion)
         return swept + window.over(squeezed, middle) - window.mean(terms[:, 0] - terms[:, 1])  # (2)
 
-    def _swept(self, rig: Rig, motion: kernels.Motion) -> Array:
+    def _swept(self, rig: EffectiveRig, motion: Motion) -> Array:
         if POSITION in self.record:
             return self.setup.window.rate(self.corrected(rig, "position"))
         return self.setup.window.mean(motion.velocity)
 
-    def _supply(self, rig: Rig) -> Array:
+    def _supply(self, rig: EffectiveRig) -> Array:
         return self.setup.average.mean(self.corrected(rig, "supply_pressure") - self.flow_terms(rig)[:, 3])
 
-    def _force(self, rig: Rig) -> Array:
+    def _force(self, rig: EffectiveRig) -> Array:
         window, plant = self.setup.window, rig.plant
         motion = self.motion(rig)
         if rig.piston_mass() > 0.0:
@@ -233,120 +240,117 @@ class Comparison:
         # Where the motion began is not known, nor what the spring pulls there.
         return balance - float(np.mean(balance))
 
-    def _force_of_parted(self, rig: Rig, motion: kernels.Motion) -> Array:
+    def _force_of_parted(self, rig: EffectiveRig, motion: Motion) -> Array:
         """Return the sum of both balances where load and piston are parted, so that what is between them does not count."""
         window, plant = self.setup.window, rig.plant
-        position, velocity, friction, extra = self.load(rig).T
-        piston = rig.piston_mass()
+        position, _, friction, others = self.load(rig).T
         acceleration = (
             window.acceleration(self.corrected(rig, "position")) if POSITION in self.record else window.rate(motion.velocity)
         )
-        given = plant.piston_area * self.pressure(rig) - plant.spring_stiffness * position - motion.disturbance
-        given = given - (plant.moving_mass + piston) * plant.gravity + extra - friction - plant.viscous_damping * velocity
-        balance: Array = plant.moving_mass * window.acceleration(position) + piston * acceleration - window.mean(given)  # (3)
+        inertia = plant.moving_mass * window.acceleration(position) + rig.piston_mass() * acceleration
+        balance: Array = inertia - window.mean(others - friction)  # (3)
         return balance if POSITION in self.record else balance - float(np.mean(balance))
 
-    def _driving(self, rig: Rig, motion: kernels.Motion) -> Array:
+    def _driving(self, rig: EffectiveRig, motion: Motion) -> Array:
         """Return the force on the mass but for friction, damping and inertia [N]."""
         plant = rig.plant
         pushed = plant.piston_area * self.pressure(rig) - plant.spring_stiffness * motion.position
         return pushed - plant.moving_mass * plant.gravity - motion.disturbance + self.extra_force(rig)[:, 0]
 
-    def _cell(self, rig: Rig) -> Array:
+    def _cell(self, rig: EffectiveRig) -> Array:
         return self.setup.average.mean(
             self.corrected(rig, "force") - rig.plant.piston_area * self.corrected(rig, "load_pressure")
         )
 
-    def _velocity(self, rig: Rig) -> Array:
+    def _velocity(self, rig: EffectiveRig) -> Array:
         window = self.setup.window
         return window.mean(self.corrected(rig, "velocity")) - window.rate(self.corrected(rig, "position"))
 
     # --- parts of the model --------------------------------------------------------------------
 
-    def simulated_spool(self, rig: Rig) -> Array:
+    def simulated_spool(self, rig: EffectiveRig) -> Array:
         """Return the spool displacement that the model makes of the recorded command, shape (n,) [m]."""
         key = self.relevant_parts(rig, "spool")
         terms: Array = self._keep("spool", key, lambda: self._run("spool", rig, self._measured_motion(rig)))
         return terms[:, 0]
 
-    def flow_terms(self, rig: Rig) -> Array:
+    def flow_terms(self, rig: EffectiveRig) -> Array:
         """Return load flow, leakage [m^3/s], bulk modulus and supply pressure [Pa], shape (n, 4)."""
         key = (self.relevant_parts(rig, "flow"), None if SPOOL in self.record else self.relevant_parts(rig, "spool"))
         terms: Array = self._keep("flow", key, lambda: self._run("flow", rig, self.motion(rig)))
         return terms
 
-    def extra_force(self, rig: Rig) -> Array:
+    def extra_force(self, rig: EffectiveRig) -> Array:
         """Return the force of effects beyond (3), shape (n, 1) [N]."""
         terms: Array = self._keep("force", self.relevant_parts(rig, "force"), lambda: self._run("force", rig, self.motion(rig)))
         return terms
 
-    def friction(self, rig: Rig) -> Array:
+    def friction(self, rig: EffectiveRig) -> Array:
         """Return the friction force along the recorded motion, shape (n, 1) [N]."""
         # What the other forces are says where the elements start, and what a static model balances while it sticks.
         others = (_beam(rig), self.relevant_parts(rig, "force"))
         key = (self.relevant_parts(rig, "friction"), rig.friction, rig.friction_model, others)
-        terms: Array = self._keep("friction", key, lambda: self._run("friction", rig, self.motion(rig)))
+        terms: Array = self._keep("friction", key, lambda: self._run_friction(rig, self.motion(rig)))
         return terms
 
-    def load(self, rig: Rig) -> Array:
-        """Return position [m] and velocity [m/s] of a load parted from the piston, friction and force of effects on it [N]."""
+    def load(self, rig: EffectiveRig) -> Array:
+        """Return position [m] and velocity [m/s] of a load parted from the piston, friction and all other forces [N]."""
         key = (self.relevant_parts(rig, "load"), rig.friction, rig.friction_model, rig.plant)
         terms: Array = self._keep("load", key, lambda: self._run_load(rig, self.motion(rig)))
         return terms
 
-    def _run_load(self, rig: Rig, motion: kernels.Motion) -> Array:
-        record, use, elements = self.record, kernels.switched("load", rig.effects), rig_elements(rig)
-        weights = np.array(getattr(rig.friction, "element_weight", (1.0,)))
-        lighter = min(piston := rig.piston_mass(), rig.plant.moving_mass)
+    def relevant_parts(self, rig: EffectiveRig, part: str) -> Any:
+        """Return what a part's run depends on."""
+        used, sensors = _used(part, rig), tuple(sorted(rig.sensors.items()))
+        return (used, rig.plant if used or part in ("flow", "spool") else None, sensors)
+
+    def _along(self, part: str, rig: EffectiveRig, motion: Motion, steps: int) -> Along:
+        record, history = self.record, earlier_commands(rig, self.record.period) if part == "spool" else 0
+        effects = PARTS[part].effects.parameters(rig.effects)
+        return Along(motion, record.fresh, record.period, steps, history, rig.plant, rig.friction, effects)
+
+    def _out(self, part: str) -> Array:
+        return np.empty((len(self.record.time), PARTS[part].columns))
+
+    def _memory_steps(self, part: str, rig: EffectiveRig) -> int:
+        """Return the steps in a sample that the effects' own states ask for; 0 where there are none."""
+        states = sum(getattr(EFFECTS.load(use.name), "STATES", 0) for use in _used(part, rig))
+        return max(1, math.ceil(self.record.period / MEMORY_STEP)) if states else 0
+
+    def _run(self, part: str, rig: EffectiveRig, motion: Motion) -> Array:
+        out = self._out(part)
+        part_kernel(part).run(self._along(part, rig, motion, self._memory_steps(part, rig)), out)
+        return out
+
+    def _run_friction(self, rig: EffectiveRig, motion: Motion) -> Array:
+        out, period = self._out("friction"), self.record.period
+        steps = max(1, self._memory_steps("friction", rig), math.ceil(period / FRICTION_STEP), self._stiff_steps(rig, motion))
+        slow = getattr(rig.friction, "stribeck_velocity", math.inf)
+        begun = Begun(np.ascontiguousarray(self.extra_force(rig)[:, 0]), self._balance(rig, motion), slow)
+        kernel = part_kernel("friction", rig.friction_model, rig_elements(rig))
+        kernel.run(self._along("friction", rig, motion, steps), begun, out)
+        return out
+
+    def _run_load(self, rig: EffectiveRig, motion: Motion) -> Array:
+        out, piston = self._out("load"), rig.piston_mass()
+        lighter = min(piston, rig.plant.moving_mass)
         longest = min(LOAD_STEP, GUIDED_STEP * lighter / (piston + rig.plant.moving_mass) / (2.0 * GUIDE))
         longest = max(longest, SHORTEST_STEP)
-        steps = max(math.ceil(record.period / longest), self._stiff_steps(rig, motion))
-        out = np.empty((len(record.time), 4))
-        kernels.kernel("load", rig.friction_model, elements).run(
-            motion, record.fresh, record.period, steps, weights / weights.sum(), piston, GUIDE, rig.plant,
-            rig.friction, use.parameters, use.on, out,
-        )  # fmt: skip
+        steps = max(math.ceil(self.record.period / longest), self._stiff_steps(rig, motion))
+        effects, parting = PARTS["load"].effects, tuple(use for use in rig.effects if use.piston_share > 0.0)
+        others = rig._replace(effects=tuple(use for use in rig.effects if use not in parting))
+        aside = Piston(effects.parameters(parting), effects.piston_state(parting[0].name), piston, GUIDE)
+        kernel = part_kernel("load", rig.friction_model, rig_elements(rig))
+        kernel.run(self._along("load", others, motion, steps), aside, out)
         return out
 
-    def relevant_parts(self, rig: Rig, part: str) -> Any:
-        """Return what a part's run depends on."""
-        use = kernels.switched(part, rig.effects)
-        sensors = tuple(sorted(rig.sensors.items()))
-        plant: Any = rig.plant if use.on.any() or part in ("flow", "spool") else None
-        return (use.on.tobytes(), use.parameters.tobytes(), plant, sensors)
+    def _stiff_steps(self, rig: EffectiveRig, motion: Motion) -> int:
+        """Return the steps in a sample that the friction model's relaxation asks for."""
+        speed = float(np.quantile(np.abs(motion.velocity), PASSED))
+        fastest = rig.friction_law.relaxation_rate(rig.friction, speed)
+        return min(MOST_STEPS, max(1, math.ceil(fastest * self.record.period / RELAXED)))
 
-    def _run(self, part: str, rig: Rig, motion: kernels.Motion) -> Array:
-        record, period = self.record, self.record.period
-        use = kernels.switched(part, rig.effects)
-        out = np.empty((len(record.time), 4 if part == "flow" else 1))
-        remembers = kernels.remembers(part, rig.effects)
-        fine = max(1, math.ceil(period / MEMORY_STEP))
-        if part == "friction":
-            module = kernels.kernel(part, rig.friction_model, rig_elements(rig))
-            weights = np.array(getattr(rig.friction, "element_weight", (1.0,)))
-            weights = weights / weights.sum() if weights.size else weights
-            start = self._balance(rig, motion)
-            extra = np.ascontiguousarray(self.extra_force(rig)[:, 0])
-            steps = max(fine if remembers else 1, math.ceil(period / 1e-3), self._stiff_steps(rig, motion))
-            module.run(
-                motion, record.fresh, period, steps, weights, start, rig.plant, rig.friction, use.parameters, use.on, extra, out
-            )
-            return out
-        history = 0
-        steps = fine if remembers else 0
-        if part == "spool":
-            history = earlier_commands(rig, period)
-        kernels.kernel(part).run(
-            motion, record.fresh, period, steps, history, rig.plant, rig.friction, use.parameters, use.on, out
-        )
-        return out
-
-    def _stiff_steps(self, rig: Rig, motion: kernels.Motion) -> int:
-        """Return the steps in a sample that a bristle's relaxation asks for."""
-        fastest = rig.friction_law.relaxation_rate(rig.friction, float(np.quantile(np.abs(motion.velocity), 0.999)))
-        return min(40, max(1, math.ceil(fastest * self.record.period / 1.5)))
-
-    def _balance(self, rig: Rig, motion: kernels.Motion) -> Array:
+    def _balance(self, rig: EffectiveRig, motion: Motion) -> Array:
         """Return the friction that the other forces ask for, from smoothed motion [N]."""
         acceleration = np.gradient(motion.velocity, self.record.period)
         plant = rig.plant
@@ -357,7 +361,7 @@ class Comparison:
 
     # --- the recording's signals, as the rig's sensors say they have to be read -----------------
 
-    def corrected(self, rig: Rig, sensor: str) -> Array:
+    def corrected(self, rig: EffectiveRig, sensor: str) -> Array:
         """Return a signal with its sensor's gain, bias, lag and delay taken out, shape (n,)."""
         description = rig.sensors.get(sensor, Sensor())
         raw = self.record.values(SENSED[sensor])
@@ -377,7 +381,7 @@ class Comparison:
         corrected: Array = self._keep(f"corrected {sensor}", (gain, bias, bandwidth, delay), compute)
         return corrected
 
-    def pressure(self, rig: Rig) -> Array:
+    def pressure(self, rig: EffectiveRig) -> Array:
         """Return the load pressure, from the load cell where there is no other sensor, shape (n,) [Pa]."""
         if PRESSURE in self.record:
             return self.corrected(rig, "load_pressure")
@@ -389,17 +393,17 @@ class Comparison:
         row = savgol_coeffs(samples, 3 if derivative else 2, deriv=derivative, delta=self.record.period, use="dot")
         return np.convolve(np.pad(values, samples // 2, mode="edge"), row[::-1], mode="valid")
 
-    def motion(self, rig: Rig) -> kernels.Motion:
+    def motion(self, rig: EffectiveRig) -> Motion:
         """Return what the parts are run along; a missing spool is the simulated one."""
         motion = self._measured_motion(rig)
         return motion if SPOOL in self.record else motion._replace(spool=self.simulated_spool(rig))
 
-    def _measured_motion(self, rig: Rig) -> kernels.Motion:
+    def _measured_motion(self, rig: EffectiveRig) -> Motion:
         sensors = tuple((name, rig.sensors.get(name)) for name in SENSED)
-        motion: kernels.Motion = self._keep("motion", (sensors, rig.plant.piston_area), lambda: self._make_motion(rig))
+        motion: Motion = self._keep("motion", (sensors, rig.plant.piston_area), lambda: self._make_motion(rig))
         return motion
 
-    def _make_motion(self, rig: Rig) -> kernels.Motion:
+    def _make_motion(self, rig: EffectiveRig) -> Motion:
         record = self.record
         if POSITION in record:
             position = self.corrected(rig, "position")
@@ -417,7 +421,7 @@ class Comparison:
         temperature = (
             self.corrected(rig, "oil_temperature") if TEMPERATURE in record else np.full(len(record.time), OIL_TEMPERATURE)
         )
-        return kernels.Motion(
+        return Motion(
             time=record.time,
             position=np.ascontiguousarray(position),
             velocity=np.ascontiguousarray(velocity),
@@ -440,7 +444,13 @@ class Comparison:
         return kept[key]
 
 
-def _beam(rig: Rig) -> tuple[float, ...]:
+def _used(part: str, rig: EffectiveRig) -> tuple[EffectUse, ...]:
+    """Return the effects of a rig that act in a part."""
+    names = PARTS[part].effects.names
+    return tuple(use for use in rig.effects if use.name in names)
+
+
+def _beam(rig: EffectiveRig) -> tuple[float, ...]:
     """Return the coefficients of (3)."""
     plant = rig.plant
     return (plant.moving_mass, plant.piston_area, plant.viscous_damping, plant.spring_stiffness, plant.gravity)

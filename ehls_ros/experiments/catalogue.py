@@ -13,7 +13,7 @@ import numpy as np
 
 from ehls_ros.control.references import steps, velocity_sweep
 from ehls_ros.errors import BadInput
-from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.rig import EffectiveRig, Rig
 
 SLOW = 1e-3
 """Velocity taken for slow where friction does not change with it, as a fraction of the rig's limit."""
@@ -46,25 +46,25 @@ class Reach(NamedTuple):
     yielding: float
 
 
-def home_of(rig: Rig) -> float:
+def home_of(rig: Rig | EffectiveRig) -> float:
     """Return the position where a run starts [m]: the spring's rest position, or mid-stroke if that is too near an end."""
     low, high = rig.limits.position
     return 0.0 if min(-low, high) > 0.25 * (high - low) else 0.5 * (low + high)
 
 
-def room_of(rig: Rig) -> float:
+def room_of(rig: Rig | EffectiveRig) -> float:
     """Return the distance from there to the nearer end of the stroke [m]."""
     low, high = rig.limits.position
     return min(home_of(rig) - low, high - home_of(rig))
 
 
-def largest_force(rig: Rig) -> float:
+def largest_force(rig: Rig | EffectiveRig) -> float:
     """Return the largest force that limits and supply pressure allow [N]."""
     area = rig.plant.piston_area
     return min(rig.limits.force, rig.limits.load_pressure * area, rig.plant.supply_pressure * area)
 
 
-def reach(rig: Rig) -> Reach:
+def reach(rig: EffectiveRig) -> Reach:
     """Return the ranges of a rig."""
     plant, friction, limits = rig.plant, rig.friction, rig.limits
     area, home, half, largest = plant.piston_area, home_of(rig), room_of(rig), largest_force(rig)

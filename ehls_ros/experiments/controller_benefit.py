@@ -21,7 +21,7 @@ from ehls_ros.experiments.catalogue import home_of, largest_force, room_of
 from ehls_ros.experiments.loop import Implausible, run_in_process
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.spec import DisturbanceUse, Settings, Spec, Use
-from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.rig import EffectiveRig, Rig
 from ehls_ros.trajectory import Trajectory
 
 DURATION = 5.0
@@ -121,20 +121,20 @@ def controller_benefit(before: Rig, extended: Rig, *, progress: Callable[[int, i
     cases = _cases(size)
     results = []
     for index, case in enumerate(cases):
-        knowing_old = _run(case, extended, old)
-        knowing_new = knowing_old if same else _run(case, extended, new)
+        knowing_old = _run(case, extended, old.without_effects())
+        knowing_new = knowing_old if same else _run(case, extended, new.without_effects())
         results.append(BenefitCase(case.title, case.force, knowing_old, knowing_new))
         if progress is not None:
             progress(index + 1, len(cases))
     if all(result.before.trouble and result.after.trouble for result in results):
-        trouble = _run(cases[0], before, old).trouble
+        trouble = _run(cases[0], before, old.without_effects()).trouble
         if trouble:
             reason = f"the law with its default tuning does not control the given model's own plant: {trouble}"
             return ControllerBenefit((), same, reason)
     return ControllerBenefit(tuple(results), same)
 
 
-def _size(rig: Rig) -> float:
+def _size(rig: EffectiveRig) -> float:
     """Return the factor on the paper's forces for which the rig has enough force and stroke."""
     plant = rig.plant
     damping: float = plant.viscous_damping + rig.friction.viscous_coefficient
@@ -149,12 +149,12 @@ def _size(rig: Rig) -> float:
     return min(1.0, FORCE_PART * largest_force(rig) / FORCE, room / travel)
 
 
-def _least_force(rig: Rig) -> float:
+def _least_force(rig: EffectiveRig) -> float:
     """Return the force that friction and weight alone take up [N]."""
     return rig.friction_level(0.0) + abs(rig.plant.moving_mass * rig.plant.gravity)
 
 
-def _no_room(rig: Rig, size: float) -> str:
+def _no_room(rig: EffectiveRig, size: float) -> str:
     low, high = rig.limits.position
     return (
         f"no force can be controlled: a stroke of {high - low:g} m, spring of {rig.plant.spring_stiffness:g} N/m and a largest "

@@ -14,66 +14,106 @@ import numpy as np
 from numpy.random import Generator
 
 from ehls_ros import __version__
-from ehls_ros.arrays import Array
+from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.controllers.base import STATUS_SIZE, model_of
+from ehls_ros.control.controllers.base import STATUS_SIZE, Model, model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import ROW, Planned
 from ehls_ros.control.observers import OBSERVERS
-from ehls_ros.control.observers.base import ELEMENTS
+from ehls_ros.control.observers.base import ELEMENTS, ObserverState
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.references.base import SampledReference
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.spec import Spec, Use, check_spec, spec_to_mapping
-from ehls_ros.physics.composition import kernel_module, plant_source
+from ehls_ros.physics.composition import compiled
+from ehls_ros.physics.plant import TEMPERATURE, Chains
 from ehls_ros.physics.plausibility import implausible
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import POSITION, VELOCITY
-from ehls_ros.physics.simulator import Simulator
+from ehls_ros.physics.simulator import Moving, Simulator, Standing
+from ehls_ros.physics.simulator import build as build_plant
 from ehls_ros.recording.topics import CONTROLLER_STATUS, DISTURBANCE, LOADER_STATE, REFERENCE_TOPICS
-from ehls_ros.sources import import_line
 from ehls_ros.trajectory import Trajectory
 
 CHUNK = 2000
 """Cycles in a block."""
 
-_LOOP = """
 
-{law}
-{observer}
-{believed}
+class Control(NamedTuple):
+    """Observer and controller of a loop, with what they remember.
 
-observe_friction = observer.updater(believed_friction)
+    Attributes:
+        friction: friction as the observer knows it.
+        compensation: the observer's parameters.
+        observed: its state.
+        tuning: the controller's parameters.
+        model: what it knows of the rig.
+        memory: its state.
+        status: what it says of its last step.
+    """
+
+    friction: Any
+    compensation: Any
+    observed: ObserverState
+    tuning: Any
+    model: Model
+    memory: Array
+    status: Array
 
 
-@njit(cache=True, error_model="numpy")
-def loop(
-    first, period, y, mode, plant, friction, inputs, effects, step, steps, warming, work, sensor_state, noise, truth, measured,
-    reference, disturbance, design_friction, compensation, observer_state, tuning, design, memory, status, record,
-):
-    dense = 0
-    for i in range(record.shape[0]):
-        k = first + i
-        observe(k, k * period, y, plant, inputs, effects, sensor_state, noise[i], truth, measured)
-        observe_friction(measured[sensors.VELOCITY], period, design_friction, compensation, observer_state)
-        u = law.step(measured, reference[i], observer_state.estimate, tuning, design, memory, status)
-        column = 0
-        for value in measured:
-            record[i, column] = value
+class Given(NamedTuple):
+    """What comes from outside in some cycles, a row each.
+
+    Attributes:
+        noise: standard normal numbers, shape (n, signals).
+        reference: what the controller follows and its first and second derivative, shape (n, 3).
+        disturbance: force, its rate, displacement, velocity, shape (n, 4).
+    """
+
+    noise: Array
+    reference: Array
+    disturbance: Array
+
+
+class _Loop(NamedTuple):
+    """The compiled loop."""
+
+    run: Callable[..., int]
+
+
+def build(friction: Any, elements: int, states: int, chains: Chains, law: Any, observer: Any, believed: Any) -> _Loop:
+    """Build plant, observer and controller as one compiled function; the first arguments are those of the simulator's."""
+    plant = build_plant(friction, elements, states, chains)
+    sense, hold, advance, update, step = plant.sense, plant.hold, plant.advance, observer.updater(believed), law.step
+
+    @kernel
+    def run(first: int, standing: Standing, moving: Moving, control: Control, given: Given, record: Array) -> int:
+        dense = 0
+        measured, estimate, status = moving.measured, control.observed.estimate, control.status
+        for i in range(record.shape[0]):
+            k = first + i
+            sense(k, standing, moving, given.noise[i])
+            update(measured[VELOCITY], standing.period, control.friction, control.compensation, control.observed)
+            u = step(measured, given.reference[i], estimate, control.tuning, control.model, control.memory, status)
+            column = 0
+            for value in measured:
+                record[i, column] = value
+                column += 1
+            record[i, column] = u
             column += 1
-        record[i, column] = u
-        column += 1
-        for value in observer_state.estimate:
-            record[i, column] = value
-            column += 1
-        for value in status:
-            record[i, column] = value
-            column += 1
-        model.hold(inputs, k * period, u, disturbance[i, 0], disturbance[i, 1], disturbance[i, 2], disturbance[i, 3])
-        dense += move(k * period, y, mode, plant, friction, inputs, effects, step, steps, work)
-        inputs[model.TEMPERATURE] += warming * period
-    return dense
-"""
+            for value in estimate:
+                record[i, column] = value
+                column += 1
+            for value in status:
+                record[i, column] = value
+                column += 1
+            force, force_rate, displacement, velocity = given.disturbance[i]
+            hold(moving.inputs, k * standing.period, u, force, force_rate, displacement, velocity)
+            dense += advance(k, standing, moving)
+            moving.inputs[TEMPERATURE] += standing.warming * standing.period
+        return dense
+
+    return _Loop(run)
 
 
 def sampled(use: Use, period: float) -> SampledReference:
@@ -159,16 +199,21 @@ class ClosedLoop:
         self._spec = spec
         period = spec.settings.control_period
         self._simulator = simulator_of(spec)
-        law = import_line(CONTROLLERS.load(spec.controller.name), "law")
-        observer = import_line(OBSERVERS.load(spec.compensation.name), "observer")
-        believed = spec.controller_rig
-        friction = import_line(believed.friction_law, "believed_friction")
-        source = plant_source(spec.loader_rig()) + _LOOP.format(law=law, observer=observer, believed=friction)
-        self._loop = kernel_module(source).loop
-        self._observer_state = OBSERVERS.load(spec.compensation.name).state(believed.friction_law, believed.friction)
-        self._model = model_of(spec.controller_rig, period)
-        self._memory = CONTROLLERS.load(spec.controller.name).memory(spec.controller.parameters)
-        self.columns = Columns.of(self._observer_state.estimate.size)
+        parts, believed = self._simulator.parts, spec.controller_rig
+        law, observer = CONTROLLERS.load(spec.controller.name), OBSERVERS.load(spec.compensation.name)
+        members = {**parts.members, "law": law, "observer": observer, "believed": believed.friction_law}
+        arguments = "first, standing, moving, control, given, record"
+        self._run_compiled = compiled(build, {"run": arguments}, members, parts.numbers, parts.effects).run
+        self._control = Control(
+            friction=believed.friction,
+            compensation=spec.compensation.parameters,
+            observed=observer.state(believed.friction_law, believed.friction),
+            tuning=spec.controller.parameters,
+            model=model_of(believed, period),
+            memory=law.memory(spec.controller.parameters),
+            status=np.zeros(STATUS_SIZE),
+        )
+        self.columns = Columns.of(self._control.observed.estimate.size)
         self.dense = 0
 
     def blocks(self) -> Iterator[Block]:
@@ -187,7 +232,6 @@ class ClosedLoop:
         disturbing = kind.build(spec.disturbance.parameters, sampled(spec.disturbance.signal, period), spec.rig, period)
         random = np.random.default_rng(spec.settings.seed)
         kept = np.empty((CHUNK, self.columns.status.stop))
-        status = np.zeros(STATUS_SIZE)
         following = disturbing.first()
         for first in range(0, cycles, CHUNK):
             count = min(CHUNK, cycles - first)
@@ -195,13 +239,13 @@ class ClosedLoop:
             wanted = reference.rows(first, count)
             if not kind.REACTS:
                 disturbance = cast(Planned, disturbing).rows(first, count)
-                self._run(first, record, wanted, disturbance, status, random)
+                self._run(first, record, wanted, disturbance, random)
             else:
                 # What feels the loader is known for one cycle at a time.
                 disturbance = np.empty((count, ROW))
                 for i in range(count):
                     disturbance[i], one = following, slice(i, i + 1)
-                    self._run(first + i, record[one], wanted[one], disturbance[one], status, random)
+                    self._run(first + i, record[one], wanted[one], disturbance[one], random)
                     following = disturbing.following(first + i, record[i, POSITION], record[i, VELOCITY])
             # A sensor may hide what the rig itself comes to.
             lost = implausible(record[:, : self.columns.command + 1], spec.rig.limits)
@@ -215,36 +259,10 @@ class ClosedLoop:
                     f"the run ended at {(first + lost.row) * period:g} s of {spec.settings.duration:g} s: {lost.what}"
                 )
 
-    def _run(self, first: int, record: Array, reference: Array, disturbance: Array, status: Array, random: Generator) -> None:
-        simulator, spec = self._simulator, self._spec
-        self.dense += self._loop(
-            first,
-            spec.settings.control_period,
-            simulator.y,
-            simulator.mode,
-            simulator.rig.plant,
-            simulator.rig.friction,
-            simulator.inputs,
-            simulator.effects,
-            simulator.step,
-            simulator.steps,
-            simulator.warming,
-            simulator.work,
-            simulator.sensors,
-            random.standard_normal((len(record), len(SENSED))),
-            simulator.truth,
-            simulator.measured,
-            reference,
-            disturbance,
-            spec.controller_rig.friction,
-            spec.compensation.parameters,
-            self._observer_state,
-            spec.controller.parameters,
-            self._model,
-            self._memory,
-            status,
-            record,
-        )
+    def _run(self, first: int, record: Array, reference: Array, disturbance: Array, random: Generator) -> None:
+        simulator = self._simulator
+        given = Given(random.standard_normal((len(record), len(SENSED))), reference, disturbance)
+        self.dense += self._run_compiled(first, simulator.standing, simulator.moving, self._control, given, record)
 
 
 def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = None, *, check: bool = True) -> Trajectory:

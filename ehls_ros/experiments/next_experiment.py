@@ -31,13 +31,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehls_ros.arrays import Array
+from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.composition import controller_kernel, observer_kernel
 from ehls_ros.control.controllers import fasmc, pid
-from ehls_ros.control.controllers.base import STATUS_SIZE, model_of
+from ehls_ros.control.controllers.base import STATUS_SIZE, Model, model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import FORCE as LOAD
 from ehls_ros.control.observers import ANY_MODEL, rig_model
+from ehls_ros.control.observers.base import ObserverState
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import CATALOGUE, catalogue_spec, reach
 from ehls_ros.experiments.loop import sampled, simulator_of
@@ -55,9 +56,11 @@ from ehls_ros.experiments.separation import (
     unexplained,
 )
 from ehls_ros.experiments.spec import spec_from_mapping
-from ehls_ros.physics.composition import kernel_module, plant_source
+from ehls_ros.physics.composition import compiled
+from ehls_ros.physics.plant import TEMPERATURE, X
 from ehls_ros.physics.rig import SENSED, Rig, rig_to_mapping
 from ehls_ros.physics.sensors import FORCE, LOAD_PRESSURE, POSITION, SPOOL, VELOCITY
+from ehls_ros.physics.simulator import Moving, Simulator, Standing, plant_kernel
 
 LEAST_SIGMA = 5.0
 """Separation below which an experiment is not proposed."""
@@ -85,42 +88,87 @@ _FORCE_LAW, _POSITION_LAW, _ALONG = 0, 1, 2
 _LAWS = {"fasmc": (_FORCE_LAW, FORCE), "pid": (_POSITION_LAW, POSITION)}
 """Each law of the catalogue with the column of a record that follows its reference."""
 
-_BENCH = '''"""A plant under either law, or along a record; generated."""
-from numba import njit
-from {plant} import advance, hold, sense
-from {force_law} import step as force_law
-from {position_law} import step as position_law
-from {observer} import update
-from ehls_ros.physics import plant as model, sensors
+
+class _Control(NamedTuple):
+    """Observer and both laws, with what they remember.
+
+    Attributes:
+        friction: friction as the observer knows it.
+        compensation: the observer's parameters.
+        observed: its state.
+        model: what the laws know of the rig.
+        force_tuning: parameters of the law that follows a force.
+        force_memory: its state.
+        position_tuning: parameters of the law that follows a position.
+        position_memory: its state.
+        status: what the law says of its last step.
+    """
+
+    friction: Any
+    compensation: rig_model.Parameters
+    observed: ObserverState
+    model: Model
+    force_tuning: fasmc.Parameters
+    force_memory: Array
+    position_tuning: pid.Parameters
+    position_memory: Array
+    status: Array
 
 
-@njit(cache=True, error_model="numpy")
-def bench(
-    source, period, y, mode, plant, friction, inputs, effects, step, steps, warming, work, sensor_state, noise, truth, measured,
-    reference, load, design_friction, compensation, observer_state, force_tuning, position_tuning, design,
-    force_memory, position_memory, status, given, pull, record,
-):
-    saturated = 0
-    last = measured.size
-    for k in range(record.shape[0]):
-        t = k * period
-        sense(k, t, y, plant, inputs, effects, sensor_state, noise, truth, measured)
-        if source == 0:
-            update(measured[sensors.VELOCITY], period, design_friction, compensation, observer_state)
-            u = force_law(measured, reference[k], observer_state.estimate, force_tuning, design, force_memory, status)
-        elif source == 1:
-            u = position_law(measured, reference[k], observer_state.estimate, position_tuning, design, position_memory, status)
-        else:
-            u = given[k, last]
-            y[model.X] += pull * (given[k, sensors.POSITION] - measured[sensors.POSITION])
-        saturated += abs(u) >= design.spool_limit
-        record[k, :last] = measured
-        record[k, last] = u
-        hold(inputs, t, u, load[k, 0], load[k, 1], load[k, 2], load[k, 3])
-        advance(t, y, mode, plant, friction, inputs, effects, step, steps, work)
-        inputs[model.TEMPERATURE] += warming * period
-    return saturated
-'''
+class _Rows(NamedTuple):
+    """What comes from outside, a row a cycle.
+
+    Attributes:
+        reference: shape (n, 3).
+        load: disturbance, shape (n, 4).
+        record: readings and command to run along, shape (n, 8); not read under a law.
+        pull: fraction of the distance by which a cycle draws the position to the recorded one.
+    """
+
+    reference: Array
+    load: Array
+    record: Array
+    pull: float
+
+
+class _Bench(NamedTuple):
+    """The compiled bench."""
+
+    run: Callable[..., int]
+
+
+def build(plant: Any, force_law: Any, position_law: Any, observer: Any) -> _Bench:
+    """Build a plant under either law, or along a record, of compiled modules."""
+    sense, hold, advance = plant.sense, plant.hold, plant.advance
+    force_step, position_step, update = force_law.step, position_law.step, observer.update
+
+    @kernel
+    def run(source: int, standing: Standing, moving: Moving, control: _Control, rows: _Rows, out: Array) -> int:
+        saturated, noise = 0, np.zeros(moving.measured.size)
+        measured, estimate, status = moving.measured, control.observed.estimate, control.status
+        last = measured.size
+        for k in range(out.shape[0]):
+            sense(k, standing, moving, noise)
+            if source == _FORCE_LAW:
+                update(measured[VELOCITY], standing.period, control.friction, control.compensation, control.observed)
+                tuning, memory = control.force_tuning, control.force_memory
+                u = force_step(measured, rows.reference[k], estimate, tuning, control.model, memory, status)
+            elif source == _POSITION_LAW:
+                held, kept = control.position_tuning, control.position_memory
+                u = position_step(measured, rows.reference[k], estimate, held, control.model, kept, status)
+            else:
+                u = rows.record[k, last]
+                moving.y[X] += rows.pull * (rows.record[k, POSITION] - measured[POSITION])
+            saturated += abs(u) >= control.model.spool_limit
+            out[k, :last] = measured
+            out[k, last] = u
+            force, force_rate, displacement, velocity = rows.load[k]
+            hold(moving.inputs, k * standing.period, u, force, force_rate, displacement, velocity)
+            advance(k, standing, moving)
+            moving.inputs[TEMPERATURE] += standing.warming * standing.period
+        return saturated
+
+    return _Bench(run)
 
 
 class _Run(NamedTuple):
@@ -157,52 +205,33 @@ class _Experiment:
         design, chosen = self.spec.controller_rig, self.spec.controller
         force_tuning = chosen.parameters if chosen.name == "fasmc" else fasmc.Parameters()
         position_tuning = chosen.parameters if chosen.name == "pid" else pid.Parameters()
-        record = np.empty((self.spec.cycles, len(SENSED) + 1))
-        saturated = _bench(rig, design.friction_model)(
-            source,
-            self.period,
-            simulator.y,
-            simulator.mode,
-            simulator.rig.plant,
-            simulator.rig.friction,
-            simulator.inputs,
-            simulator.effects,
-            simulator.step,
-            simulator.steps,
-            simulator.warming,
-            simulator.work,
-            simulator.sensors,
-            np.zeros(len(SENSED)),
-            simulator.truth,
-            simulator.measured,
-            self.reference,
-            self.load,
-            design.friction,
-            rig_model.Parameters(),
-            rig_model.state(design.friction_law, design.friction),
-            force_tuning,
-            position_tuning,
-            model_of(design, self.period),
-            fasmc.memory(force_tuning),
-            pid.memory(position_tuning),
-            np.zeros(STATUS_SIZE),
-            given,
-            self.period / MEMORY,
-            record,
+        control = _Control(
+            friction=design.friction,
+            compensation=rig_model.Parameters(),
+            observed=rig_model.state(design.friction_law, design.friction),
+            model=model_of(design, self.period),
+            force_tuning=force_tuning,
+            force_memory=fasmc.memory(force_tuning),
+            position_tuning=position_tuning,
+            position_memory=pid.memory(position_tuning),
+            status=np.zeros(STATUS_SIZE),
         )
+        rows = _Rows(self.reference, self.load, given, self.period / MEMORY)
+        record = np.empty((self.spec.cycles, len(SENSED) + 1))
+        bench = _bench(simulator, design.friction_model)
+        saturated = bench(source, simulator.standing, simulator.moving, control, rows, record)
         return _Run(record, saturated / self.spec.cycles)
 
 
-def _bench(rig: Rig, believed: str) -> Callable[..., int]:
-    """Return the compiled bench of a rig's effects and the controller's friction model; it calls kernels compiled before."""
+def _bench(simulator: Simulator, believed: str) -> Callable[..., int]:
+    """Return the compiled bench of a plant and the controller's friction model; it calls kernels compiled before."""
     modules = {
-        "plant": kernel_module(plant_source(rig)),
+        "plant": plant_kernel(simulator.parts),
         "force_law": controller_kernel("fasmc"),
         "position_law": controller_kernel("pid"),
         "observer": observer_kernel(ANY_MODEL, believed),
     }
-    source = _BENCH.format(**{part: module.__name__ for part, module in modules.items()})
-    bench: Callable[..., int] = kernel_module(source).bench
+    bench: Callable[..., int] = compiled(build, {"run": "source, standing, moving, control, rows, out"}, modules).run
     return bench
 
 
@@ -431,7 +460,7 @@ def _rate(
         records[candidate] = run.record
     period = experiment.period
     scale = scale_of(records, candidates, columns, noise, period)
-    yielding = reach(nominal).yielding
+    yielding = reach(nominal.effective()).yielding
     starts = {candidate: start_of(record, period, yielding) for candidate, record in records.items()}
     bounds = {}
     for true, model in permutations(candidates, 2):

@@ -1,29 +1,39 @@
-"""Putting chosen parts into one compiled kernel, and keeping the machine code between processes.
+"""Putting chosen parts together and compiling them, and keeping the machine code between processes.
 
 Numba caches machine code by source file, not by the functions handed to it. So the parts chosen are
-written down as a small module that imports them and names them in one compiled entry function. The
-module lies in the user's cache folder under a name made of its own text and of the package's sources:
-any change of either makes a new module, and a cached kernel is never stale.
+written down as a small module that imports them, chains the hooks of the effects, hands all to an ordinary
+function of the package that builds compiled functions of them, and has an entry for each. This file is the
+only place where such text is written. The module lies in the user's cache folder under a name made of its
+own text and of the package's sources: any change of either makes a new module, and cached machine code is
+never stale.
+
+A chain of effects is *fixed*, the effects of one rig in its order, their parameters in a row as ``p``; or
+*switched*, many effects in the order of their names, each behind a flag, with :class:`Switched` as ``p``:
+another choice of effects then costs no compilation.
 """
 
 import hashlib
 import sys
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from importlib.abc import ExecutionLoader
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
+from numpy.typing import NDArray
 
+from ehls_ros.arrays import Array
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.kernel_cache import PREFIX, kept, make_private, sealed
-from ehls_ros.physics.rig import EffectUse, Rig
+from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig
 from ehls_ros.sources import import_line, sources_digest
 
 
@@ -95,115 +105,172 @@ def _compile_in_turn(entry: Any, seal: Path, code: Path) -> None:
     entry.compile = in_turn
 
 
-def plant_source(rig: Rig) -> str:
-    """Return the text of the kernel module for a rig's friction model and effects.
+class Switched(NamedTuple):
+    """Effects as switched chains take them.
 
-    The module's ``advance(t, y, mode, plant, friction, inputs, effects, step, steps, work)`` moves the plant on;
-    ``sense(cycle, t, y, plant, inputs, effects, state, noise, truth, measured)`` reads its sensors; ``hold(w, ...)``
-    is that of :mod:`ehls_ros.physics.plant`; ``EFFECT_STATES`` counts the effects' own states.
+    Attributes:
+        on: a flag for each of the chains' effects, shape (effects,).
+        values: the parameters of all of them in a row.
     """
-    elements = rig_elements(rig)
-    imports, rates, jumps, states, offset = list[str](), list[str](), list[str](), 0, 0
-    chains = {hook: list[str]() for hook in HOOKS}
-    for index, use in enumerate(effects_in_kernel(rig)):
-        effect = EFFECTS.load(use.name)
-        own = getattr(effect, "STATES", 0)
-        count = len(use.parameters)
-        parameters = f"p[{offset}:{offset + count}]"
-        view = f"t, y, w, z[{states}:{states + own}], {parameters}, plant"
-        imports.append(import_line(effect, f"effect_{index}"))
-        for hook in HOOKS:
-            if hasattr(effect, hook):
-                chains[hook].append(f"    value = effect_{index}.{hook}(value, {view})")
-        if hasattr(effect, "jump"):
-            jumps.append(f"    value = min(value, effect_{index}.jump(t, w, {parameters}))")
-        if own:
-            rates.append(f"    effect_{index}.derivatives(value, {view}, dz[{states}:{states + own}])")
-        if hasattr(effect, "command"):
-            rates += chains["command"][-1:]
-        states += own
-        offset += count
-    hooks = "\n\n".join(
-        "\n".join(["@kernel", f"def {hook}(value, t, y, w, z, p, plant):", *chains[hook], "    return value", ""])
-        for hook in HOOKS
-    )
-    return _PLANT.format(
-        friction=import_line(FRICTION_MODELS.load(rig.friction_model), "friction_model"),
-        imports="\n".join(imports),
-        hooks=hooks,
-        jumps="\n".join(jumps),
-        late="received, jump" if jumps else "None, None",
-        rates="\n".join(rates) if states else "    pass",
-        elements=elements,
-        states=states,
-    )
+
+    on: NDArray[np.int8]
+    values: Array
 
 
-def effects_in_kernel(rig: Rig) -> tuple[EffectUse, ...]:
-    """Return a rig's effects that have hooks; the parameters of these are the kernel's ``effects``."""
+class Effects(NamedTuple):
+    """The effects of some chains.
+
+    Attributes:
+        names: in the order in which they act.
+        switched: whether each is behind a flag.
+    """
+
+    names: tuple[str, ...] = ()
+    switched: bool = False
+
+    @property
+    def states(self) -> int:
+        """Number of states that these effects have of their own."""
+        return sum(_states(name) for name in self.names)
+
+    def first_state(self, name: str) -> int:
+        """Return where an effect's own states begin among those of all."""
+        return sum(_states(before) for before in self.names[: self.names.index(name)])
+
+    def piston_state(self, name: str) -> int:
+        """Return where all states hold how far the piston is ahead of the load, for an effect that parts them."""
+        effect: Any = EFFECTS.load(name)
+        return self.first_state(name) + int(effect.PISTON)
+
+    def parameters(self, uses: Iterable[EffectUse]) -> Any:
+        """Lay out the parameters of effects in use, ``p`` of the chains; of an effect used twice, flags know the last."""
+        if not self.switched:
+            used = [use for use in uses if use.name in self.names]
+            return np.array([value for use in used for value in use.parameters], dtype=np.float64)
+        last = {use.name: use.parameters for use in uses}
+        on = np.array([name in last for name in self.names], dtype=np.int8)
+        return Switched(on, np.array([v for n in self.names for v in last.get(n, _neutral(n))], dtype=np.float64))
+
+
+@cache
+def _neutral(name: str) -> tuple[float, ...]:
+    return tuple(EFFECTS.load(name).Parameters())
+
+
+def _states(name: str) -> int:
+    return getattr(EFFECTS.load(name), "STATES", 0)
+
+
+@cache
+def effects_with(*hooks: str) -> Effects:
+    """Return all effects of the family that have one of some hooks, switched."""
+    names = (n for n in EFFECTS.names() if any(hasattr(EFFECTS.load(n), hook) for hook in hooks))
+    return Effects(tuple(names), switched=True)
+
+
+def effects_of(rig: Rig | EffectiveRig) -> Effects:
+    """Return a rig's effects that have hooks, fixed."""
+    return Effects(tuple(use.name for use in effects_in_kernel(rig)))
+
+
+def effects_in_kernel(rig: Rig | EffectiveRig) -> tuple[EffectUse, ...]:
+    """Return a rig's effects that have hooks."""
     return tuple(use for use in rig.effects if any(hasattr(EFFECTS.load(use.name), hook) for hook in HOOKS))
 
 
-def rig_elements(rig: Rig) -> int:
+def rig_elements(rig: Rig | EffectiveRig) -> int:
     """Return how many forces the rig's friction model integrates."""
     return FRICTION_MODELS.load(rig.friction_model).states(rig.friction)
 
 
-_PLANT = '''"""Plant kernel, generated."""
-from math import inf
-from numba import njit
-from ehls_ros.arrays import kernel
-from ehls_ros.physics import integration, plant as model, sensors
-{friction}
-{imports}
+def compiled(
+    build: Callable[..., Any],
+    entries: Mapping[str, str],
+    members: Mapping[str, Any] | None = None,
+    numbers: Mapping[str, int] | None = None,
+    effects: Effects | None = None,
+    *,
+    threads: bool = False,
+) -> ModuleType:
+    """Compile (or load) what a function builds of chosen parts.
 
-EFFECT_STATES = {states}
+    Args:
+        build: builder at the top level of a module. It is called with keywords: the members, the numbers and, with
+            effects, ``chains`` (:class:`~ehls_ros.physics.plant.Chains`); it returns an object with a compiled function for
+            each entry.
+        entries: names of those functions, each with its arguments as text.
+        members: modules by keyword, such as a friction model's file.
+        numbers: integers by keyword.
+        effects: the effects to chain.
+        threads: whether the entries let other threads run.
 
-
-{hooks}
-
-@kernel
-def jump(t, w, p):
-    value = inf
-{jumps}
-    return value
-
-
-@kernel
-def effect_rates(value, t, y, w, z, p, plant, dz):
-{rates}
-
-
-parts = model.Parts(
-    friction_model, {elements}, {late},
-    command, opening, supply_pressure, bulk_modulus, leakage, friction_level, force, piston_velocity, effect_rates,
-)
-evaluate, switch = model.system(parts)
-run = integration.integrator(evaluate, switch, size=model.FRICTION + {elements} + EFFECT_STATES)
-move = model.mover(run, parts)
-
-
-@kernel
-def observe(cycle, t, y, plant, inputs, effects, state, noise, truth, measured):
-    z = y[model.FRICTION + {elements}:]
-    supply = supply_pressure(plant.supply_pressure, t, y, inputs, z, effects, plant)
-    sensors.true_signals(y, inputs[model.TEMPERATURE], supply, plant, truth)
-    truth[sensors.POSITION] = piston_position(y[model.X], t, y, inputs, z, effects, plant)
-    truth[sensors.VELOCITY] = piston_velocity(y[model.V], t, y, inputs, z, effects, plant)
-    sensors.measure(cycle, truth, noise, state, measured)
-
-
-@njit(cache=True, error_model="numpy")
-def advance(t, y, mode, plant, friction, inputs, effects, step, steps, work):
-    return move(t, y, mode, plant, friction, inputs, effects, step, steps, work)
-
-
-@njit(cache=True, error_model="numpy")
-def sense(cycle, t, y, plant, inputs, effects, state, noise, truth, measured):
-    observe(cycle, t, y, plant, inputs, effects, state, noise, truth, measured)
+    Returns:
+        A module with the entries, callable from Python and from compiled code.
+    """
+    members, numbers = members or {}, numbers or {}
+    module = sys.modules[build.__module__]
+    lines = [
+        f'"""{build.__module__}.{build.__name__}, generated."""',
+        "from math import inf",
+        "from numba import njit",
+        "from ehls_ros.arrays import lean",
+        "from ehls_ros.physics.plant import Chains",
+        _import(module, "builder"),
+        *(_import(member, keyword) for keyword, member in members.items()),
+        *([] if effects is None else _chains(effects)),
+    ]
+    keywords = [f"{name}={name}" for name in members] + [f"{name}={number}" for name, number in numbers.items()]
+    keywords += [] if effects is None else ["chains=chains"]
+    lines += [f"built = builder.{build.__name__}({', '.join(keywords)})"]
+    for entry, arguments in entries.items():
+        lines += [
+            f"{entry}_built = built.{entry}",
+            f'@njit(cache=True, error_model="numpy", nogil={threads})',
+            f"def {entry}({arguments}):",
+            f"    return {entry}_built({arguments})",
+        ]
+    return kernel_module("\n".join(lines) + "\n")
 
 
-@njit(cache=True, error_model="numpy")
-def hold(w, start, command, force, force_rate, displacement, velocity):
-    model.hold(w, start, command, force, force_rate, displacement, velocity)
-'''
+def _import(member: Any, name: str) -> str:
+    """Return the line that imports a part; another compiled module is told by its own name."""
+    return f"import {member.__name__} as {name}" if member.__name__.startswith(PREFIX) else import_line(member, name)
+
+
+def _chains(effects: Effects) -> list[str]:
+    """Return the lines that chain the hooks of some effects."""
+    lines, rates, jumps, states, first = list[str](), list[str](), list[str](), 0, 0
+    chains: dict[str, list[str]] = {hook: [] for hook in (*HOOKS, "handed_on")}
+    remembers = 0
+    for index, name in enumerate(effects.names):
+        effect = EFFECTS.load(name)
+        own, count = _states(name), len(effect.Parameters._fields)
+        row = "p.values" if effects.switched else "p"
+        values = ", ".join(f"{row}[{place}]" for place in range(first, first + count))
+        parameters = f"effect_{index}.Parameters({values})"
+        view = f"t, y, w, z[{states}:{states + own}], {parameters}, plant"
+        flag = [f"    if p.on[{index}] != 0:"] if effects.switched else []
+        indent = "        " if effects.switched else "    "
+        lines.append(_import(effect, f"effect_{index}"))
+        for hook in HOOKS:
+            if hasattr(effect, hook):
+                chains[hook] += [*flag, f"{indent}value = effect_{index}.{hook}(value, {view})"]
+        if hasattr(effect, "PISTON"):
+            chains["handed_on"] += [*flag, f"{indent}value = effect_{index}.force(value, {view})"]
+        if hasattr(effect, "jump"):
+            jumps += [*flag, f"{indent}value = min(value, effect_{index}.jump(t, w, {parameters}))"]
+        if own:
+            rates += [*flag, f"{indent}effect_{index}.derivatives(value, {view}, dz[{states}:{states + own}])"]
+            remembers = len(rates)
+        if hasattr(effect, "command"):
+            rates += [*flag, f"{indent}value = effect_{index}.command(value, {view})"]
+        states += own
+        first += count
+    at_rest = [f"    for i in range({states}):", "        dz[i] = 0.0"] if effects.switched else []
+    for hook, calls in chains.items():
+        lines += ["@lean", f"def {hook}(value, t, y, w, z, p, plant):", *calls, "    return value"]
+    lines += ["@lean", "def jump(t, w, p):", "    value = inf", *jumps, "    return value"]
+    lines += ["@lean", "def rates(value, t, y, w, z, p, plant, dz):", *at_rest, *rates[:remembers], "    return"]
+    late = () if jumps else ("received", "jump")
+    keywords = (f"{name}={None if name in late else name}" for name in (*chains, "jump", "rates"))
+    return [*lines, f"chains = Chains({', '.join(keywords)})"]

@@ -4,15 +4,16 @@ State ``y``: position and velocity of the moving mass (the piston's, unless an e
 pressure, spool displacement (x1..x4 of (24)), then the friction model's forces, then the effects' own states.
 Modes: the side the orifice is open to, then the friction model's.
 
-:func:`system` builds it from a friction model and the effects' hooks; the compiler inlines them, so what no
-effect uses costs nothing.
+:func:`relations` builds the equations from the effects' hooks, :func:`system` the simulator's plant from these and a
+friction model; the compiler inlines all of them, so what no effect uses costs nothing. What runs along a recording
+(:mod:`ehls_ros.physics.along`) is built from the same relations.
 """
 
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ehls_ros.arrays import Array, kernel
+from ehls_ros.arrays import Array, kernel, lean
 from ehls_ros.physics.beam import applied_force
 from ehls_ros.physics.cylinder import load_pressure_rate
 from ehls_ros.physics.parameters import Plant
@@ -29,12 +30,21 @@ cycles before the present; zero before the first."""
 
 
 class Coefficients(NamedTuple):
-    """What the equations need besides state and inputs; ``command`` is the one that has arrived at the valve [m]."""
+    """What the equations need besides time and state.
+
+    Attributes:
+        plant: of the effective rig.
+        friction: of the effective rig.
+        inputs: ``w``.
+        effects: ``p`` of the chains: the effects' parameters in a row, or
+            :class:`~ehls_ros.physics.composition.Switched`.
+        command: spool command that has arrived at the valve [m].
+    """
 
     plant: Plant
     friction: Any
     inputs: Array
-    effects: Array
+    effects: Any
     command: float
 
 
@@ -76,11 +86,20 @@ def servo_velocity(w: Array) -> float:
     return w[VD]
 
 
-class Parts(NamedTuple):
-    """The chosen parts of a plant: a friction model's file and one function a hook; no ``received`` without delay."""
+class Chains(NamedTuple):
+    """The hooks of several effects, each kind in a row: compiled ``hook(value, t, y, w, z, p, plant) -> value``.
 
-    friction: Any
-    elements: int
+    Arguments are those of :mod:`ehls_ros.physics.effects.base`, but ``z`` holds the states and ``p`` the parameters of all
+    these effects. :mod:`ehls_ros.physics.composition` writes them.
+
+    Attributes:
+        received: as the hooks that follow; None where no effect delays the command.
+        jump: ``jump(t, w, p)``, the time of the next jump of ``received`` after t [s]; None likewise.
+        command: and the others: the hook of that name.
+        handed_on: ``force`` of those effects alone that can part the load from the piston.
+        rates: ``rates(command, t, y, w, z, p, plant, dz)`` writes the rates of the effects' own states.
+    """
+
     received: Callable[..., float] | None
     jump: Callable[..., float] | None
     command: Callable[..., float]
@@ -90,132 +109,179 @@ class Parts(NamedTuple):
     leakage: Callable[..., float]
     friction_level: Callable[..., float]
     force: Callable[..., float]
+    piston_position: Callable[..., float]
     piston_velocity: Callable[..., float]
-    effect_rates: Callable[..., None]
+    handed_on: Callable[..., float]
+    rates: Callable[..., None]
 
 
-def system(parts: Parts) -> tuple[Callable[..., float], Callable[..., None]]:
-    """Build the plant of chosen parts.
+class Relations(NamedTuple):
+    """The equations with the effects at their places, as compiled functions of ``t, y, z, c``.
+
+    ``t`` is the time [s], ``y`` the plant's state, ``z`` the effects' own states, ``c`` the :class:`Coefficients`.
+
+    Attributes:
+        opened: spool displacement the orifice sees [m].
+        volume: ``volume(opened, direction, t, y, z, c)``, the terms of (2): load flow (1) through an orifice open to a side
+            (1 or -1), leakage beyond Ctc pL [m^3/s], bulk modulus and supply pressure [Pa].
+        spool: rate of the spool (4) [m/s].
+        extra: force of the effects beyond (3) [N].
+        memory: ``memory(t, y, z, c, dz)`` writes the rates of the effects' own states.
+    """
+
+    opened: Callable[..., float]
+    volume: Callable[..., tuple[float, float, float, float]]
+    spool: Callable[..., float]
+    extra: Callable[..., float]
+    memory: Callable[..., None]
+
+
+def relations(chains: Chains) -> Relations:
+    """Build the equations with the effects of some chains."""
+    command, opening, supply_pressure = chains.command, chains.opening, chains.supply_pressure
+    bulk_modulus, leakage = chains.bulk_modulus, chains.leakage
+    force, rates = chains.force, chains.rates
+
+    @lean
+    def opened(t: float, y: Array, z: Array, c: Coefficients) -> float:
+        return opening(y[XV], t, y, c.inputs, z, c.effects, c.plant)
+
+    @lean
+    def volume(
+        opened: float, direction: float, t: float, y: Array, z: Array, c: Coefficients
+    ) -> tuple[float, float, float, float]:
+        supply = supply_pressure(c.plant.supply_pressure, t, y, c.inputs, z, c.effects, c.plant)
+        flow = load_flow(opened, direction, y[PL], supply, c.plant)  # (1)
+        leak = leakage(0.0, t, y, c.inputs, z, c.effects, c.plant)
+        modulus = bulk_modulus(c.plant.bulk_modulus, t, y, c.inputs, z, c.effects, c.plant)
+        return flow, leak, modulus, supply
+
+    @lean
+    def spool(t: float, y: Array, z: Array, c: Coefficients) -> float:
+        return spool_rate(y[XV], command(c.command, t, y, c.inputs, z, c.effects, c.plant), c.plant)  # (4)
+
+    @lean
+    def extra(t: float, y: Array, z: Array, c: Coefficients) -> float:
+        return force(0.0, t, y, c.inputs, z, c.effects, c.plant)
+
+    @lean
+    def memory(t: float, y: Array, z: Array, c: Coefficients, dz: Array) -> None:
+        rates(c.command, t, y, c.inputs, z, c.effects, c.plant, dz)
+
+    return Relations(opened, volume, spool, extra, memory)
+
+
+def balance_with(friction: Any, chains: Chains) -> Callable[..., tuple[float, float]]:
+    """Build what acts on the mass.
+
+    Args:
+        friction: the friction model's file.
+        chains: the effects.
 
     Returns:
-        ``evaluate`` and ``switch`` as :mod:`ehls_ros.physics.integration` wants them.
+        Compiled ``balance(extra, t, y, z, c)``: friction level with its effects and force on the mass without friction [N].
     """
-    end = FRICTION + parts.elements
-    sliding_level = parts.friction.level
-    friction_rates, friction_force = parts.friction.rates, parts.friction.force
-    friction_event, friction_switch = parts.friction.event, parts.friction.switch
-    command, opening, supply_pressure = parts.command, parts.opening, parts.supply_pressure
-    bulk_modulus, leakage, friction_level = parts.bulk_modulus, parts.leakage, parts.friction_level
-    extra_force, piston_velocity, effect_rates = parts.force, parts.piston_velocity, parts.effect_rates
+    sliding_level, friction_level = friction.level, chains.friction_level
 
-    @kernel
-    def mechanics(t: float, y: Array, c: Coefficients) -> tuple[float, float]:
-        """Return the Stribeck level s(v) and the force on the mass without friction [N]."""
-        w, z, p, plant = c.inputs, y[end:], c.effects, c.plant
-        level = friction_level(sliding_level(y[V], c.friction), t, y, w, z, p, plant)  # (7)
-        extra = extra_force(0.0, t, y, w, z, p, plant)
-        applied = applied_force(y[X], y[V], y[PL], disturbance_force(t, w), extra, plant)
-        return level, applied
+    @lean
+    def balance(extra: float, t: float, y: Array, z: Array, c: Coefficients) -> tuple[float, float]:
+        level = friction_level(sliding_level(y[V], c.friction), t, y, c.inputs, z, c.effects, c.plant)  # (7)
+        return level, applied_force(y[X], y[V], y[PL], disturbance_force(t, c.inputs), extra, c.plant)
 
-    @kernel
+    return balance
+
+
+def system(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., float], Callable[..., None]]:
+    """Build the simulator's plant.
+
+    Args:
+        friction: the friction model's file.
+        elements: number of its forces.
+        chains: the effects.
+
+    Returns:
+        ``evaluate`` and ``switch`` as :mod:`ehls_ros.physics.integration` takes them.
+    """
+    end = FRICTION + elements
+    friction_rates, friction_force = friction.rates, friction.force
+    friction_event, friction_switch = friction.event, friction.switch
+    opened, volume, spool, extra, memory = relations(chains)
+    balance = balance_with(friction, chains)
+    piston_velocity = chains.piston_velocity
+
+    @lean
     def evaluate(t: float, y: Array, mode: Array, c: Coefficients, rate: Array) -> float:
         """Write dy/dt of (24) with the effects at their places.
 
         Returns:
             What is positive once the orifice has changed sides or a friction mode has to change.
         """
-        plant, w, z, p = c.plant, c.inputs, y[end:], c.effects
-        level, applied = mechanics(t, y, c)
-        friction = friction_force(y[V], applied, level, y[FRICTION:end], mode[1:], c.friction)
-        spool = opening(y[XV], t, y, w, z, p, plant)
-        supply = supply_pressure(plant.supply_pressure, t, y, w, z, p, plant)
-        flow = load_flow(spool, mode[0], y[PL], supply, plant)  # (1)
-        leak = leakage(0.0, t, y, w, z, p, plant)
-        modulus = bulk_modulus(plant.bulk_modulus, t, y, w, z, p, plant)
+        plant, z = c.plant, y[end:]
+        level, applied = balance(extra(t, y, z, c), t, y, z, c)
+        resisting = friction_force(y[V], applied, level, y[FRICTION:end], mode[1:], c.friction)
+        orifice = opened(t, y, z, c)
+        flow, leak, modulus, _ = volume(orifice, mode[0], t, y, z, c)
 
         rate[X] = y[V]
-        rate[V] = (applied - friction) / plant.moving_mass  # (3)
-        piston = piston_velocity(y[V], t, y, w, z, p, plant)
+        rate[V] = (applied - resisting) / plant.moving_mass  # (3)
+        piston = piston_velocity(y[V], t, y, c.inputs, z, c.effects, plant)
         rate[PL] = load_pressure_rate(flow, piston, y[PL], leak, modulus, plant)  # (2)
-        rate[XV] = spool_rate(y[XV], command(c.command, t, y, w, z, p, plant), plant)  # (4)
+        rate[XV] = spool(t, y, z, c)  # (4)
         friction_rates(y[V], level, y[FRICTION:end], mode[1:], c.friction, rate[FRICTION:end])  # (6), (8)
-        effect_rates(c.command, t, y, w, z, p, plant, rate[end:])
+        memory(t, y, z, c, rate[end:])
 
         changed = friction_event(y[V], applied, level, y[FRICTION:end], mode[1:], c.friction)
-        return max(-mode[0] * spool, changed)
+        return max(-mode[0] * orifice, changed)
 
-    @kernel
+    @lean
     def switch(t: float, y: Array, mode: Array, c: Coefficients) -> None:
         """Change the modes whose event has come."""
-        if -mode[0] * opening(y[XV], t, y, c.inputs, y[end:], c.effects, c.plant) > 0.0:
+        z = y[end:]
+        if -mode[0] * opened(t, y, z, c) > 0.0:
             mode[0] = -mode[0]
-        level, applied = mechanics(t, y, c)
+        level, applied = balance(extra(t, y, z, c), t, y, z, c)
         y[V] = friction_switch(y[V], applied, level, y[FRICTION:end], mode[1:], c.friction)
 
     return evaluate, switch
 
 
 JUMP_TOLERANCE = 1e-6
-"""How near two jumps of the command are one, as a part of the step."""
+"""How near two jumps of the command are one, as a fraction of the step."""
 
 
-def mover(run: Callable[..., int], parts: Parts) -> Callable[..., int]:
-    """Build what moves the plant on under inputs held.
+def mover(run: Callable[..., int], chains: Chains, end: int) -> Callable[..., int]:
+    """Build what moves a system on under inputs held, one command after the other as they arrive at the valve.
 
     Args:
-        run: integrator of the plant's :func:`system`.
-        parts: the plant's parts.
+        run: ``run(t, y, mode, c, command, step, steps, work) -> int`` goes on under one command.
+        chains: the effects.
+        end: where the effects' own states begin in the state.
 
     Returns:
-        ``move(t, y, mode, plant, friction, inputs, effects, step, steps, work)``, the number of steps in which events came
-        too densely. Where commands arrive late, it integrates from jump to jump, in steps no longer than ``step``.
+        ``move(t, y, mode, c, step, steps, work)``, the sum of what ``run`` returns; ``c`` has the fields ``inputs``,
+        ``effects`` and ``plant``. Where commands arrive late, it goes from jump to jump, in steps no longer than ``step``.
     """
-    end = FRICTION + parts.elements
 
-    @kernel
-    def move(
-        t: float,
-        y: Array,
-        mode: Array,
-        plant: Plant,
-        friction: Any,
-        inputs: Array,
-        effects: Array,
-        step: float,
-        steps: int,
-        work: Array,
-    ) -> int:
-        c = Coefficients(plant, friction, inputs, effects, inputs[U])
-        return run(t, y, mode, c, step, steps, work)
+    @lean
+    def move(t: float, y: Array, mode: Array, c: Any, step: float, steps: int, work: Array) -> int:
+        return run(t, y, mode, c, c.inputs[U], step, steps, work)
 
-    if parts.received is None or parts.jump is None:
+    if chains.received is None or chains.jump is None:
         return move
-    received, jump = parts.received, parts.jump
+    received, jump = chains.received, chains.jump
 
-    @kernel
-    def move_late(
-        t: float,
-        y: Array,
-        mode: Array,
-        plant: Plant,
-        friction: Any,
-        inputs: Array,
-        effects: Array,
-        step: float,
-        steps: int,
-        work: Array,
-    ) -> int:
+    @lean
+    def move_late(t: float, y: Array, mode: Array, c: Any, step: float, steps: int, work: Array) -> int:
         dense, now, whole = 0, t, steps * step
         last, tolerance = t + whole, JUMP_TOLERANCE * step
         while last - now > tolerance:
-            until = min(jump(now + tolerance, inputs, effects), last)
+            until = min(jump(now + tolerance, c.inputs, c.effects), last)
             # Asked amid the piece, where no rounding can take it past a jump.
-            command = received(inputs[U], 0.5 * (now + until), y, inputs, y[end:], effects, plant)
-            c = Coefficients(plant, friction, inputs, effects, command)
+            command = received(c.inputs[U], 0.5 * (now + until), y, c.inputs, y[end:], c.effects, c.plant)
             length = until - now
             pieces = math.ceil(length / step - JUMP_TOLERANCE)
             # Without a jump the steps are to the bit those of an undelayed plant.
-            dense += run(now, y, mode, c, step if length > whole - tolerance else length / pieces, pieces, work)
+            dense += run(now, y, mode, c, command, step if length > whole - tolerance else length / pieces, pieces, work)
             now = until
         return dense
 

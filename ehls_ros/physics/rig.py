@@ -64,22 +64,14 @@ class Rig(NamedTuple):
         """
         return float(in_python(self.friction_law.level)(velocity, self.friction))
 
-    def effective(self) -> "Rig":
-        """Return the rig with the effects that shift parameters applied to them."""
+    def effective(self) -> "EffectiveRig":
+        """Return the rig with the shifts of its effects applied to its parameters."""
         rig = self
         for use in self.effects:
             shift = getattr(EFFECTS.load(use.name), "shift", None)
             if shift is not None:
                 rig = shift(rig, use.parameters)
-        return rig
-
-    def piston_mass(self) -> float:
-        """Return the mass that moves with the piston and not with the load; 0 where they are one [kg].
-
-        Of the effective rig, whose moving mass is the load's.
-        """
-        share = max((use.piston_share for use in self.effects), default=0.0)
-        return self.plant.moving_mass * share / (1.0 - share)
+        return EffectiveRig(*rig[:-1])
 
     def quiet(self) -> "Rig":
         """Return the rig with sensors without noise and rounding."""
@@ -89,6 +81,39 @@ class Rig(NamedTuple):
     def with_effects(self, more: tuple[EffectUse, ...]) -> "Rig":
         """Return the rig with further effects switched on after its own."""
         return self._replace(effects=self.effects + more)
+
+
+class EffectiveRig(NamedTuple):
+    """A rig whose parameters have the shifts of its effects applied: what the equations take.
+
+    Made by :meth:`Rig.effective`, and of another type than a :class:`Rig`, so that no shift is applied twice. ``effects``
+    are the rig's, whose hooks still act.
+    """
+
+    plant: Plant
+    friction_model: str
+    friction: Any
+    effects: tuple[EffectUse, ...]
+    sensors: Mapping[str, Sensor]
+    limits: Limits
+
+    @property
+    def friction_law(self) -> FrictionModel:
+        """The file of the friction model."""
+        return FRICTION_MODELS.load(self.friction_model)
+
+    def friction_level(self, velocity: float) -> float:
+        """Return the friction of steady sliding [N], as :meth:`Rig.friction_level` does."""
+        return float(in_python(self.friction_law.level)(velocity, self.friction))
+
+    def piston_mass(self) -> float:
+        """Return the mass that moves with the piston and not with the load; 0 where they are one [kg]."""
+        share = max((use.piston_share for use in self.effects), default=0.0)
+        return self.plant.moving_mass * share / (1.0 - share)
+
+    def without_effects(self) -> Rig:
+        """Return a rig with these parameters and no effects, as a controller knows it."""
+        return Rig(*self)._replace(effects=())
 
 
 SECTIONS = ("plant", "friction", "effects", "sensors", "limits")

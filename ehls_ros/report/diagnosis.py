@@ -10,7 +10,7 @@ from ehls_ros.diagnosis.stages import CHANNELS
 from ehls_ros.experiments.consequences import NOTHING, Consequences
 from ehls_ros.experiments.controller_benefit import ControllerBenefit, Steady
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects.base import Stage as Group
+from ehls_ros.physics.effects.base import Group
 from ehls_ros.report import diagnosis_figures as drawn
 from ehls_ros.report import diagnosis_findings as findings
 from ehls_ros.report import page
@@ -211,7 +211,7 @@ def _free_run(run: FreeRun) -> list[str]:
 def _sensitivity(found: Diagnosis) -> list[str]:
     blocks = []
     groups = get_args(Group)
-    items = sorted(found.sensitivities, key=lambda item: (groups.index(EFFECTS.load(item.name).STAGE), item.name))
+    items = sorted(found.sensitivities, key=lambda item: (groups.index(EFFECTS.load(item.name).GROUP), item.name))
     if items:
         blocks.append(
             page.paragraph(

@@ -10,7 +10,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.result import Cause, ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects.base import Stage as Group
+from ehls_ros.physics.effects.base import Group
 
 BINS, LEAST_IN_BIN = 40, 12
 """Number of classes of a signal for which means are drawn, and smallest number of windows in a class."""
@@ -63,12 +63,12 @@ class View(NamedTuple):
 
 def view_of_cause(found: Diagnosis, cause: Cause) -> View | None:
     """Return the view that shows a cause best; None without traces."""
-    own = [c for c in SHOWN_IN[EFFECTS.load(cause.name).STAGE] if c in found.traces and _mended(found.traces[c])]
+    own = [c for c in SHOWN_IN[EFFECTS.load(cause.name).GROUP] if c in found.traces and _mended(found.traces[c])]
     channels = own or list(found.traces)
     if not channels:
         return None
     return _best_view(
-        found, max(channels, key=lambda c: _gained(found.traces[c])), NATURAL[EFFECTS.load(cause.name).STAGE], after=False
+        found, max(channels, key=lambda c: _gained(found.traces[c])), NATURAL[EFFECTS.load(cause.name).GROUP], after=False
     )
 
 

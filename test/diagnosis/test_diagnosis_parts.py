@@ -60,7 +60,7 @@ def test_friction_along_a_motion_is_the_simulators(rig, model):
     ours = rig_from_mapping({**mapping, "friction": {**mapping["friction"], "model": model}}, "rig")
     trajectory, friction = simulated(ours)
     comparison, _ = compared(trajectory, ours)
-    found = comparison.friction(ours)[:, 0]
+    found = comparison.friction(ours.effective())[:, 0]
     late = trajectory.time_s > 0.5
     assert np.ptp(friction[late]) > 1500.0
     assert np.sqrt(np.mean((found - friction)[late] ** 2)) < 1.0
@@ -106,8 +106,8 @@ def test_spools_with_a_memory_are_the_simulators(rig, name):
     ours = perfect(rig).with_effects((use(name, **values),))
     trajectory, _ = simulated(ours, 2.0)
     comparison, _ = compared(trajectory, ours)
-    found = comparison.simulated_spool(ours)
-    moved = np.max(np.abs(found - comparison.simulated_spool(perfect(rig))))
+    found = comparison.simulated_spool(ours.effective())
+    moved = np.max(np.abs(found - comparison.simulated_spool(perfect(rig).effective())))
     assert moved > 1e-6
     assert np.max(np.abs(found - trajectory["spool_m"])) < 0.05 * moved
 

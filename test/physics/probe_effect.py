@@ -3,15 +3,16 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form
+from ehls_ros.physics.effects.base import Form, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL, V
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE = "mechanics"
+GROUP = "mechanics"
 EQUATION = "see the hooks"
 SOURCE = "a test"
+WORDS = Words("a probe", check="look at every hook")
 STATES = 1
 REACH = 0.0
 
@@ -36,62 +37,62 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def received(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[0]
+def received(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    return value * p.received
 
 
 @kernel
-def jump(t: float, w: Array, p: Array) -> float:
+def jump(t: float, w: Array, p: Parameters) -> float:
     return t + 0.31e-3
 
 
 @kernel
-def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[1]
+def command(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    return value * p.command
 
 
 @kernel
-def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[2]
+def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    return value * p.opening
 
 
 @kernel
-def supply_pressure(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[3]
+def supply_pressure(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    return value * p.supply_pressure
 
 
 @kernel
-def bulk_modulus(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[4]
+def bulk_modulus(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    return value * p.bulk_modulus
 
 
 @kernel
-def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value + p[5] * y[PL]
+def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    return value + p.leakage * y[PL]
 
 
 @kernel
-def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[6]
+def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    return value * p.friction_level
 
 
 @kernel
-def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value - p[7] * z[0]
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    return value - p.force * z[0]
 
 
 @kernel
-def piston_position(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[8]
+def piston_position(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    return value * p.piston_position
 
 
 @kernel
-def piston_velocity(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-    return value * p[9]
+def piston_velocity(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    return value * p.piston_velocity
 
 
 @kernel
-def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
+def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant, dz: Array) -> None:
     dz[0] = y[V]
 
 

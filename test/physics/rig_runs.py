@@ -30,6 +30,6 @@ def stage_effects(stage: str, changed: Mapping[str, Mapping[str, float]]) -> lis
     All of them every time, so that the tests of a stage share one kernel.
     """
     effects = {name: EFFECTS.load(name) for name in EFFECTS.names()}
-    names = [n for n, e in effects.items() if stage == e.STAGE and any(hasattr(e, hook) for hook in HOOKS)]
+    names = [n for n, e in effects.items() if stage == e.GROUP and any(hasattr(e, hook) for hook in HOOKS)]
     assert set(changed) <= set(names)
     return [{"name": name, **changed.get(name, {})} for name in names]

@@ -12,7 +12,8 @@ import pytest
 from ehls_ros import sources
 from ehls_ros.errors import BadInput
 from ehls_ros.physics import kernel_cache
-from ehls_ros.physics.composition import kernel_module, plant_source
+from ehls_ros.physics.composition import kernel_module
+from ehls_ros.physics.simulator import parts_of, plant_kernel
 
 SOURCE = '''"""A kernel of a test."""
 from numba import njit
@@ -235,11 +236,11 @@ def test_on_a_full_disk_a_kernel_is_compiled_and_not_kept(folder):
 
 
 def test_models_and_effects_are_told_apart(make_rig):
-    plain = plant_source(make_rig())
-    assert plain != plant_source(make_rig(friction={"model": "lugre"}))
-    assert plain != plant_source(make_rig(effects=[{"name": "valve_dead_zone"}]))
+    plain = plant_kernel(parts_of(make_rig()))
+    assert plain is not plant_kernel(parts_of(make_rig(friction={"model": "lugre"})))
+    assert plain is not plant_kernel(parts_of(make_rig(effects=[{"name": "valve_dead_zone"}])))
     # Numbers are no part of the machine code.
-    assert plain == plant_source(make_rig(plant={"moving_mass": 99.0}))
+    assert plain is plant_kernel(parts_of(make_rig(plant={"moving_mass": 99.0})))
 
 
 def test_a_folder_that_cannot_be_written_gives_way(tmp_path, monkeypatch):

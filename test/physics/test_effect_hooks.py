@@ -115,7 +115,7 @@ def test_a_hook_gives_what_was_worked_out(name, parameters, hook, before, given,
             y[STATE[key]] = value
         elif key in INPUT:
             w[INPUT[key]] = value
-    p = np.array(effect.Parameters(**parameters))
+    p = effect.Parameters(**parameters)
     z = np.zeros(getattr(effect, "STATES", 0))
     got = getattr(effect, hook).py_func(before, given.get("t", 0.0), y, w, z, p, make_rig().plant)
     assert got == pytest.approx(after, rel=1e-12, abs=1e-18)
@@ -154,6 +154,13 @@ def test_a_shift_moves_what_it_says(name, parameters, place, value, make_rig):
     assert attrgetter(place)(rig.effective()) == pytest.approx(value, rel=1e-12)
 
 
+def test_no_shift_is_applied_twice(make_rig):
+    effective = make_rig(effects=[{"name": "mass_shift", "factor": 1.3}]).effective()
+    assert effective.plant.moving_mass == pytest.approx(91.0)
+    assert not hasattr(effective, "effective")
+    assert effective.without_effects().effective().plant.moving_mass == effective.plant.moving_mass
+
+
 def test_two_shifts_add_up(make_rig):
     rig = make_rig(effects=[{"name": "mass_shift", "factor": 1.5}, {"name": "flexible_mode", "mass": 5.0, "taken": 1.0}])
     assert rig.effective().plant.moving_mass == pytest.approx(100.0)
@@ -163,7 +170,7 @@ def test_a_mass_taken_over_by_a_flexible_mode_weighs_what_it_did(make_rig):
     """At rest, where the mode pulls with nothing but the weight."""
     rig = make_rig(effects=[{"name": "flexible_mode", "mass": 20.0, "taken": 1.0}]).effective()
     force = EFFECTS.load("flexible_mode").force.py_func
-    p = np.array(rig.effects[0].parameters)
+    p = rig.effects[0].parameters
     pulled = force(0.0, 0.0, np.zeros(7), np.zeros(INPUTS), np.zeros(2), p, rig.plant)
     assert pulled - rig.plant.moving_mass * rig.plant.gravity == pytest.approx(-70.0 * 9.81)
 
@@ -177,7 +184,7 @@ def test_the_supply_loses_what_the_flow_through_the_valve_costs(resistance, quad
     droop = EFFECTS.load("supply_pressure_droop")
     y = np.zeros(7)
     y[PL], y[XV] = pressure, spool
-    p = np.array(droop.Parameters(resistance, quadratic))
+    p = droop.Parameters(resistance, quadratic)
     supply = droop.supply_pressure.py_func(7e6, 0.0, y, np.zeros(INPUTS), np.zeros(1), p, make_rig().plant)
     across = supply - math.copysign(1.0, spool) * pressure
     if math.copysign(1.0, spool) * pressure > 7e6:

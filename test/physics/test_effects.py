@@ -6,22 +6,25 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import get_args
 
 import numpy as np
 import pytest
 from rig_runs import PAPER_RIG, PERIOD
 
-from ehls_ros.physics.composition import effects_in_kernel, kernel_module, plant_source
+from ehls_ros.arrays import kernel
+from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects.base import HOOKS, Peak, Quantile, Share, Stage
-from ehls_ros.physics.plant import INPUTS
+from ehls_ros.physics.effects.base import HOOKS, Group, Peak, Quantile, Share
+from ehls_ros.physics.plant import INPUTS, Coefficients, U, system
 from ehls_ros.physics.rig import rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.simulator import parts_of
 from ehls_ros.schema import declarations
 from ehls_ros.trajectory import SIGNALS
 
 NAMES = EFFECTS.names()
-# The names users have in rig files and diagnoses, by stage.
+# The names users have in rig files and diagnoses, by group.
 CONTRACT = {
     "valve": """valve_dead_zone valve_null_bias valve_gain_asymmetry valve_gain_shift valve_saturation valve_bandwidth_shift
         valve_second_order valve_hysteresis command_delay""",
@@ -49,15 +52,15 @@ def uncompiled(tmp_path_factory):
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize("stage", CONTRACT)
-def test_the_names_promised_are_there(stage):
-    assert [name for name in CONTRACT[stage].split() if stage != EFFECTS.load(name).STAGE] == []
+@pytest.mark.parametrize("group", CONTRACT)
+def test_the_names_promised_are_there(group):
+    assert [name for name in CONTRACT[group].split() if group != EFFECTS.load(name).GROUP] == []
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_effect_says_what_it_is(name):
     effect = EFFECTS.load(name)
-    assert effect.STAGE in get_args(Stage)
+    assert effect.GROUP in get_args(Group)
     assert effect.EQUATION.strip()
     assert effect.SOURCE.strip()
     assert (effect.__doc__ or "").strip()
@@ -112,12 +115,12 @@ def test_the_ways_to_fit_an_effect_start_off_the_neutral_values_and_within_range
         for key, starts in form.free.items():
             for start in starts:
                 match start:
-                    case Share(signal, part):
+                    case Share(signal, fraction):
                         assert signal in SIGNALS
-                        assert part > 0.0
-                    case Quantile(signal, part):
+                        assert fraction > 0.0
+                    case Quantile(signal, fraction):
                         assert signal in SIGNALS
-                        assert 0.0 < part < 1.0
+                        assert 0.0 < fraction < 1.0
                     case Peak(rank):
                         assert rank >= 1
                     case _:
@@ -150,31 +153,35 @@ def test_a_rig_file_holds_an_effect(name, make_rig):
     assert rig_from_mapping(json.loads(json.dumps(written)), "rig") == rig
 
 
-_RATES = """
+def once(friction, elements, states, chains):
+    """Build one evaluation of the equations."""
+    evaluate, _ = system(friction, elements, chains)
 
-@njit(cache=True, error_model="numpy")
-def rates(t, y, mode, plant, friction, inputs, effects, rate):
-    return evaluate(t, y, mode, model.Coefficients(plant, friction, inputs, effects, inputs[model.U]), rate)
-"""
+    @kernel
+    def rates(t, y, mode, c, rate):
+        return evaluate(t, y, mode, c, rate)
+
+    return SimpleNamespace(rates=rates)
 
 
 def test_all_effects_compile_together_and_neutral_change_nothing(make_rig):
     """One evaluation of the equations: a whole integrator of all effects takes long to compile."""
     rigs = [make_rig(), make_rig(effects=[{"name": name} for name in NAMES])]
-    kernels = [kernel_module(plant_source(rig) + _RATES) for rig in rigs]
+    parts = [parts_of(rig) for rig in rigs]
+    kernels = [compiled(once, {"rates": "t, y, mode, c, rate"}, **part._asdict()) for part in parts]
     effective = [rig.effective() for rig in rigs]
-    settings = [np.array([value for use in effects_in_kernel(rig) for value in use.parameters]) for rig in rigs]
+    settings = [part.effects.parameters(rig.effects) for part, rig in zip(parts, rigs, strict=True)]
     random = np.random.default_rng(5)
     for _ in range(200):
         inputs = random.standard_normal(INPUTS) * [1e-3, 5e3, 1e4, 1e-2, 0.1, 10.0, 0.0, 0.0]
         inputs += [0.0, 0.0, 0.0, 0.0, 0.0, 313.15, 0.0, PERIOD]
         start = random.standard_normal(7) * [0.05, 0.1, 2e6, 1e-3, 300.0, 40.0, 40.0]
         answers = []
-        for kernel, rig, parameters in zip(kernels, effective, settings, strict=True):
-            y = np.concatenate([start, np.zeros(kernel.EFFECT_STATES)])
+        for module, part, rig, parameters in zip(kernels, parts, effective, settings, strict=True):
+            y = np.concatenate([start, np.zeros(part.numbers["states"])])
             rate, mode = np.empty(y.size), np.array([np.sign(start[3]), 0.0, 1.0, -1.0])
             given = [values.copy() for values in (y, inputs, parameters)]
-            event = kernel.rates(0.5, y, mode, rig.plant, rig.friction, inputs, parameters, rate)
+            event = module.rates(0.5, y, mode, Coefficients(rig.plant, rig.friction, inputs, parameters, inputs[U]), rate)
             answers.append([event, *rate[:7]])
             assert np.all(np.isfinite(rate))
             for values, before in zip((y, inputs, parameters), given, strict=True):

@@ -88,7 +88,7 @@ def test_free_play_leaves_the_piston_alone_around_the_middle(loose):
 def test_a_held_far_side_stays_where_it_is_until_the_play_is_taken_up():
     """The spring's force over the way out and back is a loop as wide as the gap."""
     backlash = EFFECTS.load("hinge_backlash")
-    p = np.array(backlash.Parameters(held_gap=0.01))
+    p = backlash.Parameters(held_gap=0.01)
     plant = type("Plant", (), {"spring_stiffness": 4e4})
     y, w, z, dz = np.zeros(7), np.zeros(INPUTS), np.zeros(backlash.STATES), np.zeros(backlash.STATES)
     path = np.concatenate([np.linspace(0.0, 0.05, 501), np.linspace(0.05, -0.05, 1001), np.linspace(-0.05, 0.05, 1001)])

@@ -50,5 +50,5 @@ def piston_rates(pushed: float, share: float, y: Array, speed: float, load_speed
 
 
 def without_piston(rig: Rig, share: float) -> Rig:
-    """Return the rig with the load's part of the moving mass."""
+    """Return the rig with the load's fraction of the moving mass."""
     return rig._replace(plant=rig.plant._replace(moving_mass=(1.0 - share) * rig.plant.moving_mass))

@@ -1,6 +1,6 @@
 """What an effect's file provides.
 
-Always: ``STAGE``, ``EQUATION``, ``SOURCE``, ``WORDS``; ``Parameters``, a named tuple whose defaults are the neutral
+Always: ``GROUP``, ``EQUATION``, ``SOURCE``, ``WORDS``; ``Parameters``, a named tuple whose defaults are the neutral
 values, those that change nothing; and ``forms(rig) -> tuple[Form, ...]``, the ways in which the effect is
 fitted to data. Then at least one of
 
@@ -25,16 +25,16 @@ hook                value
 ==================  =====================================================================
 
 Arguments: ``t`` time [s]; ``y`` the plant's state, ``w`` its inputs (indices in
-:mod:`ehls_ros.physics.plant`); ``z`` the effect's own states; ``p`` its parameters as a float array in
-their order; ``plant`` the rig's :class:`~ehls_ros.physics.parameters.Plant`, shifts worked in. A hook
-depends on nothing else and changes none of them. All effects share one kernel when data are judged, so a
-hook is cheap, and finite at the neutral values.
+:mod:`ehls_ros.physics.plant`); ``z`` the effect's own states; ``p`` its ``Parameters``; ``plant`` the
+effective rig's :class:`~ehls_ros.physics.parameters.Plant`. A hook depends on nothing else and changes none
+of them. A diagnosis compiles the hooks of all effects together, so a hook is cheap, and finite at the neutral
+values.
 
-An effect with own states says how many in ``STATES`` and has a compiled
+An effect with states of its own says how many in ``STATES`` and has a compiled
 ``derivatives(u, t, y, w, z, p, plant, dz)``; ``u`` is the command as it reaches the effect [m], after
 ``received`` and the ``command`` hooks before it. The states start at zero.
 
-What ``received`` returns stands still but for jumps; it is asked when a cycle begins and after each jump. An
+What ``received`` returns is constant between jumps; it is called when a cycle begins and after each jump. An
 effect with this hook says how far back it looks in ``REACH`` [s], and when the next jump comes with a
 compiled ``jump(t, w, p)``: the time after t [s], or infinity.
 
@@ -42,11 +42,11 @@ An effect that parts the load from the piston (play or elasticity between them) 
 state to the load, which everything of (3) but the pressure acts on; the piston's are states of its own, and what volume
 balance and sensors see. It has both ``piston`` hooks; its ``force`` puts what the piston hands on in the pressure's
 place; ``PISTON`` says which of its states is how far the piston is ahead of the load, the next being the piston's
-velocity; ``piston_share(parameters)`` returns the part of the moving mass that stays with the piston, zero where these
+velocity; ``piston_share(parameters)`` returns the fraction of the moving mass that stays with the piston, zero where these
 parameters part none, and ``shift`` takes it off. A rig has at most one effect that parts them.
 
 ``NEEDS`` names the signals (:data:`ehls_ros.trajectory.SIGNALS`) without which data cannot tell the effect;
-absent, it needs none beyond those of its stage.
+absent, it needs none beyond those of its group.
 """
 
 from collections.abc import Mapping
@@ -69,7 +69,8 @@ HOOKS = (
 )
 """The places in the model where an effect can act."""
 
-Stage = Literal["valve", "flow", "friction", "mechanics", "sensors", "environment"]
+Group = Literal["valve", "flow", "friction", "mechanics", "sensors", "environment"]
+"""What an effect changes: the heading it is listed under."""
 
 
 class Words(NamedTuple):
@@ -87,17 +88,17 @@ class Words(NamedTuple):
 
 
 class Share(NamedTuple):
-    """A part of a signal's largest magnitude in the data."""
+    """A fraction of a signal's largest magnitude in the data."""
 
     signal: str
-    part: float
+    fraction: float
 
 
 class Quantile(NamedTuple):
-    """The value that a part of a signal's samples in the data lies below."""
+    """The value that a fraction of a signal's samples in the data lies below."""
 
     signal: str
-    part: float
+    fraction: float
 
 
 class Peak(NamedTuple):
@@ -127,7 +128,7 @@ class Form(NamedTuple):
 class Effect(Protocol):
     """The attributes every effect's file has; the others named above are optional."""
 
-    STAGE: Stage
+    GROUP: Group
     EQUATION: str
     SOURCE: str
     WORDS: Words

@@ -4,20 +4,20 @@ import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import INPUTS, PERIOD, START
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "valve"
+GROUP: Group = "valve"
 EQUATION = "u(t) -> u(t - delay)"
 SOURCE = "Åström, Wittenmark, Computer-Controlled Systems, 1997: delays that are no whole number of periods"
 WORDS = Words("a delay of the command", check="time the path from controller to valve: cycle time, field bus, converter")
 REACH = 0.05
 
 ROUNDING = 1e-7
-"""Moments nearer to each other are one, as a part of the control period."""
+"""Moments nearer to each other are one, as a fraction of the control period."""
 
 
 class Parameters(NamedTuple):
@@ -27,17 +27,17 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def received(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def received(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Look up the command that was sent a delay ago."""
-    ago = math.ceil((p[0] - (t - w[START])) / w[PERIOD] - ROUNDING)
+    ago = math.ceil((p.delay - (t - w[START])) / w[PERIOD] - ROUNDING)
     known = w.size - INPUTS
     return w[INPUTS + min(ago, known) - 1] if ago > 0 and known > 0 else value
 
 
 @kernel
-def jump(t: float, w: Array, p: Array) -> float:
+def jump(t: float, w: Array, p: Parameters) -> float:
     """Return when the next command arrives of those sent so far."""
-    left = p[0] - (t - w[START])
+    left = p.delay - (t - w[START])
     if left <= ROUNDING * w[PERIOD]:
         return math.inf
     after = left - math.floor(left / w[PERIOD]) * w[PERIOD]

@@ -3,12 +3,12 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "environment"
+GROUP: Group = "environment"
 EQUATION = "F = force"
 SOURCE = "Kang et al. 2018, (3), with a constant more on its right side"
 WORDS = Words("a constant force", check="zero the load cell unloaded; look for weights, hoses and mountings under tension")
@@ -21,9 +21,9 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Push."""
-    return value + p[0]
+    return value + p.force
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -4,14 +4,14 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._level import raised
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.friction.base import sign
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "friction"
+GROUP: Group = "friction"
 EQUATION = "s(v) -> s(v) + offset sgn(v), at least 1 N; at standstill as it was"
 SOURCE = "Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models, ... machines with friction, Automatica 30, 1994"
 WORDS = Words(
@@ -27,9 +27,9 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Move the curve up one way and down the other."""
-    return raised(value, p[0] * sign(y[V]))
+    return raised(value, p.offset * sign(y[V]))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -4,11 +4,11 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects._friction import has, shifted
 from ehls_ros.physics.effects._level import LEAST
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "friction"
+GROUP: Group = "friction"
 SHIFTS = ("coulomb_force",)
 EQUATION = "s(v) -> s(v) + offset: Fc and Fs move together"
 SOURCE = "Olsson, Åström, Canudas de Wit, Gäfvert, Lischinsky, Friction Models and Friction Compensation, 1998"

@@ -3,13 +3,13 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V, X, servo_displacement, servo_velocity
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "environment"
+GROUP: Group = "environment"
 EQUATION = "F = stiffness (x_servo - x) + damping (v_servo - v)"
 SOURCE = "two masses on an elastic beam; Kang et al. 2018, Fig. 1"
 WORDS = Words(
@@ -27,9 +27,9 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Pull the loader toward the servo."""
-    return value + p[0] * (servo_displacement(t, w) - y[X]) + p[1] * (servo_velocity(w) - y[V])
+    return value + p.stiffness * (servo_displacement(t, w) - y[X]) + p.damping * (servo_velocity(w) - y[V])
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

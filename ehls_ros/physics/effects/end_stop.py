@@ -3,13 +3,13 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Quantile, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Quantile, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V, X
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "mechanics"
+GROUP: Group = "mechanics"
 EQUATION = "F = -(stiffness d max(1 + loss d', 0) + damping max(d', 0)), d > 0 the depth beyond upper; mirrored below lower"
 SOURCE = (
     "Gilardi, Sharf, Literature survey of contact dynamics modelling, Mechanism and Machine Theory 37, 2002: Kelvin-Voigt, "
@@ -28,19 +28,19 @@ class Parameters(NamedTuple):
     lower: Annotated[float, quantity("m", "position of the lower stop", minimum=-10.0, maximum=10.0)] = -10.0
     stiffness: Annotated[float, quantity("N/m", "stiffness of a stop", minimum=1e3, maximum=1e9)] = 1e7
     damping: Annotated[float, quantity("N s/m", "damping on the way into a stop", minimum=0.0, maximum=1e6)] = 1e4
-    loss: Annotated[float, quantity("s/m", "part of the stiffness by speed, in and out", minimum=0.0, maximum=100.0)] = 0.0
+    loss: Annotated[float, quantity("s/m", "change of the stiffness per speed, in and out", minimum=0.0, maximum=100.0)] = 0.0
 
 
 @kernel
-def push(depth: float, speed: float, p: Array) -> float:
+def push(depth: float, speed: float, p: Parameters) -> float:
     """Return what a stop pushes with, ``depth`` behind its face, at a speed into it [N]."""
-    return p[2] * depth * max(1.0 + p[4] * speed, 0.0) + p[3] * max(speed, 0.0) if depth > 0.0 else 0.0
+    return p.stiffness * depth * max(1.0 + p.loss * speed, 0.0) + p.damping * max(speed, 0.0) if depth > 0.0 else 0.0
 
 
 @kernel
-def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Push back."""
-    return value - push(y[X] - p[0], y[V], p) + push(p[1] - y[X], -y[V], p)
+    return value - push(y[X] - p.upper, y[V], p) + push(p.lower - y[X], -y[V], p)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

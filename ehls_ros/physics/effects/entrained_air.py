@@ -8,13 +8,13 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._chambers import ATMOSPHERE, chambers
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "flow"
+GROUP: Group = "flow"
 EQUATION = "1/βe -> 1/βe + fraction (p0/p)^(1/n)/(n p), p absolute, p0 atmospheric, n = 1.4"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 2: 1/βe = 1/βl + (Vg/Vt)/(n p), with Vg of a polytropic change"
 WORDS = Words(
@@ -27,24 +27,24 @@ POLYTROPIC = 1.4
 
 
 class Parameters(NamedTuple):
-    """Part of the volume that is air at atmospheric pressure."""
+    """Fraction of the volume that is air at atmospheric pressure."""
 
-    chambers: Annotated[float, quantity("1", "part of air in both chambers", minimum=0.0, maximum=0.2)] = 0.0
-    load: Annotated[float, quantity("1", "part of air in a volume pressed by |pL|", minimum=0.0, maximum=0.2)] = 0.0
+    chambers: Annotated[float, quantity("1", "fraction of air in both chambers", minimum=0.0, maximum=0.2)] = 0.0
+    load: Annotated[float, quantity("1", "fraction of air in a volume pressed by |pL|", minimum=0.0, maximum=0.2)] = 0.0
 
 
 @kernel
 def compliance(gauge: float) -> float:
-    """Return what a part of air adds to the compliance at a gauge pressure [1/Pa]."""
+    """Return what a fraction of air adds to the compliance at a gauge pressure [1/Pa]."""
     pressure = ATMOSPHERE + gauge
     return (ATMOSPHERE / pressure) ** (1.0 / POLYTROPIC) / (POLYTROPIC * pressure)
 
 
 @kernel
-def bulk_modulus(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def bulk_modulus(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Put the air beside the oil."""
     first, second = chambers(y, plant)
-    air = p[0] * 0.5 * (compliance(first) + compliance(second)) + p[1] * compliance(abs(y[PL]))
+    air = p.chambers * 0.5 * (compliance(first) + compliance(second)) + p.load * compliance(abs(y[PL]))
     return value / (1.0 + value * air)
 
 

@@ -4,12 +4,12 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._chambers import chambers
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "flow"
+GROUP: Group = "flow"
 EQUATION = "leakage -> leakage + ((first + each) p1 - (second + each) p2)/2,  p1,2 = (ps ± pL)/2"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 6: external leakage in the volume balances of both chambers"
 WORDS = Words("a leakage to the outside", check="look for oil at the rod seals, fittings and drain lines")
@@ -24,10 +24,10 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Add half the difference of what both lose, as (2) is half the sum of both balances."""
     first, second = chambers(y, plant)
-    return value + 0.5 * ((p[0] + p[2]) * first - (p[1] + p[2]) * second)
+    return value + 0.5 * ((p.first + p.each) * first - (p.second + p.each) * second)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -1,9 +1,9 @@
 """A mass on a spring of its own: what is bolted to the piston does not move as one piece.
 
-States: how far the mass is ahead of the piston (from where its weight leaves it), and its velocity. Part of the mass may
-be counted already in the rig file's moving mass; that part is taken off there, and its weight, which the spring still
+States: how far the mass is ahead of the piston (from where its weight leaves it), and its velocity. Some of the mass may
+be counted already in the rig file's moving mass; that much is taken off there, and its weight, which the spring still
 carries, put back. What loads the piston, spring and disturbance, may act on that mass instead, as where a beam gives way
-between cylinder and load. With ``piston_share`` friction and damping do so as well: but for a part of the mass, all of
+between cylinder and load. With ``piston_share`` friction and damping do so as well: but for a fraction of the mass, all of
 the load is behind the elasticity, and the piston itself is what is ahead of it.
 """
 
@@ -12,13 +12,13 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._parted import contact, handed_on, piston_rates, without_piston
-from ehls_ros.physics.effects.base import Form, Peak, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Peak, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V, X, disturbance_force
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "mechanics"
+GROUP: Group = "mechanics"
 EQUATION = (
     "r' = v2 - v,  v2' = -(ω² r + 2 ζ ω r') - loaded (ks (x + r) + fd)/mass,  ω = 2π frequency;  m0 -> m0 - taken mass;  "
     "F = mass (ω² r + 2 ζ ω r') + loaded (ks x + fd);  with piston_share (3) holds for the load (x, v) of ml = m0 - mp, "
@@ -36,7 +36,7 @@ LEAST_MASS = 0.1
 """Mass below which a load on it is not told from one on the piston [kg]."""
 
 SMALLEST = 0.01
-"""Part of the moving mass that always stays with the piston."""
+"""Fraction of the moving mass that always stays with the piston."""
 
 
 class Parameters(NamedTuple):
@@ -45,10 +45,11 @@ class Parameters(NamedTuple):
     mass: Annotated[float, quantity("kg", "mass that is not rigidly with the piston", minimum=0.0, maximum=1e4)] = 0.0
     frequency: Annotated[float, quantity("Hz", "natural frequency on a piston held", minimum=0.1, maximum=400.0)] = 10.0
     damping: Annotated[float, quantity("1", "damping ratio on a piston held", minimum=0.0, maximum=1.0)] = 0.02
-    loaded: Annotated[float, quantity("1", "part of spring and disturbance that act on it", minimum=0.0, maximum=1.0)] = 0.0
-    taken: Annotated[float, quantity("1", "part of it that the moving mass counts already", minimum=0.0, maximum=1.0)] = 0.0
+    loaded: Annotated[float, quantity("1", "fraction of spring and disturbance that act on it", minimum=0.0, maximum=1.0)] = 0.0
+    taken: Annotated[float, quantity("1", "fraction of it that the moving mass counts already", minimum=0.0, maximum=1.0)] = 0.0
     piston_share: Annotated[
-        float, quantity("1", "part of the moving mass that stays with the piston, all else behind", minimum=0.0, maximum=0.9)
+        float,
+        quantity("1", "fraction of the moving mass on the piston, the rest behind", minimum=0.0, maximum=0.9),
     ] = 0.0
 
 
@@ -61,55 +62,55 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def piston_share(parameters: Parameters) -> float:
-    """Return the part of the moving mass that stays with the piston."""
+    """Return the fraction of the moving mass that stays with the piston."""
     return parameters.piston_share
 
 
 @kernel
-def pull(velocity: float, z: Array, p: Array) -> float:
+def pull(velocity: float, z: Array, p: Parameters) -> float:
     """Return what the spring pulls the piston with per mass [m/s^2]."""
-    omega = 2.0 * math.pi * p[1]
-    return omega * (omega * z[0] + 2.0 * p[2] * (z[1] - velocity))
+    omega = 2.0 * math.pi * p.frequency
+    return omega * (omega * z[0] + 2.0 * p.damping * (z[1] - velocity))
 
 
 @kernel
-def pushed(y: Array, z: Array, p: Array, plant: Plant) -> float:
+def pushed(y: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Return the force by which the piston pushes the load [N]."""
-    omega = 2.0 * math.pi * p[1]
+    omega = 2.0 * math.pi * p.frequency
     mass = plant.moving_mass
-    return contact(z[0], z[1] - y[V], 0.0, 0.0, mass * omega * omega, 2.0 * p[2] * omega * mass)
+    return contact(z[0], z[1] - y[V], 0.0, 0.0, mass * omega * omega, 2.0 * p.damping * omega * mass)
 
 
 @kernel
-def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Pull the piston, carry the weight taken off the moving mass, take off it what loads the far mass; or push the load."""
-    if p[5] > 0.0:
-        return handed_on(value, pushed(y, z, p, plant), p[5], y, plant)
-    far = p[3] * (plant.spring_stiffness * y[X] + disturbance_force(t, w))
-    return value + p[0] * (pull(y[V], z, p) - p[4] * plant.gravity) + far
+    if p.piston_share > 0.0:
+        return handed_on(value, pushed(y, z, p, plant), p.piston_share, y, plant)
+    far = p.loaded * (plant.spring_stiffness * y[X] + disturbance_force(t, w))
+    return value + p.mass * (pull(y[V], z, p) - p.taken * plant.gravity) + far
 
 
 @kernel
-def piston_position(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def piston_position(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Return where the piston is."""
-    return value + z[0] if p[5] > 0.0 else value
+    return value + z[0] if p.piston_share > 0.0 else value
 
 
 @kernel
-def piston_velocity(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def piston_velocity(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Return how fast the piston moves."""
-    return z[1] if p[5] > 0.0 else value
+    return z[1] if p.piston_share > 0.0 else value
 
 
 @kernel
-def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
+def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant, dz: Array) -> None:
     """Move the mass, or the piston."""
-    if p[5] > 0.0:
-        piston_rates(pushed(y, z, p, plant), p[5], y, z[1], y[V], plant, dz)
+    if p.piston_share > 0.0:
+        piston_rates(pushed(y, z, p, plant), p.piston_share, y, z[1], y[V], plant, dz)
         return
     dz[0] = z[1] - y[V]
-    load = p[3] * (plant.spring_stiffness * (y[X] + z[0]) + disturbance_force(t, w))
-    dz[1] = -pull(y[V], z, p) - load / max(p[0], LEAST_MASS)
+    load = p.loaded * (plant.spring_stiffness * (y[X] + z[0]) + disturbance_force(t, w))
+    dz[1] = -pull(y[V], z, p) - load / max(p.mass, LEAST_MASS)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

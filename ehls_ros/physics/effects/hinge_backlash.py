@@ -11,13 +11,13 @@ from typing import Annotated, NamedTuple
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._parted import contact, handed_on, piston_rates, without_piston
 from ehls_ros.physics.effects._play import RATE, dead_zone, dragged
-from ehls_ros.physics.effects.base import Form, Share, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Share, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V, X
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "mechanics"
+GROUP: Group = "mechanics"
 EQUATION = (
     "ks x -> ks dz(r, ±gap/2), r dragged by x with a play of held_gap;  with load_gap (3) holds for the load (x, v), "
     "with A pL -> F, mp vp' = A pL - F, mp = piston_share m0, F = contact of stiffness and damping beyond |xp - x| = load_gap/2"
@@ -38,12 +38,12 @@ class Parameters(NamedTuple):
     held_gap: Annotated[float, quantity("m", "free play, far side held where it is", minimum=0.0, maximum=0.1)] = 0.0
     load_gap: Annotated[float, quantity("m", "free play, all of the load on the far side", minimum=0.0, maximum=0.1)] = 0.0
     piston_share: Annotated[
-        float, quantity("1", "part of the moving mass on the piston's side of load_gap", minimum=0.05, maximum=0.9)
+        float, quantity("1", "fraction of the moving mass on the piston's side of load_gap", minimum=0.05, maximum=0.9)
     ] = 0.2
     stiffness: Annotated[float, quantity("N/m", "stiffness of the faces of load_gap", minimum=1e5, maximum=5e8)] = 1e8
     damping: Annotated[float, quantity("N s/m", "damping of the faces of load_gap", minimum=0.0, maximum=1e6)] = 3e4
     rounding: Annotated[
-        float, quantity("1", "part of load_gap over which its faces come to bear", minimum=0.0, maximum=0.2)
+        float, quantity("1", "fraction of load_gap over which its faces come to bear", minimum=0.0, maximum=0.2)
     ] = 0.1
 
 
@@ -53,43 +53,43 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def piston_share(parameters: Parameters) -> float:
-    """Return the part of the moving mass on the piston's side."""
+    """Return the fraction of the moving mass on the piston's side."""
     return parameters.piston_share if parameters.load_gap > 0.0 else 0.0
 
 
 @kernel
-def pushed(y: Array, z: Array, p: Array) -> float:
+def pushed(y: Array, z: Array, p: Parameters) -> float:
     """Return the force across the hinge [N]."""
-    return contact(z[1], z[2] - y[V], p[2], p[6] * p[2], p[4], p[5])
+    return contact(z[1], z[2] - y[V], p.load_gap, p.rounding * p.load_gap, p.stiffness, p.damping)
 
 
 @kernel
-def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Replace the spring of (3) by the one behind the play; push the load by the hinge."""
-    bent = dead_zone(dragged(z[0], y[X], p[1]), -0.5 * p[0], 0.5 * p[0])
+    bent = dead_zone(dragged(z[0], y[X], p.held_gap), -0.5 * p.gap, 0.5 * p.gap)
     total = value + plant.spring_stiffness * (y[X] - bent)
-    return handed_on(total, pushed(y, z, p), p[3], y, plant) if p[2] > 0.0 else total
+    return handed_on(total, pushed(y, z, p), p.piston_share, y, plant) if p.load_gap > 0.0 else total
 
 
 @kernel
-def piston_position(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def piston_position(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Return where the piston is."""
-    return value + z[1] if p[2] > 0.0 else value
+    return value + z[1] if p.load_gap > 0.0 else value
 
 
 @kernel
-def piston_velocity(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def piston_velocity(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Return how fast the piston moves."""
-    return z[2] if p[2] > 0.0 else value
+    return z[2] if p.load_gap > 0.0 else value
 
 
 @kernel
-def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
+def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant, dz: Array) -> None:
     """Remember where the far side was dragged to; move the piston."""
-    dz[0] = RATE * (dragged(z[0], y[X], p[1]) - z[0])
+    dz[0] = RATE * (dragged(z[0], y[X], p.held_gap) - z[0])
     dz[1] = dz[2] = 0.0
-    if p[2] > 0.0:
-        piston_rates(pushed(y, z, p), p[3], y, z[2], y[V], plant, dz[1:])
+    if p.load_gap > 0.0:
+        piston_rates(pushed(y, z, p), p.piston_share, y, z[2], y[V], plant, dz[1:])
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -2,11 +2,11 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "flow"
+GROUP: Group = "flow"
 EQUATION = "Ctc -> Ctc + added, at least 0"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 6: leakage across the piston"
 WORDS = Words(

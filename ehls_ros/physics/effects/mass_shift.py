@@ -2,11 +2,11 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "mechanics"
+GROUP: Group = "mechanics"
 EQUATION = "m0 -> factor m0"
 SOURCE = "Kang et al. 2018, (3)"
 WORDS = Words("the moving mass", lacking=False, check="weigh what moves, fixtures and oil included")

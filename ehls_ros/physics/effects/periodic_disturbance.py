@@ -4,12 +4,12 @@ import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Peak, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Peak, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "environment"
+GROUP: Group = "environment"
 EQUATION = "F = sine sin(2π frequency t) + cosine cos(2π frequency t)"
 SOURCE = "Bodson, Sacks, Khosla, Harmonic generation in adaptive feedforward cancellation schemes, IEEE TAC 39, 1994"
 WORDS = Words("a periodic force", check="compare its frequency with the pump's and with machines nearby; stop them one by one")
@@ -24,10 +24,10 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Push."""
-    angle = 2.0 * math.pi * p[2] * t
-    return value + p[0] * math.sin(angle) + p[1] * math.cos(angle)
+    angle = 2.0 * math.pi * p.frequency * t
+    return value + p.sine * math.sin(angle) + p.cosine * math.cos(angle)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -5,13 +5,13 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._level import raised
-from ehls_ros.physics.effects.base import Form, Share, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Share, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import X
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "friction"
+GROUP: Group = "friction"
 EQUATION = "s -> s + slope x + curvature x² + sine sin(2π x/wavelength) + cosine cos(2π x/wavelength), at least 1 N"
 SOURCE = "Armstrong-Hélouvry, Control of Machines with Friction, 1991: position-dependent friction"
 WORDS = Words(
@@ -31,10 +31,10 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Move the curve with the position."""
-    angle = 2.0 * math.pi * y[X] / p[4]
-    return raised(value, (p[0] + p[1] * y[X]) * y[X] + p[2] * math.sin(angle) + p[3] * math.cos(angle))
+    angle = 2.0 * math.pi * y[X] / p.wavelength
+    return raised(value, (p.slope + p.curvature * y[X]) * y[X] + p.sine * math.sin(angle) + p.cosine * math.cos(angle))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

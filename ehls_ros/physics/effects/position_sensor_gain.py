@@ -3,11 +3,11 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects._sensor import with_sensors
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "sensors"
+GROUP: Group = "sensors"
 EQUATION = "x,read = gain x"
 SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: sensitivity"
 WORDS = Words(

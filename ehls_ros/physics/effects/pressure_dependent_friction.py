@@ -5,13 +5,13 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._level import raised
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "friction"
+GROUP: Group = "friction"
 EQUATION = "s(v) -> s(v) + slope (√(pL² + onset²) - onset), slope |pL| far beyond the onset; at least 1 N"
 SOURCE = (
     "Bonchis, Corke, Rye, A pressure-based, velocity independent, friction model for asymmetric hydraulic cylinders, ICRA 1999"
@@ -30,9 +30,9 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Move the curve with the pressure."""
-    return raised(value, p[0] * (math.hypot(y[PL], p[1]) - p[1]))
+    return raised(value, p.slope * (math.hypot(y[PL], p.onset) - p.onset))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -3,12 +3,12 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects._sensor import with_sensors
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "sensors"
+GROUP: Group = "sensors"
 EQUATION = "time_constant p' = pL - p; a lag the sensor has already is lengthened by it"
 SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: first-order instruments"
 WORDS = Words("a lag of the load pressure sensor", check="bleed the sensors' lines; check the filter of their amplifiers")

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects._sensor import with_sensors
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "sensors"
+GROUP: Group = "sensors"
 EQUATION = "read(t) = true(t - delay)"
 SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: dead-time elements"
 WORDS = Words("a delay of a sensor", check="sample all channels at one moment, or record their own time stamps")

@@ -3,13 +3,13 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import X
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "mechanics"
+GROUP: Group = "mechanics"
 EQUATION = "ks x -> ks x + cubic x³"
 SOURCE = "Kovacic, Brennan, The Duffing Equation, 2011"
 WORDS = Words(
@@ -25,9 +25,9 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Add the cubic part, against the displacement."""
-    return value - p[0] * y[X] * y[X] * y[X]
+    return value - p.cubic * y[X] * y[X] * y[X]
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -3,11 +3,11 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects._friction import has, shifted
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "friction"
+GROUP: Group = "friction"
 SHIFTS = ("stribeck_velocity",)
 EQUATION = "Fs -> Fs + static_offset, at least Fc;  Vs -> velocity_factor Vs;  δ -> exponent_factor δ, at most 4"
 SOURCE = "Kang et al. 2018, (7); Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30, 1994"

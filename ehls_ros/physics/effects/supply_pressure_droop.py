@@ -8,13 +8,13 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._play import RATE
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL, XV
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "flow"
+GROUP: Group = "flow"
 EQUATION = "ps -> ps - loss, at least 0;  loss = resistance |QL| + quadratic QL², at once or behind a first-order lag"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 3: pressure lost in laminar and turbulent flow; ch. 11: supplies"
 WORDS = Words(
@@ -46,23 +46,23 @@ def drop(supply: float, y: Array) -> float:
 
 
 @kernel
-def supply_pressure(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def supply_pressure(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Take the loss off: where it comes at once, QL² = conductance (drop - loss(QL)) is a quadratic equation."""
-    if p[2] > 0.0:
+    if p.time_constant > 0.0:
         loss = z[0]
     else:
         squared = conductance(y, plant)
-        a, b = 1.0 + squared * p[1], squared * p[0]
+        a, b = 1.0 + squared * p.quadratic, squared * p.resistance
         flow = (math.sqrt(b * b + 4.0 * a * squared * drop(value, y)) - b) / (2.0 * a)
-        loss = (p[0] + p[1] * flow) * flow
+        loss = (p.resistance + p.quadratic * flow) * flow
     return max(value - loss, 0.0)
 
 
 @kernel
-def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
+def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant, dz: Array) -> None:
     """Follow the loss that the present flow has in the end."""
     squared = conductance(y, plant) * drop(plant.supply_pressure - z[0], y)
-    dz[0] = (p[0] * math.sqrt(squared) + p[1] * squared - z[0]) / max(p[2], 1.0 / RATE)
+    dz[0] = (p.resistance * math.sqrt(squared) + p.quadratic * squared - z[0]) / max(p.time_constant, 1.0 / RATE)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -5,13 +5,13 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._level import raised
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import TEMPERATURE, V
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "friction"
+GROUP: Group = "friction"
 EQUATION = "s(v) -> s(v) + a (T - T0), at least 1 N;  Ff -> Ff + (b (T - T0) + σ (exp(-c (T - T0)) - 1)) v"
 SOURCE = "Simoni, Beschi, Legnani, Visioli, Modelling the temperature in joint friction of industrial manipulators, 2019"
 WORDS = Words(
@@ -40,16 +40,16 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Move the Stribeck curve."""
-    return raised(value, p[0] * (w[TEMPERATURE] - p[4]))
+    return raised(value, p.coulomb_slope * (w[TEMPERATURE] - p.reference_temperature))
 
 
 @kernel
-def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Add the change of the viscous part; friction acts against +x."""
-    warmer = w[TEMPERATURE] - p[4]
-    return value - (p[1] * warmer + p[2] * (math.exp(-p[3] * warmer) - 1.0)) * y[V]
+    warmer = w[TEMPERATURE] - p.reference_temperature
+    return value - (p.viscous_slope * warmer + p.thinning_part * (math.exp(-p.thinning_rate * warmer) - 1.0)) * y[V]
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -4,13 +4,13 @@ import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "flow"
+GROUP: Group = "flow"
 EQUATION = "leakage -> leakage + coefficient pL / (pL² + transition²)^(1/4), which is coefficient sgn(pL) √|pL| from there on"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 3: turbulent flow through an orifice"
 WORDS = Words(
@@ -31,10 +31,10 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Add what passes."""
-    scale = math.sqrt(math.hypot(y[PL], p[1]))
-    return value + (p[0] * y[PL] / scale if scale > 0.0 else 0.0)
+    scale = math.sqrt(math.hypot(y[PL], p.transition))
+    return value + (p.coefficient * y[PL] / scale if scale > 0.0 else 0.0)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -4,12 +4,12 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._play import dead_zone, ramp
-from ehls_ros.physics.effects.base import Form, Share, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Share, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "valve"
+GROUP: Group = "valve"
 EQUATION = (
     "xv,eff = xv - min(max(xv, -negative), positive); corners as c ln(1 + exp(d/c)), d beyond them, "
     "c = rounding (positive + negative)/2"
@@ -27,17 +27,17 @@ class Parameters(NamedTuple):
     positive: Annotated[float, quantity("m", "overlap on the positive side", minimum=0.0, maximum=5e-3)] = 0.0
     negative: Annotated[float, quantity("m", "overlap on the negative side", minimum=0.0, maximum=5e-3)] = 0.0
     rounding: Annotated[
-        float, quantity("1", "part of the mean overlap over which the lands' worn edges open", minimum=0.0, maximum=1.0)
+        float, quantity("1", "fraction of the mean overlap over which the lands' worn edges open", minimum=0.0, maximum=1.0)
     ] = 0.0
 
 
 @kernel
-def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Take the overlap off."""
-    corner = 0.5 * p[2] * (p[0] + p[1])
+    corner = 0.5 * p.rounding * (p.positive + p.negative)
     if corner <= 0.0:
-        return dead_zone(value, -p[1], p[0])
-    return ramp(value - p[0], corner) - ramp(-value - p[1], corner)
+        return dead_zone(value, -p.negative, p.positive)
+    return ramp(value - p.positive, corner) - ramp(-value - p.negative, corner)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -3,12 +3,12 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "valve"
+GROUP: Group = "valve"
 EQUATION = "u -> (1 + command_±) u,  xv,eff = (1 + opening_±) xv,  by the sign of u and of xv"
 SOURCE = "Jelali, Kroll, Hydraulic Servo-systems, 2003: flow gains of a servo valve that differ by direction"
 WORDS = Words(
@@ -27,15 +27,15 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def command(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Scale the command."""
-    return value * (1.0 + (p[0] if value > 0.0 else p[1]))
+    return value * (1.0 + (p.command_positive if value > 0.0 else p.command_negative))
 
 
 @kernel
-def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Scale the opening."""
-    return value * (1.0 + (p[2] if value > 0.0 else p[3]))
+    return value * (1.0 + (p.opening_positive if value > 0.0 else p.opening_negative))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

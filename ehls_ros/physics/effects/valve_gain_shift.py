@@ -2,11 +2,11 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "valve"
+GROUP: Group = "valve"
 EQUATION = "Kv -> gain Kv;  Cd -> flow_gain Cd"
 SOURCE = "Kang et al. 2018, (1) and (4)"
 WORDS = Words(

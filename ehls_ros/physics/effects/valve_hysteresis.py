@@ -4,12 +4,12 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._play import RATE, dragged
-from ehls_ros.physics.effects.base import Form, Share, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Share, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "valve"
+GROUP: Group = "valve"
 EQUATION = (
     "u -> mean of ri, plays in parallel: ri stands still while |u - ri| < wi/2 and else is dragged along at that distance; "
     "wi = width (1 - 3/4 spread), (1 - 1/4 spread), (1 + 1/4 spread), (1 + 3/4 spread)"
@@ -35,13 +35,13 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def width_of(play: int, p: Array) -> float:
+def width_of(play: int, p: Parameters) -> float:
     """Return the width of one of the plays [m]."""
-    return p[0] * (1.0 + p[1] * (0.5 * play - 0.75))
+    return p.width * (1.0 + p.spread * (0.5 * play - 0.75))
 
 
 @kernel
-def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def command(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Drag the command after itself."""
     total = 0.0
     for play in range(STATES):
@@ -50,7 +50,7 @@ def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plan
 
 
 @kernel
-def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
+def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant, dz: Array) -> None:
     """Remember where it was dragged to."""
     for play in range(STATES):
         dz[play] = RATE * (dragged(z[play], u, width_of(play, p)) - z[play])

@@ -3,12 +3,12 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "valve"
+GROUP: Group = "valve"
 EQUATION = "u -> u + command;  xv,eff = xv + opening"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 7: null shift of servo valves"
 WORDS = Words(
@@ -25,15 +25,15 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def command(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Shift the command."""
-    return value + p[0]
+    return value + p.command
 
 
 @kernel
-def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Shift the lands."""
-    return value + p[1]
+    return value + p.opening
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

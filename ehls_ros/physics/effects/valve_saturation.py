@@ -4,12 +4,12 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._play import clamp
-from ehls_ros.physics.effects.base import Form, Share, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Share, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "valve"
+GROUP: Group = "valve"
 EQUATION = "u -> min(max(u, -command_limit), command_limit);  xv,eff likewise with opening_limit"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 10: saturation"
 WORDS = Words(
@@ -26,15 +26,15 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def command(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Cut the command off."""
-    return clamp(value, -p[0], p[0])
+    return clamp(value, -p.command_limit, p.command_limit)
 
 
 @kernel
-def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Cut the opening off."""
-    return clamp(value, -p[1], p[1])
+    return clamp(value, -p.opening_limit, p.opening_limit)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -6,12 +6,12 @@ The command that (4) is given is such that its spool is Kv q, the second-order a
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "valve"
+GROUP: Group = "valve"
 EQUATION = "q'' = ωn² (u - q) - 2 ζ ωn q';  u -> q + q'/ωv, with which (4) has the solution xv = Kv q"
 SOURCE = "Thayer, Transfer functions for Moog servovalves, Moog Technical Bulletin 103, 1958"
 WORDS = Words(
@@ -29,16 +29,16 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def command(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def command(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Undo the first order for the second."""
-    return z[0] + z[1] / plant.valve_bandwidth if p[0] > 0.0 else value
+    return z[0] + z[1] / plant.valve_bandwidth if p.natural_frequency > 0.0 else value
 
 
 @kernel
-def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
+def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant, dz: Array) -> None:
     """Move q and its rate."""
     dz[0] = z[1]
-    dz[1] = p[0] * (p[0] * (u - z[0]) - 2.0 * p[1] * z[1])
+    dz[1] = p.natural_frequency * (p.natural_frequency * (u - z[0]) - 2.0 * p.damping * z[1])
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

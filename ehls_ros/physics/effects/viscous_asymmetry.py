@@ -3,13 +3,13 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "friction"
+GROUP: Group = "friction"
 EQUATION = "Ff -> Ff + asymmetry |v|: σf + asymmetry toward +x, σf - asymmetry toward -x"
 SOURCE = "Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models, ... machines with friction, Automatica 30, 1994"
 WORDS = Words(
@@ -27,9 +27,9 @@ class Parameters(NamedTuple):
 
 
 @kernel
-def force(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Add the difference; friction acts against +x."""
-    return value - p[0] * abs(y[V])
+    return value - p.asymmetry * abs(y[V])
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -3,11 +3,11 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects._friction import has, shifted
-from ehls_ros.physics.effects.base import Form, Stage, Words
+from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
-STAGE: Stage = "friction"
+GROUP: Group = "friction"
 SHIFTS = ("viscous_coefficient",)
 EQUATION = "σf -> σf + added, at least 0"
 SOURCE = "Kang et al. 2018, (5)"

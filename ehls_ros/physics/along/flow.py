@@ -1,0 +1,27 @@
+"""The terms of the volume balance (2) along a recording."""
+
+from collections.abc import Callable
+
+from ehls_ros.arrays import Array, lean
+from ehls_ros.physics.along.base import Sampled, sampled
+from ehls_ros.physics.plant import PL, Chains, Coefficients, Relations
+
+
+def build(states: int, chains: Chains) -> Sampled:
+    """Build the part; see :func:`~ehls_ros.physics.along.base.sampled`.
+
+    Its columns: load flow [m^3/s], leakage in all [m^3/s], bulk modulus [Pa], supply pressure [Pa].
+    """
+    return sampled(states, chains, _written)
+
+
+def _written(equations: Relations) -> Callable[..., None]:
+    opened, volume = equations.opened, equations.volume
+
+    @lean
+    def write(t: float, y: Array, z: Array, c: Coefficients, row: Array) -> None:
+        opening = opened(t, y, z, c)
+        flow, leak, modulus, supply = volume(opening, 1.0 if opening >= 0.0 else -1.0, t, y, z, c)
+        row[0], row[1], row[2], row[3] = flow, c.plant.leakage_coefficient * y[PL] + leak, modulus, supply
+
+    return write

@@ -1,0 +1,22 @@
+"""The force of effects beyond (3) along a recording."""
+
+from collections.abc import Callable
+
+from ehls_ros.arrays import Array, lean
+from ehls_ros.physics.along.base import Sampled, sampled
+from ehls_ros.physics.plant import Chains, Coefficients, Relations
+
+
+def build(states: int, chains: Chains) -> Sampled:
+    """Build the part; see :func:`~ehls_ros.physics.along.base.sampled`. Its one column is the force along +x [N]."""
+    return sampled(states, chains, _written)
+
+
+def _written(equations: Relations) -> Callable[..., None]:
+    extra = equations.extra
+
+    @lean
+    def write(t: float, y: Array, z: Array, c: Coefficients, row: Array) -> None:
+        row[0] = extra(t, y, z, c)
+
+    return write
