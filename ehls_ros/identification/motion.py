@@ -4,6 +4,7 @@ Identification needs the position and the driving force; velocity and accelerati
 cubic fit of the position, because a rig has no sensor for them.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,15 @@ from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import GAUSS, Mask, inliers, noise
 from ehls_ros.trajectory import Trajectory
+
+BLOCK_LENGTHS, BLOCKS = (0.005, 0.01, 0.02, 0.05, 0.1), 100_000
+"""Lengths of a block [s], and how many blocks all recordings together have at most, as far as the longest length allows."""
+
+BRANCH_BLOCKS, LONGEST_FINE = 80, 0.02
+"""Blocks between two turns that resolve the hysteresis loop, and the longest such block [s]."""
+
+SLOW, CLEAR = 0.1, 0.01
+"""The velocity of a block is clear if its noise is below this fraction of the slowest tenth of the velocities."""
 
 WINDOW = 9
 """Blocks a local fit spans."""
@@ -94,6 +104,57 @@ class Motion(NamedTuple):
         begins[self.turns] = True
         begins[0] = False
         return np.cumsum(begins)
+
+
+def motions_of(recordings: Mapping[str, Trajectory], rig: Rig) -> tuple[Motion, ...]:
+    """Bring recordings into blocks, short ones for presliding and longer ones for wide strokes.
+
+    Args:
+        recordings: by a name for errors.
+        rig: as in :func:`prepare`.
+
+    Raises:
+        BadInput: as in :func:`prepare`.
+    """
+    total = sum(float(t.time_s[-1] - t.time_s[0]) for t in recordings.values() if len(t) > 1)
+    shortest = min(total / BLOCKS, BLOCK_LENGTHS[-1])
+    return tuple(prepare(t, rig, name, block_length(t, shortest)) for name, t in recordings.items())
+
+
+def _travel(trajectory: Trajectory) -> float:
+    """Return the range of the position without stray samples [m]."""
+    position = trajectory.signals.get("position_m", np.zeros(1))
+    position = position[np.isfinite(position)]
+    return float(np.ptp(np.quantile(position, [0.01, 0.99]))) if position.size else 0.0
+
+
+def block_length(trajectory: Trajectory, shortest: float) -> float:
+    """Return the shortest block in which the velocity is clear of the position's noise [s].
+
+    Args:
+        trajectory: the recording.
+        shortest: lower limit for wide strokes [s].
+    """
+    position = trajectory.signals.get("position_m", np.zeros(0))
+    position = position[np.isfinite(position)]
+    if len(position) < 100:
+        return BLOCK_LENGTHS[0]
+    sample = float(np.median(np.diff(trajectory.time_s)))
+    stride = max(1, round(BLOCK_LENGTHS[-1] / sample))
+    speed = np.abs(np.diff(position[::stride])) / (stride * sample)
+    if _travel(trajectory) < SMALL_TRAVEL:
+        passes = np.count_nonzero(np.diff(position[::stride] > np.median(position)))
+        branch = (trajectory.time_s[-1] - trajectory.time_s[0]) / max(1, passes)
+        fine = [length for length in BLOCK_LENGTHS if branch >= BRANCH_BLOCKS * length and length <= LONGEST_FINE]
+        return max(fine[-1] if fine else BLOCK_LENGTHS[0], sample)
+    moving = speed[speed > 0.1 * np.median(speed)]
+    slow = float(np.quantile(moving, SLOW)) if moving.size else 0.0
+    per_sample = noise(position)
+    for length in BLOCK_LENGTHS:
+        block = max(length, sample)
+        if length >= shortest and slope_noise(per_sample / np.sqrt(block / sample), block) < CLEAR * slow:
+            return block
+    return max(BLOCK_LENGTHS[-1], sample)
 
 
 def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motion:

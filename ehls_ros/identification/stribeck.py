@@ -119,6 +119,14 @@ def residuals(x: Array, data: Data, out: Array) -> None:
         out[k] = data.weight[k] * (data.force[k] - viscous * data.velocity[k] - data.direction[k] * level)  # (20)
 
 
+def steady_force(velocity: Array, friction: StaticFriction) -> Array:
+    """Return the steady friction force (9) at velocities other than zero, shape (n,) [N]; sigma_f only, without B0."""
+    decay = np.exp(-((np.abs(velocity) / friction.stribeck_velocity) ** friction.stribeck_exponent))
+    level = friction.coulomb_force + (friction.static_force - friction.coulomb_force) * decay  # (7)
+    force: Array = np.sign(velocity) * level + friction.viscous_coefficient * velocity
+    return force
+
+
 def problem(velocity: Array, force: Array, weight: Array | None = None, viscous_damping: float = 0.0) -> Problem:
     """Pose the fit of the steady friction.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ehls_ros.estimate import Estimate
-from ehls_ros.identification.identify import Identification
+from ehls_ros.identification.result import Identification
 from ehls_ros.physics.rig import Rig
 from ehls_ros.report import identification_figures as drawn
 from ehls_ros.report import identification_findings as findings

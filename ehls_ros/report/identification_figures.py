@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
-from ehls_ros.identification.gms_force import linear_columns
-from ehls_ros.identification.identify import Identification
+from ehls_ros.identification.balance import linear_columns
 from ehls_ros.identification.joint import JointFit
 from ehls_ros.identification.motion import Motion
+from ehls_ros.identification.result import Identification
 from ehls_ros.identification.static import StaticFit
 from ehls_ros.identification.stribeck import StaticFriction
 from ehls_ros.physics.parameters import Friction

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.estimate import Estimate
-from ehls_ros.identification.identify import EVIDENCE, Identification
+from ehls_ros.identification.elements import EVIDENCE
+from ehls_ros.identification.result import Identification
 from ehls_ros.physics.parameters import Friction, Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.report.page import (

@@ -21,7 +21,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.identification.optimisers import _random
-from ehls_ros.identification.optimisers._kernels import composed, cost, gathered
+from ehls_ros.identification.optimisers._kernels import Box, Work, box_of, compiled, cost, gathered, work_of
 from ehls_ros.identification.optimisers._random import State, index, uniform
 from ehls_ros.identification.optimisers.base import Problem, Result, checked, ended
 from ehls_ros.schema import quantity
@@ -55,8 +55,7 @@ class Swarm(NamedTuple):
         best: their personal bests, same shape.
         cost: cost of each personal best, shape (n,).
         candidate: point to evaluate next, shape (parameters,).
-        x: a point in the problem's own box, shape (parameters,).
-        r: its residuals, shape (residual_count,).
+        work: scratch of the objective.
         random: state of the random numbers.
     """
 
@@ -65,8 +64,7 @@ class Swarm(NamedTuple):
     best: Array
     cost: Array
     candidate: Array
-    x: Array
-    r: Array
+    work: Work
     random: State
 
 
@@ -127,15 +125,11 @@ def search(residuals: Any) -> Any:
     cost_at = cost(residuals)
 
     @kernel
-    def run(
-        data: Any, lower: Array, upper: Array, p: Parameters, target: float, swarm: Swarm, history: Array
-    ) -> tuple[int, int, int, bool]:
+    def run(box: Box, p: Parameters, target: float, swarm: Swarm, history: Array) -> tuple[int, int, int, bool]:
         """Search.
 
         Args:
-            data: the problem's.
-            lower: lower bounds.
-            upper: upper bounds.
+            box: the problem.
             p: parameters.
             target: cost to stop at.
             swarm: what to work in; ``random`` is seeded.
@@ -154,7 +148,7 @@ def search(residuals: Any) -> Any:
                         _move(i, leader if iterations > 0 else i, p, swarm)
                     else:
                         _cross(i, p, swarm)
-                    found = cost_at(swarm.candidate, data, lower, upper, swarm.x, swarm.r)
+                    found = cost_at(swarm.candidate, box, swarm.work)
                     evaluations += 1
                     if found < swarm.cost[i]:
                         swarm.cost[i] = found
@@ -183,20 +177,6 @@ def _agree(tolerance: float, swarm: Swarm) -> bool:
     return highest - lowest <= tolerance * lowest or gathered(swarm.best, tolerance)
 
 
-_TEMPLATE = '''"""Particle swarm, generated."""
-from numba import njit
-from ehls_ros.identification.optimisers import pso
-{residuals}
-
-run = pso.search(residuals)
-
-
-@njit(cache=True, error_model="numpy")
-def minimise(data, lower, upper, p, target, swarm, history):
-    return run(data, lower, upper, p, target, swarm, history)
-'''
-
-
 def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.inf) -> Result:
     """Search; an iteration is one move of the swarm and the crossovers after it."""
     problem = checked(problem, seed)
@@ -207,12 +187,10 @@ def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.i
         best=np.empty((n, size)),
         cost=np.empty(n),
         candidate=np.empty(size),
-        x=np.empty(size),
-        r=np.empty(problem.residual_count),
+        work=work_of(problem),
         random=np.array([seed], dtype=np.uint64),
     )
     history = np.empty(2 + p.evaluations // (n * (1 + p.crossovers)))
-    leader, evaluations, iterations, agreed = composed(_TEMPLATE, problem).minimise(
-        problem.data, problem.lower, problem.upper, p, float(target), swarm, history
-    )
+    run = compiled(search, problem)
+    leader, evaluations, iterations, agreed = run(box_of(problem), p, float(target), swarm, history)
     return ended(problem, swarm.best[leader], float(swarm.cost[leader]), evaluations, history[:iterations], agreed, target)

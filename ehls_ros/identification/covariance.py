@@ -1,0 +1,89 @@
+"""Covariance of a least-squares fit whose residuals are correlated."""
+
+import math
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.samples import Mask
+
+DOUBT = 2.0
+"""Standard deviation of a searched coordinate without any data; for a logarithm, a factor of e^2.
+
+It keeps coordinates on which the data have no bearing from blurring the others.
+"""
+
+MOST_LAGS = 200
+"""Longest correlation of residuals that is looked for [blocks]."""
+
+
+def normal_covariance(rows: Array, searched: int) -> Array:
+    """Return the covariance of least squares with independent residuals of standard deviation 1.
+
+    Args:
+        rows: derivatives of the residuals, shape (n, coefficients).
+        searched: number of leading coefficients that are searched coordinates, which nobody doubts by more than
+            :data:`DOUBT`.
+
+    Returns:
+        Array of shape (coefficients, coefficients).
+    """
+    information = rows.T @ rows
+    diagonal = np.arange(searched)
+    information[diagonal, diagonal] += 1.0 / DOUBT**2
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse = np.linalg.pinv(information / scale[:, np.newaxis] / scale, rcond=1e-13, hermitian=True)
+    covariance: Array = inverse / scale[:, np.newaxis] / scale
+    return covariance
+
+
+def clustered_covariance(rows: Array, residuals: Array, clusters: Array, independent: Array) -> Array:
+    """Return the covariance that holds however the residuals within a cluster are correlated.
+
+    A model error shifts a whole stroke to one side, so strokes, not blocks, are independent: the sandwich estimator of
+    cluster-robust regression (Liang and Zeger 1986).
+
+    Args:
+        rows: derivatives of the residuals, shape (n, coefficients).
+        residuals: residuals in standard deviations, shape (n,).
+        clusters: number of the cluster of each residual, shape (n,).
+        independent: covariance with independent residuals, shape (coefficients, coefficients).
+
+    Returns:
+        Array of shape (coefficients, coefficients); ``independent`` where there are too few clusters, less than two for each
+        coefficient.
+    """
+    _, index = np.unique(clusters, return_inverse=True)
+    count, size = int(index.max()) + 1 if index.size else 0, rows.shape[1]
+    if count < 2 * size:
+        return independent
+    pulls = np.zeros((count, size))
+    np.add.at(pulls, index, rows * residuals[:, np.newaxis])
+    robust: Array = independent @ (pulls.T @ pulls) @ independent * (count / (count - size))
+    return robust
+
+
+def correlation_time(residuals: Array, mask: Mask) -> float:
+    """Return how many successive residuals carry the information of one, at least 1.
+
+    Args:
+        residuals: residuals in the order of time, shape (n,).
+        mask: which of them count, shape (n,).
+    """
+    values = np.where(mask, residuals, 0.0)
+    values = values - np.sum(values) / max(1, int(mask.sum())) * mask
+    pairs = _autocorrelation(mask.astype(np.float64))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = _autocorrelation(values) / np.where(pairs > 0.5, pairs, np.nan)
+        correlation = np.nan_to_num(correlation / correlation[0])
+    insignificant = np.flatnonzero(correlation < 2.0 / math.sqrt(max(1, int(mask.sum()))))
+    last = int(insignificant[0]) if insignificant.size else len(correlation)
+    return float(max(1.0, 1.0 + 2.0 * np.sum(correlation[1:last])))
+
+
+def _autocorrelation(values: Array) -> Array:
+    """Return the sums of products of values up to :data:`MOST_LAGS` apart."""
+    size = 1 << (2 * len(values) - 1).bit_length()
+    spectrum = np.fft.rfft(values, size)
+    products: Array = np.fft.irfft(spectrum * np.conj(spectrum), size)[:MOST_LAGS]
+    return products
