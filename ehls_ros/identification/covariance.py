@@ -28,16 +28,10 @@ def normal_covariance(rows: Array, searched: int) -> Array:
     Returns:
         Array of shape (coefficients, coefficients).
     """
-    information = rows.T @ rows
-    diagonal = np.arange(searched)
-    information[diagonal, diagonal] += 1.0 / DOUBT**2
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    inverse = np.linalg.pinv(information / scale[:, np.newaxis] / scale, rcond=1e-13, hermitian=True)
-    covariance: Array = inverse / scale[:, np.newaxis] / scale
-    return covariance
+    return _inverse(rows.T @ rows + _prior(rows.shape[1], searched))
 
 
-def clustered_covariance(rows: Array, residuals: Array, clusters: Array, independent: Array) -> Array:
+def clustered_covariance(rows: Array, residuals: Array, clusters: Array, searched: int) -> Array:
     """Return the covariance that holds however the residuals within a cluster are correlated.
 
     A model error shifts a whole stroke to one side, so strokes, not blocks, are independent: the sandwich estimator of
@@ -47,20 +41,36 @@ def clustered_covariance(rows: Array, residuals: Array, clusters: Array, indepen
         rows: derivatives of the residuals, shape (n, coefficients).
         residuals: residuals in standard deviations, shape (n,).
         clusters: number of the cluster of each residual, shape (n,).
-        independent: covariance with independent residuals, shape (coefficients, coefficients).
+        searched: as in :func:`normal_covariance`.
 
     Returns:
-        Array of shape (coefficients, coefficients); ``independent`` where there are too few clusters, less than two for each
-        coefficient.
+        Array of shape (coefficients, coefficients); that of :func:`normal_covariance` where there are too few clusters, less
+        than two for each coefficient.
     """
+    prior = _prior(rows.shape[1], searched)
+    independent = _inverse(rows.T @ rows + prior)
     _, index = np.unique(clusters, return_inverse=True)
     count, size = int(index.max()) + 1 if index.size else 0, rows.shape[1]
     if count < 2 * size:
         return independent
     pulls = np.zeros((count, size))
     np.add.at(pulls, index, rows * residuals[:, np.newaxis])
-    robust: Array = independent @ (pulls.T @ pulls) @ independent * (count / (count - size))
+    scatter = pulls.T @ pulls * (count / (count - size)) + prior
+    robust: Array = independent @ scatter @ independent
     return robust
+
+
+def _prior(size: int, searched: int) -> Array:
+    """Return the information without any data."""
+    return np.diag(np.where(np.arange(size) < searched, 1.0 / DOUBT**2, 0.0))
+
+
+def _inverse(information: Array) -> Array:
+    """Return the inverse of an information matrix whose coefficients have different units."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse = np.linalg.pinv(information / scale[:, np.newaxis] / scale, rcond=1e-13, hermitian=True)
+    covariance: Array = inverse / scale[:, np.newaxis] / scale
+    return covariance
 
 
 def correlation_time(residuals: Array, mask: Mask) -> float:

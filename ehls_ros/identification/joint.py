@@ -25,6 +25,9 @@ STEP = 1e-4
 REACH = 4.0
 """How far a logarithm may move from its start: a factor of 55 either way."""
 
+EDGE = 1e-3
+"""Distance to a limit of the search, as a fraction of its range, below which a coordinate has ended there."""
+
 FAR = 5.0
 """Residual, in standard deviations, beyond which a block is left out."""
 
@@ -81,6 +84,7 @@ class JointFit(NamedTuple):
         coordinates: of the friction model.
         z: all coordinates, searched for or not.
         free: names of the coordinates that were searched for.
+        limited: names of those that ended at a limit of the search.
         linear_names: names of the linear coefficients.
         linear: their values.
         covariance: of the free coordinates followed by the linear coefficients.
@@ -94,6 +98,7 @@ class JointFit(NamedTuple):
     coordinates: Coordinates
     z: Array
     free: tuple[str, ...]
+    limited: tuple[str, ...]
     linear_names: tuple[str, ...]
     linear: Array
     covariance: Array
@@ -252,12 +257,14 @@ def fit(recorded: Recorded, start: Start, *, turned: Turned | None = None, round
     found = problem.free(z)
     left = problem.forces_left(found)
     scaled = problem.residuals(found)
-    rows = problem.design(found)
-    covariance = clustered_covariance(rows, scaled, strokes(recorded), normal_covariance(rows, len(found)))
+    covariance = clustered_covariance(problem.design(found), scaled, strokes(recorded), len(found))
+    free = tuple(name for name in start.coordinates.names if name in start.free)
+    edge = EDGE * (high - low)
     return JointFit(
         coordinates=start.coordinates,
         z=z,
-        free=tuple(name for name in start.coordinates.names if name in start.free),
+        free=free,
+        limited=tuple(np.array(free)[(found <= low + edge) | (found >= high - edge)].tolist()),
         linear_names=recorded.linear,
         linear=problem.linear(found),
         covariance=covariance,
@@ -299,6 +306,7 @@ def combined(first: JointFit, second: JointFit, first_at: Sequence[int], second_
     ordered = [places[place] for place in sorted(places)]
     return second._replace(
         free=tuple(names),
+        limited=(*first.limited, *second.limited),
         linear_names=first.linear_names,
         linear=first.linear,
         covariance=covariance,

@@ -146,6 +146,8 @@ def steady_fit(recorded: Recorded, viscous_damping: float, how: Search) -> Stati
     steady = blocks.chosen(blocks.since >= settle)
     coefficients = linear_part(steady)
     classes = averaged(steady.velocity, steady.force - steady.columns @ coefficients, steady.noise)
+    if len(classes.velocity) < len(stribeck.StaticFriction._fields):
+        return None
     search = _search(classes, viscous_damping, how)
     residual = unexplained(stribeck.friction_of(search.x, classes.velocity), classes, viscous_damping) / classes.deviation
     near = np.abs(residual) <= FAR * max(1.0, GAUSS * float(np.median(np.abs(residual))))
@@ -182,11 +184,11 @@ def sliding(recorded: Recorded) -> Blocks:
         direction = np.where(moves, np.sign(motion.velocity), 0.0)
         begins = np.concatenate([[True], direction[1:] != direction[:-1]])
         start = np.maximum.accumulate(np.where(begins, np.arange(len(begins)), 0))
-        since = (np.arange(len(begins)) - start) * motion.period
+        since: Array = np.asarray((np.arange(len(begins)) - start) * motion.period, dtype=np.float64)
         # At first after a turn the piston only deflects the contact.
         travel = np.abs(motion.position - motion.position[start])
         moves &= travel >= LEAST_TRAVEL * float(np.ptp(motion.position[good]) if np.any(good) else 0.0)
-        noise: Array = np.full(len(moves), max(motion.force_noise, 1e-9), dtype=np.float64)
+        noise = np.full(len(moves), max(motion.force_noise, 1e-9))
         blocks = Blocks(motion.velocity, since, motion.force, linear_columns(motion, recorded.linear), noise)
         parts.append(blocks.chosen(moves))
     return Blocks(*(np.concatenate(column) for column in zip(*parts, strict=True)))
@@ -248,7 +250,7 @@ def averaged(velocity: Array, force: Array, noise: Array) -> Classes:
     order = np.argsort(velocity)
     v, f, noise = velocity[order], force[order], noise[order]
     # Equal speeds stay together: a class ends where the next velocity is 1 % away, or where it is full.
-    full = max(1, len(v) // CLASSES)
+    full = max(FEW, len(v) // CLASSES)
     jumps = np.flatnonzero(np.diff(v) > 0.01 * np.maximum(np.abs(v[1:]), 1e-6)) + 1
     edges = [0]
     for edge in [*jumps.tolist(), len(v)]:

@@ -91,6 +91,11 @@ def estimates(fit: JointFit, rig: Rig) -> Estimates:
     ]
     found = propagated({name: values[name] for name in values if name in moved}, changes, free, fit.covariance)
     vague, remarks = doubts(found)
+    limited = np.array([name in fit.limited for name in fit.coordinates.names] + [False] * len(fit.linear))
+    for name, value in zip(found.names, found.values, strict=True):
+        if name not in vague and np.any(np.abs(changes[name][limited]) > VAGUE * abs(value)):
+            vague.add(name)
+            remarks.append(f"{name} ended at a limit of its search.")
     fixed = []
     if "viscous_coefficient" in moved:
         fixed.append("viscous_damping")
@@ -140,8 +145,9 @@ def doubts(found: Propagated) -> tuple[set[str], list[str]]:
     for i, first in enumerate(found.names):
         for j in range(i):
             correlation = found.correlations[i, j]
-            if abs(correlation) > TANGLED and min(relative[i], relative[j]) > SHARP:
-                vague |= {first, found.names[j]}
+            both = {first, found.names[j]}
+            if abs(correlation) > TANGLED and min(relative[i], relative[j]) > SHARP and not both <= vague:
+                vague |= both
                 remarks.append(f"{found.names[j]} and {first} cannot be told apart (correlation {correlation:+.4f}).")
     return vague, remarks
 

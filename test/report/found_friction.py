@@ -97,6 +97,7 @@ def make_fit(residuals, friction=FRICTION):
         coordinates=coordinates,
         z=coordinates.pack(friction),
         free=coordinates.names,
+        limited=(),
         linear_names=names,
         linear=np.array([7060.0, SPRING, CONSTANT]),
         covariance=np.eye(len(coordinates.names) + len(names)),
