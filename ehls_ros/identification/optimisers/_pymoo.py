@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.identification.optimisers._counted import Counted, Enough
+from ehls_ros.identification.objective import Counted, Enough
 from ehls_ros.identification.optimisers._libraries import library
 from ehls_ros.identification.optimisers.base import Result
 

@@ -6,7 +6,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from scipy import optimize
 
-from ehls_ros.identification.optimisers._counted import Counted, Enough
+from ehls_ros.identification.objective import Counted, Enough
 from ehls_ros.identification.optimisers.base import Problem, Result
 from ehls_ros.schema import quantity
 
