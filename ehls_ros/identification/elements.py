@@ -354,13 +354,15 @@ def _fit_in_turn(recorded: Recorded, start: Friction, small: Sequence[int], wide
     coordinates: Coordinates = ElementCoordinates(len(start.element_stiffness))
     elements = tuple(name for name in coordinates.names if name not in STATIC)
     near, far, turned = recorded.chosen(small), recorded.chosen(wide), presliding.corrected_turns
+    motions = recorded.motions
     if not small:
-        return joint.fit(far, Start(coordinates, start, STATIC))
+        return joint.placed(joint.fit(far, Start(coordinates, start, STATIC)), wide, motions)
     if not wide:
-        return joint.fit(near, Start(coordinates, start, ("coulomb_force", *elements)), turned=turned)
+        sticking = joint.fit(near, Start(coordinates, start, ("coulomb_force", *elements)), turned=turned)
+        return joint.placed(sticking, small, motions)
     sliding = joint.fit(far, Start(coordinates, start, STATIC))
     sticking = joint.fit(near, Start(coordinates, sliding.friction, elements), turned=turned)
-    return joint.combined(sliding, sticking, wide, small)
+    return joint.combined(joint.placed(sliding, wide, motions), joint.placed(sticking, small, motions))
 
 
 def has_elements(friction: Any) -> bool:

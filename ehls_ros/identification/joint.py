@@ -90,7 +90,7 @@ class JointFit(NamedTuple):
         covariance: of the free coordinates followed by the linear coefficients.
         cost: half the sum of squares of the residuals in standard deviations.
         blocks: number of blocks that counted, correlated ones counted once.
-        noise: standard deviation of each recording's residuals [N].
+        noise: standard deviation of each recording's residuals [N]; NaN for a recording that did not count.
         residuals: measured less fitted force, one array for each recording [N]; NaN where a block did not count.
         converged: whether the last search ended by its own rule.
     """
@@ -285,14 +285,27 @@ def _inflated(deviations: Sequence[float], inflation: Sequence[float]) -> list[f
     return [s * math.sqrt(t) for s, t in zip(deviations, inflation, strict=True)]
 
 
-def combined(first: JointFit, second: JointFit, first_at: Sequence[int], second_at: Sequence[int]) -> JointFit:
+def placed(fit: JointFit, at: Sequence[int], motions: Sequence[Motion]) -> JointFit:
+    """Return a fit of some recordings as one of all, of which the others do not count.
+
+    Args:
+        fit: the fit.
+        at: numbers of its recordings among all.
+        motions: all recordings.
+    """
+    noise = [math.nan] * len(motions)
+    residuals = [np.full(len(m.force), np.nan) for m in motions]
+    for i, place in enumerate(at):
+        noise[place], residuals[place] = fit.noise[i], fit.residuals[i]
+    return fit._replace(noise=tuple(noise), residuals=tuple(residuals))
+
+
+def combined(first: JointFit, second: JointFit) -> JointFit:
     """Return one fit made of two that searched for different coordinates, the second starting from the first.
 
     Args:
         first: the fit whose linear coefficients are kept.
-        second: the other fit.
-        first_at: numbers of the first fit's recordings among all.
-        second_at: numbers of the second's.
+        second: the other fit, of the same recordings; where one has no residual the other's counts.
     """
     names = [name for name in first.coordinates.names if name in {*first.free, *second.free}]
     size = len(names) + len(first.linear_names)
@@ -302,8 +315,6 @@ def combined(first: JointFit, second: JointFit, first_at: Sequence[int], second_
         if linear:
             where += range(len(names), size)
         covariance[np.ix_(where, where)] = fit.covariance[: len(where), : len(where)]
-    places = {place: (fit, i) for fit, at in ((first, first_at), (second, second_at)) for i, place in enumerate(at)}
-    ordered = [places[place] for place in sorted(places)]
     return second._replace(
         free=tuple(names),
         limited=(*first.limited, *second.limited),
@@ -312,8 +323,8 @@ def combined(first: JointFit, second: JointFit, first_at: Sequence[int], second_
         covariance=covariance,
         cost=first.cost + second.cost,
         blocks=first.blocks + second.blocks,
-        noise=tuple(fit.noise[i] for fit, i in ordered),
-        residuals=tuple(fit.residuals[i] for fit, i in ordered),
+        noise=tuple(b if math.isnan(a) else a for a, b in zip(first.noise, second.noise, strict=True)),
+        residuals=tuple(np.where(np.isnan(a), b, a) for a, b in zip(first.residuals, second.residuals, strict=True)),
         converged=first.converged and second.converged,
     )
 

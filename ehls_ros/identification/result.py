@@ -1,5 +1,6 @@
 """The result of an identification, and what ``identification.json`` holds of it."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -63,6 +64,9 @@ def to_json(found: Identification) -> dict[str, Any]:
         "criteria": {str(number): value for number, value in found.criteria.items()},
         "method": found.method,
         "cost": found.fit.cost,
-        "noise_n": dict(zip((m.name for m in found.motions), found.fit.noise, strict=True)),
+        "noise_n": {
+            motion.name: noise if math.isfinite(noise) else None
+            for motion, noise in zip(found.motions, found.fit.noise, strict=True)
+        },
         "wall_s": found.wall_s,
     }

@@ -35,6 +35,9 @@ FAR = 6.0
 LEAST_BLOCKS = 20
 """Blocks of steady sliding that a static fit needs."""
 
+LEAST_RATIO = 1.2
+"""Ratio of fast to slow sliding, 90th to 10th percentile of the speed, that a static fit needs."""
+
 BOTH_WAYS = 0.02
 """Least fraction of the sliding blocks that has to go the other way."""
 
@@ -136,7 +139,10 @@ def steady_fit(recorded: Recorded, viscous_damping: float, how: Search) -> Stati
     if not recorded.motions:
         return None
     blocks = sliding(recorded)
-    if len(blocks.velocity) < LEAST_BLOCKS or np.ptp(np.abs(blocks.velocity)) <= 0.0:
+    if len(blocks.velocity) < LEAST_BLOCKS:
+        return None
+    slow, fast = np.quantile(np.abs(blocks.velocity), [0.1, 0.9])
+    if fast < LEAST_RATIO * slow:
         return None
     forward = float(np.mean(blocks.velocity > 0.0))
     if not BOTH_WAYS < forward < 1.0 - BOTH_WAYS:

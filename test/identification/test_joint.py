@@ -152,7 +152,7 @@ def test_two_fits_make_one():
     first = joint.fit(data.chosen([1]), START._replace(free=("level",)))
     then = START._replace(friction=first.friction, free=("exponent",))
     second = joint.fit(data.chosen([0]), then)
-    both = joint.combined(first, second, [1], [0])
+    both = joint.combined(joint.placed(first, [1], data.motions), joint.placed(second, [0], data.motions))
     assert both.free == ("level", "exponent")
     np.testing.assert_array_equal(both.linear, first.linear)
     np.testing.assert_array_equal(both.z, second.z)
@@ -160,8 +160,17 @@ def test_two_fits_make_one():
     assert both.covariance[1, 1] == second.covariance[0, 0]
     np.testing.assert_array_equal(both.covariance[1, [0, 2, 3, 4]], 0.0)
     assert both.noise == (*second.noise, *first.noise)
-    assert both.residuals[0] is second.residuals[0]
+    np.testing.assert_array_equal(both.residuals, [second.residuals[0], first.residuals[0]])
     assert both.cost == first.cost + second.cost
+
+
+def test_a_recording_that_did_not_count_has_no_residuals():
+    data = recorded()
+    fit = joint.placed(joint.fit(data.chosen([1]), START), [1], data.motions)
+    assert np.isnan(fit.noise[0])
+    assert np.isnan(fit.residuals[0]).all()
+    assert len(fit.residuals[0]) == len(data.motions[0].force)
+    assert np.isfinite(fit.residuals[1]).any()
 
 
 def test_the_bound_of_white_noise_is_below_what_a_fit_reports():
