@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.experiments.loop import run_in_process, sampled
 from ehls_ros.experiments.spec import load_rig, load_spec
 from ehls_ros.identification.identify import identify
 from ehls_ros.identification.joint import least_covariance
 from ehls_ros.identification.uncertainty import estimates
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
@@ -79,7 +79,7 @@ def given(rig: Rig, seed: int, repeats: int) -> dict[str, Trajectory]:
         spec = load_spec(CONFIG / "experiments" / f"{name}.yaml")
         period = spec.settings.control_period
         x, v, a = sampled(spec.reference, period).rows(0, spec.cycles).T
-        estimator = FrictionEstimator("gms", rig.friction, period)
+        estimator = FrictionEstimator("gms", rig, period)
         elements = np.array([estimator.update(speed)[0] for speed in v])
         p, f = rig.plant, rig.friction
         force = p.moving_mass * (a + p.gravity) + (p.viscous_damping + f.viscous_coefficient) * v + p.spring_stiffness * x

@@ -47,9 +47,9 @@ def quantity(
     )
 
 
-def text(description: str) -> Any:
-    """Declare a field that is no number (a name, a list), with one sentence of help."""
-    return Field(description=description)
+def text(description: str, unit: str = "") -> Any:
+    """Declare a field that is not a number (a name, a list) with one sentence of help, and the unit of its entries."""
+    return Field(description=description, json_schema_extra={"unit": unit})
 
 
 class Declaration(NamedTuple):

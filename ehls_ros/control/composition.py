@@ -17,11 +17,14 @@ def step(m, r, f, p, model, memory, status):
 _OBSERVER = '''"""Friction observer kernel, generated."""
 from numba import njit
 from ehls_ros.control.observers import {name} as observer
+from ehls_ros.physics.friction import {model} as friction_model
+
+run = observer.updater(friction_model)
 
 
 @njit(cache=True, error_model="numpy")
 def update(velocity, period, friction, p, state):
-    observer.update(velocity, period, friction, p, state)
+    run(velocity, period, friction, p, state)
 '''
 
 
@@ -30,6 +33,6 @@ def controller_kernel(name: str) -> ModuleType:
     return kernel_module(_CONTROLLER.format(name=name))
 
 
-def observer_kernel(name: str) -> ModuleType:
-    """Return a module whose ``update`` is the compiled update of one friction observer."""
-    return kernel_module(_OBSERVER.format(name=name))
+def observer_kernel(name: str, model: str) -> ModuleType:
+    """Return a module whose ``update`` is the compiled update of one friction observer, for one friction model."""
+    return kernel_module(_OBSERVER.format(name=name, model=model))

@@ -30,10 +30,14 @@ from ehls_ros.control.controllers.base import Model
 from ehls_ros.physics import sensors
 from ehls_ros.physics.beam import applied_force
 from ehls_ros.physics.cylinder import load_pressure_rate
-from ehls_ros.physics.friction.base import sign, stribeck_level
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.friction.base import sign
+from ehls_ros.physics.friction.gms import Parameters as Friction
+from ehls_ros.physics.friction.gms import level as sliding_level
 from ehls_ros.physics.plant import PL, XV, V, X
 from ehls_ros.physics.valve import load_flow, spool_rate
+
+FRICTION_MODEL = "gms"
+"""The friction model within the filter. Its elements are linear while they stick or slip, which the covariance rests on."""
 
 EXTERNAL, EXTERNAL_RATE, EXTERNAL_CURVATURE, VALVE_GAIN, FLOW_ERROR, CELL_OFFSET, STATES = range(4, 11)
 """Where the mean holds d with its two rates, b, q and o, after the plant's own x, v, pL and xv; and their number."""
@@ -175,7 +179,7 @@ def rates(y: Array, mode: Array, command: float, supply: float, model: Model, p:
         rate: where the derivative goes, as long as ``y``.
     """
     plant, friction = model.plant, model.friction
-    level = stribeck_level(y[V], friction)
+    level = sliding_level(y[V], friction)
     resisting = friction.viscous_coefficient * y[V]
     for i in range(elements(friction)):
         force = y[STATES + i]
@@ -199,7 +203,7 @@ def rates(y: Array, mode: Array, command: float, supply: float, model: Model, p:
 @kernel
 def switch(y: Array, mode: Array, friction: Friction) -> None:
     """Let elements break away, at the force where they do, or hold at a reversal."""
-    level, direction = stribeck_level(y[V], friction), sign(y[V])
+    level, direction = sliding_level(y[V], friction), sign(y[V])
     for i in range(elements(friction)):
         if mode[i] == 0.0:
             most = friction.element_weight[i] * level

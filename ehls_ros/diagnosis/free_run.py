@@ -28,6 +28,7 @@ from ehls_ros.diagnosis.record import (
 )
 from ehls_ros.diagnosis.stages import SENSED as RECORDED_AS
 from ehls_ros.errors import BadInput
+from ehls_ros.physics.friction.base import in_python
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.plant import FRICTION, PL, XV, V, X
 from ehls_ros.physics.plant import TEMPERATURE as OIL
@@ -189,5 +190,5 @@ def _start(simulator: Simulator, record: Record) -> None:
     held = driving - record.values(LOAD)[0] - (plant.viscous_damping + friction.viscous_coefficient) * y[V]
     elements = y[FRICTION : FRICTION + len(simulator.mode) - 1]
     if elements.size:
-        share = np.array(friction.element_weight[: elements.size])
-        elements[:] = share / share.sum() * np.clip(held, -friction.coulomb_force, friction.coulomb_force)
+        rig = simulator.rig
+        in_python(rig.friction_law.begin)(held, rig.friction_level(math.inf), friction, elements)

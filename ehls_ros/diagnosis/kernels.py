@@ -160,7 +160,6 @@ import numpy as np
 from numba import njit
 from ehls_ros.physics import plant as model
 from ehls_ros.physics.beam import applied_force
-from ehls_ros.physics.friction.base import stribeck_level
 from ehls_ros.physics.plant import X, V, PL, XV, FRICTION, U, FD, FD_RATE, XD, VD, TEMPERATURE, START, PERIOD, INPUTS
 from ehls_ros.physics.valve import load_flow, spool_rate
 {imports}
@@ -351,7 +350,7 @@ STEEP, FINE = 0.1, 6
 @plain
 def level_at(t, y, w, z, p, plant, friction, on):
     \"\"\"Return the Stribeck level [N].\"\"\"
-    return friction_level(stribeck_level(y[V], friction), t, y, w, z, p, plant, on)  # (7)
+    return friction_level(law.level(y[V], friction), t, y, w, z, p, plant, on)  # (7)
 
 
 @plain
@@ -465,7 +464,7 @@ def drive(position, velocity, y, z, on):
 @plain
 def balance(pushed, t, y, w, z, p, plant, friction, on):
     \"\"\"Return Stribeck level and the forces on the load without friction, pushed of them handed on [N].\"\"\"
-    level = friction_level(stribeck_level(y[V], friction), t, y, w, z, p, plant, on)  # (7)
+    level = friction_level(law.level(y[V], friction), t, y, w, z, p, plant, on)  # (7)
     extra = pushed + force(0.0, t, y, w, z, p, plant, on)
     return level, applied_force(y[X], y[V], y[PL], model.disturbance_force(t, w), extra, plant)
 

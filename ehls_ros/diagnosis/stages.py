@@ -296,7 +296,7 @@ class Comparison:
 
     def _run_load(self, rig: Rig, motion: kernels.Motion) -> Array:
         record, use, elements = self.record, kernels.switched("load", rig.effects), rig_elements(rig)
-        weights = np.array(rig.friction.element_weight)[:elements]
+        weights = np.array(getattr(rig.friction, "element_weight", (1.0,)))
         lighter = min(piston := rig.piston_mass(), rig.plant.moving_mass)
         longest = min(LOAD_STEP, GUIDED_STEP * lighter / (piston + rig.plant.moving_mass) / (2.0 * GUIDE))
         longest = max(longest, SHORTEST_STEP)
@@ -323,7 +323,7 @@ class Comparison:
         fine = max(1, math.ceil(period / MEMORY_STEP))
         if part == "friction":
             module = kernels.kernel(part, rig.friction_model, rig_elements(rig))
-            weights = np.array(rig.friction.element_weight)[: rig_elements(rig)]
+            weights = np.array(getattr(rig.friction, "element_weight", (1.0,)))
             weights = weights / weights.sum() if weights.size else weights
             start = self._balance(rig, motion)
             extra = np.ascontiguousarray(self.extra_force(rig)[:, 0])
@@ -343,10 +343,8 @@ class Comparison:
 
     def _stiff_steps(self, rig: Rig, motion: kernels.Motion) -> int:
         """Return the steps in a sample that a bristle's relaxation asks for."""
-        if rig.friction_model != "lugre":
-            return 1
-        fastest = sum(rig.friction.element_stiffness) * float(np.quantile(np.abs(motion.velocity), 0.999))
-        return min(40, max(1, math.ceil(fastest / rig.friction.coulomb_force * self.record.period / 1.5)))
+        fastest = rig.friction_law.relaxation_rate(rig.friction, float(np.quantile(np.abs(motion.velocity), 0.999)))
+        return min(40, max(1, math.ceil(fastest * self.record.period / 1.5)))
 
     def _balance(self, rig: Rig, motion: kernels.Motion) -> Array:
         """Return the friction that the other forces ask for, from smoothed motion [N]."""

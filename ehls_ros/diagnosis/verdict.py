@@ -319,10 +319,12 @@ def excited(evidence: Evidence, found: Sequence[Sensitivity], stage: Stage) -> b
     if stage not in KEY:
         return True
     rig = evidence.rig.effective()
-    if stage == "force_balance" and evidence.travel < SLIDING * rig.friction.static_force / sum(rig.friction.element_stiffness):
+    if stage == "force_balance" and evidence.travel < SLIDING * rig.friction_level(0.0) / rig.friction_law.stiffness(
+        rig.friction
+    ):
         return False
     name, parameter = KEY[stage]
-    nominal = rig.friction.coulomb_force if stage == "force_balance" else 1.0
+    nominal = rig.friction_level(math.inf) if stage == "force_balance" else 1.0
     return any(s.smallest < TELLING * nominal for s in found if (s.name, s.parameter) == (name, parameter))
 
 

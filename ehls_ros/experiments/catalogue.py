@@ -15,6 +15,12 @@ from ehls_ros.control.references import steps, velocity_sweep
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
 
+SLOW = 1e-3
+"""Velocity taken for slow where friction does not change with it, as a fraction of the rig's limit."""
+
+LEAST_YIELDING = 1e-5
+"""Travel taken for presliding where the contact is stiffer [m]: sensors resolve no less."""
+
 
 class Reach(NamedTuple):
     """What a rig allows, from which the experiments take their size.
@@ -27,7 +33,7 @@ class Reach(NamedTuple):
         load: disturbance that can be held against [N].
         weight: driving force at rest at home [N].
         slow: velocity at which friction changes from static to sliding [m/s].
-        yielding: way in which stuck friction gives way [m].
+        yielding: travel over which stuck friction gives way [m].
     """
 
     home: float
@@ -63,7 +69,7 @@ def reach(rig: Rig) -> Reach:
     plant, friction, limits = rig.plant, rig.friction, rig.limits
     area, home, half, largest = plant.piston_area, home_of(rig), room_of(rig), largest_force(rig)
     weight = plant.spring_stiffness * home + plant.moving_mass * plant.gravity
-    usable = max(0.7 * largest - abs(weight) - friction.static_force, 0.05 * largest)
+    usable = max(0.7 * largest - abs(weight) - rig.friction_level(0.0), 0.05 * largest)
     flow = plant.discharge_coefficient * plant.valve_area_gradient * limits.spool * plant.valve_gain
     fastest = min(0.25 * limits.velocity, 0.5 * flow * math.sqrt(0.5 * plant.supply_pressure / plant.oil_density) / area)
     damping = plant.viscous_damping + friction.viscous_coefficient
@@ -72,11 +78,11 @@ def reach(rig: Rig) -> Reach:
         home=home,
         stroke=min(0.8 * half, usable / stiffness) if stiffness > 0.0 else 0.8 * half,
         speed=min(fastest, 0.25 * largest / damping) if damping > 0.0 else fastest,
-        force=min(usable, max(0.8 * half * stiffness, 0.5 * friction.coulomb_force)),
+        force=min(usable, max(0.8 * half * stiffness, 0.5 * rig.friction_level(math.inf))),
         load=0.8 * usable,
         weight=weight,
-        slow=friction.stribeck_velocity,
-        yielding=friction.static_force / sum(friction.element_stiffness),
+        slow=getattr(friction, "stribeck_velocity", SLOW * limits.velocity),
+        yielding=max(rig.friction_level(0.0) / rig.friction_law.stiffness(friction), LEAST_YIELDING),
     )
 
 
@@ -103,7 +109,7 @@ def _following_position(reference: dict[str, Any], duration: float, r: Reach, **
 
 
 def _following_force(reference: dict[str, Any], duration: float, r: Reach) -> dict[str, Any]:
-    return {**_following_position(reference, duration, r), "controller": {"name": "fasmc"}, "compensation": "gms"}
+    return {**_following_position(reference, duration, r), "controller": {"name": "fasmc"}}
 
 
 def _load(signal: dict[str, Any]) -> dict[str, Any]:

@@ -15,13 +15,13 @@ import numpy as np
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.disturbances import DISTURBANCES
-from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import home_of, largest_force, room_of
 from ehls_ros.experiments.loop import Implausible, run_in_process
 from ehls_ros.experiments.metrics import evaluate
-from ehls_ros.experiments.spec import DEFAULT_COMPENSATION, DisturbanceUse, Settings, Spec, Use
+from ehls_ros.experiments.spec import DisturbanceUse, Settings, Spec, Use
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
@@ -147,7 +147,7 @@ def controller_gain(before: Rig, extended: Rig, *, progress: Callable[[int, int]
 def _size(rig: Rig) -> float:
     """Return by what the paper's forces are multiplied so that the rig has force and stroke for them."""
     plant = rig.plant
-    damping = plant.viscous_damping + rig.friction.viscous_coefficient
+    damping: float = plant.viscous_damping + rig.friction.viscous_coefficient
     # A force held moves the beam up to its spring, or as far as damping lets it in the time there is.
     stiffness = max(plant.spring_stiffness, damping / DURATION)
     omega = 2.0 * math.pi * DISTURBANCE_FREQUENCY
@@ -161,7 +161,7 @@ def _size(rig: Rig) -> float:
 
 def _least_force(rig: Rig) -> float:
     """Return the force below which friction and weight are all there is [N]."""
-    return rig.friction.static_force + abs(rig.plant.moving_mass * rig.plant.gravity)
+    return rig.friction_level(0.0) + abs(rig.plant.moving_mass * rig.plant.gravity)
 
 
 def _no_room(rig: Rig, size: float) -> str:
@@ -186,6 +186,7 @@ def _cases(size: float) -> tuple[_Case, ...]:
 
 def _run(case: _Case, plant: Rig, believed: Rig) -> Steady:
     """Run one case; whatever goes wrong is told in the result."""
+    observer = default_observer(believed)
     spec = Spec(
         settings=Settings(title=case.title, duration=DURATION, initial_position=home_of(plant)),
         rig=plant,
@@ -193,7 +194,7 @@ def _run(case: _Case, plant: Rig, believed: Rig) -> Steady:
         reference=case.reference,
         disturbance=case.disturbance,
         controller=Use("fasmc", CONTROLLERS.load("fasmc").Parameters()),
-        compensation=Use(DEFAULT_COMPENSATION, OBSERVERS.load(DEFAULT_COMPENSATION).Parameters()),
+        compensation=Use(observer, OBSERVERS.load(observer).Parameters()),
     )
     try:
         run = run_in_process(spec)

@@ -40,6 +40,9 @@ _LOOP = """
 
 from ehls_ros.control.controllers import {controller} as law
 from ehls_ros.control.observers import {observer} as observer
+from ehls_ros.physics.friction import {believed} as believed_friction
+
+observe_friction = observer.updater(believed_friction)
 
 
 @njit(cache=True, error_model="numpy")
@@ -51,7 +54,7 @@ def loop(
     for i in range(record.shape[0]):
         k = first + i
         observe(k, k * period, y, plant, inputs, effects, sensor_state, noise[i], truth, measured)
-        observer.update(measured[sensors.VELOCITY], period, design_friction, compensation, observer_state)
+        observe_friction(measured[sensors.VELOCITY], period, design_friction, compensation, observer_state)
         u = law.step(measured, reference[i], observer_state.estimate, tuning, design, memory, status)
         column = 0
         for value in measured:
@@ -150,10 +153,11 @@ class ClosedLoop:
         self._spec = spec
         period = spec.settings.control_period
         self._simulator = simulator_of(spec)
-        parts = {"controller": spec.controller.name, "observer": spec.compensation.name}
+        believed = spec.controller_rig
+        parts = {"controller": spec.controller.name, "observer": spec.compensation.name, "believed": believed.friction_model}
         source = plant_source(spec.loader_rig()) + _LOOP.format(**parts)
         self._loop = kernel_module(source).loop
-        self._observer_state = OBSERVERS.load(spec.compensation.name).state(spec.controller_rig.friction)
+        self._observer_state = OBSERVERS.load(spec.compensation.name).state(believed.friction_law, believed.friction)
         self._model = model_of(spec.controller_rig, period)
         self._memory = CONTROLLERS.load(spec.controller.name).memory(spec.controller.parameters)
         self.columns = Columns.of(self._observer_state.estimate.size)

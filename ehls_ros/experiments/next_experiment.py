@@ -40,7 +40,7 @@ from ehls_ros.control.controllers import fasmc, pid
 from ehls_ros.control.controllers.base import STATUS_SIZE, model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import FORCE as LOAD
-from ehls_ros.control.observers import gms
+from ehls_ros.control.observers import ANY_MODEL, rig_model
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import CATALOGUE, catalogue_spec, reach
 from ehls_ros.experiments.loop import sampled, simulator_of
@@ -167,7 +167,7 @@ class _Experiment:
         force_tuning = chosen.parameters if chosen.name == "fasmc" else fasmc.Parameters()
         position_tuning = chosen.parameters if chosen.name == "pid" else pid.Parameters()
         record = np.empty((self.spec.cycles, len(SENSED) + 1))
-        saturated = _bench(rig)(
+        saturated = _bench(rig, design.friction_model)(
             source,
             self.period,
             simulator.y,
@@ -187,8 +187,8 @@ class _Experiment:
             self.reference,
             self.load,
             design.friction,
-            gms.Parameters(),
-            gms.state(design.friction),
+            rig_model.Parameters(),
+            rig_model.state(design.friction_law, design.friction),
             force_tuning,
             position_tuning,
             model_of(design, self.period),
@@ -202,13 +202,13 @@ class _Experiment:
         return _Run(record, saturated / self.spec.cycles)
 
 
-def _bench(rig: Rig) -> Callable[..., int]:
-    """Return the compiled bench of a rig's effects; it calls the kernels that others have compiled before."""
+def _bench(rig: Rig, believed: str) -> Callable[..., int]:
+    """Return the compiled bench of a rig's effects and the controller's friction model; it calls kernels compiled before."""
     modules = {
         "plant": kernel_module(plant_source(rig)),
         "force_law": controller_kernel("fasmc"),
         "position_law": controller_kernel("pid"),
-        "observer": observer_kernel("gms"),
+        "observer": observer_kernel(ANY_MODEL, believed),
     }
     source = _BENCH.format(**{part: module.__name__ for part, module in modules.items()})
     bench: Callable[..., int] = kernel_module(source).bench

@@ -11,11 +11,12 @@ import numpy as np
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.disturbances import DISTURBANCES
-from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.references import REFERENCES
+from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.plausibility import FLAGGED, check_ranges, check_rig, check_signal, check_step
-from ehls_ros.physics.rig import Rig, effects_from_list, rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.rig import Rig, check_friction_effects, effects_from_list, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP
 from ehls_ros.recording import limits
 from ehls_ros.recording.regular_file import read_text
@@ -80,9 +81,6 @@ class Spec(NamedTuple):
         return self.rig.with_effects(kind.loader_effects(self.disturbance.parameters))
 
 
-DEFAULT_COMPENSATION = "gms"
-"""The friction observer of FASMC II."""
-
 SECTIONS = (*Settings._fields, "rig", "controller_rig", "effects", "reference", "disturbance", "controller", "compensation")
 
 
@@ -132,6 +130,7 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
     believed = data.get("controller_rig")
     controller_rig = rig if believed is None else _rig(believed, f"{where}: controller_rig", folder)
     rig = rig.with_effects(effects_from_list(data.get("effects") or [], f"{where}: effects"))
+    check_friction_effects(rig, f"{where}: effects")
     spec = Spec(
         settings=settings,
         rig=rig,
@@ -139,7 +138,9 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
         reference=_use(REFERENCES, data.get("reference"), f"{where}: reference", folder),
         disturbance=_disturbance(data.get("disturbance"), f"{where}: disturbance", folder),
         controller=_use(CONTROLLERS, data.get("controller"), f"{where}: controller", folder),
-        compensation=_use(OBSERVERS, data.get("compensation", DEFAULT_COMPENSATION), f"{where}: compensation", folder),
+        compensation=_use(
+            OBSERVERS, data.get("compensation", default_observer(controller_rig)), f"{where}: compensation", folder
+        ),
     )
     _sampled_once(spec.reference, f"{where}: reference")
     _sampled_once(spec.disturbance.signal, f"{where}: disturbance: signal")
@@ -167,6 +168,8 @@ def check_spec(spec: Spec, where: str) -> None:
         raise BadInput(f"duration is {settings.duration:g}", where, expected)
     for section in ("rig", "controller_rig"):
         check_rig(getattr(spec, section), f"{where}: {section}")
+    check_serves(OBSERVERS, spec.compensation.name, spec.controller_rig, f"{where}: compensation")
+    check_serves(CONTROLLERS, spec.controller.name, spec.controller_rig, f"{where}: controller")
     # What disturbs the rig may have a cylinder of its own.
     check_ranges(spec.disturbance.parameters, "plant", f"{where}: disturbance")
     steps = max(1, math.ceil(period / settings.integration_step - 1e-9))

@@ -1,29 +1,27 @@
-"""Identification of friction models with Maxwell-slip elements: their number, the hysteresis loop and the joint fit.
+"""Identification of the friction model with Maxwell-slip elements: their number, the hysteresis loop and the joint fit.
 
-A model belongs here if its parameters have the fields :data:`FIELDS`. Others are fitted by
-:mod:`ehls_ros.identification.declared`.
+Other models are fitted by :mod:`ehls_ros.identification.declared`.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.observers import gms
 from ehls_ros.errors import BadInput
 from ehls_ros.identification import joint, presliding
+from ehls_ros.identification.along import MOST_PARTS, force_along
 from ehls_ros.identification.balance import Recorded, check_unit, linear_columns
 from ehls_ros.identification.joint import REACH, Coordinates, JointFit, Start
-from ehls_ros.identification.motion import Motion
+from ehls_ros.identification.motion import Motion, slides
 from ehls_ros.identification.static import StaticFit
-from ehls_ros.physics.composition import kernel_module
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.physics.rig import Rig
-from ehls_ros.samples import Mask
 
-FIELDS = frozenset({"element_stiffness", "element_weight", "attraction_rate"})
+MODEL = "gms"
+"""The friction model with elements."""
 
 EXPONENTS = (0.1, 4.0)
 """Range of the Stribeck exponent; a rig file takes no larger one."""
@@ -43,55 +41,11 @@ Far more than chance requires: motion at a reversal that the sensor does not res
 RATES = np.geomspace(30.0, 3e4, 7)
 """Attraction rates C that are tried as starts [N/s]."""
 
-LAST_FRACTION, LEAST_SETTLED = 0.4, 0.85
-"""Fraction at the end of a short stroke that counts, and fraction of the settling time that must have passed by then."""
-
 SETTLED = 6.0
 """Lags s/C of the slipping elements after which sliding counts as steady."""
 
 FORGET = 3e-3
 """Travel after a turn in which the elements forget it, where presliding was not recorded [m]."""
-
-MOST_PARTS = 60
-"""Most integration steps in a block."""
-
-ONE_STEP = gms.Parameters(steps=1)
-
-_RUN = '''"""Friction elements along a motion, generated."""
-from numba import njit
-from ehls_ros.control.observers import gms
-
-
-@njit(cache=True, error_model="numpy")
-def run(velocity, fresh, period, parts, friction, p, state, out):
-    step = period / parts
-    for i in range(velocity.size):
-        if fresh[i]:
-            state.forces[:] = 0.0
-            state.mode[:] = 0.0
-            state.last[:] = 0.0
-        before = velocity[i] if fresh[i] or i == 0 else velocity[i - 1]
-        after = velocity[i] if i + 1 == velocity.size or fresh[i + 1] else velocity[i + 1]
-        total = 0.0
-        for part in range(parts):
-            # From the block's beginning to its end, the velocity straight between the blocks' middles.
-            at = (part + 0.5) / parts - 0.5
-            v = velocity[i] + at * (velocity[i] - before if at < 0.0 else after - velocity[i])
-            gms.update(v, step, friction, p, state)
-            total += state.estimate[0]
-        out[i] = total / parts
-'''
-
-
-def elements_force(motion: Motion, friction: Friction) -> Array:
-    """Return the mean total force of the elements in each block, shape (n,) [N]."""
-    out = np.empty(len(motion.velocity))
-    # A slipping element relaxes at the rate C/s; the integration steps have to be shorter than that.
-    quickest = friction.attraction_rate / min(friction.coulomb_force, friction.static_force)
-    parts = max(1, min(math.ceil(quickest * motion.period), MOST_PARTS))
-    run = kernel_module(_RUN).run
-    run(motion.velocity, motion.fresh, motion.period, parts, friction, ONE_STEP, gms.state(friction), out)
-    return out
 
 
 class ElementCoordinates(NamedTuple):
@@ -155,7 +109,7 @@ class ElementCoordinates(NamedTuple):
 
     def force(self, motion: Motion, friction: Friction) -> Array:
         """Return the mean total force of the elements in each block, shape (n,) [N]."""
-        return elements_force(motion, friction)
+        return force_along(motion, MODEL, friction)
 
 
 class ElementsFit(NamedTuple):
@@ -166,26 +120,14 @@ class ElementsFit(NamedTuple):
         branch: the mean branch of the hysteresis loop; None without reversals in presliding.
         nodes: nodes of the branch; empty without one.
         criteria: Bayesian information criterion by number of elements.
+        remarks: sentences about the limits of the fit.
     """
 
     fit: JointFit
     branch: presliding.Branch | None
     nodes: tuple[presliding.Node, ...]
     criteria: Mapping[int, float]
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Sentences about the number of elements."""
-        if self.branch is None:
-            return ("No presliding is recorded: stiffness and weight of the elements are the rig file's.",)
-        number = len(self.fit.friction.element_stiffness)
-        if len(self.criteria) < 2:
-            return ()
-        others = ", ".join(
-            f"{n}: {self.criteria[n] - self.criteria[number]:+.0f}" for n in sorted(self.criteria) if n != number
-        )
-        plural = "element explains" if number == 1 else "elements explain"
-        return (f"{number} friction {plural} the loop (change of the Bayesian information criterion with {others}).",)
+    remarks: tuple[str, ...]
 
 
 def fit_elements(
@@ -235,7 +177,24 @@ def fit_elements(
     recorded = recorded._replace(usable=counted)
     fit = _fit_in_turn(recorded, start, small if branch is not None else [], wide if steady is not None else [])
     nodes = presliding.nodes(*ramps_of(fit.friction)) if branch is not None else []
-    return ElementsFit(fit, branch, tuple(nodes), criteria)
+    return ElementsFit(fit, branch, tuple(nodes), criteria, _remarks(fit, steady, branch, criteria))
+
+
+def _remarks(
+    fit: JointFit, steady: StaticFit | None, branch: presliding.Branch | None, criteria: Mapping[int, float]
+) -> tuple[str, ...]:
+    out = []
+    if steady is None:
+        out.append("Nothing slides steadily: of the Stribeck curve only its level is fitted, the rest is the rig file's.")
+    if branch is None:
+        out.append("No presliding is recorded: stiffness and weight of the elements are the rig file's.")
+    if len(criteria) > 1:
+        number = len(fit.friction.element_stiffness)
+        change = {n: value - criteria[number] for n, value in sorted(criteria.items()) if n != number}
+        others = ", ".join(f"{n}: {value:+.0f}" for n, value in change.items())
+        plural = "element explains" if number == 1 else "elements explain"
+        out.append(f"{number} friction {plural} the loop (change of the Bayesian information criterion with {others}).")
+    return tuple(out)
 
 
 def _number_of_elements(
@@ -295,7 +254,7 @@ def _best_rate(near: Recorded, start: Friction) -> Friction:
         total = 0.0
         for motion, good in zip(near.motions, near.usable, strict=True):
             rows = linear_columns(motion, near.linear)[good]
-            left = (motion.force - elements_force(motion, friction))[good]
+            left = (motion.force - force_along(motion, MODEL, friction))[good]
             solution, *_ = np.linalg.lstsq(rows, left, rcond=1e-10)
             total += float(np.sum(np.abs(left - rows @ solution)))
         return total
@@ -312,31 +271,6 @@ def _criterion(trial: JointFit, motions: Sequence[Motion]) -> float:
     squares += left_out * (joint.FAR * max(trial.noise)) ** 2
     independent = max(trial.blocks, 2.0)
     return independent * float(np.log(squares / (count + left_out))) + len(trial.covariance) * float(np.log(independent))
-
-
-def slides(motion: Motion, travel: float, time: float) -> Mask:
-    """Tell which blocks slide, with the turn before them forgotten.
-
-    Long blocks smear a turn; what the elements do there is for the recordings of presliding to tell.
-
-    Args:
-        motion: a recording of wide strokes.
-        travel: travel since the turn that it takes [m].
-        time: time since the turn that it takes [s].
-
-    Returns:
-        A mask of shape (n,).
-    """
-    stroke = motion.strokes
-    start = np.searchsorted(stroke, stroke)
-    time_since = (np.arange(len(stroke)) - start) * motion.period
-    travel_since = np.abs(motion.position - motion.position[start])
-    lasts = np.bincount(stroke) * motion.period
-    # The end of a stroke too short for the time counts, too, unless it is still settling.
-    needed = np.clip((1.0 - LAST_FRACTION) * lasts, LEAST_SETTLED * time, time)[stroke]
-    moves = np.abs(motion.velocity) > 5.0 * motion.velocity_noise
-    sliding: Mask = moves & (travel_since >= travel) & (time_since >= needed)
-    return sliding
 
 
 def _fit_in_turn(recorded: Recorded, start: Friction, small: Sequence[int], wide: Sequence[int]) -> JointFit:
@@ -363,8 +297,3 @@ def _fit_in_turn(recorded: Recorded, start: Friction, small: Sequence[int], wide
     sliding = joint.fit(far, Start(coordinates, start, STATIC))
     sticking = joint.fit(near, Start(coordinates, sliding.friction, elements), turned=turned)
     return joint.combined(joint.placed(sliding, wide, motions), joint.placed(sticking, small, motions))
-
-
-def has_elements(friction: Any) -> bool:
-    """Tell whether a model's coefficients are those of friction elements."""
-    return set(friction._fields) >= FIELDS

@@ -1,5 +1,6 @@
 """From recordings to the friction of a rig: static fit, then one fit of the model and the force balance to everything."""
 
+import math
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -8,7 +9,8 @@ import numpy as np
 
 from ehls_ros.errors import BadInput
 from ehls_ros.identification.balance import Recorded, check_unit, without_known
-from ehls_ros.identification.elements import fit_elements
+from ehls_ros.identification.declared import fit_declared
+from ehls_ros.identification.elements import MODEL, fit_elements
 from ehls_ros.identification.motion import SMALL_TRAVEL, Motion, motions_of
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.result import Identification
@@ -94,7 +96,9 @@ def identify(
         _check_units(names, rig, steady)
 
     recorded = Recorded(tuple(without_known(m, linear, rig) for m in motions), usable, linear)
-    result = fit_elements(recorded, rig, start_of(rig, steady), steady, elements, tell)
+    start = start_of(rig, steady)
+    by_elements = fit_elements(recorded, rig, start, steady, elements, tell) if rig.friction_model == MODEL else None
+    result = by_elements or fit_declared(recorded, rig, start, steady, tell)
     found = estimates(result.fit, rig)
     tell("done")
     return Identification(
@@ -102,11 +106,11 @@ def identify(
         estimates=found.by_name,
         correlations=found.correlations,
         not_identifiable=found.not_identifiable,
-        remarks=(*_remarks(motions, steady), *result.remarks, *found.remarks),
+        remarks=(*_remarks(motions), *result.remarks, *found.remarks),
         static=steady,
-        branch=result.branch,
-        nodes=result.nodes,
-        criteria=result.criteria,
+        branch=by_elements.branch if by_elements else None,
+        nodes=by_elements.nodes if by_elements else (),
+        criteria=by_elements.criteria if by_elements else {},
         fit=result.fit,
         motions=recorded.motions,
         method=optimiser,
@@ -137,7 +141,7 @@ def fitted_linear(motions: Sequence[Motion], rig: Rig) -> tuple[str, ...]:
 
 def is_steady(motion: Motion, rig: Rig) -> Mask:
     """Tell which blocks hardly accelerate: the inertia force is small against friction."""
-    steady: Mask = rig.plant.moving_mass * np.abs(motion.acceleration) <= STEADY * rig.friction.coulomb_force
+    steady: Mask = rig.plant.moving_mass * np.abs(motion.acceleration) <= STEADY * rig.friction_level(math.inf)
     return steady
 
 
@@ -146,25 +150,21 @@ def start_of(rig: Rig, steady: StaticFit | None) -> Any:
     if steady is None:
         return rig.friction
     found = steady.friction._asdict()
-    found["coulomb_force"] = max(found["coulomb_force"], 1e-3 * rig.friction.coulomb_force)
+    found["coulomb_force"] = max(found["coulomb_force"], 1e-3 * rig.friction_level(math.inf))
     found["static_force"] = max(found["static_force"], found["coulomb_force"])
     return rig.friction._replace(**{name: value for name, value in found.items() if name in rig.friction._fields})
 
 
 def _check_units(names: str, rig: Rig, steady: StaticFit) -> None:
     """Refuse coefficients of the static fit that only a wrong unit explains."""
-    check_unit("friction", steady.friction.coulomb_force, rig.friction.coulomb_force, names)
+    check_unit("friction", steady.friction.coulomb_force, rig.friction_level(math.inf), names)
     if "spring" in steady.linear:
         check_unit("spring", steady.linear["spring"], rig.plant.spring_stiffness, names)
 
 
-def _remarks(motions: Sequence[Motion], steady: StaticFit | None) -> list[str]:
-    out = []
-    if steady is None:
-        out.append("Nothing slides steadily: of the Stribeck curve only its level is fitted, the rest is the rig file's.")
-    out.extend(
+def _remarks(motions: Sequence[Motion]) -> list[str]:
+    return [
         f"{m.name}: {100.0 * m.outliers:.1f} % of the samples were outliers or missing and left out."
         for m in motions
         if m.outliers > SOME_OUTLIERS
-    )
-    return out
+    ]

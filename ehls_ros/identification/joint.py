@@ -26,7 +26,7 @@ REACH = 4.0
 """How far a logarithm may move from its start: a factor of 55 either way."""
 
 EDGE = 1e-3
-"""Distance to a limit of the search, as a fraction of its range, below which a coordinate has ended there."""
+"""Distance to the end of its reach, as a fraction of it, within which a coordinate has ended there."""
 
 FAR = 5.0
 """Residual, in standard deviations, beyond which a block is left out."""
@@ -84,7 +84,7 @@ class JointFit(NamedTuple):
         coordinates: of the friction model.
         z: all coordinates, searched for or not.
         free: names of the coordinates that were searched for.
-        limited: names of those that ended at a limit of the search.
+        limited: names of those that ended at the end of their reach.
         linear_names: names of the linear coefficients.
         linear: their values.
         covariance: of the free coordinates followed by the linear coefficients.
@@ -221,7 +221,7 @@ def fit(recorded: Recorded, start: Start, *, turned: Turned | None = None, round
     inflation = [1.0] * len(recorded.motions)
     problem = Problem(recorded, start, z, deviations)
     low, high = map(problem.free, start.coordinates.bounds(z, max(m.period for m in recorded.motions)))
-    converged = True
+    began, converged = np.clip(problem.free(z), low, high), True
     for turn in range(rounds):
         problem = Problem(recorded, start, z, _inflated(deviations, inflation))
         out = least_squares(
@@ -259,12 +259,11 @@ def fit(recorded: Recorded, start: Start, *, turned: Turned | None = None, round
     scaled = problem.residuals(found)
     covariance = clustered_covariance(problem.design(found), scaled, strokes(recorded), len(found))
     free = tuple(name for name in start.coordinates.names if name in start.free)
-    edge = EDGE * (high - low)
     return JointFit(
         coordinates=start.coordinates,
         z=z,
         free=free,
-        limited=tuple(np.array(free)[(found <= low + edge) | (found >= high - edge)].tolist()),
+        limited=tuple(np.array(free)[np.abs(found - began) >= (1.0 - EDGE) * REACH].tolist()),
         linear_names=recorded.linear,
         linear=problem.linear(found),
         covariance=covariance,

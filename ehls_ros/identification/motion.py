@@ -26,6 +26,9 @@ BRANCH_BLOCKS, LONGEST_FINE = 80, 0.02
 SLOW, CLEAR = 0.1, 0.01
 """The velocity of a block is clear if its noise is below this fraction of the slowest tenth of the velocities."""
 
+LAST_FRACTION, LEAST_SETTLED = 0.4, 0.85
+"""Fraction at the end of a short stroke that counts, and fraction of the settling time that must have passed by then."""
+
 WINDOW = 9
 """Blocks a local fit spans."""
 
@@ -311,3 +314,28 @@ def _widened(mask: Mask, by: int) -> Mask:
 def slope_noise(block_noise: float, period: float) -> float:
     """Return the noise of the velocity [m/s] that comes of a block's mean position having one [m]."""
     return block_noise * float(np.sqrt(np.sum(savgol_coeffs(WINDOW, ORDER, deriv=1, delta=period) ** 2)))
+
+
+def slides(motion: Motion, travel: float, time: float) -> Mask:
+    """Tell which blocks slide, with the turn before them forgotten.
+
+    Long blocks smear a turn; what happens there is for the recordings of presliding to tell.
+
+    Args:
+        motion: a recording of wide strokes.
+        travel: travel since the turn that it takes [m].
+        time: time since the turn that it takes [s].
+
+    Returns:
+        A mask of shape (n,).
+    """
+    stroke = motion.strokes
+    start = np.searchsorted(stroke, stroke)
+    time_since = (np.arange(len(stroke)) - start) * motion.period
+    travel_since = np.abs(motion.position - motion.position[start])
+    lasts = np.bincount(stroke) * motion.period
+    # The end of a stroke too short for the time counts, too, unless it is still settling.
+    needed = np.clip((1.0 - LAST_FRACTION) * lasts, LEAST_SETTLED * time, time)[stroke]
+    moves = np.abs(motion.velocity) > 5.0 * motion.velocity_noise
+    sliding: Mask = moves & (travel_since >= travel) & (time_since >= needed)
+    return sliding

@@ -14,7 +14,7 @@ from scipy.optimize import nnls
 
 from ehls_ros.arrays import Array
 from ehls_ros.identification.motion import Motion
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.samples import Mask
 
 RAMPS = 60

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from ehls_ros.arrays import Array
 from ehls_ros.estimate import Estimate
-from ehls_ros.identification.elements import has_elements
+from ehls_ros.identification.elements import MODEL
 from ehls_ros.identification.joint import JointFit
 from ehls_ros.identification.motion import Motion
 from ehls_ros.identification.presliding import Branch, Node
@@ -50,7 +50,7 @@ class Identification(NamedTuple):
     @property
     def elements(self) -> int:
         """Number of friction elements; 0 for a friction model without elements."""
-        return len(self.rig.friction.element_stiffness) if has_elements(self.rig.friction) else 0
+        return len(self.rig.friction.element_stiffness) if self.rig.friction_model == MODEL else 0
 
 
 def to_json(found: Identification) -> dict[str, Any]:

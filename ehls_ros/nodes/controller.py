@@ -15,7 +15,8 @@ from ehls_msgs.msg import ControllerStatus, FrictionEstimate, LoaderState, Valve
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import SATURATED, model_of
-from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.control.friction_estimator import FrictionEstimator
+from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput
 from ehls_ros.nodes.control import OK, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
@@ -66,6 +67,7 @@ class ControllerNode(ControlNode):
         self.friction_patience = LOCKSTEP_PATIENCE if self.lockstep else float(self.get_parameter("friction_patience").value)
         self.law = law
         self.kind = CONTROLLERS.load(law)
+        check_serves(CONTROLLERS, law, self.spec.controller_rig, self.get_name())
         given = self.spec.controller
         meant_for = CONTROLLERS.load(given.name).FOLLOWS
         if meant_for != self.kind.FOLLOWS:
@@ -86,7 +88,7 @@ class ControllerNode(ControlNode):
         period = self.spec.settings.control_period
         self.period = period
         self.controller = Controller(self.law, self.tuning, model_of(self.spec.controller_rig, period))
-        self.static_friction = FrictionEstimator("stribeck", self.spec.controller_rig.friction, period)
+        self.static_friction = FrictionEstimator("stribeck", self.spec.controller_rig, period)
         self.pending: dict[int, tuple[Any, ...]] = {}
         self.pending_since = 0.0
         self.references: dict[int, tuple[float, float, float]] = {}

@@ -5,8 +5,9 @@ from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple, NoReturn
 
 from ehls_msgs.msg import FrictionEstimate, LoaderState
-from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.serving import check_serves
 from ehls_ros.nodes.control import OK, WAIT, WARN, ControlNode, run_node
 from ehls_ros.nodes.parameters import declare, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
@@ -15,9 +16,9 @@ from ehls_ros.schema import text
 
 
 class Parameters(NamedTuple):
-    """Which model is run."""
+    """Which observer is run."""
 
-    model: Annotated[str, text("friction observer: gms, stribeck, ...; empty: the spec's compensation")] = ""
+    model: Annotated[str, text("friction observer: rig_model, stribeck, ...; empty: the spec's compensation")] = ""
 
 
 class FrictionEstimatorNode(ControlNode):
@@ -29,7 +30,8 @@ class FrictionEstimatorNode(ControlNode):
         declare(self, Parameters, live=False)
         given = self.spec.compensation
         self.model = self.text_parameter("model") or given.name
-        observer = OBSERVERS.load(self.model, f"{self.get_name()}: model")
+        check_serves(OBSERVERS, self.model, self.spec.controller_rig, f"{self.get_name()}: model")
+        observer = OBSERVERS.load(self.model)
         values = given.parameters._asdict() if given.name == self.model else {}
         declare(self, observer.Parameters, values, live=False)
         self.observer_parameters = values_of(self, observer.Parameters, self.get_name())
@@ -37,7 +39,7 @@ class FrictionEstimatorNode(ControlNode):
     def prepare(self) -> None:
         """Compile the observer and open the topics."""
         period = self.spec.settings.control_period
-        self.estimator = FrictionEstimator(self.model, self.spec.controller_rig.friction, period, self.observer_parameters)
+        self.estimator = FrictionEstimator(self.model, self.spec.controller_rig, period, self.observer_parameters)
         elements = self.estimator.element_forces.size
         self.elements = elements
         self.last = -1

@@ -1,4 +1,4 @@
-"""The rig's coefficients: declared here once, with unit, range and help."""
+"""The rig's coefficients, each declared once with unit, range and help; friction models declare their own."""
 
 from typing import Annotated, NamedTuple
 
@@ -25,19 +25,6 @@ class Plant(NamedTuple):
     gravity: Annotated[
         float, quantity("m/s^2", "gravity along -x as (3) has it; negative turns it round", minimum=-20.0, maximum=20.0)
     ]
-
-
-class Friction(NamedTuple):
-    """Coefficients of the cylinder's friction, equations (5)-(8)."""
-
-    coulomb_force: Annotated[float, quantity("N", "Coulomb friction Fc", above=0.0)]
-    static_force: Annotated[float, quantity("N", "static friction Fs", above=0.0)]
-    stribeck_velocity: Annotated[float, quantity("m/s", "Stribeck velocity Vs", above=0.0)]
-    stribeck_exponent: Annotated[float, quantity("1", "shape of the Stribeck curve, delta", above=0.0, maximum=4.0)]
-    viscous_coefficient: Annotated[float, quantity("N s/m", "viscous friction sigma_f", minimum=0.0)]
-    element_stiffness: Annotated[tuple[float, ...], text("presliding stiffness k_i of each element [N/m]")]
-    element_weight: Annotated[tuple[float, ...], text("share alpha_i of each element; they sum to 1")]
-    attraction_rate: Annotated[float, quantity("N/s", "rate C at which a slipping element nears the Stribeck curve", above=0.0)]
 
 
 class Sensor(NamedTuple):

@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.beam import applied_force
 from ehls_ros.physics.cylinder import load_pressure_rate
-from ehls_ros.physics.friction.base import stribeck_level
-from ehls_ros.physics.parameters import Friction, Plant
+from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.valve import load_flow, spool_rate
 
 X, V, PL, XV, FRICTION = 0, 1, 2, 3, 4
@@ -33,7 +32,7 @@ class Coefficients(NamedTuple):
     """What the equations need besides state and inputs; ``command`` is the one that has arrived at the valve [m]."""
 
     plant: Plant
-    friction: Friction
+    friction: Any
     inputs: Array
     effects: Array
     command: float
@@ -102,6 +101,7 @@ def system(parts: Parts) -> tuple[Callable[..., float], Callable[..., None]]:
         ``evaluate`` and ``switch`` as :mod:`ehls_ros.physics.integration` wants them.
     """
     end = FRICTION + parts.elements
+    sliding_level = parts.friction.level
     friction_rates, friction_force = parts.friction.rates, parts.friction.force
     friction_event, friction_switch = parts.friction.event, parts.friction.switch
     command, opening, supply_pressure = parts.command, parts.opening, parts.supply_pressure
@@ -112,7 +112,7 @@ def system(parts: Parts) -> tuple[Callable[..., float], Callable[..., None]]:
     def mechanics(t: float, y: Array, c: Coefficients) -> tuple[float, float]:
         """Return the Stribeck level s(v) and the force on the mass without friction [N]."""
         w, z, p, plant = c.inputs, y[end:], c.effects, c.plant
-        level = friction_level(stribeck_level(y[V], c.friction), t, y, w, z, p, plant)  # (7)
+        level = friction_level(sliding_level(y[V], c.friction), t, y, w, z, p, plant)  # (7)
         extra = extra_force(0.0, t, y, w, z, p, plant)
         applied = applied_force(y[X], y[V], y[PL], disturbance_force(t, w), extra, plant)
         return level, applied
@@ -178,7 +178,7 @@ def mover(run: Callable[..., int], parts: Parts) -> Callable[..., int]:
         y: Array,
         mode: Array,
         plant: Plant,
-        friction: Friction,
+        friction: Any,
         inputs: Array,
         effects: Array,
         step: float,
@@ -198,7 +198,7 @@ def mover(run: Callable[..., int], parts: Parts) -> Callable[..., int]:
         y: Array,
         mode: Array,
         plant: Plant,
-        friction: Friction,
+        friction: Any,
         inputs: Array,
         effects: Array,
         step: float,

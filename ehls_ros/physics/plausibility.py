@@ -15,7 +15,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.composition import effects_in_kernel
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.parameters import Friction, Limits, Plant
+from ehls_ros.physics.parameters import Limits
 from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.schema import declarations
 
@@ -93,12 +93,6 @@ def _stroke(rig: Rig) -> float:
     return rig.limits.position[1] - rig.limits.position[0]
 
 
-def _break_away(rig: Rig) -> float:
-    friction = rig.friction
-    pairs = zip(friction.element_weight, friction.element_stiffness, strict=True)
-    return max(friction.static_force * weight / stiffness for weight, stiffness in pairs)
-
-
 RELATIONS = (
     Relation(
         lambda rig: rig.limits.load_pressure / rig.plant.supply_pressure,
@@ -115,10 +109,10 @@ RELATIONS = (
         "N, Pa and m^2; 1 mm^2 is 1e-6 m^2, 1 kN is 1e3 N, 1 bar is 1e5 Pa",
     ),
     Relation(
-        lambda rig: rig.friction.static_force / largest_force(rig),
+        lambda rig: rig.friction_level(0.0) / largest_force(rig),
         0.0,
         1.0,
-        "friction.static_force over what plant.supply_pressure gives on plant.piston_area",
+        "break-away, friction.static_force or coulomb_force, over what plant.supply_pressure gives on plant.piston_area",
         "a friction in N that the cylinder can overcome",
     ),
     Relation(
@@ -136,11 +130,11 @@ RELATIONS = (
         "m; 1 mm is 1e-3 m",
     ),
     Relation(
-        lambda rig: _break_away(rig) / _stroke(rig),
+        lambda rig: rig.friction_law.break_away(rig.friction) / _stroke(rig),
         0.0,
         0.1,
-        "way to break-away, element_weight times static_force over element_stiffness, over the stroke",
-        "element_stiffness in N/m; 1 N/mm is 1e3 N/m",
+        "travel to break-away, friction force over its stiffness in presliding, over the stroke",
+        "a stiffness in N/m; 1 N/mm is 1e3 N/m",
     ),
     Relation(
         lambda rig: rig.plant.total_volume / (rig.plant.piston_area * _stroke(rig)),
@@ -264,13 +258,13 @@ def rates(rig: Rig) -> Iterator[Rate]:
         The parts. Springs and dampers act on the smallest of the masses.
     """
     effective = rig.effective()
-    p, f, limits = effective.plant, effective.friction, effective.limits
+    p, f, law, limits = effective.plant, effective.friction, effective.friction_law, effective.limits
     piston = effective.piston_mass()
     mass = min(p.moving_mass, piston) if piston > 0.0 else p.moving_mass
     oil = 4.0 * p.bulk_modulus / p.total_volume
-    said = _said(p, Plant) | _said(f, Friction)
+    said = _said(p) | _said(f)
     of_mass = f"on {mass:g} kg"
-    presliding = f"element_stiffness {', '.join(f'{k:g}' for k in f.element_stiffness)} N/m"
+    springs = ", ".join(said[key] for key, unit in units_of(type(f)).items() if unit == "N/m")
     # Through the valve flows no more than the piston takes at its largest velocity; the spool's limit may be far beyond.
     gradient = p.discharge_coefficient * p.valve_area_gradient * math.sqrt(p.supply_pressure / p.oil_density)
     flow = min(gradient * p.valve_gain * limits.spool, p.piston_area * limits.velocity)
@@ -281,12 +275,14 @@ def rates(rig: Rig) -> Iterator[Rate]:
     yield Rate("leakage", oil * p.leakage_coefficient, leaking)
     orifice = f"{said['supply_pressure']}, {said['bulk_modulus']}, {said['total_volume']}, flow {flow:g} m^3/s"
     yield Rate("valve's flow", 0.5 * oil * flow / p.supply_pressure, orifice)
-    yield Rate("presliding friction", math.sqrt(sum(f.element_stiffness) / mass), f"{presliding} {of_mass}")
+    if math.isfinite(stiffness := law.stiffness(f)):
+        yield Rate("presliding friction", math.sqrt(stiffness / mass), f"{springs} {of_mass}")
     damping = p.viscous_damping + f.viscous_coefficient
     yield Rate("damping", damping / mass, f"{said['viscous_damping']}, {said['viscous_coefficient']} {of_mass}")
     yield Rate("spring", math.sqrt(p.spring_stiffness / mass), f"{said['spring_stiffness']} {of_mass}")
-    slipping = f"{said['attraction_rate']}, {said['coulomb_force']}"
-    yield Rate("slipping friction", f.attraction_rate / f.coulomb_force, slipping)
+    slipping = ", ".join(said[key] for key in f._fields if key != "viscous_coefficient")
+    relaxation = law.relaxation_rate(f, limits.velocity)
+    yield Rate("slipping friction", relaxation, f"{slipping} at {limits.velocity:g} m/s")
     for use in effects_in_kernel(rig):
         of_unit: dict[str, Callable[[float], float]] = {
             "N/m": lambda value: math.sqrt(abs(value) / mass),
@@ -300,8 +296,17 @@ def rates(rig: Rig) -> Iterator[Rate]:
                 yield Rate(f"effect {use.name}", of_unit[unit](value), f"{key} {value:g} {unit} {of_mass}")
 
 
-def _said(parameters: Any, kind: Any) -> dict[str, str]:
-    return {key: f"{key} {getattr(parameters, key):g} {unit}" for key, unit in units_of(kind).items() if unit}
+def _said(parameters: Any) -> dict[str, str]:
+    """Return each field as a message has it: name, value or values, unit."""
+
+    def shown(value: float | tuple[float, ...]) -> str:
+        return ", ".join(f"{one:g}" for one in value) if isinstance(value, tuple) else f"{value:g}"
+
+    units = units_of(type(parameters))
+    return {
+        key: f"{key} {shown(value)}{'' if units[key] == '1' else f' {units[key]}'}"
+        for key, value in parameters._asdict().items()
+    }
 
 
 def check_step(rig: Rig, step: float, where: str) -> None:

@@ -1,13 +1,15 @@
 """The one description of a rig that simulator, controller, identification and diagnosis share."""
 
 import math
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any, NamedTuple, get_type_hints
 
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
-from ehls_ros.physics.parameters import Friction, Limits, Plant, Sensor
+from ehls_ros.physics.friction.base import FrictionModel, in_python
+from ehls_ros.physics.parameters import Limits, Plant, Sensor
 from ehls_ros.schema import parse
 
 
@@ -19,7 +21,7 @@ class EffectUse(NamedTuple):
 
     @property
     def piston_share(self) -> float:
-        """Part of the moving mass that this effect leaves with the piston, parted from the load; 0 where it parts none."""
+        """Fraction of the moving mass that this effect leaves with the piston, parted from the load; 0 where it parts none."""
         share = getattr(EFFECTS.load(self.name), "piston_share", None)
         return 0.0 if share is None else float(share(self.parameters))
 
@@ -29,17 +31,41 @@ SENSED = ("position", "velocity", "load_pressure", "spool_position", "force", "s
 
 
 class Rig(NamedTuple):
-    """A whole rig; ``effects`` is empty for the paper's model."""
+    """A complete rig.
+
+    Attributes:
+        plant: hydraulics, valve and beam load.
+        friction_model: name of the friction model.
+        friction: its ``Parameters``.
+        effects: what the paper's model does not have; empty for the paper's rig.
+        sensors: imperfections by signal.
+        limits: what the rig may not exceed.
+        other_friction: keys of the rig file that other friction models have, kept for the day the model is changed.
+    """
 
     plant: Plant
     friction_model: str
-    friction: Friction
+    friction: Any
     effects: tuple[EffectUse, ...]
     sensors: Mapping[str, Sensor]
     limits: Limits
+    other_friction: Mapping[str, Any] = {}
+
+    @property
+    def friction_law(self) -> FrictionModel:
+        """The file of the friction model."""
+        return FRICTION_MODELS.load(self.friction_model)
+
+    def friction_level(self, velocity: float) -> float:
+        """Return the friction of steady sliding without its viscous part [N], effects not included.
+
+        Args:
+            velocity: [m/s]; at 0 it is the force at break-away, at infinity the Coulomb friction.
+        """
+        return float(in_python(self.friction_law.level)(velocity, self.friction))
 
     def effective(self) -> "Rig":
-        """Return the rig with every effect that shifts parameters worked into them."""
+        """Return the rig with the effects that shift parameters applied to them."""
         rig = self
         for use in self.effects:
             shift = getattr(EFFECTS.load(use.name), "shift", None)
@@ -67,6 +93,9 @@ class Rig(NamedTuple):
 
 SECTIONS = ("plant", "friction", "effects", "sensors", "limits")
 
+DEFAULT_FRICTION = "gms"
+"""The friction model of a rig file that names none."""
+
 
 def rig_from_mapping(data: Any, where: str) -> Rig:
     """Check a rig file's content and build the rig.
@@ -91,11 +120,7 @@ def rig_from_mapping(data: Any, where: str) -> Rig:
     for section in data:
         if section not in SECTIONS:
             raise BadInput(f"section {section!r} is unknown", where, f"one of {', '.join(SECTIONS)}")
-    friction_data = dict(data["friction"])
-    model = friction_data.pop("model", "gms")
-    FRICTION_MODELS.load(model, f"{where}: friction: model")
-    friction = parse(Friction, friction_data, f"{where}: friction")
-    _check_elements(friction, f"{where}: friction")
+    model, friction, others = _friction_from_mapping(data["friction"], f"{where}: friction")
     limits = parse(Limits, data["limits"], f"{where}: limits")
     if not -math.inf < limits.position[0] < limits.position[1] < math.inf:
         expected = "two finite numbers [min, max] with min < max [m]"
@@ -107,9 +132,73 @@ def rig_from_mapping(data: Any, where: str) -> Rig:
         effects=effects_from_list([] if data.get("effects") is None else data["effects"], f"{where}: effects"),
         sensors=_sensors_from_mapping({} if data.get("sensors") is None else data["sensors"], f"{where}: sensors"),
         limits=limits,
+        other_friction=others,
     )
-    _check_elements(rig.effective().friction, f"{where}: effects")
+    check_friction_effects(rig, f"{where}: effects")
     return rig
+
+
+def _friction_from_mapping(data: Mapping[str, Any], where: str) -> tuple[str, Any, dict[str, Any]]:
+    """Check the friction section.
+
+    Every key must be one of some friction model, and every value in its range. The keys of the rig's own model are its
+    ``Parameters``; one that is missing is derived from the others where the model can. The others are kept.
+
+    Returns:
+        Name of the model, its parameters, the other models' keys.
+    """
+    model = data.get("model", DEFAULT_FRICTION)
+    law = FRICTION_MODELS.load(model, f"{where}: model")
+    own = law.Parameters._fields
+    foreign = {key: value for key, value in data.items() if key not in own and key != "model"}
+    known = _keys_of(FRICTION_MODELS.names()) if foreign else {}
+    for key in foreign:
+        if key not in known:
+            expected = f"one of {', '.join(own)}; or, of other models, {', '.join(k for k in known if k not in own)}"
+            raise BadInput(f"key '{key}' is unknown", where, expected)
+    others = {key: parse(known[key], {key: value}, where)[0] for key, value in foreign.items()}
+    friction = parse(law.Parameters, _derived(law, others) | {key: data[key] for key in own if key in data}, where)
+    law.check(friction, where)
+    return model, friction, others
+
+
+def _derived(law: FrictionModel, others: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of a model that follow from those of other models."""
+    derived: Callable[[Mapping[str, Any]], dict[str, Any]] | None = getattr(law, "derived", None)
+    return {} if derived is None else derived(others)
+
+
+@cache
+def _keys_of(models: tuple[str, ...]) -> dict[str, Any]:
+    """Return the keys of some friction models, each as a parameter set of its own."""
+    hints: dict[str, Any] = {}
+    for name in models:
+        hints |= get_type_hints(FRICTION_MODELS.load(name).Parameters, include_extras=True)
+    return {key: NamedTuple("Key", [(key, hint)]) for key, hint in hints.items()}
+
+
+def check_friction_effects(rig: Rig, where: str) -> None:
+    """Look for effects that do not fit a rig's friction model.
+
+    Args:
+        rig: the rig.
+        where: file and section of the effects, for errors.
+
+    Raises:
+        BadInput: an effect shifts coefficients that the model does not have, or to values that contradict each other.
+    """
+    for use in rig.effects:
+        shifted = getattr(EFFECTS.load(use.name), "SHIFTS", ())
+        if shifted and not set(shifted) & set(rig.friction._fields):
+            what = f"effect {use.name!r} has nothing to act on in friction model {rig.friction_model!r}"
+            raise BadInput(what, where, f"a friction model with {' or '.join(shifted)}: {', '.join(_models_with(shifted))}")
+    rig.friction_law.check(rig.effective().friction, where)
+
+
+def _models_with(keys: tuple[str, ...]) -> list[str]:
+    """Return the friction models that have one of some keys."""
+    names = FRICTION_MODELS.names()
+    return [name for name in names if set(keys) & set(FRICTION_MODELS.load(name).Parameters._fields)]
 
 
 def effects_from_list(data: Any, where: str) -> tuple[EffectUse, ...]:
@@ -144,32 +233,23 @@ def _sensors_from_mapping(data: Any, where: str) -> dict[str, Sensor]:
     return {signal: parse(Sensor, values or {}, f"{where}: {signal}") for signal, values in data.items()}
 
 
-def _check_elements(friction: Friction, where: str) -> None:
-    stiffness, weight = friction.element_stiffness, friction.element_weight
-    if not stiffness or len(stiffness) != len(weight):
-        raise BadInput(
-            f"{len(stiffness)} element_stiffness and {len(weight)} element_weight", where, "equally many, at least one"
-        )
-    for key, values in (("element_stiffness", stiffness), ("element_weight", weight)):
-        if not all(0.0 < value < math.inf for value in values):
-            raise BadInput(f"{key} is {list(values)}", where, "finite numbers above 0")
-    if abs(sum(weight) - 1.0) > 1e-6:
-        raise BadInput(f"element_weight sums to {sum(weight):g}", where, "a sum of 1")
-    if friction.coulomb_force > friction.static_force:
-        raise BadInput(
-            f"coulomb_force is {friction.coulomb_force:g}", where, f"at most static_force = {friction.static_force:g} N"
-        )
-
-
 def rig_to_mapping(rig: Rig) -> dict[str, Any]:
-    """Return the mapping that a rig file holds; :func:`rig_from_mapping` turns it back."""
+    """Return the mapping that a rig file holds; :func:`rig_from_mapping` turns it back.
+
+    Coefficients of friction that follow from others are left out.
+    """
 
     def plain(parameters: Any) -> dict[str, Any]:
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in parameters._asdict().items()}
+        return listed(parameters._asdict())
 
+    def listed(values: Mapping[str, Any]) -> dict[str, Any]:
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
+
+    derived = _derived(rig.friction_law, rig.other_friction)
+    friction = {key: value for key, value in rig.friction._asdict().items() if derived.get(key) != value}
     return {
         "plant": plain(rig.plant),
-        "friction": {"model": rig.friction_model, **plain(rig.friction)},
+        "friction": {"model": rig.friction_model, **listed(friction), **listed(rig.other_friction)},
         "effects": [{"name": use.name, **plain(use.parameters)} for use in rig.effects],
         "sensors": {signal: plain(sensor) for signal, sensor in rig.sensors.items()},
         "limits": plain(rig.limits),

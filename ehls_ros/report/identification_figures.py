@@ -14,7 +14,7 @@ from ehls_ros.identification.motion import Motion
 from ehls_ros.identification.result import Identification
 from ehls_ros.identification.static import StaticFit
 from ehls_ros.identification.stribeck import StaticFriction
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.report.figures import ELEMENT_LINES
 from ehls_ros.report.identification_findings import as_shown, elements_remark
 from ehls_ros.report.page import LeftOut, Panel, number

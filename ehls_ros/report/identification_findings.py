@@ -10,7 +10,8 @@ import numpy as np
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.elements import EVIDENCE
 from ehls_ros.identification.result import Identification
-from ehls_ros.physics.parameters import Friction, Plant
+from ehls_ros.physics.friction.gms import Parameters as Friction
+from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.report.page import (
     MISSING_NUMBER,

@@ -88,10 +88,16 @@ def test_a_controller_has_its_parts(name):
 @pytest.mark.parametrize("name", OBSERVERS.names())
 def test_an_observer_has_its_parts(rig, name):
     member = OBSERVERS.load(name)
-    state = member.state(rig.friction)
+    state = member.state(rig.friction_law, rig.friction)
     assert state.estimate.size == 2 + 2 * state.forces.size
     assert not np.any(state.estimate)
-    assert list(inspect.signature(member.update.py_func).parameters) == ["velocity", "period", "friction", "p", "state"]
+    assert list(inspect.signature(member.updater(rig.friction_law).py_func).parameters) == [
+        "velocity",
+        "period",
+        "friction",
+        "p",
+        "state",
+    ]
 
 
 @pytest.mark.parametrize("name", DISTURBANCES.names())

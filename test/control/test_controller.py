@@ -9,7 +9,7 @@ import pytest
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS, base, fasmc
 from ehls_ros.control.controllers.base import model_of
-from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.physics import sensors
 from ehls_ros.physics.plant import PL, XV, V, X
 from ehls_ros.physics.rig import SENSED
@@ -45,7 +45,7 @@ class Bench:
     def __init__(self, rig: Any, law: Controller) -> None:
         self.rig, self.law, self.cycle = rig, law, 0
         self.simulator = Simulator(rig, PERIOD)
-        self.estimator = FrictionEstimator("gms", rig.friction, PERIOD)
+        self.estimator = FrictionEstimator("gms", rig, PERIOD)
 
     def step(self) -> tuple[np.ndarray, np.ndarray, float]:
         t = self.cycle * PERIOD
@@ -179,7 +179,7 @@ def test_a_broken_cycle_is_forgotten(rig, name):
     wanted = np.array([2.7e3 if CONTROLLERS.load(name).FOLLOWS == "force" else 1e-3, 0.0, 0.0])
     ends = []
     for broken_cycle in (300, None):
-        law, simulator, estimator = make(rig, name), Simulator(rig, PERIOD), FrictionEstimator("gms", rig.friction, PERIOD)
+        law, simulator, estimator = make(rig, name), Simulator(rig, PERIOD), FrictionEstimator("gms", rig, PERIOD)
         for k in range(1500):
             measured = measure(rig, simulator)
             friction = estimator.update(measured[sensors.VELOCITY])
@@ -196,7 +196,7 @@ def test_what_a_law_does_not_need_it_does_without(rig, name):
     needs = CONTROLLERS.load(name).NEEDS
     whole, blind = make(rig, name), make(rig, name)
     wanted = np.array([2.7e3 if CONTROLLERS.load(name).FOLLOWS == "force" else 1e-3, 0.0, 0.0])
-    simulator, estimator, commands = Simulator(rig, PERIOD), FrictionEstimator("gms", rig.friction, PERIOD), []
+    simulator, estimator, commands = Simulator(rig, PERIOD), FrictionEstimator("gms", rig, PERIOD), []
     for _ in range(300):
         measured = measure(rig, simulator)
         partial = np.array([value if signal in needs else math.nan for signal, value in zip(SENSED, measured, strict=True)])

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.physics.plant import FRICTION, V
 from ehls_ros.physics.simulator import Simulator
@@ -26,14 +26,14 @@ NARROW = {"stribeck": {"smoothing": 0.025}}
 
 def estimates(rig, name: str, velocity: np.ndarray, **values: float) -> np.ndarray:
     parameters = OBSERVERS.load(name).Parameters(**{**NARROW.get(name, {}), **values})
-    estimator = FrictionEstimator(name, rig.friction, PERIOD, parameters)
+    estimator = FrictionEstimator(name, rig, PERIOD, parameters)
     return np.array([estimator.update(v).copy() for v in velocity])
 
 
 @pytest.mark.parametrize("amplitude", [1e-3, 2e-4, 2e-5])
 def test_gms_follows_the_friction_inside_the_plant(rig, amplitude):
     simulator = Simulator(rig, PERIOD)
-    estimator = FrictionEstimator("gms", rig.friction, PERIOD)
+    estimator = FrictionEstimator("gms", rig, PERIOD)
     wrong = []
     for k in range(4000):
         estimate = estimator.update(simulator.y[V])
@@ -99,11 +99,11 @@ def test_gms_converges_with_its_steps(rig):
 @pytest.mark.parametrize("name", OBSERVERS.names())
 @pytest.mark.parametrize("cycles", [2, 7, 50])
 def test_an_update_after_a_gap_is_that_of_the_longer_period(rig, name, cycles):
-    late, slow = FrictionEstimator(name, rig.friction, PERIOD), FrictionEstimator(name, rig.friction, cycles * PERIOD)
+    late, slow = FrictionEstimator(name, rig, PERIOD), FrictionEstimator(name, rig, cycles * PERIOD)
     for v in velocities(2, 2000)[::cycles]:
         assert late.update(v, cycles).tobytes() == slow.update(v).tobytes()
     # The cycle after a gap is a usual one.
-    usual = FrictionEstimator(name, rig.friction, PERIOD)
+    usual = FrictionEstimator(name, rig, PERIOD)
     for kept, from_gap in zip(usual.state, late.state, strict=True):
         kept[:] = from_gap
     assert late.update(0.03).tobytes() == usual.update(0.03).tobytes()
@@ -111,7 +111,7 @@ def test_an_update_after_a_gap_is_that_of_the_longer_period(rig, name, cycles):
 
 @pytest.mark.parametrize("cycles", [1, 5, 30])
 def test_gms_sticks_over_a_gap_as_a_spring_does(rig, cycles):
-    estimator = FrictionEstimator("gms", rig.friction, PERIOD)
+    estimator = FrictionEstimator("gms", rig, PERIOD)
     estimator.update(2e-3)
     # On the mean 3 mm/s for the time of the gap, at 2265 N/mm: at most 0.09 mm, and nothing slips before 0.28 mm.
     assert estimator.update(4e-3, cycles)[0] == pytest.approx(2265e3 * 3e-3 * cycles * PERIOD, rel=1e-9)
@@ -119,7 +119,7 @@ def test_gms_sticks_over_a_gap_as_a_spring_does(rig, cycles):
 
 @pytest.mark.parametrize("name", OBSERVERS.names())
 def test_reset_puts_it_at_rest(rig, name):
-    estimator = FrictionEstimator(name, rig.friction, PERIOD)
+    estimator = FrictionEstimator(name, rig, PERIOD)
     first = np.array([estimator.update(v).copy() for v in velocities(0, 500)])
     estimator.reset()
     assert np.array_equal(first, np.array([estimator.update(v).copy() for v in velocities(0, 500)]))
@@ -138,7 +138,7 @@ def test_a_velocity_that_is_no_number_leaves_no_trace(rig, name, bad):
 
 def test_a_rig_with_another_number_of_elements_works(rig):
     friction = rig.friction._replace(element_stiffness=(2e6, 1e5), element_weight=(0.7, 0.3))
-    estimator = FrictionEstimator("gms", friction, PERIOD)
+    estimator = FrictionEstimator("gms", rig._replace(friction=friction), PERIOD)
     for _ in range(2000):
         estimate = estimator.update(0.05)
     assert estimate.shape == (6,)

@@ -7,7 +7,7 @@ import pytest
 
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers.base import model_of
-from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.experiments.loop import run_in_process, sampled, simulator_of
 from ehls_ros.experiments.spec import load_rig, load_spec
 from ehls_ros.hardware.gate_parameters import SIMULATED, Parameters
@@ -70,7 +70,7 @@ class Loop:
         spec = load_spec(CONFIG / "experiments" / "sine_fd2.yaml")
         self.simulator = simulator_of(spec)
         self.controller = Controller(spec.controller.name, spec.controller.parameters, model_of(spec.controller_rig, PERIOD))
-        self.friction = FrictionEstimator("gms", spec.controller_rig.friction, PERIOD)
+        self.friction = FrictionEstimator("gms", spec.controller_rig, PERIOD)
         self.reference = sampled(spec.reference, PERIOD).rows(0, spec.cycles)
         self.disturbance = sampled(spec.disturbance.signal, PERIOD).rows(0, spec.cycles)
         self.gate = Gate(spec.rig, PERIOD, parameters, bounds={})

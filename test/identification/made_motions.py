@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.identification.joint import REACH
 from ehls_ros.identification.motion import Motion
 
 PERIOD = 0.01
@@ -57,7 +58,7 @@ class PowerCoordinates(NamedTuple):
         return PowerLaw(*np.exp(z).tolist())
 
     def bounds(self, z: Array, period: float) -> tuple[Array, Array]:
-        return z - 3.0, z + 3.0
+        return z - REACH, z + REACH
 
     def force(self, made: Motion, friction: PowerLaw) -> Array:
         return friction.level * np.sign(made.velocity) * np.abs(made.velocity) ** friction.exponent

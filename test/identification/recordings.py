@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 

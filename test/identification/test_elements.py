@@ -5,18 +5,16 @@ import pytest
 from made_motions import motion
 
 from ehls_ros.errors import BadInput
+from ehls_ros.identification.along import MOST_PARTS, force_along
 from ehls_ros.identification.balance import Recorded, check_unit, linear_columns
 from ehls_ros.identification.elements import (
     EXPONENTS,
-    MOST_PARTS,
     STATIC,
     ElementCoordinates,
-    elements_force,
-    has_elements,
     ramps_of,
-    slides,
 )
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.identification.motion import slides
+from ehls_ros.physics.friction.gms import Parameters as Friction
 
 FRICTION = Friction(
     coulomb_force=640.0,
@@ -73,14 +71,14 @@ def test_bounds_hold_the_start_the_exponents_range_and_what_a_block_resolves():
 
 def test_sticking_elements_are_springs():
     velocity = np.full(50, 1e-5)
-    force = elements_force(motion(velocity), FRICTION)
+    force = force_along(motion(velocity), "gms", FRICTION)
     travel = 1e-5 * 0.01 * (np.arange(50) + 0.5)
     np.testing.assert_allclose(np.diff(force), sum(FRICTION.element_stiffness) * np.diff(travel), rtol=1e-6)
 
 
 @pytest.mark.parametrize("speed", [1e-3, 0.05, -0.02])
 def test_steady_sliding_is_the_stribeck_curve(speed):
-    force = elements_force(motion(np.full(2000, speed)), FRICTION)
+    force = force_along(motion(np.full(2000, speed)), "gms", FRICTION)
     level = 640.0 + 225.0 * np.exp(-((abs(speed) / 2e-3) ** 0.9))
     assert force[-1] == pytest.approx(np.sign(speed) * level, rel=1e-6)
 
@@ -88,13 +86,13 @@ def test_steady_sliding_is_the_stribeck_curve(speed):
 def test_a_gap_begins_with_elements_at_rest():
     velocity = np.tile(np.full(300, 0.01), 2)
     fresh = np.arange(600) % 300 == 0
-    force = elements_force(motion(velocity, fresh=fresh), FRICTION)
+    force = force_along(motion(velocity, fresh=fresh), "gms", FRICTION)
     np.testing.assert_allclose(force[300:], force[:300], rtol=1e-9)
 
 
 def test_the_motion_turned_round_turns_the_force_round():
     velocity = 0.01 * np.sin(np.linspace(0.0, 30.0, 900))
-    np.testing.assert_allclose(elements_force(motion(-velocity), FRICTION), -elements_force(motion(velocity), FRICTION))
+    np.testing.assert_allclose(force_along(motion(-velocity), "gms", FRICTION), -force_along(motion(velocity), "gms", FRICTION))
 
 
 def test_ramps_end_where_elements_have_gone_from_one_side_to_the_other():
@@ -121,11 +119,6 @@ def test_of_short_strokes_the_end_counts_unless_it_still_settles():
 def test_standstill_is_no_sliding():
     made = motion(np.full(300, 1e-6), velocity_noise=1e-6)
     assert not slides(made, 0.0, 0.0).any()
-
-
-def test_elements_are_recognised_by_their_fields():
-    assert has_elements(FRICTION)
-    assert not has_elements(motion(np.zeros(5)))
 
 
 def test_linear_columns_have_the_units_of_their_coefficients():

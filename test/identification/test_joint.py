@@ -126,7 +126,7 @@ def test_stray_blocks_are_left_out_and_hardly_move_the_result():
 
 
 def test_a_search_that_ends_at_its_limit_says_so():
-    far = START._replace(friction=PowerLaw(TRUE.level * np.exp(4.0), TRUE.exponent), free=("level",))
+    far = START._replace(friction=PowerLaw(TRUE.level * np.exp(5.0), TRUE.exponent), free=("level",))
     fit = joint.fit(recorded(), far)
     assert fit.limited == ("level",)
 

@@ -5,7 +5,7 @@ import pytest
 from made_motions import PERIOD, motion
 
 from ehls_ros.identification.presliding import Branch, corrected_turns, mean_branch, merged, nodes, ramps
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.friction.gms import Parameters as Friction
 
 FRICTION = Friction(
     coulomb_force=600.0,

@@ -25,7 +25,7 @@ def test_the_json_has_the_promised_keys():
         noise=(0.7,),
         residuals=(np.zeros(3),),
     )
-    rig = type("Rig", (), {"friction": type("F", (), {"_fields": ("level",)})})
+    rig = type("Rig", (), {"friction_model": "power law"})
     found = Identification(
         rig=rig,  # type: ignore[arg-type]
         estimates={"level": Estimate(100.0, 0.5, "N"), "gravity": Estimate(9.81, 0.01, "m/s^2")},

@@ -12,7 +12,6 @@ from reference_solver import Case, Floats
 from rig_runs import PAPER_RIG, PERIOD, run
 
 from ehls_ros.physics.composition import kernel_module
-from ehls_ros.physics.parameters import Friction
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP, Simulator
 
@@ -61,7 +60,6 @@ from numba import njit
 from ehls_ros.arrays import kernel
 from ehls_ros.physics import integration
 from ehls_ros.physics.friction import {model} as model
-from ehls_ros.physics.friction.base import stribeck_level
 
 # Whatever moves the contact is strong enough to.
 STRONG = 1e9
@@ -76,7 +74,7 @@ class Motion(NamedTuple):
 @kernel
 def evaluate(t, y, mode, c, rate):
     v = c.velocity + c.acceleration * t
-    level = stribeck_level(v, c.friction)
+    level = model.level(v, c.friction)
     model.rates(v, level, y, mode, c.friction, rate)
     return model.event(v, copysign(STRONG, v), level, y, mode, c.friction)
 
@@ -84,7 +82,7 @@ def evaluate(t, y, mode, c, rate):
 @kernel
 def switch(t, y, mode, c):
     v = c.velocity + c.acceleration * t
-    model.switch(v, copysign(STRONG, v), stribeck_level(v, c.friction), y, mode, c.friction)
+    model.switch(v, copysign(STRONG, v), model.level(v, c.friction), y, mode, c.friction)
 
 
 run = integration.integrator(evaluate, switch)
@@ -100,16 +98,16 @@ def drive(velocity, period, steps, friction, y, mode, states, modes, total):
             dense += run(0.0, y, mode, motion, period / steps, steps, work)
         states[k] = y
         modes[k] = mode
-        level = stribeck_level(velocity[k], friction)
+        level = model.level(velocity[k], friction)
         total[k] = model.force(velocity[k], 0.0, level, y, mode, friction)
     return dense
 '''
 
 
 class Driven:
-    """A friction model that followed a velocity: the state of its elements, their modes and the whole force."""
+    """A friction model that followed a velocity: the state of its elements, their modes and the total force."""
 
-    def __init__(self, module: ModuleType, count: int, velocity: Floats, friction: Friction, steps: int) -> None:
+    def __init__(self, module: ModuleType, count: int, velocity: Floats, friction: Any, steps: int) -> None:
         y, mode = np.zeros(count), np.zeros(count)
         self.states, self.modes = np.empty((velocity.size, count)), np.empty((velocity.size, count))
         self.total = np.empty(velocity.size)
@@ -120,7 +118,7 @@ class Driven:
 def drive() -> Callable[..., Driven]:
     """Drive a friction model along velocities sampled each millisecond, straight lines between."""
 
-    def along(model: str, velocity: Floats, friction: Friction, steps: int = 10) -> Driven:
+    def along(model: str, velocity: Floats, friction: Any, steps: int = 10) -> Driven:
         from ehls_ros.physics.friction import FRICTION_MODELS
 
         module = kernel_module(_DRIVE.format(model=model))

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.friction.gms import Parameters
 from ehls_ros.physics.simulator import Simulator
 
 # Level curve flat, break-away at 0.05, 0.15 and 0.4 mm: a pure Maxwell slip model, whose force is known in closed form.
-FLAT = Friction(
+FLAT = Parameters(
     coulomb_force=800.0,
     static_force=800.0,
     stribeck_velocity=2e-3,

@@ -60,17 +60,19 @@ def test_a_stribeck_contact_pushed_hard_goes_straight_through_a_reversal(make_ri
 
 
 def test_lugre_presliding_stiffness_is_that_of_all_elements(drive, make_rig):
-    friction = make_rig().friction
+    friction = make_rig(friction={"model": "lugre"}).friction
     velocity = np.full(11, 1e-6)
     driven = drive("lugre", velocity, friction)
     distance = 1e-6 * 10e-3
-    assert driven.states[-1, 0] / distance == pytest.approx(sum(friction.element_stiffness), rel=1e-4)
+    assert driven.states[-1, 0] / distance == pytest.approx(1884e3 + 196.9e3 + 184.1e3, rel=1e-4)
 
 
 def test_lugre_force_depends_on_distance_alone_at_constant_level(drive, make_rig):
     """F = s (1 - exp(-sigma0 x/s)), the closed form while s stands."""
-    friction = make_rig(friction={"coulomb_force": 700.0, "static_force": 700.0, "viscous_coefficient": 0.0}).friction
-    sigma = sum(friction.element_stiffness)
+    friction = make_rig(
+        friction={"model": "lugre", "coulomb_force": 700.0, "static_force": 700.0, "viscous_coefficient": 0.0}
+    ).friction
+    sigma = friction.presliding_stiffness
     driven = drive("lugre", np.full(201, 4e-3), friction)
     distance = 4e-3 * np.arange(201) * 1e-3
     np.testing.assert_allclose(driven.total, 700.0 * (1.0 - np.exp(-sigma * distance / 700.0)), rtol=1e-8, atol=1e-6)

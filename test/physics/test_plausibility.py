@@ -9,7 +9,7 @@ import yaml
 
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.parameters import Friction, Limits, Plant
+from ehls_ros.physics.parameters import Limits, Plant
 from ehls_ros.physics.plausibility import (
     ENDS,
     RANGES,
@@ -51,7 +51,7 @@ def test_no_effect_is_too_fast_anywhere_in_its_range(make_rig, effect):
 
 def test_ranges_name_what_there_is_and_hold_the_papers_rig_well_inside(make_rig):
     rig = make_rig()
-    kinds = {"plant": Plant, "friction": Friction, "limits": Limits}
+    kinds = {"plant": Plant, "friction": type(rig.friction), "limits": Limits}
     for (section, key), (low, high) in RANGES.items():
         assert key in kinds[section]._fields
         assert low * 1.5 < getattr(getattr(rig, section), key) < high / 1.5

@@ -39,7 +39,7 @@ def test_the_paper_rig_survives_writing_and_reading(rig_data):
         ("friction", "element_stiffness", [float("inf"), 1.0, 1.0], ["inf", "finite number"]),
         ("friction", "element_stiffness", 1e6, ["1000000.0", "N/m"]),
         ("friction", "static_force", 100.0, ["640.8", "at most static_force = 100"]),
-        ("friction", "model", "dahl", ["'dahl'", "gms", "lugre", "stribeck"]),
+        ("friction", "model", "sticky", ["'sticky'", "gms", "lugre", "stribeck"]),
         ("limits", "position", [0.3, -0.3], ["[0.3, -0.3]", "min < max"]),
         ("limits", "position", [0.3], ["[0.3]", "m"]),
         ("limits", "position", [float("nan"), 0.3], ["nan", "finite number"]),

@@ -11,7 +11,8 @@ from ehls_ros.identification.presliding import Branch, nodes
 from ehls_ros.identification.result import Identification
 from ehls_ros.identification.static import StaticFit
 from ehls_ros.identification.stribeck import StaticFriction
-from ehls_ros.physics.parameters import Friction, Limits, Plant
+from ehls_ros.physics.friction.gms import Parameters as Friction
+from ehls_ros.physics.parameters import Limits, Plant
 from ehls_ros.physics.rig import Rig
 
 FRICTION = Friction(

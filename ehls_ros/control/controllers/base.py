@@ -2,7 +2,8 @@
 
 ``Parameters``, a named tuple declaring its parameters; ``FOLLOWS``, what the reference it follows is, force or
 position; ``FRICTION``, whether it uses the friction estimate; ``NEEDS``, the readings without which it controls
-nothing; ``memory(parameters)``, its state before the first cycle; and a compiled
+nothing; ``memory(parameters)``, its state before the first cycle; ``FRICTION_MODEL``, where it has one friction model within
+it and serves no other; and a compiled
 
 ``step(m, r, f, p, model, memory, status) -> spool command [m]``
 
@@ -10,7 +11,7 @@ with ``m`` the measurement in the order of :data:`ehls_ros.physics.rig.SENSED`, 
 and second derivative, [N, N/s, N/s^2] for a force and [m, m/s, m/s^2] for a position, ``f`` friction of the
 elements and viscous friction [N], ``p`` its parameters, ``model`` the :class:`Model`, ``memory`` updated in
 place, and ``status`` filled in place by the indices below. It keeps the command within ``model.spool_limit``
-without winding up, and finite whatever the measurement; a measurement that is no number leaves nothing in
+without winding up, and finite whatever the measurement; a measurement that is not finite leaves nothing in
 ``memory``.
 """
 
@@ -18,7 +19,7 @@ import math
 from typing import Any, Literal, NamedTuple, Protocol
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.parameters import Friction, Plant
+from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 
 E3, S, ALPHA, BETA, DELTA, U1, U2, U3, FORCE_ERROR, FORCE_BOUND, SATURATED, STATUS_SIZE = range(12)
@@ -29,16 +30,16 @@ ELEMENTS_FORCE, VISCOUS_FORCE = 0, 1
 
 
 class Model(NamedTuple):
-    """What a controller knows of the rig."""
+    """What a controller knows of the rig; ``friction`` are the parameters of its friction model."""
 
     plant: Plant
-    friction: Friction
+    friction: Any
     period: float
     spool_limit: float
 
 
 class ControllerLaw(Protocol):
-    """The attributes of one controller's file."""
+    """The attributes of one controller's file; ``FRICTION_MODEL`` may be absent."""
 
     Parameters: Any
     FOLLOWS: Literal["force", "position"]
@@ -59,7 +60,7 @@ def model_of(rig: Rig, period: float) -> Model:
 
 @kernel
 def saturate(value: float, limit: float) -> float:
-    """Cut a value to [-limit, limit]; what is no number becomes 0."""
+    """Cut a value to [-limit, limit]; NaN becomes 0."""
     if math.isnan(value):
         return 0.0
     return min(max(value, -limit), limit)

@@ -42,6 +42,7 @@ from ehls_ros.schema import quantity
 
 FOLLOWS = "force"
 FRICTION = False
+FRICTION_MODEL = state_estimator.FRICTION_MODEL
 NEEDS = ("position", "load_pressure", "spool_position", "force")
 
 TRIALS = 2

@@ -1,12 +1,12 @@
-"""The Stribeck curve of the measured velocity, smoothed where it jumps: the compensation of FASMC I."""
+"""The friction of steady sliding at the measured velocity, smoothed where it changes sides: the compensation of FASMC I."""
 
 import math
-from typing import Annotated, NamedTuple
+from collections.abc import Callable
+from typing import Annotated, Any, NamedTuple
 
 from ehls_ros.arrays import kernel
 from ehls_ros.control.observers.base import ELEMENTS, ObserverState, empty_state, held
-from ehls_ros.physics.friction.base import stribeck_level
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.friction.base import FrictionModel
 from ehls_ros.schema import quantity
 
 
@@ -18,23 +18,23 @@ class Parameters(NamedTuple):
     )
 
 
-def state(friction: Friction) -> ObserverState:
+def state(model: FrictionModel, friction: Any) -> ObserverState:
     """Return the state of one element, the curve."""
     return empty_state(1)
 
 
-@kernel
-def smoothed_curve(velocity: float, friction: Friction, p: Parameters) -> float:
-    """Return the smoothed static friction without its viscous part [N]; ``velocity`` in m/s."""
-    return stribeck_level(velocity, friction) * math.tanh(velocity / p.smoothing)
+def updater(model: FrictionModel) -> Callable[..., None]:
+    """Build the update with the curve of one friction model."""
+    level = model.level
 
+    @kernel
+    def update(velocity: float, period: float, friction: Any, p: Parameters, state: ObserverState) -> None:
+        """Look the curve up."""
+        velocity = held(velocity, state)
+        value = level(velocity, friction) * math.tanh(velocity / p.smoothing)
+        state.estimate[0] = value
+        state.estimate[1] = friction.viscous_coefficient * velocity
+        state.estimate[ELEMENTS] = value
+        state.estimate[ELEMENTS + 1] = 1.0
 
-@kernel
-def update(velocity: float, period: float, friction: Friction, p: Parameters, state: ObserverState) -> None:
-    """Look the curve up."""
-    velocity = held(velocity, state)
-    value = smoothed_curve(velocity, friction, p)
-    state.estimate[0] = value
-    state.estimate[1] = friction.viscous_coefficient * velocity
-    state.estimate[ELEMENTS] = value
-    state.estimate[ELEMENTS + 1] = 1.0
+    return update

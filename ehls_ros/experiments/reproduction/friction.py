@@ -4,9 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from ehls_ros.control.estimator import FrictionEstimator
+from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.experiments.reproduction.cases import paper_rig
-from ehls_ros.physics.friction.base import stribeck_level
 
 FASTEST = 0.15
 """Largest velocity of the paper's sweep [m/s]."""
@@ -19,16 +18,17 @@ PERIOD = 1e-3
 
 def curves() -> dict[str, Any]:
     """Return both curves: force over velocity, and force over displacement with each element's part."""
-    friction = paper_rig().friction
+    rig = paper_rig()
+    friction = rig.friction
     velocity = np.linspace(-FASTEST, FASTEST, 602)
-    level = np.array([stribeck_level.py_func(v, friction) for v in velocity])
+    level = np.array([rig.friction_level(v) for v in velocity])
     steady = np.sign(velocity) * level + friction.viscous_coefficient * velocity
 
     # Two periods: the first one starts from rest and leads to the loop.
     time = np.arange(round(2.0 / FREQUENCY / PERIOD)) * PERIOD
     omega = 2.0 * np.pi * FREQUENCY
     displacement, speed = STROKE * np.sin(omega * time), STROKE * omega * np.cos(omega * time)
-    estimator = FrictionEstimator("gms", friction, PERIOD)
+    estimator = FrictionEstimator("gms", rig, PERIOD)
     elements = len(friction.element_stiffness)
     rows = np.array([estimator.update(v)[: 2 + elements].copy() for v in speed])[::20]
     return {

@@ -4,7 +4,8 @@ Always: ``STAGE``, ``EQUATION``, ``SOURCE``; ``Parameters``, a named tuple whose
 values, those that change nothing; and ``forms(rig) -> tuple[Form, ...]``, the ways in which the effect is
 fitted to data. Then at least one of
 
-* ``shift(rig, parameters) -> rig``, when the effect is another value of the rig's own parameters;
+* ``shift(rig, parameters) -> rig``, when the effect is another value of the rig's own parameters; where these are
+  coefficients of the friction model, ``SHIFTS`` names them, and a rig whose model has none of them is refused;
 * compiled hooks ``name(value, t, y, w, z, p, plant) -> value``, when the equations change. ``value`` is what
   the model has so far, the effects before it in the list included; what comes back takes its place.
 
@@ -118,4 +119,4 @@ class Effect(Protocol):
     Parameters: Any
 
     def forms(self, rig: "Rig") -> tuple[Form, ...]:
-        """Return the ways to fit the effect to data of a rig, each at least one free parameter."""
+        """Return the ways to fit the effect to data of a rig, each with a free parameter; none where it cannot act."""

@@ -2,27 +2,33 @@
 
 from typing import Annotated, NamedTuple
 
+from ehls_ros.physics.effects._friction import has, shifted
 from ehls_ros.physics.effects.base import Form, Stage
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "friction"
-EQUATION = "k_i -> factor k_i"
+SHIFTS = ("element_stiffness", "presliding_stiffness")
+EQUATION = "k_i -> factor k_i, or σ0 -> factor σ0"
 SOURCE = "Kang et al. 2018, (6)"
 
 
 class Parameters(NamedTuple):
-    """Factor on every element's stiffness."""
+    """Factor on the stiffness of every element."""
 
     factor: Annotated[float, quantity("1", "factor on the presliding stiffness", minimum=0.02, maximum=50.0)] = 1.0
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the stiffness scaled."""
-    stiffness = tuple(parameters.factor * value for value in rig.friction.element_stiffness)
-    return rig._replace(friction=rig.friction._replace(element_stiffness=stiffness))
+    elements = getattr(rig.friction, "element_stiffness", ())
+    return shifted(
+        rig,
+        element_stiffness=tuple(parameters.factor * value for value in elements),
+        presliding_stiffness=parameters.factor * getattr(rig.friction, "presliding_stiffness", 0.0),
+    )
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
     """Softer, stiffer."""
-    return (Form({"factor": (0.5, 1.5, 3.0)}),)
+    return (Form({"factor": (0.5, 1.5, 3.0)}),) if has(rig, *SHIFTS) else ()

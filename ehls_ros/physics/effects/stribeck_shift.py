@@ -2,11 +2,13 @@
 
 from typing import Annotated, NamedTuple
 
+from ehls_ros.physics.effects._friction import has, shifted
 from ehls_ros.physics.effects.base import Form, Stage
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 STAGE: Stage = "friction"
+SHIFTS = ("stribeck_velocity",)
 EQUATION = "Fs -> Fs + static_offset, at least Fc;  Vs -> velocity_factor Vs;  δ -> exponent_factor δ, at most 4"
 SOURCE = "Kang et al. 2018, (7); Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30, 1994"
 
@@ -25,18 +27,19 @@ class Parameters(NamedTuple):
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the curve changed."""
     friction = rig.friction
-    return rig._replace(
-        friction=friction._replace(
-            static_force=max(friction.static_force + parameters.static_offset, friction.coulomb_force),
-            stribeck_velocity=parameters.velocity_factor * friction.stribeck_velocity,
-            stribeck_exponent=min(parameters.exponent_factor * friction.stribeck_exponent, STEEPEST),
-        )
+    return shifted(
+        rig,
+        static_force=max(friction.static_force + parameters.static_offset, friction.coulomb_force),
+        stribeck_velocity=parameters.velocity_factor * friction.stribeck_velocity,
+        stribeck_exponent=min(parameters.exponent_factor * friction.stribeck_exponent, STEEPEST),
     )
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
     """The height, the width, both."""
-    # A fall that is wider by far has its height fitted to the wrong speeds first: starts on either side of it.
+    if not has(rig, *SHIFTS):
+        return ()
+    # Where the fall is much wider, a fit would first match its height at the wrong speeds: so it starts on either side.
     factors = (0.4, 2.0, 5.0)
     return (
         Form({"static_offset": ()}),

@@ -1,50 +1,109 @@
-"""What a friction model provides, and the Stribeck curve they share.
+"""What a friction model's file provides, and what the models share.
 
-A model has ``states(friction)`` forces F [N] that follow the velocity, and as many modes. A mode is 0
-while the contact sticks and +1 or -1 while it slips that way; it changes only at an event that the
-integrator locates, so that between events everything is smooth. The functions are compiled by numba;
-their arguments, the same for all:
+A model keeps forces F [N], one an element, and as many modes. A mode is 0 while the contact sticks and +1 or -1 while it
+slips that way; it changes only at an event that the integrator locates, so that the equations are smooth between events.
 
-* ``v`` velocity [m/s]; ``s`` Stribeck level s(v) [N], effects included; ``F`` forces of the elements [N];
-* ``mode`` modes of the elements; ``p`` the rig's :class:`~ehls_ros.physics.rig.Friction`;
-* ``applied`` every other force on the mass [N]; ``rate`` where the derivatives of F go [N/s].
+A file has ``EQUATION`` and ``SOURCE``, and ``Parameters``: a named tuple that declares the keys of the rig file's
+``friction`` section. Of these every model has ``viscous_coefficient``; keys that several models have are declared here.
+Some functions are called from Python, before a run:
+
+* ``check(p, where)`` raises :class:`~ehls_ros.errors.BadInput` where keys contradict each other;
+* ``states(p)`` returns the number of elements;
+* ``stiffness(p)`` returns the stiffness of the contact at rest [N/m], infinite where it is rigid;
+* ``break_away(p)`` returns the travel from rest after which all of the contact slips [m], 0 where it is rigid;
+* ``relaxation_rate(p, speed)`` returns the rate at which forces approach steady sliding at a speed [m/s], the largest [1/s].
+
+The others are compiled:
+
+* ``level(v, p)``, the friction force of steady sliding at velocity v without its viscous part [N], positive and even in v;
+  at v = 0 the force at break-away;
+* ``rates(v, s, F, mode, p, rate)`` writes the derivatives of F into ``rate`` [N/s];
+* ``force(v, applied, s, F, mode, p)`` returns the friction force against +v [N]; at given F, s and modes it depends on v
+  through the viscous term alone;
+* ``event(v, applied, s, F, mode, p)`` returns a function of the state that is positive once a mode has to change;
+* ``switch(v, applied, s, F, mode, p)`` changes those modes and returns the velocity after it;
+* ``begin(balance, s, p, F)`` writes into F the forces that hold a balance [N] as far as the level s allows.
+
+Their arguments: ``v`` velocity [m/s]; ``s`` level(v, p) as effects leave it [N]; ``applied`` the sum of all other forces on
+the mass [N]; ``p`` the rig's ``Parameters``.
+
+A file may have ``derived(others)``: it returns keys of its own that follow from those of other models, where a rig file does
+not give them.
 """
 
 import math
-from typing import Protocol
+from typing import Annotated, Any, Protocol
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.errors import BadInput
+from ehls_ros.schema import quantity
+
+CoulombForce = Annotated[float, quantity("N", "Coulomb friction Fc", above=0.0, maximum=1e9)]
+StaticForce = Annotated[float, quantity("N", "static friction Fs", above=0.0, maximum=1e9)]
+StribeckVelocity = Annotated[float, quantity("m/s", "Stribeck velocity Vs", above=0.0, maximum=1e3)]
+StribeckExponent = Annotated[float, quantity("1", "shape of the Stribeck curve, delta", above=0.0, maximum=4.0)]
+ViscousCoefficient = Annotated[float, quantity("N s/m", "viscous friction sigma_f", minimum=0.0, maximum=1e20)]
+PreslidingStiffness = Annotated[float, quantity("N/m", "stiffness of the contact at rest, sigma_0", above=0.0, maximum=1e20)]
 
 
 class FrictionModel(Protocol):
-    """The functions of one friction model's file."""
+    """The attributes of one friction model's file; ``derived`` may be absent."""
 
     EQUATION: str
     SOURCE: str
+    Parameters: Any
 
-    def states(self, p: Friction) -> int:
-        """Return how many forces the model integrates."""
+    def check(self, p: Any, where: str) -> None:
+        """Raise BadInput where keys contradict each other."""
 
-    def rates(self, v: float, s: float, F: Array, mode: Array, p: Friction, rate: Array) -> None:
-        """Write the derivatives of the forces into ``rate``."""
+    def states(self, p: Any) -> int:
+        """Return the number of elements."""
 
-    def force(self, v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
-        """Return the friction force opposing +v [N]."""
+    def stiffness(self, p: Any) -> float:
+        """Return the stiffness of the contact at rest [N/m]."""
 
-    def event(self, v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
+    def break_away(self, p: Any) -> float:
+        """Return the travel from rest after which all of the contact slips [m]."""
+
+    def relaxation_rate(self, p: Any, speed: float) -> float:
+        """Return the largest rate at which forces approach steady sliding at a speed [m/s], in 1/s."""
+
+    def level(self, v: float, p: Any) -> float:
+        """Return the force of steady sliding without its viscous part [N]."""
+
+    def rates(self, v: float, s: float, F: Array, mode: Array, p: Any, rate: Array) -> None:
+        """Write the derivatives of the forces into ``rate`` [N/s]."""
+
+    def force(self, v: float, applied: float, s: float, F: Array, mode: Array, p: Any) -> float:
+        """Return the friction force against +v [N]."""
+
+    def event(self, v: float, applied: float, s: float, F: Array, mode: Array, p: Any) -> float:
         """Return a function of the state that is positive once a mode has to change."""
 
-    def switch(self, v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
-        """Change the modes whose event has come and return the velocity after it."""
+    def switch(self, v: float, applied: float, s: float, F: Array, mode: Array, p: Any) -> float:
+        """Change the modes whose event has come and return the velocity after it [m/s]."""
+
+    def begin(self, balance: float, s: float, p: Any, F: Array) -> None:
+        """Write the forces that hold a balance into ``F`` [N]."""
+
+
+def in_python(compiled: Any) -> Any:
+    """Return a compiled function of a model as plain Python: a single call is not worth a compilation."""
+    return compiled.py_func
 
 
 @kernel
-def stribeck_level(v: float, p: Friction) -> float:
-    """Return s(v) of equation (7) [N], the steady friction without its viscous part."""
+def stribeck_level(v: float, p: Any) -> float:
+    """Return the Stribeck curve s(v) of equation (7) [N]."""
     return p.coulomb_force + (p.static_force - p.coulomb_force) * math.exp(
         -(abs(v / p.stribeck_velocity) ** p.stribeck_exponent)
     )  # (7)
+
+
+def check_stribeck(p: Any, where: str) -> None:
+    """Raise BadInput where a Stribeck curve rises from standstill to motion."""
+    if p.coulomb_force > p.static_force:
+        raise BadInput(f"coulomb_force is {p.coulomb_force:g}", where, f"at most static_force = {p.static_force:g} N")
 
 
 @kernel

@@ -1,27 +1,81 @@
 """Generalised Maxwell slip friction.
 
-(8) as printed holds sgn(v) outside the bracket and diverges for v < 0; the form here has the steady
-state (9). An element breaks away in the direction of motion only: the printed |F_i| >= alpha_i s(v)
-would let an element that is being unloaded slip against the motion.
+(8) as printed has sgn(v) outside the bracket and diverges for v < 0; the form here has the steady state (9). An element
+breaks away in the direction of motion only: the printed |F_i| >= alpha_i s(v) would let an element that is being unloaded
+slip against the motion.
 """
+
+import math
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.friction.base import sign
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.errors import BadInput
+from ehls_ros.physics.friction.base import (
+    CoulombForce,
+    StaticForce,
+    StribeckExponent,
+    StribeckVelocity,
+    ViscousCoefficient,
+    check_stribeck,
+    sign,
+    stribeck_level,
+)
+from ehls_ros.schema import quantity, text
 
 EQUATION = "stick: dF_i/dt = k_i v; slip: dF_i/dt = C (sgn(v) α_i - F_i/s(v)); Ff = Σ F_i + σf v"
 SOURCE = "Kang et al. 2018, (5)-(9); Al-Bender, Lampaert, Swevers 2005"
 
 
-def states(p: Friction) -> int:
+class Parameters(NamedTuple):
+    """Stribeck curve and elements, equations (5)-(8)."""
+
+    coulomb_force: CoulombForce
+    static_force: StaticForce
+    stribeck_velocity: StribeckVelocity
+    stribeck_exponent: StribeckExponent
+    viscous_coefficient: ViscousCoefficient
+    element_stiffness: Annotated[tuple[float, ...], text("presliding stiffness k_i of each element", "N/m")]
+    element_weight: Annotated[tuple[float, ...], text("fraction alpha_i of each element; they sum to 1", "1")]
+    attraction_rate: Annotated[
+        float, quantity("N/s", "rate C at which a slipping element nears the Stribeck curve", above=0.0, maximum=1e20)
+    ]
+
+
+level = stribeck_level
+
+
+def check(p: Parameters, where: str) -> None:
+    """Raise BadInput where the elements' lists do not fit together, or the Stribeck curve rises."""
+    if not p.element_stiffness or len(p.element_stiffness) != len(p.element_weight):
+        what = f"{len(p.element_stiffness)} element_stiffness and {len(p.element_weight)} element_weight"
+        raise BadInput(what, where, "equally many, at least one")
+    for key, values in (("element_stiffness", p.element_stiffness), ("element_weight", p.element_weight)):
+        if not all(0.0 < value < math.inf for value in values):
+            raise BadInput(f"{key} is {list(values)}", where, "finite numbers above 0")
+    if abs(sum(p.element_weight) - 1.0) > 1e-6:
+        raise BadInput(f"element_weight sums to {sum(p.element_weight):g}", where, "a sum of 1")
+    check_stribeck(p, where)
+
+
+def states(p: Parameters) -> int:
     """Return the number of elements."""
     return len(p.element_stiffness)
 
 
+def stiffness(p: Parameters) -> float:
+    """Return the stiffness of all elements together."""
+    return float(sum(p.element_stiffness))
+
+
+def break_away(p: Parameters) -> float:
+    """Return the travel after which the last element slips."""
+    return max(p.static_force * weight / k for weight, k in zip(p.element_weight, p.element_stiffness, strict=True))
+
+
 @kernel
-def rates(v: float, s: float, F: Array, mode: Array, p: Friction, rate: Array) -> None:
+def rates(v: float, s: float, F: Array, mode: Array, p: Parameters, rate: Array) -> None:
     """Stick follows (6), slip (8)."""
     for i in range(len(p.element_stiffness)):
         if mode[i] == 0.0:
@@ -31,7 +85,7 @@ def rates(v: float, s: float, F: Array, mode: Array, p: Friction, rate: Array) -
 
 
 @kernel
-def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
+def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
     """Return (5)."""
     total = p.viscous_coefficient * v
     for i in range(len(p.element_stiffness)):
@@ -40,8 +94,8 @@ def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction
 
 
 @kernel
-def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
-    """Break-away of a sticking element, or reversal under a slipping one."""
+def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
+    """Return the excess over break-away of a sticking element, or the motion against a slipping one; the largest."""
     largest = -np.inf
     direction = sign(v)
     for i in range(len(p.element_stiffness)):
@@ -51,8 +105,8 @@ def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction
 
 
 @kernel
-def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
-    """Let break away, or hold at the reversal."""
+def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
+    """Let an element break away, or stick at the reversal."""
     direction = sign(v)
     for i in range(len(p.element_stiffness)):
         if mode[i] == 0.0:
@@ -61,3 +115,18 @@ def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Frictio
         elif mode[i] * v < 0.0:
             mode[i] = 0.0
     return v
+
+
+def relaxation_rate(p: Parameters, speed: float) -> float:
+    """Return C/Fc, that of a slipping element at high speed."""
+    return p.attraction_rate / p.coulomb_force
+
+
+@kernel
+def begin(balance: float, s: float, p: Parameters, F: Array) -> None:
+    """Share the balance among the elements by their weights."""
+    total = 0.0
+    for i in range(len(p.element_weight)):
+        total += p.element_weight[i]
+    for i in range(len(p.element_weight)):
+        F[i] = min(max(balance, -s), s) * (p.element_weight[i] / total)

@@ -1,43 +1,52 @@
-"""LuGre friction: one bristle of stiffness Σ k_i whose force is the state; its mode is the direction of motion."""
+"""LuGre friction: one bristle that relaxes towards the Stribeck curve with the distance travelled."""
+
+from typing import NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.friction.base import sign
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.friction._bristle import begin, derived, event, force, states, stiffness, switch
+from ehls_ros.physics.friction.base import (
+    CoulombForce,
+    PreslidingStiffness,
+    StaticForce,
+    StribeckExponent,
+    StribeckVelocity,
+    ViscousCoefficient,
+    check_stribeck,
+    stribeck_level,
+)
 
-EQUATION = "dF/dt = σ0 (v - |v| F/s(v)), σ0 = Σ k_i; Ff = F + σf v"
+__all__ = ["begin", "derived", "event", "force", "states", "stiffness", "switch"]
+
+EQUATION = "dF/dt = σ0 (v - |v| F/s(v)); Ff = F + σf v"
 SOURCE = "Canudas de Wit, Olsson, Åström, Lischinsky 1995, without the bristle damping σ1"
 
 
-def states(p: Friction) -> int:
-    """Return 1, the bristle."""
-    return 1
+class Parameters(NamedTuple):
+    """Stribeck curve and bristle."""
+
+    coulomb_force: CoulombForce
+    static_force: StaticForce
+    stribeck_velocity: StribeckVelocity
+    stribeck_exponent: StribeckExponent
+    viscous_coefficient: ViscousCoefficient
+    presliding_stiffness: PreslidingStiffness
+
+
+check, level = check_stribeck, stribeck_level
+
+
+def break_away(p: Parameters) -> float:
+    """Return the travel over which a bristle of constant stiffness reaches Fs."""
+    return p.static_force / p.presliding_stiffness
 
 
 @kernel
-def rates(v: float, s: float, F: Array, mode: Array, p: Friction, rate: Array) -> None:
-    """Deflect the bristle, relaxing toward s(v) in proportion to the distance travelled."""
-    stiffness = 0.0
-    for i in range(len(p.element_stiffness)):
-        stiffness += p.element_stiffness[i]
+def rates(v: float, s: float, F: Array, mode: Array, p: Parameters, rate: Array) -> None:
+    """Deflect the bristle, relaxing towards s(v) in proportion to the distance travelled."""
     # mode v is |v|, and unlike it smooth where a step is tried beyond a reversal.
-    rate[0] = stiffness * (v - mode[0] * v * F[0] / s)
+    rate[0] = p.presliding_stiffness * (v - mode[0] * v * F[0] / s)
 
 
-@kernel
-def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
-    """Return bristle plus viscous force."""
-    return F[0] + p.viscous_coefficient * v
-
-
-@kernel
-def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
-    """Reversal, or the first motion."""
-    return abs(v) if mode[0] == 0.0 else -mode[0] * v
-
-
-@kernel
-def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
-    """Note the direction of motion."""
-    if mode[0] * v <= 0.0:
-        mode[0] = sign(v)
-    return v
+def relaxation_rate(p: Parameters, speed: float) -> float:
+    """Return σ0 |v|/Fc."""
+    return p.presliding_stiffness * abs(speed) / p.coulomb_force

@@ -1,26 +1,60 @@
-"""Static Stribeck friction with true standstill: while it sticks it balances what is applied."""
+"""Static Stribeck friction with true standstill: while it sticks it balances the applied force."""
+
+import math
+from typing import NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.friction.base import sign
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.physics.friction.base import (
+    CoulombForce,
+    StaticForce,
+    StribeckExponent,
+    StribeckVelocity,
+    ViscousCoefficient,
+    check_stribeck,
+    sign,
+    stribeck_level,
+)
 
 EQUATION = "slip: Ff = sgn(v) s(v) + σf v; stick (v = 0): Ff = applied force, up to Fs"
-SOURCE = "Stribeck 1902; stick as Karnopp 1985, with located events in place of the dead band"
+SOURCE = "Stribeck 1902; stick as in Karnopp 1985, with located events in place of the dead band"
 
 
-def states(p: Friction) -> int:
-    """Return 1, the friction force itself, kept as a mode only."""
+class Parameters(NamedTuple):
+    """The Stribeck curve."""
+
+    coulomb_force: CoulombForce
+    static_force: StaticForce
+    stribeck_velocity: StribeckVelocity
+    stribeck_exponent: StribeckExponent
+    viscous_coefficient: ViscousCoefficient
+
+
+check, level = check_stribeck, stribeck_level
+
+
+def states(p: Parameters) -> int:
+    """Return 1: the contact, of which only the mode is used."""
     return 1
 
 
+def stiffness(p: Parameters) -> float:
+    """Return infinity: the contact is rigid."""
+    return math.inf
+
+
+def break_away(p: Parameters) -> float:
+    """Return 0: the contact is rigid."""
+    return 0.0
+
+
 @kernel
-def rates(v: float, s: float, F: Array, mode: Array, p: Friction, rate: Array) -> None:
+def rates(v: float, s: float, F: Array, mode: Array, p: Parameters, rate: Array) -> None:
     """Keep the state at rest: the law is static."""
     rate[0] = 0.0
 
 
 @kernel
-def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
+def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
     """Return the slipping force, or the balance at standstill."""
     if mode[0] == 0.0:
         return applied
@@ -28,16 +62,16 @@ def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction
 
 
 @kernel
-def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
-    """Break-away at s(0) = Fs, or reversal."""
+def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
+    """Return the excess over break-away at s(0) = Fs, or the motion against the direction of slip."""
     if mode[0] == 0.0:
         return abs(applied) - s
     return -mode[0] * v
 
 
 @kernel
-def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Friction) -> float:
-    """Break away along the applied force; stop, or go on the other way where that force is larger than Fs."""
+def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
+    """Break away along the applied force; stop, or reverse where that force is larger than Fs."""
     if mode[0] == 0.0:
         if abs(applied) > s:
             mode[0] = sign(applied)
@@ -46,3 +80,14 @@ def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Frictio
         mode[0] = sign(applied) if abs(applied) > s else 0.0
         return 0.0
     return v
+
+
+def relaxation_rate(p: Parameters, speed: float) -> float:
+    """Return 0: there is nothing to relax."""
+    return 0.0
+
+
+@kernel
+def begin(balance: float, s: float, p: Parameters, F: Array) -> None:
+    """Leave the force at 0: while it sticks, the contact balances the applied force."""
+    F[0] = 0.0

@@ -6,24 +6,29 @@ from ehls_ros.arrays import Array
 from ehls_ros.control.composition import observer_kernel
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import ELEMENTS
-from ehls_ros.physics.parameters import Friction
+from ehls_ros.control.serving import check_serves
+from ehls_ros.physics.rig import Rig
 
 
 class FrictionEstimator:
     """One friction observer of any kind, updated once a cycle."""
 
-    def __init__(self, name: str, friction: Friction, period: float, parameters: Any = None) -> None:
+    def __init__(self, name: str, rig: Rig, period: float, parameters: Any = None) -> None:
         """Prepare and compile (or load) the observer.
 
         Args:
             name: file name of the observer.
-            friction: identified friction of the rig.
+            rig: the rig as identified, for its friction.
             period: time between updates [s].
             parameters: its parameters; None: the declared defaults.
+
+        Raises:
+            BadInput: the observer does not serve the rig's friction model.
         """
+        check_serves(OBSERVERS, name, rig, "friction estimator")
         self._observer = OBSERVERS.load(name)
-        self._update = observer_kernel(name).update
-        self.friction = friction
+        self._update = observer_kernel(name, rig.friction_model).update
+        self._rig = rig
         self.period = period
         self.parameters = parameters if parameters is not None else self._observer.Parameters()
         self.reset()
@@ -33,7 +38,7 @@ class FrictionEstimator:
 
     def reset(self) -> None:
         """Put the elements at rest."""
-        self.state = self._observer.state(self.friction)
+        self.state = self._observer.state(self._rig.friction_law, self._rig.friction)
 
     def update(self, velocity: float, elapsed: int = 1) -> Array:
         """Take one more measured velocity.
@@ -45,7 +50,7 @@ class FrictionEstimator:
         Returns:
             The estimate as :mod:`ehls_ros.control.observers.base` lays it out; the same array every time.
         """
-        self._update(velocity, elapsed * self.period, self.friction, self.parameters, self.state)
+        self._update(velocity, elapsed * self.period, self._rig.friction, self.parameters, self.state)
         return self.state.estimate
 
     @property

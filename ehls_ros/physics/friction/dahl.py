@@ -1,0 +1,54 @@
+"""Dahl's friction: one bristle that softens on its way to the Coulomb force and hardens at once when the motion turns round."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.friction._bristle import begin, derived, event, force, states, stiffness, switch
+from ehls_ros.physics.friction.base import CoulombForce, PreslidingStiffness, ViscousCoefficient
+from ehls_ros.schema import quantity
+
+__all__ = ["begin", "derived", "event", "force", "states", "stiffness", "switch"]
+
+EQUATION = "dF/dt = σ0 |1 - F sgn(v)/Fc|^i sgn(1 - F sgn(v)/Fc) v; Ff = F + σf v"
+SOURCE = "Dahl, A solid friction model, 1968; Solid friction damping of mechanical vibrations, AIAA Journal 14, 1976"
+
+
+class Parameters(NamedTuple):
+    """Coulomb friction and the way to it; the viscous term is added to Dahl's."""
+
+    coulomb_force: CoulombForce
+    viscous_coefficient: ViscousCoefficient
+    presliding_stiffness: PreslidingStiffness
+    softening_exponent: Annotated[
+        float, quantity("1", "how the bristle softens towards the Coulomb force, i", minimum=1.0, maximum=4.0)
+    ] = 1.0
+
+
+def check(p: Parameters, where: str) -> None:
+    """Raise nothing: no key bounds another."""
+
+
+def break_away(p: Parameters) -> float:
+    """Return the travel over which a bristle of constant stiffness reaches Fc."""
+    return p.coulomb_force / p.presliding_stiffness
+
+
+@kernel
+def level(v: float, p: Parameters) -> float:
+    """Return Fc, which does not depend on the velocity."""
+    return p.coulomb_force
+
+
+@kernel
+def rates(v: float, s: float, F: Array, mode: Array, p: Parameters, rate: Array) -> None:
+    """Deflect the bristle."""
+    # Once there is motion the mode is sgn(v); before, F is 0.
+    room = 1.0 - mode[0] * F[0] / s
+    softened = room if p.softening_exponent == 1.0 else abs(room) ** (p.softening_exponent - 1.0) * room
+    rate[0] = p.presliding_stiffness * softened * v
+
+
+def relaxation_rate(p: Parameters, speed: float) -> float:
+    """Return that of the smallest force, i 2^(i-1) σ0 |v|/Fc: where the motion has just turned round in full slip."""
+    steepest = p.softening_exponent * 2.0 ** (p.softening_exponent - 1.0)
+    return steepest * p.presliding_stiffness * abs(speed) / p.coulomb_force
