@@ -1,4 +1,4 @@
-"""Identification of any friction model: its declared parameters fitted to sliding, then to presliding."""
+"""Identification of any friction model: its declared parameters fitted to sliding and presliding."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -15,7 +15,7 @@ from ehls_ros.identification.balance import Recorded
 from ehls_ros.identification.joint import REACH, JointFit, Problem, Start
 from ehls_ros.identification.motion import Motion, slides
 from ehls_ros.identification.static import StaticFit
-from ehls_ros.identification.uncertainty import VAGUE
+from ehls_ros.identification.uncertainty import SHARP
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import declarations
@@ -28,6 +28,9 @@ SAMPLES, STARTS = 64, 3
 
 WIDTH = math.log(10.0)
 """Half the width of the range of the samples about the start, in coordinates."""
+
+NOTHING = 1.0
+"""Standard deviation of a coordinate above which the data say nothing of it."""
 
 FORGET = 3.0
 """Travel after a turn, in lengths of break-away, in which the contact forgets it."""
@@ -167,7 +170,7 @@ def fit_declared(
 ) -> DeclaredFit:
     """Fit the parameters of any friction model.
 
-    Sliding comes first. What it tells is not searched for in presliding, where the sensor misses small motion at the turns.
+    Sliding comes first, then presliding for what sliding does not tell sharply, then a fit of everything from there.
 
     Args:
         recorded: the recordings.
@@ -183,49 +186,46 @@ def fit_declared(
         BadInput: no block slides steadily, and none of presliding can be used.
     """
     coordinates = DeclaredCoordinates.of(rig.friction_model, start)
-    small = [i for i, m in enumerate(recorded.motions) if m.small and np.any(recorded.usable[i])]
-    wide = [i for i, m in enumerate(recorded.motions) if not m.small] if steady is not None else []
-    if not small and not wide:
-        names = ", ".join(m.name for m in recorded.motions)
-        what = "there is neither steady sliding nor a hysteresis loop"
-        raise BadInput(what, names, "strokes at constant velocities both ways, or a small sine")
-    tell("sliding")
-    remarks = []
-    first: JointFit | None = None
-    if steady is not None:
-        forget = max(FORGET * FRICTION_MODELS.load(rig.friction_model).break_away(start), LEAST_FORGET)
-        sliding = recorded.chosen(wide)
-        counted = tuple(u & slides(m, forget, steady.settle_time) for m, u in zip(sliding.motions, sliding.usable, strict=True))
-        first = _sliding_fit(sliding._replace(usable=counted), Start(coordinates, start, coordinates.names))
-        start = first.friction
-    tell("presliding")
-    free = tuple(name for name in coordinates.names if first is None or name not in first.free)
+    law = FRICTION_MODELS.load(rig.friction_model)
     motions = recorded.motions
+    # A rigid contact has no presliding.
+    rigid = not math.isfinite(law.stiffness(start))
+    small = [] if rigid else [i for i, m in enumerate(motions) if m.small and np.any(recorded.usable[i])]
+    wide = [] if steady is None else [i for i, m in enumerate(motions) if not m.small]
+    if not small and not wide:
+        names = ", ".join(m.name for m in motions)
+        what = "there is no steady sliding" if rigid else "there is neither steady sliding nor a hysteresis loop"
+        raise BadInput(what, names, f"strokes at constant velocities both ways{'' if rigid else ', or a small sine'}")
+    near, everything = recorded.chosen(small), Start(coordinates, start, coordinates.names)
+    if steady is None:
+        tell("presliding")
+        remark = "Nothing slides steadily: all parameters are fitted to presliding."
+        return DeclaredFit(joint.placed(_best_fit(near, everything), small, motions), (remark,))
+    tell("sliding")
+    forget = max(FORGET * law.break_away(start), LEAST_FORGET)
+    far = recorded.chosen(wide)
+    sliding = tuple(u & slides(m, forget, steady.settle_time) for m, u in zip(far.motions, far.usable, strict=True))
+    far = far._replace(usable=sliding)
+    told = _told(far, everything, SHARP if small else NOTHING)
+    free = tuple(name for name in coordinates.names if name not in told.free)
     if not small:
-        remarks.append("No presliding is recorded: the parameters that sliding does not tell are the rig file's.")
-        return DeclaredFit(joint.placed(_only(first), wide, motions), tuple(remarks))
-    if first is not None and not free:
-        return DeclaredFit(joint.placed(first, wide, motions), tuple(remarks))
-    second = joint.placed(_best_fit(recorded.chosen(small), Start(coordinates, start, free)), small, motions)
-    if first is None:
-        remarks.append("Nothing slides steadily: all parameters are fitted to presliding.")
-        return DeclaredFit(second, tuple(remarks))
-    return DeclaredFit(joint.combined(joint.placed(first, wide, motions), second), tuple(remarks))
+        remark = "No presliding is recorded: parameters that sliding does not tell are the rig file's."
+        return DeclaredFit(joint.placed(joint.fit(far, told), wide, motions), (remark,) if free and not rigid else ())
+    tell("presliding")
+    begin = _best_fit(near, told._replace(free=free)).friction if free else told.friction
+    both = sorted([*small, *wide])
+    usable = dict(zip([*wide, *small], [*far.usable, *near.usable], strict=True))
+    all_of_them = recorded.chosen(both)._replace(usable=tuple(usable[i] for i in both))
+    return DeclaredFit(joint.placed(joint.fit(all_of_them, everything._replace(friction=begin)), both, motions), ())
 
 
-def _only(fit: JointFit | None) -> JointFit:
-    if fit is None:
-        raise AssertionError("without presliding there is a fit of sliding")
-    return fit
-
-
-def _sliding_fit(recorded: Recorded, start: Start) -> JointFit:
-    """Fit the coordinates that sliding tells; they are free in the fit that is returned, the others stay at the start."""
-    fit = joint.fit(recorded, start)
+def _told(recorded: Recorded, start: Start, doubt: float) -> Start:
+    """Return a start at which only those coordinates are free that the recordings tell better than a doubt."""
+    fit = joint.fit(recorded, start, rounds=1)
     std = np.sqrt(np.diag(fit.covariance))[: len(fit.free)]
-    told = tuple(name for name, doubt in zip(fit.free, std, strict=True) if doubt <= VAGUE and name not in fit.limited)
+    told = tuple(name for name, own in zip(fit.free, std, strict=True) if own <= doubt and name not in fit.limited)
     z = np.where([name in told for name in start.coordinates.names], fit.z, start.coordinates.pack(start.friction))
-    return joint.fit(recorded, Start(start.coordinates, start.coordinates.unpack(z), told))
+    return Start(start.coordinates, start.coordinates.unpack(z), told)
 
 
 def _best_fit(recorded: Recorded, start: Start) -> JointFit:

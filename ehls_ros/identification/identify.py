@@ -6,12 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import savgol_filter
 
 from ehls_ros.errors import BadInput
 from ehls_ros.identification.balance import Recorded, check_unit, without_known
 from ehls_ros.identification.declared import fit_declared
 from ehls_ros.identification.elements import MODEL, fit_elements
-from ehls_ros.identification.motion import SMALL_TRAVEL, Motion, motions_of
+from ehls_ros.identification.motion import SMALL_TRAVEL, WINDOW, Motion, motions_of
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.result import Identification
 from ehls_ros.identification.static import Search, StaticFit, steady_fit
@@ -27,7 +29,7 @@ MASS_SIGNAL = 10.0
 """Inertia force, in standard deviations of the force's noise, above which the mass is fitted."""
 
 STEADY = 0.1
-"""Largest inertia force of steady sliding, as a fraction of Coulomb friction."""
+"""Largest inertia force, and largest scatter of the force, of steady sliding, as a fraction of Coulomb friction."""
 
 SOME_OUTLIERS = 1e-3
 """Fraction of a recording left out above which a remark says so."""
@@ -87,7 +89,7 @@ def identify(
     # Steady sliding has hardly any inertia: its mass is the rig file's.
     straight = tuple(name for name in linear if name not in {"viscous", "mass"})
     known = tuple(without_known(m, straight, rig) for m in motions)
-    slow = tuple(u & is_steady(m, rig) for u, m in zip(usable, motions, strict=True))
+    slow = tuple(u if m.small else u & is_steady(m, rig) for u, m in zip(usable, motions, strict=True))
     wide = [i for i, m in enumerate(motions) if not m.small]
     steady = steady_fit(
         Recorded(known, slow, straight).chosen(wide), rig.plant.viscous_damping, Search(optimiser, chosen, seed)
@@ -98,7 +100,7 @@ def identify(
     recorded = Recorded(tuple(without_known(m, linear, rig) for m in motions), usable, linear)
     start = start_of(rig, steady)
     by_elements = fit_elements(recorded, rig, start, steady, elements, tell) if rig.friction_model == MODEL else None
-    result = by_elements or fit_declared(recorded, rig, start, steady, tell)
+    result = by_elements or fit_declared(recorded._replace(usable=slow), rig, start, steady, tell)
     found = estimates(result.fit, rig)
     tell("done")
     return Identification(
@@ -140,9 +142,15 @@ def fitted_linear(motions: Sequence[Motion], rig: Rig) -> tuple[str, ...]:
 
 
 def is_steady(motion: Motion, rig: Rig) -> Mask:
-    """Tell which blocks hardly accelerate: the inertia force is small against friction."""
-    steady: Mask = rig.plant.moving_mass * np.abs(motion.acceleration) <= STEADY * rig.friction_level(math.inf)
-    return steady
+    """Tell which blocks hardly accelerate: inertia and changes of the force are small against friction.
+
+    Stick-slip that the blocks do not resolve hides in the velocity, but shows in the force.
+    """
+    limit = STEADY * rig.friction_level(math.inf)
+    change = motion.force - savgol_filter(motion.force, WINDOW, 1)
+    scatter = np.sqrt(uniform_filter1d(change**2, WINDOW))
+    steady: Mask = rig.plant.moving_mass * np.abs(motion.acceleration) <= limit
+    return steady & (scatter <= max(limit, 5.0 * motion.force_noise))
 
 
 def start_of(rig: Rig, steady: StaticFit | None) -> Any:

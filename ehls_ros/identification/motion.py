@@ -270,7 +270,7 @@ def _check_stuck(time: Array, position: Array, force: Array, source: str, rig: R
         what = f"{source} is stuck from {time[start]:.3g} to {time[end]:.3g} s while the piston moves"
         raise BadInput(what, name, "a force sensor that is not stuck; cut that part off")
     start, end = _longest_constant(position)
-    holds = STUCK_FORCE * rig.friction.static_force
+    holds = STUCK_FORCE * rig.friction_level(0.0)
     if time[end] - time[start] > STUCK_TIME and np.ptp(force[start : end + 1]) > holds:
         what = f"position_m is stuck from {time[start]:.3g} to {time[end]:.3g} s while the force changes"
         raise BadInput(what, name, "a position sensor that is not stuck; cut that part off")

@@ -11,6 +11,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.estimate import Estimate
+from ehls_ros.identification.covariance import DOUBT
 from ehls_ros.identification.joint import JointFit
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
@@ -89,7 +90,10 @@ def estimates(fit: JointFit, rig: Rig) -> Estimates:
     untouched = [
         name for name in values if name not in moved and (np.any(changes[name]) or (name != _base(name, rig) and not numbered))
     ]
-    found = propagated({name: values[name] for name in values if name in moved}, changes, free, fit.covariance)
+    # What was not searched for is as doubtful as without any data.
+    covariance = np.diag(np.where(free, 0.0, DOUBT**2))
+    covariance[np.ix_(free, free)] = fit.covariance
+    found = propagated({name: values[name] for name in values if name in moved}, changes, covariance)
     vague, remarks = doubts(found)
     limited = np.array([name in fit.limited for name in fit.coordinates.names] + [False] * len(fit.linear))
     for name, value in zip(found.names, found.values, strict=True):
@@ -116,17 +120,16 @@ def estimates(fit: JointFit, rig: Rig) -> Estimates:
     )
 
 
-def propagated(values: Mapping[str, float], changes: Mapping[str, Array], free: Any, covariance: Array) -> Propagated:
+def propagated(values: Mapping[str, float], changes: Mapping[str, Array], covariance: Array) -> Propagated:
     """Return standard errors and correlations of coefficients.
 
     Args:
         values: the coefficients by name.
-        changes: derivatives of each by all fitted quantities, shape (m,).
-        free: which of those the covariance is of, a mask of shape (m,).
-        covariance: shape (free.sum(), free.sum()).
+        changes: derivatives of each by all coordinates and linear coefficients, shape (m,).
+        covariance: of those, shape (m, m).
     """
     names = tuple(values)
-    derivative = np.array([changes[name][free] for name in names]).reshape(len(names), -1)
+    derivative = np.array([changes[name] for name in names]).reshape(len(names), len(covariance))
     own = derivative @ covariance @ derivative.T
     std = np.sqrt(np.maximum(np.diag(own), 0.0))
     scale = np.where(std > 0.0, std, 1.0)

@@ -52,7 +52,9 @@ def filled(kind, **given):
 def make_rig(friction=FRICTION):
     plant = filled(Plant, spring_stiffness=SPRING, viscous_damping=60.0, moving_mass=70.0, gravity=9.81)
     limits = Limits(spool=0.01, force=2e4, load_pressure=7e6, position=(-0.3, 0.3), velocity=2.0)
-    return Rig(**(dict.fromkeys(Rig._fields) | {"plant": plant, "friction": friction, "limits": limits}))
+    return Rig(
+        **(dict.fromkeys(Rig._fields) | {"plant": plant, "friction_model": "gms", "friction": friction, "limits": limits})
+    )
 
 
 def make_motion(name, position, velocity, force, *, period=0.1, outliers=0.0):
