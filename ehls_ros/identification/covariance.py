@@ -34,8 +34,9 @@ def normal_covariance(rows: Array, searched: int) -> Array:
 def clustered_covariance(rows: Array, residuals: Array, clusters: Array, searched: int) -> Array:
     """Return the covariance that holds however the residuals within a cluster are correlated.
 
-    A model error shifts a whole stroke to one side, so strokes, not blocks, are independent: the sandwich estimator of
-    cluster-robust regression (Liang and Zeger 1986).
+    A model error shifts a whole stroke to one side, so strokes, not blocks, are independent. The covariance is the jackknife's:
+    from how the coefficients shift when each cluster in turn is left out (CR3 of Cameron and Miller, Journal of Human
+    Resources 50, 2015). It stays honest where a few clusters alone tell a coefficient.
 
     Args:
         rows: derivatives of the residuals, shape (n, coefficients).
@@ -48,16 +49,22 @@ def clustered_covariance(rows: Array, residuals: Array, clusters: Array, searche
         than two for each coefficient.
     """
     prior = _prior(rows.shape[1], searched)
-    independent = _inverse(rows.T @ rows + prior)
-    _, index = np.unique(clusters, return_inverse=True)
-    count, size = int(index.max()) + 1 if index.size else 0, rows.shape[1]
+    information = rows.T @ rows + prior
+    order = np.argsort(clusters, kind="stable")
+    starts = np.flatnonzero(np.diff(clusters[order], prepend=np.nan) != 0.0)
+    count, size = len(starts), rows.shape[1]
     if count < 2 * size:
-        return independent
-    pulls = np.zeros((count, size))
-    np.add.at(pulls, index, rows * residuals[:, np.newaxis])
-    scatter = pulls.T @ pulls * (count / (count - size)) + prior
-    robust: Array = independent @ scatter @ independent
-    return robust
+        return _inverse(information)
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = rows[order] / scale
+    pulls = np.add.reduceat(scaled * residuals[order, np.newaxis], starts)
+    ends = np.append(starts[1:], len(order))
+    own = np.array([scaled[i:j].T @ scaled[i:j] for i, j in zip(starts.tolist(), ends.tolist(), strict=True)])
+    without = information / scale[:, np.newaxis] / scale - own
+    shifts = (np.linalg.pinv(without, rcond=1e-13, hermitian=True) @ pulls[:, :, np.newaxis])[:, :, 0] / scale
+    jackknife: Array = shifts.T @ shifts * ((count - 1) / count)
+    independent = _inverse(information)
+    return jackknife + independent @ prior @ independent
 
 
 def _prior(size: int, searched: int) -> Array:
