@@ -16,7 +16,7 @@ from ehls_ros.identification.along import MOST_PARTS, force_along
 from ehls_ros.identification.balance import Recorded, check_unit, linear_columns
 from ehls_ros.identification.joint import REACH, Coordinates, JointFit, Start
 from ehls_ros.identification.motion import Motion, slides
-from ehls_ros.identification.static import StaticFit
+from ehls_ros.identification.static import LEAST_BLOCKS, StaticFit
 from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.physics.rig import Rig
 
@@ -175,17 +175,20 @@ def fit_elements(
     )
     tell("joint fit")
     recorded = recorded._replace(usable=counted)
-    fit = _fit_in_turn(recorded, start, small if branch is not None else [], wide if steady is not None else [])
+    names = ", ".join(m.name for m in recorded.motions)
+    settles = sum(int(counted[i].sum()) for i in wide) >= LEAST_BLOCKS
+    if not settles and branch is None:
+        raise BadInput(f"no stroke slides on for the {settle:.2g} s in which friction settles", names, "longer strokes")
+    slid = wide if steady is not None and settles else []
+    fit = _fit_in_turn(recorded, start, small if branch is not None else [], slid)
     nodes = presliding.nodes(*ramps_of(fit.friction)) if branch is not None else []
-    return ElementsFit(fit, branch, tuple(nodes), criteria, _remarks(fit, steady, branch, criteria))
+    return ElementsFit(fit, branch, tuple(nodes), criteria, _remarks(fit, bool(slid), branch, criteria))
 
 
-def _remarks(
-    fit: JointFit, steady: StaticFit | None, branch: presliding.Branch | None, criteria: Mapping[int, float]
-) -> tuple[str, ...]:
+def _remarks(fit: JointFit, slid: bool, branch: presliding.Branch | None, criteria: Mapping[int, float]) -> tuple[str, ...]:
     out = []
-    if steady is None:
-        out.append("Nothing slides steadily: of the Stribeck curve only its level is fitted, the rest is the rig file's.")
+    if not slid:
+        out.append("Nothing slides steadily for long enough: of the Stribeck curve only its level is fitted.")
     if branch is None:
         out.append("No presliding is recorded: stiffness and weight of the elements are the rig file's.")
     if len(criteria) > 1:

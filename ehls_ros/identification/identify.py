@@ -6,14 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
-from scipy.signal import savgol_filter
 
 from ehls_ros.errors import BadInput
 from ehls_ros.identification.balance import Recorded, check_unit, without_known
 from ehls_ros.identification.declared import fit_declared
 from ehls_ros.identification.elements import MODEL, fit_elements
-from ehls_ros.identification.motion import SMALL_TRAVEL, WINDOW, Motion, motions_of
+from ehls_ros.identification.motion import SMALL_TRAVEL, Motion, motions_of
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.result import Identification
 from ehls_ros.identification.static import Search, StaticFit, steady_fit
@@ -57,7 +55,7 @@ def identify(
         rig: the rig as known so far: mass, piston area and B0 are taken from it, and its friction is where the search starts.
         optimiser: of the static fit, a name of :data:`ehls_ros.identification.optimisers.OPTIMISERS`.
         parameters: its parameters; None: the declared defaults.
-        elements: number of friction elements; None: as many as the data show.
+        elements: number of friction elements, of a model that has them; None: as many as the data show.
         seed: seed of what is random in the search.
         progress: called with the name of the step that begins, the steps done and the number of steps.
 
@@ -76,6 +74,9 @@ def identify(
 
     if not recordings:
         raise BadInput("there is no recording", "identification", "at least one recording")
+    if elements is not None and rig.friction_model != MODEL:
+        what = f"{elements} friction elements are asked for, friction model {rig.friction_model!r} has none"
+        raise BadInput(what, "identification", f"no number of elements, or a rig whose friction model is {MODEL}")
     tell("reading the motion")
     names = ", ".join(recordings)
     motions = motions_of(recordings, rig)
@@ -142,15 +143,14 @@ def fitted_linear(motions: Sequence[Motion], rig: Rig) -> tuple[str, ...]:
 
 
 def is_steady(motion: Motion, rig: Rig) -> Mask:
-    """Tell which blocks hardly accelerate: inertia and changes of the force are small against friction.
+    """Tell which blocks hardly accelerate: inertia and scatter of the force are small against friction.
 
-    Stick-slip that the blocks do not resolve hides in the velocity, but shows in the force.
+    Stick-slip too fast for the blocks hides in the velocity, but shows in the force.
     """
     limit = STEADY * rig.friction_level(math.inf)
-    change = motion.force - savgol_filter(motion.force, WINDOW, 1)
-    scatter = np.sqrt(uniform_filter1d(change**2, WINDOW))
+    usual = float(np.median(motion.scatter[motion.resolved])) if np.any(motion.resolved) else 0.0
     steady: Mask = rig.plant.moving_mass * np.abs(motion.acceleration) <= limit
-    return steady & (scatter <= max(limit, 5.0 * motion.force_noise))
+    return steady & (motion.scatter <= max(limit, 3.0 * usual))
 
 
 def start_of(rig: Rig, steady: StaticFit | None) -> Any:

@@ -68,6 +68,7 @@ class Motion(NamedTuple):
         velocity: its derivative [m/s].
         acceleration: its second derivative [m/s^2].
         force: mean driving force, outliers left out [N].
+        scatter: standard deviation of the force's samples within each block, about a straight line [N].
         fresh: whether a block begins a stretch without gaps.
         resolved: whether position and its derivatives can be trusted: no gap, and no motion the local fit cannot follow.
         force_noise: standard deviation of a block's mean force from the sensor's noise [N].
@@ -83,6 +84,7 @@ class Motion(NamedTuple):
     velocity: Array
     acceleration: Array
     force: Array
+    scatter: Array
     fresh: Mask
     resolved: Mask
     force_noise: float
@@ -199,7 +201,10 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
     # A block that lacks samples has its mean elsewhere than in its middle.
     x = x + velocity * (middle - x_time)
     smooth, velocity, acceleration, inside = _local_fit(x, there, period)
-    f = f + np.gradient(np.where(there, f, np.interp(middle, middle[there], f[there])), period) * (middle - f_time)
+    slope = np.gradient(np.where(there, f, np.interp(middle, middle[there], f[there])), period)
+    squares, *_ = _means(time, (force - np.mean(force[good_force])) ** 2, good_force, period, blocks)
+    variance = squares - (f - np.mean(force[good_force])) ** 2 - (slope * period) ** 2 / 12.0
+    f = f + slope * (middle - f_time)
 
     per_block = max(1.0, expected)
     position_noise = noise(position[good_position]) / np.sqrt(per_block)
@@ -220,6 +225,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
         velocity=velocity,
         acceleration=acceleration,
         force=f,
+        scatter=np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)),
         fresh=fresh,
         resolved=resolved,
         force_noise=force_noise,

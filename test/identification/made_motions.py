@@ -22,6 +22,7 @@ def motion(velocity: Array, force: Array | None = None, *, period: float = PERIO
         velocity=velocity,
         acceleration=np.gradient(velocity, period),
         force=np.zeros(len(velocity)) if force is None else force,
+        scatter=np.zeros(len(velocity)),
         fresh=np.arange(len(velocity)) == 0,
         resolved=np.ones(len(velocity), dtype=bool),
         force_noise=1.0,

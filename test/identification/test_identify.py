@@ -127,6 +127,22 @@ def test_one_speed_does_not_count_beside_presliding(recordings, rig, guess):
     assert out.estimates["element_stiffness_1"].value == pytest.approx(sum(rig.friction.element_stiffness), rel=0.05)
 
 
+def test_elements_of_a_model_without_them_are_refused(recordings, rig):
+    data = rig_to_mapping(rig)
+    data["friction"]["model"] = "lugre"
+    with pytest.raises(BadInput, match="2 friction elements are asked for, friction model 'lugre' has none"):
+        identify(recordings, rig_from_mapping(data, "rig"), elements=2)
+
+
+def test_strokes_too_short_to_settle_do_not_count_beside_presliding(recordings, guess, rig):
+    slow = guess._replace(friction=guess.friction._replace(attraction_rate=100.0))
+    short = recorded(sweep([0.1, 0.05, 0.02], travel=0.02), rig, 3)
+    with pytest.raises(BadInput, match=r"no stroke slides on for .* longer strokes|neither steady sliding nor"):
+        identify({"short": short}, slow)
+    out = identify({"short": short, "sine": recordings["sine"]}, slow)
+    assert out.estimates["element_stiffness_1"].value == pytest.approx(sum(rig.friction.element_stiffness), rel=0.05)
+
+
 def changed(trajectory: Trajectory, **signals: np.ndarray) -> Trajectory:
     return Trajectory(trajectory.time_s, {**trajectory.signals, **signals})
 

@@ -23,7 +23,7 @@ from ehls_ros.physics.rig import Rig, rig_from_mapping, rig_to_mapping
 from ehls_ros.schema import declarations
 
 CONFIG = Path(__file__).parents[2] / "config"
-SWEEP = Sweep(velocities=(0.002, 0.003, 0.005, 0.01, 0.02, 0.04, 0.08, 0.15), repeats=1, travel=0.15, longest=2.5)
+SWEEP = Sweep(velocities=(0.002, 0.003, 0.005, 0.01, 0.02, 0.04, 0.08, 0.15), repeats=1, travel=0.2, longest=4.5)
 PERTURBED = (1.15, 1.2, 0.85, 1.1, 0.9)
 FAR_OFF = (1.3, 1.4, 0.7, 1.3, 0.7)
 FEW_PERCENT, INTERVAL = 0.04, 4.0
@@ -116,21 +116,21 @@ def test_every_coefficient_is_found_within_its_interval_or_a_few_percent(identif
 
 def test_what_the_recordings_show_is_identified(identified):
     law, true, found = identified.true.friction_law, identified.true, identified.rig
-    assert found.friction_level(math.inf) == pytest.approx(true.friction_level(math.inf), rel=0.01)
-    assert found.friction_level(0.002) == pytest.approx(true.friction_level(0.002), rel=0.02)
-    assert found.friction.viscous_coefficient == pytest.approx(true.friction.viscous_coefficient, rel=0.01)
+    for speed in (0.02, 0.15, math.inf):
+        assert found.friction_level(speed) == pytest.approx(true.friction_level(speed), rel=0.005)
+    assert found.friction.viscous_coefficient == pytest.approx(true.friction.viscous_coefficient, rel=0.005)
+    # On a rigid contact the slow strokes are stick-slip.
     if math.isfinite(law.stiffness(true.friction)):
         assert law.stiffness(found.friction) == pytest.approx(law.stiffness(true.friction), rel=0.05)
-    told = [name for name in identified.result["parameters"] if name in true.friction._fields]
-    assert len(told) >= 0.6 * len([value for value in true.friction if isinstance(value, float)])
+        assert found.friction_level(0.002) == pytest.approx(true.friction_level(0.002), rel=0.01)
+        numbers = {name for name, value in true.friction._asdict().items() if isinstance(value, float)}
+        assert numbers <= set(identified.result["parameters"])
 
 
-def test_the_result_is_better_than_the_guess(identified):
-    speeds = (0.0, 0.002, 0.01, 0.1)
-    for rig, most in ((identified.guess, math.inf), (identified.rig, 0.05)):
-        errors = [abs(rig.friction_level(v) / identified.true.friction_level(v) - 1.0) for v in speeds]
-        assert max(errors) <= most
-    assert max(abs(identified.guess.friction_level(v) / identified.true.friction_level(v) - 1.0) for v in speeds) > 0.15
+def test_the_guess_was_far_off(identified):
+    true, guess = identified.true, identified.guess
+    assert abs(guess.friction_level(0.02) / true.friction_level(0.02) - 1.0) > 0.15
+    assert abs(guess.friction.viscous_coefficient / true.friction.viscous_coefficient - 1.0) > 0.15
 
 
 def test_the_result_says_how_it_was_made(identified):

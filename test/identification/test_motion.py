@@ -94,6 +94,17 @@ def test_the_noises_are_those_of_the_sensors(rig):
     assert made.velocity_noise == pytest.approx(slope_noise(1e-5 / np.sqrt(10), PERIOD), rel=0.1)
 
 
+def test_scatter_is_what_a_block_averages_away(rig):
+    random = np.random.default_rng(3)
+    quiet = 800.0 * TIME  # a ramp
+    noisy = quiet + 3.0 * random.standard_normal(len(TIME))
+    shaken = noisy + np.where(TIME > 2.0, 60.0 * np.sin(2.0 * np.pi * 50.0 * TIME), 0.0)
+    assert np.max(prepare(recording(force=quiet), rig, "quiet", PERIOD).scatter[5:-5]) < 0.5
+    scatter = prepare(recording(force=shaken), rig, "shaken", PERIOD).scatter
+    assert np.median(scatter[:190]) == pytest.approx(3.0, rel=0.15)
+    assert np.median(scatter[210:]) > 5.0 * np.median(scatter[:190])
+
+
 def test_strokes_and_turns(rig):
     made = prepare(recording(0.05 * np.cos(2.0 * np.pi * TIME)), rig, "cosine", PERIOD)
     assert len(made.turns) == 7

@@ -34,14 +34,19 @@ def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("data", type=Path, nargs="+", help="recordings: bags, or .csv, .mat or .parquet files")
     parser.add_argument(
-        "--rig", type=Path, required=True, help="rig file as known so far; mass and piston area are taken from it"
+        "--rig",
+        type=Path,
+        required=True,
+        help="rig file as known so far: friction model, mass and piston area are taken from it",
     )
     parser.add_argument("--columns", type=Path, help="YAML that maps the files' own column names and units")
     parser.add_argument("--out", type=Path, default=Path("runs/identify"), help="folder of the results (%(default)s)")
     parser.add_argument(
         "--optimiser", choices=OPTIMISERS.names(), default=DEFAULT_OPTIMISER, help="of the static fit (%(default)s)"
     )
-    parser.add_argument("--elements", type=int, help="number of friction elements (default: as many as the data show)")
+    parser.add_argument(
+        "--elements", type=int, help="number of friction elements, of a model that has them (default: as many as the data show)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of the search (%(default)s)")
     parser.add_argument("--json", action="store_true", help="end with one line of JSON: identification.json")
 
