@@ -285,7 +285,7 @@ def _inflated(deviations: Sequence[float], inflation: Sequence[float]) -> list[f
 
 
 def placed(fit: JointFit, at: Sequence[int], motions: Sequence[Motion]) -> JointFit:
-    """Return a fit of some recordings as one of all, of which the others do not count.
+    """Return a fit of some recordings as a fit of all, in which the others do not count.
 
     Args:
         fit: the fit.

@@ -1,7 +1,7 @@
-"""A recording made ready for identification: even blocks of position and force, velocity and acceleration from position.
+"""A recording prepared for identification: even blocks of position and force, velocity and acceleration from position.
 
-Identification needs the position and the driving force; velocity and acceleration are taken from a local
-cubic fit of the position, because a rig has no sensor for them.
+Identification needs position and driving force. Velocity and acceleration are derivatives of a local cubic fit of the
+position, because a rig has no sensors for them.
 """
 
 from collections.abc import Mapping
@@ -30,38 +30,38 @@ LAST_FRACTION, LEAST_SETTLED = 0.4, 0.85
 """Fraction at the end of a short stroke that counts, and fraction of the settling time that must have passed by then."""
 
 WINDOW = 9
-"""Blocks a local fit spans."""
+"""Blocks in the window of a local fit."""
 
 SMALL_TRAVEL = 0.02
-"""Travel up to which a recording is one of presliding, looked at in short blocks [m]."""
+"""Travel below which a recording is one of presliding, cut into short blocks [m]."""
 
 ORDER = 3
 """Order of the local polynomial."""
 
 MOST_OUTLIERS = 0.25
-"""Part of a signal that may be outliers; beyond it, it cannot be told which samples are the right ones."""
+"""Fraction of a signal that may be outliers; with more, nobody can say which samples are right."""
 
 STUCK_TIME, STUCK_TRAVEL = 1.0, 1e-3
-"""Time [s] and travel [m] over which a force that does not change by a bit is a stuck sensor."""
+"""Time [s] and travel [m] over which a force that does not change by one bit means a stuck sensor."""
 
 TURN_DOUBT = 4.0
-"""Standard deviations of a position sample by which a turn may be missed: what moves to and fro less is not seen."""
+"""Standard deviations of a position sample by which a turn may be missed; smaller motion to and fro is invisible."""
 
 STUCK_FORCE = 2.5
-"""Change of force, in static friction, that no piston stands without moving: 2 take it from one side to the other."""
+"""Change of force, in units of static friction, that no piston withstands at rest; 2 take it from one limit to the other."""
 
 FULL_BLOCK = 0.5
-"""Part of its samples a block needs to count."""
+"""Fraction of its samples that a block needs."""
 
 SMALLEST_MISFIT = 1e-5
-"""Misfit of the local fit that is never too large, as a part of the travel."""
+"""Misfit of the local fit that is always accepted, as a fraction of the travel."""
 
 
 class Motion(NamedTuple):
     """One recording in blocks, shape (n,) each.
 
     Attributes:
-        name: what the recording is called in messages.
+        name: name of the recording in messages.
         period: time between blocks [s].
         time: middle of each block [s].
         position: mean position, smoothed [m].
@@ -70,11 +70,11 @@ class Motion(NamedTuple):
         force: mean driving force, outliers left out [N].
         scatter: standard deviation of the force's samples within each block, about a straight line [N].
         fresh: whether a block begins a stretch without gaps.
-        resolved: whether position and its derivatives can be trusted: no gap, and no motion the local fit cannot follow.
+        resolved: whether position and derivatives can be trusted: no gap, and no motion too fast for the local fit.
         force_noise: standard deviation of a block's mean force from the sensor's noise [N].
         velocity_noise: standard deviation of the velocity from the sensor's noise [m/s].
-        turn_doubt: how far beyond where it was seen a turn may lie, by the sensor's noise [m].
-        outliers: part of the samples that were left out.
+        turn_doubt: how far beyond its measured place a turn may lie, because of the sensor's noise [m].
+        outliers: fraction of the samples that were left out.
     """
 
     name: str
@@ -94,17 +94,17 @@ class Motion(NamedTuple):
 
     @property
     def small(self) -> bool:
-        """Whether it is one of presliding: it goes less than :data:`SMALL_TRAVEL`."""
+        """Whether it is one of presliding: its travel is below :data:`SMALL_TRAVEL`."""
         return bool(np.any(self.resolved)) and float(np.ptp(self.position[self.resolved])) < SMALL_TRAVEL
 
     @property
     def turns(self) -> NDArray[np.intp]:
-        """Numbers of the blocks that go the other way than the one before."""
+        """Numbers of the blocks that move the other way than the one before."""
         return np.flatnonzero(np.diff(np.sign(self.velocity)) != 0.0) + 1
 
     @property
     def strokes(self) -> NDArray[np.intp]:
-        """Number of each block's stroke, from 0: a way in one direction without a gap, shape (n,)."""
+        """Number of each block's stroke, from 0: a motion in one direction without a gap, shape (n,)."""
         begins = self.fresh.copy()
         begins[self.turns] = True
         begins[0] = False
@@ -167,8 +167,8 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
 
     Args:
         trajectory: the recording; needs ``position_m``, and ``force_n`` or ``load_pressure_pa``.
-        rig: the rig, for the piston area and for limits that tell a wrong unit.
-        name: what the recording is called in errors.
+        rig: the rig, for the piston area and for limits that reveal a wrong unit.
+        name: name of the recording in errors.
         period: length of a block [s].
 
     Returns:
@@ -183,7 +183,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
     elif "load_pressure_pa" in trajectory:
         source, force = "load_pressure_pa", rig.plant.piston_area * trajectory["load_pressure_pa"]
     else:
-        raise BadInput("signal 'force_n' is missing", name, "force_n, or load_pressure_pa of which it can be made")
+        raise BadInput("signal 'force_n' is missing", name, "force_n, or load_pressure_pa from which it follows")
     time = trajectory.time_s - trajectory.time_s[0]
     if len(time) < 2 * WINDOW or time[-1] < 2 * WINDOW * period:
         raise BadInput(f"it is {time[-1]:.3g} s long with {len(time)} samples", name, f"at least {2 * WINDOW * period:g} s")
@@ -198,7 +198,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
     there = (count_x >= FULL_BLOCK * expected) & (count_f >= FULL_BLOCK * expected)
     middle = (np.arange(blocks, dtype=np.float64) + 0.5) * period
     _, velocity, _, _ = _local_fit(x, there, period)
-    # A block that lacks samples has its mean elsewhere than in its middle.
+    # The mean time of a block that lacks samples is not its middle.
     x = x + velocity * (middle - x_time)
     smooth, velocity, acceleration, inside = _local_fit(x, there, period)
     slope = np.gradient(np.where(there, f, np.interp(middle, middle[there], f[there])), period)
@@ -213,7 +213,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
     least = SMALLEST_MISFIT * float(np.ptp(smooth[inside])) if np.any(inside) else 0.0
     usual = max(GAUSS * float(np.median(misfit[inside])) if np.any(inside) else 0.0, position_noise, least)
     resolved = inside & ~_widened(misfit > 5.0 * usual, WINDOW // 2)
-    # What the local fit smears, plain differences keep: the way the elements were pulled.
+    # Plain differences keep what the local fit smears: the total deflection of the contact.
     filled = np.interp(middle, middle[there], x[there])
     velocity = np.where(resolved, velocity, np.gradient(filled, period))
     fresh = there & ~np.concatenate([[False], there[:-1]])
@@ -255,7 +255,7 @@ def _inliers(values: Array, signal: str, name: str) -> Mask:
 
 
 def _check_sizes(position: Array, force: Array, source: str, rig: Rig, name: str) -> None:
-    """Refuse what only a wrong unit explains."""
+    """Refuse signals that only a wrong unit explains."""
     travel, room = float(np.ptp(position)), rig.limits.position[1] - rig.limits.position[0]
     if travel > 5.0 * room:
         raise BadInput(f"position_m moves {travel:.3g} m, the rig {room:.3g} m", name, "position in metres (see --columns)")
@@ -270,16 +270,16 @@ def _check_sizes(position: Array, force: Array, source: str, rig: Rig, name: str
 
 
 def _check_stuck(time: Array, position: Array, force: Array, source: str, rig: Rig, name: str) -> None:
-    """Refuse a signal that does not change by a bit while the other one says that there is motion."""
+    """Refuse a signal that does not change by one bit while the other shows motion."""
     start, end = _longest_constant(force)
     if time[end] - time[start] > STUCK_TIME and abs(position[end] - position[start]) > STUCK_TRAVEL:
         what = f"{source} is stuck from {time[start]:.3g} to {time[end]:.3g} s while the piston moves"
-        raise BadInput(what, name, "a force sensor that is not stuck; cut that part off")
+        raise BadInput(what, name, "a force sensor that is not stuck; cut that stretch off")
     start, end = _longest_constant(position)
     holds = STUCK_FORCE * rig.friction_level(0.0)
     if time[end] - time[start] > STUCK_TIME and np.ptp(force[start : end + 1]) > holds:
         what = f"position_m is stuck from {time[start]:.3g} to {time[end]:.3g} s while the force changes"
-        raise BadInput(what, name, "a position sensor that is not stuck; cut that part off")
+        raise BadInput(what, name, "a position sensor that is not stuck; cut that stretch off")
 
 
 def _longest_constant(values: Array) -> tuple[int, int]:
@@ -291,7 +291,7 @@ def _longest_constant(values: Array) -> tuple[int, int]:
 
 def _means(time: Array, values: Array, good: Mask, period: float, blocks: int) -> tuple[Array, Array, Array]:
     """Return mean, mean time and number of the good samples of each block; NaN where there is none."""
-    # A sample on the edge of two blocks belongs to the later one, whatever rounding says.
+    # A sample on the edge of two blocks belongs to the later one, despite rounding.
     index = np.minimum((time[good] / period + 1e-6).astype(np.intp), blocks)
     count = np.bincount(index, minlength=blocks + 1)[:blocks].astype(np.float64)
     total = np.bincount(index, weights=values[good], minlength=blocks + 1)[:blocks]
@@ -301,7 +301,7 @@ def _means(time: Array, values: Array, good: Mask, period: float, blocks: int) -
 
 
 def _local_fit(x: Array, there: Mask, period: float) -> tuple[Array, Array, Array, Mask]:
-    """Return smoothed position, velocity, acceleration, and where a whole window lay inside one stretch."""
+    """Return smoothed position, velocity, acceleration, and where a complete window lies in one stretch."""
     filled = np.interp(np.arange(len(x)), np.flatnonzero(there), x[there]) if np.any(there) else np.zeros(len(x))
     rows = [savgol_coeffs(WINDOW, ORDER, deriv=d, delta=period, use="dot") for d in range(3)]
     half = WINDOW // 2
@@ -318,7 +318,7 @@ def _widened(mask: Mask, by: int) -> Mask:
 
 
 def slope_noise(block_noise: float, period: float) -> float:
-    """Return the noise of the velocity [m/s] that comes of a block's mean position having one [m]."""
+    """Return the noise of the velocity [m/s] for that of a block's mean position [m]."""
     return block_noise * float(np.sqrt(np.sum(savgol_coeffs(WINDOW, ORDER, deriv=1, delta=period) ** 2)))
 
 

@@ -1,4 +1,4 @@
-"""A problem as a library's optimiser sees it: points of the unit box in batches, compiled, counted, the best one kept."""
+"""A problem as an optimiser sees it: points of the unit box in batches, compiled and counted, the best one kept."""
 
 import math
 from typing import Any
@@ -29,15 +29,15 @@ def batch(residuals: Any) -> Any:
 
 
 class Enough(Exception):
-    """Ends a library's search from inside: it has converged, reached the target or used up its evaluations."""
+    """Ends a search from inside: it has converged, reached the target or used up its evaluations."""
 
 
 class Counted:
-    """The objective, its evaluations counted.
+    """The objective with its evaluations counted.
 
     Attributes:
         size: number of parameters.
-        evaluations: how many were made.
+        evaluations: number of evaluations so far.
         best: best point so far in the unit box, shape (parameters,).
         lowest: its cost.
     """
@@ -52,11 +52,11 @@ class Counted:
             seed: the seed, checked only.
             budget: most evaluations.
             target: cost at which to stop.
-            tolerance: a batch of points less wide than this in the unit box has converged.
-            patience: so many batches without a relative fall of the cost by the tolerance have converged; 0: not asked.
+            tolerance: a batch of points narrower than this in the unit box has converged.
+            patience: number of batches without a relative fall of the cost by the tolerance that means convergence; 0: none.
 
         Raises:
-            BadInput: the problem cannot be posed.
+            BadInput: the problem is ill-posed.
         """
         self._problem = checked(problem, seed)
         self._batch = compiled(batch, self._problem)
@@ -122,7 +122,7 @@ class Counted:
         return out
 
     def result(self, *, agreed: bool) -> Result:
-        """Return the best point; ``agreed`` if the search ended by its own rule."""
+        """Return the best point; ``agreed`` tells that the search ended by its own rule."""
         agreed = agreed or self._converged
         history = np.array(self._history)
         return ended(self._problem, self.best, self.lowest, self.evaluations, history, agreed, self._target)

@@ -12,7 +12,7 @@ from ehls_ros.identification.optimisers.base import Result
 
 
 def search(counted: Counted, algorithm: Any, seed: int, where: str) -> Result:
-    """Run one of pymoo's algorithms until the objective says enough.
+    """Run one of pymoo's algorithms until the objective ends it.
 
     Args:
         counted: the objective.

@@ -1,4 +1,4 @@
-"""SciPy's differential evolution, its generations evaluated at once and without its final local search."""
+"""SciPy's differential evolution, whole generations evaluated at once, without the final local search."""
 
 import math
 from typing import Annotated, NamedTuple

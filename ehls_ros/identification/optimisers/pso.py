@@ -1,11 +1,11 @@
-"""The paper's optimiser, our own and compiled: a particle swarm with crossover and mutation.
+"""The paper's optimiser, compiled: a particle swarm with crossover and mutation.
 
-The paper says no more of it than that "crossover and mutation factor based on the idea of GA" were introduced, so operators and
-numbers are ours, chosen on the paper's static objective:
+The paper says only that "crossover and mutation factor based on the idea of GA" were introduced, so operators and numbers are
+ours, chosen on the paper's static objective:
 
 * the swarm: v = w v + c1 r1 (p_i - x) + c2 r2 (g - x), x = x + v, reflected at the bounds, with the constriction coefficients
-  of M. Clerc, J. Kennedy, IEEE Trans. Evol. Comput. 6 (2002) for c1 + c2 = 4.25. r1 and r2 are one number a particle, not one a
-  coordinate, so that no direction is preferred;
+  of M. Clerc, J. Kennedy, IEEE Trans. Evol. Comput. 6 (2002) for c1 + c2 = 4.25. r1 and r2 are one number for each
+  particle, not for each coordinate, so that no direction is preferred;
 * crossover, of the personal bests: p_i with p_i + F (p_a - p_i + p_b - p_c), p_a being the better of two drawn at random, p_b
   and p_c any, F from 0.5 to 1. The difference of two members, as in differential evolution, knows the direction of a valley;
 * mutation: now and then a coordinate of the child is drawn anew from its whole range.
@@ -47,11 +47,11 @@ class Parameters(NamedTuple):
 
 
 class Swarm(NamedTuple):
-    """What the kernel works in, so that it allocates nothing; n particles in the unit box.
+    """The kernel's memory, so that it allocates nothing; n particles in the unit box.
 
     Attributes:
         position: where the particles are, shape (n, parameters).
-        velocity: what they move by, same shape.
+        velocity: their moves, same shape.
         best: their personal bests, same shape.
         cost: cost of each personal best, shape (n,).
         candidate: point to evaluate next, shape (parameters,).
@@ -70,7 +70,7 @@ class Swarm(NamedTuple):
 
 @kernel
 def _reflected(u: float) -> float:
-    """Return u thrown back at the ends of [0, 1], at most once."""
+    """Return u reflected at the ends of [0, 1], at most once."""
     u = abs(u)
     return min(u, 1.0) if u <= 1.0 else max(2.0 - u, 0.0)
 
@@ -132,8 +132,8 @@ def search(residuals: Any) -> Any:
             box: the problem.
             p: parameters.
             target: cost to stop at.
-            swarm: what to work in; ``random`` is seeded.
-            history: where the lowest cost after each iteration goes.
+            swarm: the memory; ``random`` is seeded.
+            history: where the lowest cost after each iteration is written.
 
         Returns:
             Number of the best particle, evaluations, iterations, and whether the bests agree.
@@ -141,7 +141,7 @@ def search(residuals: Any) -> Any:
         _scatter(swarm)
         leader, evaluations, iterations = 0, 0, 0
         while True:
-            # First the particles are evaluated where they are: at rest at their own bests, they do not move towards themselves.
+            # At first the particles are evaluated where they are: at rest at their own bests, they do not move.
             for phase in range(1 + p.crossovers if iterations > 0 else 1):
                 for i in range(swarm.cost.size):
                     if phase == 0:
