@@ -176,7 +176,7 @@ def print_stability() -> None:
         while high / low > 1.001:
             middle = np.sqrt(low * high)
             low, high = (low, middle) if bristle_grows(middle, velocity) else (middle, high)
-        limit = 2.785 * plant.friction.coulomb_force / (sum(plant.friction.element_stiffness) * velocity)
+        limit = 2.785 * plant.friction.coulomb_force / (plant.friction.presliding_stiffness * velocity)
         print(f"{velocity:16g}{low:14.3e}{limit:12.3e}")
     print(f"\ndefault step: {DEFAULT_STEP:g} s")
 

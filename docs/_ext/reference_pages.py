@@ -25,6 +25,7 @@ from ehls_ros.hardware import calibration, gate_parameters
 from ehls_ros.hardware.backends import BACKENDS
 from ehls_ros.physics import parameters as rig
 from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.recording import columns, topics
 from ehls_ros.schema import Declaration, declarations
 from ehls_ros.trajectory import SIGNALS
@@ -45,6 +46,7 @@ class Section(NamedTuple):
 
 
 FAMILIES: Mapping[str, Family[Any]] = {
+    "Rig file: friction": FRICTION_MODELS,
     "Controllers": CONTROLLERS,
     "Friction observers": OBSERVERS,
     "References": REFERENCES,
@@ -57,7 +59,6 @@ FILES: Mapping[str, tuple[tuple[str, type, ModuleType], ...]] = {
     "Experiment file": (("Settings", spec.Settings, spec),),
     "Rig file": (
         ("plant", rig.Plant, rig),
-        ("friction", rig.Friction, rig),
         ("sensors: of each signal", rig.Sensor, rig),
         ("limits", rig.Limits, rig),
     ),

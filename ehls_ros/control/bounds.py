@@ -1,4 +1,4 @@
-"""What the paper proves of the law: bounds (44)-(46) of error and time, re-derived.
+"""The bounds (44)-(46) that the paper proves of error and time, re-derived.
 
 All quantities in the paper's units: MPa, mm, t, s, N; ``g`` in 1/MPa, ``k`` and ``b/h`` in MPa/s.
 """
@@ -12,7 +12,7 @@ from ehls_ros.arrays import kernel
 
 @kernel
 def pressure_error_bound_kernel(k: float, g: float, h: float, b: float) -> float:
-    """Return the bound (44), infinite where the surface is not steep enough to hold |s| = b/h."""
+    """Return the bound (44), infinite where the surface is too flat to balance |s| = b/h."""
     inside = 1.0 - 4.0 * b / (k * h + 2.0 * b)  # (44)
     return -math.log(inside) / g if inside > 0.0 else math.inf
 
@@ -80,7 +80,7 @@ def reaching_time_bound(s0: float, h: float, b: float, xi: float, e1: float, del
 
 
 def remaining_s(h: float, b: float, xi: float, e1: float, delta_f: float, moving_mass: float) -> float:
-    """Return what |s| cannot be promised to fall below against a disturbance of delta_f, a little under b/h [MPa/s].
+    """Return the smallest |s| that can be guaranteed against a disturbance of delta_f, a little under b/h [MPa/s].
 
     The arguments are those of :func:`reaching_rate`; h above 0.
     """
@@ -90,19 +90,19 @@ def remaining_s(h: float, b: float, xi: float, e1: float, delta_f: float, moving
 def sliding_time(e3_start: float, e3_end: float, k: float, g: float, xi: float, s: float = 0.0) -> float:
     """Return the time the error takes once the surface is reached, the second part of (45).
 
-    There xi e3' = -k/2 tanh(g e3/2) + s. (45) takes s = 0, as if the surface were reached in full; with the
-    largest s that may be left, the time is one that is kept whatever the disturbance.
+    There xi e3' = -k/2 tanh(g e3/2) + s. (45) takes s = 0, as if the surface were reached exactly; with the
+    largest remaining s, the time is a bound for any disturbance.
 
     Args:
         e3_start: error where the surface is reached [MPa].
-        e3_end: error to come down to, above 0 [MPa].
+        e3_end: error to be reached, above 0 [MPa].
         k: slope of the surface [MPa/s].
         g: steepness of the surface [1/MPa].
         xi: weight of the error's rate [1].
-        s: sliding variable that stands against the error's decay, 0 or more [MPa/s].
+        s: sliding variable that opposes the decay of the error, 0 or more [MPa/s].
 
     Returns:
-        Time [s]; 0 when the error is already that small, infinite where s holds it further out.
+        Time [s]; 0 when the error is already that small, infinite where s keeps it larger.
     """
     if abs(e3_start) <= abs(e3_end):
         return 0.0

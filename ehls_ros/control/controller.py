@@ -11,7 +11,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import STATUS_SIZE, Model
 
 BUMP_TIME = 0.02
-"""Time constant with which the command goes over from the old tuning to the new [s]."""
+"""Time constant of the change of command from the old tuning to the new [s]."""
 
 
 class Controller:
@@ -19,7 +19,7 @@ class Controller:
 
     Attributes:
         parameters: the tuning in force.
-        status: what the law said of its last step, by the indices of ``controllers.base``.
+        status: the law's status after its last step, by the indices of ``controllers.base``.
     """
 
     def __init__(self, name: str, parameters: Any, model: Model) -> None:
@@ -28,7 +28,7 @@ class Controller:
         Args:
             name: file name of the controller.
             parameters: its tuning.
-            model: what it knows of the rig.
+            model: the rig as it knows it.
         """
         self._law = CONTROLLERS.load(name)
         self._step = controller_kernel(name).step
@@ -53,8 +53,8 @@ class Controller:
     def retune(self, parameters: Any) -> None:
         """Put another tuning in force from the next step on.
 
-        The law acts on the new numbers at once; what the change alone would make the command jump by
-        is taken off and fades with :data:`BUMP_TIME`.
+        The law uses the new tuning at once; the jump of the command that the change alone would cause is subtracted
+        and fades with :data:`BUMP_TIME`.
         """
         if self._previous is None:
             self._previous = self.parameters
@@ -67,7 +67,7 @@ class Controller:
             measured: readings in the order of ``SENSED``, shape (7,).
             reference: what the law follows and its first and second derivative, shape (3,).
             friction: force of the elements and viscous force, shape (2,) or longer.
-            elapsed: cycles since the last step; more than 1 after cycles that went unanswered.
+            elapsed: cycles since the last step; more than 1 after unanswered cycles.
         """
         model = self.model if elapsed == 1 else self.model._replace(period=elapsed * self.model.period)
         old: float | None = None

@@ -1,7 +1,7 @@
 """Gain and phase margin of the pressure loop that structure invariance compensation closes.
 
-With the motion's flow fed forward, what is left between spool command and load pressure is the valve's lag
-and an integrator, behind a sample and hold.
+With the motion's flow fed forward, the path from spool command to load pressure is the valve's lag and an
+integrator behind a sample and hold.
 """
 
 import math
@@ -12,15 +12,15 @@ import numpy as np
 from ehls_ros.arrays import Array
 
 FREQUENCIES = 20_000
-"""Points from 0.1 rad/s to the Nyquist frequency at which the loop is looked at."""
+"""Number of frequencies, from 0.1 rad/s to the Nyquist frequency, at which the loop is evaluated."""
 
 
 class Margins(NamedTuple):
-    """How far a loop is from instability.
+    """Distance of a loop from instability.
 
     Attributes:
-        gain_db: factor by which its gain may grow [dB]; infinite where no gain makes it unstable.
-        phase_deg: phase it may lose [degree]; infinite where its gain is below 1 throughout.
+        gain_db: gain margin [dB]; infinite where no gain makes the loop unstable.
+        phase_deg: phase margin [degree]; infinite where the gain is below 1 at all frequencies.
     """
 
     gain_db: float

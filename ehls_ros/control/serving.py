@@ -26,6 +26,8 @@ def check_serves(family: Family[Any], name: str, rig: Rig, where: str) -> None:
     """
     if not serves(family.load(name, where), rig):
         what = f"{family.noun} {name!r} does not serve friction model {rig.friction_model!r}"
-        able = [other for other in family.names() if serves(family.load(other), rig)]
-        only = family.load(name).FRICTION_MODEL
+        alike = getattr(family.load(name), "FOLLOWS", None)
+        others = {other: family.load(other) for other in family.names()}
+        able = [other for other, member in others.items() if serves(member, rig) and getattr(member, "FOLLOWS", None) == alike]
+        only = others[name].FRICTION_MODEL
         raise BadInput(what, where, f"one of {', '.join(able)}; or a rig whose friction model is {only}")

@@ -1,4 +1,4 @@
-"""What a rig does not measure, from what it does: an extended Kalman filter, and its prediction over the command's delay.
+"""The states a rig does not measure: an extended Kalman filter, and its prediction over the command's delay.
 
     x'  = v
     m v' = Ac pL - (B0 + sigma_f + cc) v - (ks + kc) x - m g - sum F_i - d        (3)
@@ -6,15 +6,15 @@
     xv' = omega_v (Kv (1 + b) u(t - delay) - xv)                                  (4)
     b' = -b/tau + white noise,  d''', q', o' = white noise
 
-Position, load pressure, spool and force are measured, force = Ac pL + o. The surroundings are a spring kc and a damper cc whose
-far end moves as it will: kc and cc are known, what the far end does is in d. b is what the valve's gain misses, q what the
-flow's model does, o what the load cell reads beside the pressure. The friction elements F_i follow the estimated velocity by
-(6) and (8); while they stick, a corrected position corrects them. It is the load pressure that tells the velocity: a cycle's
-change of pressure resolves 0.2 um of motion where the position sensor resolves 5 um.
+Position, load pressure, spool and force are measured, force = Ac pL + o. The surroundings are a spring kc and a damper cc with
+a moving far end: kc and cc are known, the motion of the far end is part of d. b is the error of the valve's gain, q that of
+the flow's model, o the offset of the load cell. The friction elements F_i follow the estimated velocity by (6) and (8); while
+they stick, a corrected position corrects them. The velocity is observed mainly through the load pressure: a cycle's change of
+pressure resolves 0.2 um of motion, the position sensor 5 um.
 
 Mean and covariance are stepped together: the mean by Runge-Kutta steps of order 4 of the equations above, the covariance by the
-exponential of their Jacobian. A reading that is no number is left out. Everything lies in one array, so that a controller can
-keep it.
+exponential of their Jacobian. A reading that is not finite is skipped. All of the filter lies in one array, which a controller
+can keep.
 
 Source: Anderson, Moore, Optimal Filtering, 1979, chapters 6 to 8; the delay as in Åström, Wittenmark, Computer-Controlled
 Systems, 1997, section 3.2.
@@ -43,7 +43,7 @@ EXTERNAL, EXTERNAL_RATE, EXTERNAL_CURVATURE, VALVE_GAIN, FLOW_ERROR, CELL_OFFSET
 """Where the mean holds d with its two rates, b, q and o, after the plant's own x, v, pL and xv; and their number."""
 
 MOST_ELEMENTS = 16
-"""Friction elements that are followed; the force of further ones falls to the external force."""
+"""Friction elements that are followed; the force of further ones counts as external force."""
 
 SENT = 64
 """Commands sent that are remembered."""
@@ -55,13 +55,13 @@ PIECE = 1e-3
 """Longest step of the covariance [s]."""
 
 ROUNDING = 1e-9
-"""Times nearer to each other are one [s]."""
+"""Times closer to each other are the same [s]."""
 
 GAIN_MEMORY = 10.0
-"""Time after which an error of the valve's gain is forgotten that no command has shown meanwhile, tau [s]."""
+"""Time constant with which an error of the valve's gain is forgotten while no command shows it, tau [s]."""
 
 LEAST_DROP = 0.01
-"""The pressure drop over the valve is taken no smaller than this part of the nominal supply pressure."""
+"""Lower bound of the pressure drop over the valve, as a fraction of the nominal supply pressure."""
 
 _LENGTH = STATES + MOST_ELEMENTS
 _MATRIX = STATES * STATES
@@ -69,7 +69,7 @@ MEMORY_SIZE = 1 + 2 * (_LENGTH + MOST_ELEMENTS) + 5 * _LENGTH + 4 * _MATRIX + ST
 
 
 class Assumptions(NamedTuple):
-    """What the filter takes for granted.
+    """The filter's assumptions.
 
     Attributes:
         coupling_stiffness: kc [N/m].
@@ -79,9 +79,9 @@ class Assumptions(NamedTuple):
         pressure_noise: of a load pressure reading [Pa].
         spool_noise: of a spool reading [m].
         force_noise: of a load cell reading [N].
-        motion_noise: root of the density of what (3) misses [N s^1/2].
-        oil_noise: of what (25) misses from cycle to cycle [Pa/s^1/2].
-        valve_noise: of what (4) misses from cycle to cycle [m/s^1/2].
+        motion_noise: root of the spectral density of the force missing in (3) [N s^1/2].
+        oil_noise: of the pressure rate missing in (25) [Pa/s^1/2].
+        valve_noise: of the spool rate missing in (4) [m/s^1/2].
         external_noise: of the external force's third derivative [N/s^5/2].
         gain_noise: of the rate of the valve gain's error b [1/s^1/2].
         flow_noise: of the rate of the flow's error [Pa/s^3/2].
@@ -111,7 +111,7 @@ class State(NamedTuple):
         started: 1 once there was a measurement to start from.
         mean: the estimate, then the friction elements' forces [N].
         mode: modes of the elements, as in :mod:`ehls_ros.physics.friction.base`.
-        foreseen: the mean predicted to when the next command acts; scratch of the controller from then on.
+        foreseen: the mean predicted to when the next command acts; then scratch of the controller.
         foreseen_mode: and its modes.
         covariance: of the estimate, shape (STATES, STATES).
         commands: spool commands sent, newest first [m].
@@ -174,8 +174,8 @@ def rates(y: Array, mode: Array, command: float, supply: float, model: Model, p:
         mode: modes of the friction elements.
         command: spool command that has arrived at the valve [m].
         supply: supply pressure [Pa].
-        model: what is known of the rig.
-        p: what the filter takes for granted.
+        model: the rig as known.
+        p: the filter's assumptions.
         rate: where the derivative goes, as long as ``y``.
     """
     plant, friction = model.plant, model.friction
@@ -202,7 +202,7 @@ def rates(y: Array, mode: Array, command: float, supply: float, model: Model, p:
 
 @kernel
 def switch(y: Array, mode: Array, friction: Friction) -> None:
-    """Let elements break away, at the force where they do, or hold at a reversal."""
+    """Let elements break away, at their break-away force, or stick at a reversal."""
     level, direction = sliding_level(y[V], friction), sign(y[V])
     for i in range(elements(friction)):
         if mode[i] == 0.0:
@@ -213,12 +213,12 @@ def switch(y: Array, mode: Array, friction: Friction) -> None:
             mode[i] = 0.0
 
 
-# Long, and called from several places: a function of its own.
+# Long and called from several places: not inlined.
 @njit(error_model="numpy")
 def move(
     y: Array, mode: Array, command: float, supply: float, duration: float, model: Model, p: Assumptions, work: Array
 ) -> None:
-    """Run a mean on under one command; arguments as of :func:`rates`, ``duration`` [s], ``work`` of :class:`State`."""
+    """Advance a mean under one command; arguments as of :func:`rates`, ``duration`` [s], ``work`` of :class:`State`."""
     steps = max(1, math.ceil((duration - ROUNDING) / STEP))
     step = duration / steps
     length = STATES + elements(model.friction)
@@ -241,7 +241,7 @@ def move(
 
 @kernel
 def arrived(t: float, delay: float, state: State) -> tuple[float, float]:
-    """Return the command [m] that acts at ``t`` [s] from now and until when the next one sent leaves it acting."""
+    """Return the command [m] that acts at ``t`` [s] from now, and the time until which it acts [s]."""
     until = math.inf
     for i in range(SENT):
         arrival = delay - state.ages[i]
@@ -293,7 +293,7 @@ def multiply(a: Array, b: Array, product: Array) -> None:
 
 @njit(error_model="numpy")
 def spread(state: State, command: float, supply: float, duration: float, model: Model, p: Assumptions) -> None:
-    """Take the covariance on by ``duration`` [s], no longer than :data:`PIECE`."""
+    """Advance the covariance by ``duration`` [s], at most :data:`PIECE`."""
     covariance, jacobian, transition, product = state.covariance, state.matrices[0], state.matrices[1], state.matrices[2]
     linearise(state, command, supply, model, p, jacobian)
     # exp(A T) = I + A T (I + A T/2 (I + A T/3 (I + A T/4)))
@@ -324,7 +324,7 @@ def spread(state: State, command: float, supply: float, duration: float, model: 
 
 @njit(error_model="numpy")
 def advance(supply: float, model: Model, p: Assumptions, state: State) -> None:
-    """Take mean and covariance on by a period, under the commands that arrived in it."""
+    """Advance mean and covariance by a period under the commands that arrived in it."""
     for i in range(SENT):
         state.ages[i] += model.period
     t = -model.period
@@ -338,9 +338,9 @@ def advance(supply: float, model: Model, p: Assumptions, state: State) -> None:
 
 @njit(error_model="numpy")
 def correct(reading: float, signal: int, scale: float, offset: float, noise: float, state: State) -> None:
-    """Take one reading in: ``scale`` times what the mean holds at ``signal`` and ``offset`` times o, within ``noise``.
+    """Take in one reading: ``scale`` times the mean at ``signal`` plus ``offset`` times o, with noise ``noise``.
 
-    A reading that is no number changes nothing.
+    A reading that is not finite changes nothing.
     """
     mean, covariance, gain = state.mean, state.covariance, state.gain
     missed = reading - scale * mean[signal] - offset * mean[CELL_OFFSET]
@@ -358,13 +358,13 @@ def correct(reading: float, signal: int, scale: float, offset: float, noise: flo
 
 
 FIRST_VELOCITY = 0.01
-"""How far from rest the piston may be at the first measurement [m/s]."""
+"""Standard deviation of the velocity at the first measurement [m/s]."""
 
 FIRST_FORCE, FIRST_FORCE_RATE, FIRST_FORCE_CURVATURE = 1e3, 1e5, 1e6
-"""How far the external force may be from balance [N], its rates from nothing [N/s, N/s^2]."""
+"""Standard deviations of the external force about balance [N], and of its rates [N/s, N/s^2]."""
 
 FIRST_GAIN, FIRST_FLOW, FIRST_OFFSET = 0.1, 1e7, 100.0
-"""How far the valve's gain may be off [1], the flow's model [Pa/s], and the load cell [N]."""
+"""Standard deviations of the errors of valve gain [1], flow [Pa/s] and load cell [N]."""
 
 
 @njit(error_model="numpy")
@@ -399,16 +399,16 @@ def supply_of(measured: Array, model: Model) -> float:
 
 @njit(error_model="numpy")
 def observe(measured: Array, model: Model, p: Assumptions, state: State) -> bool:
-    """Take one more measurement, a period after the last.
+    """Take in one more measurement, a period after the last.
 
     Args:
-        measured: readings in the order of ``SENSED``, shape (7,); the velocity is not looked at.
-        model: what is known of the rig, and the time since the last measurement.
-        p: what the filter takes for granted.
+        measured: readings in the order of ``SENSED``, shape (7,); the velocity is not used.
+        model: the rig as known, and the time since the last measurement.
+        p: the filter's assumptions.
         state: changed in place.
 
     Returns:
-        Whether there is an estimate: not before position, load pressure and spool have once been read together.
+        Whether there is an estimate: only after position, load pressure and spool have been read together once.
     """
     if state.started[0] == 0.0:
         sum_read = measured[sensors.POSITION] + measured[sensors.LOAD_PRESSURE] + measured[sensors.SPOOL]
@@ -430,7 +430,7 @@ def observe(measured: Array, model: Model, p: Assumptions, state: State) -> bool
 
 @njit(error_model="numpy")
 def foresee(supply: float, model: Model, p: Assumptions, state: State) -> None:
-    """Write into ``state.foreseen`` where the commands under way take the mean until one sent now acts."""
+    """Predict the mean, under the commands on their way, to when one sent now acts; into ``state.foreseen``."""
     state.foreseen[:] = state.mean
     state.foreseen_mode[:] = state.mode
     t = 0.0
@@ -443,7 +443,7 @@ def foresee(supply: float, model: Model, p: Assumptions, state: State) -> None:
 
 @kernel
 def send(command: float, state: State) -> None:
-    """Remember a command [m] that is sent now."""
+    """Remember a command [m] sent now."""
     for i in range(SENT - 1, 0, -1):
         state.commands[i], state.ages[i] = state.commands[i - 1], state.ages[i - 1]
     state.commands[0], state.ages[0] = command, 0.0

@@ -16,7 +16,7 @@ from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.plausibility import FLAGGED, check_ranges, check_rig, check_signal, check_step
-from ehls_ros.physics.rig import Rig, check_friction_effects, effects_from_list, rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.rig import Rig, effects_from_list, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP
 from ehls_ros.recording import limits
 from ehls_ros.recording.regular_file import read_text
@@ -93,14 +93,21 @@ def load_rig(path: Path) -> Rig:
     return rig_from_mapping(read_yaml(path, "rig file"), str(path))
 
 
-def load_spec(path: Path) -> Spec:
+def load_spec(path: Path, rig: Path | None = None) -> Spec:
     """Read an experiment's YAML file; files it names are looked for beside it.
 
+    Args:
+        path: the file.
+        rig: a rig file in place of the experiment's rig, its effects and its controller's rig.
+
     Raises:
-        BadInput: the file or one of its keys is wrong, or its numbers together make no sense.
+        BadInput: a file or one of its keys is wrong, or its numbers together make no sense.
     """
-    spec = spec_from_mapping(read_yaml(path, "spec"), str(path), path.parent)
-    check_spec(spec, str(path))
+    data = read_yaml(path, "spec")
+    if rig is not None and isinstance(data, Mapping):
+        data = {**data, "rig": str(rig.resolve()), "controller_rig": None, "effects": None}
+    spec = spec_from_mapping(data, str(path), path.parent)
+    check_spec(spec, str(rig or path))
     return spec
 
 
@@ -130,7 +137,6 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
     believed = data.get("controller_rig")
     controller_rig = rig if believed is None else _rig(believed, f"{where}: controller_rig", folder)
     rig = rig.with_effects(effects_from_list(data.get("effects") or [], f"{where}: effects"))
-    check_friction_effects(rig, f"{where}: effects")
     spec = Spec(
         settings=settings,
         rig=rig,

@@ -24,7 +24,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
-from ehls_ros.experiments.spec import Spec, check_spec, load_rig, load_spec
+from ehls_ros.experiments.spec import Spec, load_spec
 from ehls_ros.hardware.courtesy import Courtesy, statistics_of
 from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups
 from ehls_ros.nodes.parameters import declare, refuse_unknown
@@ -124,14 +124,8 @@ class ControlNode(LifecycleNode):
     def _load_spec(self) -> Spec:
         chosen = self.text_parameter("spec")
         path = Path(chosen) if chosen else config_folder() / "experiments" / "sine_fd2.yaml"
-        spec = load_spec(path)
         rig = self.text_parameter("rig")
-        if not rig:
-            return spec
-        chosen_rig = load_rig(Path(rig))
-        spec = spec._replace(rig=chosen_rig, controller_rig=chosen_rig)
-        check_spec(spec, rig)
-        return spec
+        return load_spec(path, Path(rig) if rig else None)
 
     def prepare(self) -> None:
         """Build what the loop needs: compile, publish, subscribe."""

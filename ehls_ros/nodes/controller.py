@@ -45,15 +45,15 @@ class Parameters(NamedTuple):
 
     friction_patience: Annotated[
         float,
-        quantity("s", "in realtime, how long a friction estimate that was coming is waited for", minimum=0.0, maximum=60.0),
+        quantity("s", "in realtime, longest wait for a friction estimate while they arrive", minimum=0.0, maximum=60.0),
     ] = 0.005
 
 
 class ControllerNode(ControlNode):
     """Runs one control law.
 
-    While the friction estimate comes, a cycle is answered when it is there. When it stays away, the static
-    Stribeck curve of the rig stands in, and status and diagnostics say so.
+    While friction estimates arrive, a cycle is answered as soon as its estimate is there. Without them the rig's friction of
+    steady sliding is used instead, and status and diagnostics say so.
     """
 
     def __init__(self, law: str) -> None:
@@ -167,7 +167,7 @@ class ControllerNode(ControlNode):
             self.on_state.wait(TURN)
 
     def _complete(self, cycle: int, now: float) -> bool:
-        """Tell whether a cycle can be answered, if need be without a friction estimate."""
+        """Tell whether a cycle can be answered, if necessary without a friction estimate."""
         if cycle not in self.references:
             return False
         if cycle in self.frictions or not self.friction_comes:
@@ -236,7 +236,7 @@ class ControllerNode(ControlNode):
         if unmeasured:
             return WARN, f"not measured, yet needed: {', '.join(unmeasured)}; {self._without(unmeasured)}", figures
         if self.kind.FRICTION and not self.friction_comes:
-            return WARN, "no friction estimate comes: the static Stribeck curve stands in", figures
+            return WARN, "no friction estimate comes: the rig's friction of steady sliding is used instead", figures
         if self.pending and time.perf_counter() - self.pending_since > PATIENCE:
             return WARN, f"no {self.kind.FOLLOWS} reference for the cycle under way", figures
         return OK, "running" if self._active.is_set() else "inactive", figures

@@ -1,4 +1,4 @@
-"""`friction_estimator_node`: answers each loader_state with the friction of the identified model."""
+"""`friction_estimator_node`: answers each loader_state with the friction of the rig's model."""
 
 import math
 from collections.abc import Mapping
@@ -65,7 +65,7 @@ class FrictionEstimatorNode(ControlNode):
             stamp, cycle = message[:2]
             elapsed = cycle - self.last if self.last >= 0 else 1
             if elapsed < 1:
-                # The plant began anew.
+                # The plant has restarted.
                 self.estimator.reset()
                 elapsed = 1
             elif elapsed > 1:
@@ -80,7 +80,7 @@ class FrictionEstimatorNode(ControlNode):
             self.estimates.send(stamp, cycle, estimate[0], estimate[1], n, *estimate[2 : 2 + n], n, *slipping)
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Say which model runs and whether it missed a snapshot."""
+        """Say which observer runs and whether it missed a snapshot."""
         figures = {
             "model": self.model,
             "cycle": self.last,

@@ -1,8 +1,8 @@
-"""What a rig's numbers imply, and whether what it comes to can be true.
+"""Whether a rig's numbers make sense together, and whether a run's results are possible.
 
-Numbers that are each allowed may still describe no rig: a pressure in bar where pascals are meant, an area in mm², a mass so
-small that no integration step resolves what its friction does to it. :data:`RANGES`, :data:`RELATIONS` and :func:`rates` say
-what a rig's numbers have to be before it is run; :data:`FLAGGED` and :data:`ENDS`, how far a run may leave the rig's limits.
+Numbers that are each allowed may still describe no rig: a pressure in bar instead of pascals, an area in mm², a mass too small
+for the integration step to resolve its motion under friction. :data:`RANGES`, :data:`RELATIONS` and :func:`rates` check a rig's
+numbers before a run; :data:`FLAGGED` and :data:`ENDS` say how far a run may leave the rig's limits.
 """
 
 import math
@@ -16,14 +16,14 @@ from ehls_ros.errors import BadInput
 from ehls_ros.physics.composition import effects_in_kernel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Limits
-from ehls_ros.physics.rig import SENSED, Rig
+from ehls_ros.physics.rig import SENSED, Rig, check_friction_effects
 from ehls_ros.schema import declarations
 
 FLAGGED = 1.05
-"""Multiple of the rig's limits beyond which a run is told to have left them. The paper's piston leaves its stroke by 1.4 %."""
+"""Multiple of the rig's limits above which a run is said to leave them. The paper's piston leaves its stroke by 1.4 %."""
 
 ENDS = 10.0
-"""Multiple of the rig's limits beyond which the numbers are no rig's and a run ends; a blow of the servo's beam reaches 2.4."""
+"""Multiple of the rig's limits above which readings are impossible and a run ends; impacts of the servo's beam reach 2.4."""
 
 RESOLVED = 2.0
 """Largest product of integration step and a rate of the plant; the Runge-Kutta scheme is stable up to 2.8."""
@@ -40,7 +40,7 @@ UNITS: dict[str, tuple[tuple[str, float], ...]] = {
     "N/m": (("N/mm", 1e3),),
     "rad/s": (("kHz", 2e3 * math.pi),),
 }
-"""What may have been written for a unit, and how much of it that is."""
+"""Units that may have been written instead, and their size in the SI unit."""
 
 RANGES: dict[tuple[str, str], tuple[float, float]] = {
     ("plant", "supply_pressure"): (1e5, 2e8),
@@ -63,18 +63,18 @@ RANGES: dict[tuple[str, str], tuple[float, float]] = {
     ("limits", "spool"): (1e-7, 1.0),
     ("limits", "velocity"): (1e-4, 100.0),
 }
-"""What hydraulic rigs have, with room on both sides; zero stands where an equation can do without."""
+"""Ranges of hydraulic rigs, with a margin on both sides; zero where the equations allow it."""
 
 
 class Relation(NamedTuple):
-    """A number made of several of a rig's.
+    """A quantity derived from several numbers of a rig.
 
     Attributes:
-        value: the number, of a rig.
-        low: smallest that makes sense.
-        high: largest that makes sense.
-        what: what it is, and of which keys.
-        advice: what to look at.
+        value: computes it.
+        low: smallest plausible value.
+        high: largest plausible value.
+        what: its name, with the keys it depends on.
+        advice: what to check.
     """
 
     value: Callable[[Rig], float]
@@ -85,7 +85,7 @@ class Relation(NamedTuple):
 
 
 def largest_force(rig: Rig) -> float:
-    """Return what the supply pressure gives on the piston area [N]."""
+    """Return the force of the supply pressure on the piston area [N]."""
     return rig.plant.supply_pressure * rig.plant.piston_area
 
 
@@ -151,7 +151,7 @@ RELATIONS = (
         "m; 1 mm is 1e-3 m",
     ),
 )
-"""What a rig's numbers have to be to one another."""
+"""Relations between a rig's numbers."""
 
 SCALES: dict[str, Callable[[Rig], float]] = {
     "position": _stroke,
@@ -162,24 +162,25 @@ SCALES: dict[str, Callable[[Rig], float]] = {
     "supply_pressure": lambda rig: rig.plant.supply_pressure,
     "oil_temperature": lambda rig: 450.0,
 }
-"""The largest a sensor has to read; what spoils its reading is no larger."""
+"""Largest value of each signal; no imperfection of its sensor may be larger."""
 
 GAINS = (0.01, 100.0)
-"""A sensor's reading per true value."""
+"""Smallest and largest reading per true value."""
 
 
 def check_rig(rig: Rig, where: str) -> None:
-    """Look for numbers that no rig has.
+    """Check that a rig's numbers are plausible.
 
     Args:
         rig: a rig whose numbers are each allowed.
         where: the file, for errors.
 
     Raises:
-        BadInput: the first number, or relation of several, that does not make sense.
+        BadInput: the first number, or relation of several, that is not plausible; or an effect with nothing to act on.
     """
     for section in ("plant", "friction", "limits"):
         check_ranges(getattr(rig, section), section, f"{where}: {section}")
+    check_friction_effects(rig, f"{where}: effects")
     for relation in RELATIONS:
         value = relation.value(rig)
         if not relation.low <= value <= relation.high:
@@ -198,10 +199,10 @@ def check_rig(rig: Rig, where: str) -> None:
 
 
 def check_ranges(parameters: Any, section: str, where: str) -> None:
-    """Look for numbers out of :data:`RANGES`.
+    """Check numbers against :data:`RANGES`.
 
     Args:
-        parameters: a section of a rig, or other parameters that have numbers of the same names and meaning.
+        parameters: a section of a rig, or other parameters whose fields have the same names and meaning.
         section: name of the section.
         where: file and section, for errors.
 
@@ -220,7 +221,7 @@ def check_ranges(parameters: Any, section: str, where: str) -> None:
 
 
 def _likely(value: float, unit: str, low: float, high: float) -> str:
-    """Return which other unit may have been meant; nothing where none fits."""
+    """Return which other unit may have been meant; empty where none fits."""
     meant = [
         f"{value:g} {name} is {value * factor:g} {unit}"
         for name, factor in UNITS.get(unit, ())
@@ -235,12 +236,12 @@ def units_of(parameters: Any) -> dict[str, str]:
 
 
 class Rate(NamedTuple):
-    """How fast a part of the plant changes by itself.
+    """Natural rate of a part of the plant.
 
     Attributes:
         what: the part.
         rate: time constant's inverse, or natural frequency [1/s].
-        of: what it comes of, values and units included.
+        of: the keys it depends on, with values and units.
     """
 
     what: str
@@ -249,10 +250,10 @@ class Rate(NamedTuple):
 
 
 def rates(rig: Rig) -> Iterator[Rate]:
-    """Tell how fast each part of a plant is by itself.
+    """Yield the natural rate of each part of a plant.
 
     Args:
-        rig: the rig, its effects included; those of one's own stiffness or damping are counted as if they always acted.
+        rig: the rig with its effects; a stiffness or damping of an effect counts as if it always acted.
 
     Yields:
         The parts. Springs and dampers act on the smallest of the masses.
@@ -265,7 +266,7 @@ def rates(rig: Rig) -> Iterator[Rate]:
     said = _said(p) | _said(f)
     of_mass = f"on {mass:g} kg"
     springs = ", ".join(said[key] for key, unit in units_of(type(f)).items() if unit == "N/m")
-    # Through the valve flows no more than the piston takes at its largest velocity; the spool's limit may be far beyond.
+    # The flow is limited by the piston's largest velocity; the spool's limit may allow far more.
     gradient = p.discharge_coefficient * p.valve_area_gradient * math.sqrt(p.supply_pressure / p.oil_density)
     flow = min(gradient * p.valve_gain * limits.spool, p.piston_area * limits.velocity)
     yield Rate("valve", p.valve_bandwidth, said["valve_bandwidth"])
@@ -310,7 +311,7 @@ def _said(parameters: Any) -> dict[str, str]:
 
 
 def check_step(rig: Rig, step: float, where: str) -> None:
-    """Look for parts of a plant that are too fast for an integration step.
+    """Check that an integration step resolves all parts of a plant.
 
     Args:
         rig: the rig.
@@ -341,12 +342,12 @@ REACH: dict[tuple[str, str], tuple[Callable[[Rig], tuple[float, float]], float, 
     ),
     ("disturbance", "position"): (lambda rig: rig.limits.position, 2.0, "limits.position; is it in m?"),
 }
-"""What a signal acts on, by its part in the experiment and its kind: the rig's range, the multiple of it about its middle that
-makes sense, and what the range is. What lies between range and multiple is run, and told of."""
+"""By role and kind of a signal: the rig's range, the largest plausible multiple of it about its middle, and its name. A signal
+between range and multiple is run with a warning."""
 
 
 def check_signal(rows: Array, part: str, kind: str, rig: Rig, period: float, where: str) -> None:
-    """Look for signals that a rig cannot follow or bear, or that the control period cannot show.
+    """Check that a rig can follow or bear a signal, and that the control period resolves it.
 
     Args:
         rows: value and first derivative of the signal, among others, at times of the experiment, shape (n, 2 or more).
@@ -377,11 +378,11 @@ def check_signal(rows: Array, part: str, kind: str, rig: Rig, period: float, whe
 
 
 class Beyond(NamedTuple):
-    """A reading that is farther out than it may be.
+    """A reading beyond its limit.
 
     Attributes:
         row: which reading.
-        what: signal, value and limit, as a sentence has it.
+        what: signal, value and limit in words.
     """
 
     row: int
@@ -399,7 +400,7 @@ def within(limits: Limits, signal: str) -> tuple[float, float]:
 
 
 def excess(values: Array, limits: Limits, signal: str) -> Array:
-    """Return how far readings are from the middle between a rig's limits, as parts of the way to a limit, shape of the values.
+    """Return the distance of readings from the middle between a rig's limits, as a fraction of the distance to a limit.
 
     Args:
         values: readings.
@@ -412,13 +413,13 @@ def excess(values: Array, limits: Limits, signal: str) -> Array:
 
 
 def beyond(values: Array, limits: Limits, signal: str, factor: float) -> Beyond | None:
-    """Return the reading farthest outside a rig's limits, if it is outside their multiple; gaps are passed over.
+    """Return the reading farthest outside a rig's limits, if it is outside their multiple; gaps are skipped.
 
     Args:
         values: readings, shape (n,).
         limits: the rig's.
         signal: one of :data:`SHOWN`.
-        factor: multiple of the way from the middle to a limit.
+        factor: multiple of the distance from the middle to a limit.
     """
     away = np.nan_to_num(excess(values, limits, signal), nan=0.0, posinf=math.inf)
     row = int(np.argmax(away))
@@ -437,18 +438,18 @@ ADVICE = (
     "a smaller integration_step if it is the step; else look at the units of rig, reference and disturbance, and at the "
     "controller's parameters"
 )
-"""What to do where a state has run away."""
+"""What to do where a state has diverged."""
 
 
 def implausible(readings: Array, limits: Limits) -> Beyond | None:
-    """Return the first reading of a run that cannot be a rig's: not finite, or :data:`ENDS` times beyond its limits.
+    """Return the first impossible reading of a run: not finite, or :data:`ENDS` times beyond its limits.
 
     Args:
-        readings: in the order of ``SENSED``, shape (n, signals); columns beyond these are looked at for finite numbers alone.
+        readings: in the order of ``SENSED``, shape (n, signals); further columns are checked for finite numbers only.
         limits: the rig's.
 
     Returns:
-        Its row, and what is wrong with advice; of several signals the one that is farthest out. None if all can be.
+        Its row, and what is wrong, with advice; of several signals the one farthest out. None if all are possible.
     """
     columns = {signal: readings[:, SENSED.index(signal)] for signal in SHOWN}
     away = np.max([excess(values, limits, signal) for signal, values in columns.items()], axis=0)

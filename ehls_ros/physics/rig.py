@@ -27,7 +27,7 @@ class EffectUse(NamedTuple):
 
 
 SENSED = ("position", "velocity", "load_pressure", "spool_position", "force", "supply_pressure", "oil_temperature")
-"""What a loader_state holds, in its order."""
+"""The signals of a loader_state, in its order."""
 
 
 class Rig(NamedTuple):
@@ -40,7 +40,7 @@ class Rig(NamedTuple):
         effects: what the paper's model does not have; empty for the paper's rig.
         sensors: imperfections by signal.
         limits: what the rig may not exceed.
-        other_friction: keys of the rig file that other friction models have, kept for the day the model is changed.
+        other_friction: keys of the rig file that belong to other friction models, kept for a change of model.
     """
 
     plant: Plant
@@ -82,7 +82,7 @@ class Rig(NamedTuple):
         return self.plant.moving_mass * share / (1.0 - share)
 
     def quiet(self) -> "Rig":
-        """Return the rig with sensors that neither scatter nor round, for what is expected of it."""
+        """Return the rig with sensors without noise and rounding."""
         quiet = {signal: sensor._replace(noise_std=0.0, resolution=0.0) for signal, sensor in self.sensors.items()}
         return self._replace(sensors=quiet)
 

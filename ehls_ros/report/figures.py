@@ -175,7 +175,7 @@ def position_error(run: Trajectory) -> Panel | LeftOut:
 
 
 def friction(run: Trajectory) -> Panel | LeftOut:
-    """Draw the estimated friction, its elements, and when each of them slips."""
+    """Draw the estimated friction, and of several elements each, with when it slips."""
     title = "Estimated friction"
     parts = ("friction_gms_n", "friction_viscous_n", "friction_elements_n")
     if not any(known(run, name) for name in parts):
@@ -183,24 +183,25 @@ def friction(run: Trajectory) -> Panel | LeftOut:
     time = since_start(run)
     traces: list[Trace] = []
     rows: list[Axis] = []
+    several = _several_elements(run)
     if known(run, "friction_gms_n") or known(run, "friction_viscous_n"):
         rows.append(Axis("friction", NEWTON, share=2.0))
     for name, label, color, width in (
         ("friction_viscous_n", "viscous", PURPLE, 1.5),
-        ("friction_gms_n", "all elements", BLACK, 1.8),
+        ("friction_gms_n", "all elements" if several else WITHOUT_VISCOUS, BLACK, 1.8),
     ):
         if known(run, name):
             traces.append(time_line(time, run[name], label, NEWTON, color, width=width))
-    if known(run, "friction_elements_n"):
+    if known(run, "friction_elements_n") and (several or not rows):
         rows.append(Axis("each element", NEWTON, share=2.0))
         for index, force in enumerate(_columns(run["friction_elements_n"])):
             color, dash = ELEMENT_LINES[index % len(ELEMENT_LINES)]
             label = f"element {index + 1}"
             traces.append(time_line(time, force, label, NEWTON, color, row=len(rows), dash=dash))
     if known(run, "friction_fallback"):
-        traces += event_marks(time, run["friction_fallback"] > 0.5, "static curve stood in", VERMILION)
+        traces += event_marks(time, run["friction_fallback"] > 0.5, "steady friction stood in", VERMILION)
     note = ""
-    if known(run, "friction_slipping"):
+    if several and known(run, "friction_slipping"):
         slipping = run["friction_slipping"].reshape(len(run), -1)
         names = tuple(str(index + 1) for index in range(slipping.shape[1]))
         rows.append(Axis("element", PURE_NUMBER, (len(names) + 0.5, 0.5), share=1.3, names=names))
@@ -344,7 +345,8 @@ def friction_against_velocity(run: Trajectory) -> Panel | LeftOut:
     if known(run, "friction_viscous_n"):
         total = elements + run["friction_viscous_n"][steady]
         traces.append(line(velocity, total, "with viscous friction", NEWTON, PURPLE, width=1.2))
-    traces.append(line(velocity, elements, "all elements", NEWTON, BLACK, width=1.4))
+    label = "all elements" if _several_elements(run) else WITHOUT_VISCOUS
+    traces.append(line(velocity, elements, label, NEWTON, BLACK, width=1.4))
     layout = plane_layout(Axis("velocity", MILLIMETRE_PER_SECOND), Axis("friction", NEWTON))
     return Panel(title, traces, layout, f"The {_last_seconds(run)}.", height=340, over_time=False)
 
@@ -444,6 +446,15 @@ def _missing_together(run: Trajectory, samples: slice, *names: str) -> str:
         return missing
     together = np.logical_and.reduce([np.isfinite(run[name][samples]) for name in names])
     return "" if together.any() else f"no cycle to be shown holds both {' and '.join(names)}"
+
+
+WITHOUT_VISCOUS = "without viscous friction"
+"""What the elements' force is called where there is one element only."""
+
+
+def _several_elements(run: Trajectory) -> bool:
+    """Tell whether a run's friction estimate has more than one element."""
+    return any(known(run, name) and len(_columns(run[name])) > 1 for name in ("friction_elements_n", "friction_slipping"))
 
 
 def _columns(values: NDArray[np.float64]) -> NDArray[np.float64]:

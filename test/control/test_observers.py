@@ -5,7 +5,10 @@ import pytest
 
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.physics.friction import FRICTION_MODELS
+from ehls_ros.physics.friction.base import in_python
 from ehls_ros.physics.plant import FRICTION, V
+from ehls_ros.physics.rig import rig_from_mapping
 from ehls_ros.physics.simulator import Simulator
 
 PERIOD = 1e-3
@@ -28,6 +31,48 @@ def estimates(rig, name: str, velocity: np.ndarray, **values: float) -> np.ndarr
     parameters = OBSERVERS.load(name).Parameters(**{**NARROW.get(name, {}), **values})
     estimator = FrictionEstimator(name, rig, PERIOD, parameters)
     return np.array([estimator.update(v).copy() for v in velocity])
+
+
+@pytest.mark.parametrize("model", FRICTION_MODELS.names())
+@pytest.mark.parametrize("amplitude", [1e-3, 2e-4])
+def test_the_rigs_own_model_follows_the_friction_inside_the_plant(rig_mapping, model, amplitude):
+    """To what the straight line between two velocities misses; where the contact stands still, nobody can know its force."""
+    rig_mapping["friction"]["model"] = model
+    rig = rig_from_mapping(rig_mapping, "rig")
+    simulator, estimator = Simulator(rig, PERIOD), FrictionEstimator("rig_model", rig, PERIOD)
+    elements = rig.friction_law.states(rig.friction)
+    force = in_python(rig.friction_law.force)
+    true, found = [], []
+    for k in range(2000):
+        velocity = simulator.y[V]
+        estimate = estimator.update(velocity)
+        mode = simulator.mode[1:]
+        if mode.all() or math.isfinite(rig.friction_law.stiffness(rig.friction)):
+            level = rig.friction_level(velocity)
+            true.append(force(velocity, 0.0, level, simulator.y[FRICTION : FRICTION + elements], mode, rig.friction))
+            found.append(estimate[0] + estimate[1])
+        simulator.advance(amplitude * math.sin(2.0 * math.pi * 1.5 * k * PERIOD), 0.0, 0.0, 0.0, 0.0)
+    error = np.abs(np.subtract(found, true))
+    assert len(true) > 1000
+    assert np.ptp(true) > 1000.0
+    assert np.sqrt(np.mean(error**2)) < 2e-3 * np.ptp(true)
+    assert np.median(error) < 1e-3 * np.ptp(true)
+
+
+@pytest.mark.parametrize("model", FRICTION_MODELS.names())
+@pytest.mark.parametrize("velocity", [0.3, 1e9, -1e300])
+def test_it_stays_within_the_level_after_a_long_gap_or_an_absurd_velocity(rig_mapping, model, velocity):
+    rig_mapping["friction"]["model"] = model
+    rig = rig_from_mapping(rig_mapping, "rig")
+    estimator = FrictionEstimator("rig_model", rig, PERIOD)
+    most = rig.friction_level(0.0) * (1.0 + 1e-9)
+    for v, elapsed in ((0.0, 1), (velocity, 1), (velocity, 50), (-0.1, 50), (0.1, 1)):
+        estimate = estimator.update(v, elapsed)
+        assert np.all(np.isfinite(estimate[:3]))
+        assert abs(estimate[0]) <= most
+    for _ in range(5000):
+        estimate = estimator.update(0.1)
+    assert estimate[0] == pytest.approx(rig.friction_level(0.1), rel=1e-3)
 
 
 @pytest.mark.parametrize("amplitude", [1e-3, 2e-4, 2e-5])

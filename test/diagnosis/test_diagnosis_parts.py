@@ -25,7 +25,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.plant import FRICTION, PL, XV, V
-from ehls_ros.physics.rig import EffectUse
+from ehls_ros.physics.rig import EffectUse, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.sensors import POSITION, VELOCITY
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.trajectory import Trajectory
@@ -271,7 +271,8 @@ def compared(trajectory, rig):
 
 @pytest.mark.parametrize("model", ["gms", "lugre"])
 def test_friction_along_a_motion_is_the_simulators(rig, model):
-    ours = perfect(rig)._replace(friction_model=model)
+    mapping = rig_to_mapping(perfect(rig))
+    ours = rig_from_mapping({**mapping, "friction": {**mapping["friction"], "model": model}}, "rig")
     trajectory, friction = simulated(ours)
     comparison, _ = compared(trajectory, ours)
     found = comparison.friction(ours)[:, 0]

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from patience import PATIENCE
 
 pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
@@ -18,6 +19,8 @@ pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` 
 from rosbags.rosbag2 import Reader
 
 from ehls_ros.cli.main import main
+from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.topics import LOADER_STATE
 
@@ -85,6 +88,24 @@ def test_lockstep_is_the_same_in_one_process(over_dds, tmp_path, controller):
     assert len(recorded) == 501
     assert not np.isnan(recorded["valve_command_m"]).any()
     assert_same(recorded, alone(spec, tmp_path / "alone"), relative=0.0 if controller == "pid" else 1e-9)
+
+
+def on_friction_model(spec: Path, model: str) -> Path:
+    """Give a spec the paper's rig with another friction model."""
+    mapping = yaml.safe_load(spec.read_text())
+    rig = yaml.safe_load(Path(mapping["rig"]).read_text())
+    rig["friction"]["model"] = model
+    spec.write_text(yaml.safe_dump({**mapping, "rig": rig}))
+    return spec
+
+
+@pytest.mark.parametrize("model", [name for name in FRICTION_MODELS.names() if name not in OBSERVERS.names()])
+def test_the_friction_model_of_the_rig_is_compensated(model, spec_file, tmp_path):
+    spec = on_friction_model(spec_file(), model)
+    recorded = trajectory_of(ehls("experiment", spec, "--out", tmp_path / "run", "--json"))
+    assert np.ptp(recorded["friction_gms_n"]) > 600.0
+    assert not recorded["friction_fallback"].any()
+    assert_same(recorded, alone(spec, tmp_path / "alone"), relative=1e-9)
 
 
 def test_a_position_is_followed_over_dds(over_dds):

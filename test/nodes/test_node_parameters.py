@@ -2,8 +2,10 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+import yaml
 from patience import PATIENCE
 
 pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
@@ -12,6 +14,8 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.schema import declarations
+
+RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
 
 
 def test_descriptors_carry_unit_range_and_help(graph, participant, spec_file):
@@ -46,3 +50,23 @@ def test_a_wrong_parameter_ends_the_node_with_one_line_and_code_2(node, paramete
     assert done.returncode == 2
     [line] = done.stderr.strip().splitlines()
     assert all(word in line for word in words), line
+
+
+@pytest.mark.parametrize(
+    ("node", "options", "named"),
+    [
+        ("friction_estimator_node", ["-p", "model:=gms"], "friction observer 'gms'"),
+        ("fasmc_output_feedback_node", [], "controller 'fasmc_output_feedback'"),
+    ],
+)
+def test_a_node_that_does_not_serve_the_rigs_friction_model_ends_with_code_2(node, options, named, spec_file, tmp_path):
+    rig = yaml.safe_load(RIG.read_text(encoding="utf-8"))
+    rig["friction"]["model"] = "lugre"
+    other = tmp_path / "rig.yaml"
+    other.write_text(yaml.safe_dump(rig), encoding="utf-8")
+    parameters = ["-p", f"spec:={spec_file()}", "-p", f"rig:={other}", *options]
+    command = [sys.executable, "-m", f"ehls_ros.nodes.{node}", "--ros-args", *parameters]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 2
+    [line] = done.stderr.strip().splitlines()
+    assert f"{named} does not serve friction model 'lugre'" in line

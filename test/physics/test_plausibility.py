@@ -9,6 +9,7 @@ import yaml
 
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.parameters import Limits, Plant
 from ehls_ros.physics.plausibility import (
     ENDS,
@@ -110,6 +111,43 @@ def test_the_step_asked_for_is_where_the_scheme_begins_to_fail(make_rig, factor)
     for _ in range(50):
         simulator.advance(0.0, 0.0, 0.0, 0.0, 0.0)
     assert (abs(simulator.y[1]) < 1.0) == (factor < 1.0)
+
+
+@pytest.mark.parametrize("model", FRICTION_MODELS.names())
+def test_every_friction_model_is_one_of_a_rig_on_the_papers(make_rig, model):
+    rig = make_rig(friction={"model": model})
+    check_rig(rig, "rig.yaml")
+    check_step(rig, DEFAULT_STEP, "rig.yaml")
+
+
+@pytest.mark.parametrize("model", FRICTION_MODELS.names())
+def test_a_friction_that_the_cylinder_cannot_overcome_is_refused(make_rig, model):
+    rig = make_rig(friction={"model": model, "coulomb_force": 2e4, "static_force": 2e4})
+    with pytest.raises(BadInput, match="a friction in N that the cylinder can overcome"):
+        check_rig(rig, "rig.yaml")
+
+
+@pytest.mark.parametrize("model", FRICTION_MODELS.names())
+def test_a_stiffness_in_n_per_mm_is_refused_where_a_model_has_one(make_rig, model):
+    rig = make_rig(friction={"model": model, "element_stiffness": [1884.0, 196.9, 184.1]})
+    if math.isfinite(rig.friction_law.stiffness(rig.friction)):
+        with pytest.raises(BadInput, match=r"travel to break-away.*1 N/mm is 1e3 N/m"):
+            check_rig(rig, "rig.yaml")
+    else:
+        check_rig(rig, "rig.yaml")
+
+
+@pytest.mark.parametrize("model", FRICTION_MODELS.names())
+def test_the_rates_of_friction_are_those_of_its_model(make_rig, model):
+    rig = make_rig(friction={"model": model})
+    law, friction = rig.friction_law, rig.friction
+    found = {part.what: part for part in rates(rig)}
+    assert found["slipping friction"].rate == law.relaxation_rate(friction, rig.limits.velocity)
+    assert "coulomb_force 640.8 N" in found["slipping friction"].of
+    assert ("presliding friction" in found) == math.isfinite(law.stiffness(friction))
+    if "presliding friction" in found:
+        assert "stiffness" in found["presliding friction"].of
+        assert found["presliding friction"].rate == pytest.approx(math.sqrt(2.265e6 / 70.0))
 
 
 def row(**values):

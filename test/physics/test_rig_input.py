@@ -5,7 +5,9 @@ import json
 import pytest
 
 from ehls_ros.errors import BadInput
-from ehls_ros.physics.rig import rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.friction import FRICTION_MODELS
+from ehls_ros.physics.rig import EffectUse, rig_from_mapping, rig_to_mapping
 
 
 def refused(data):
@@ -116,3 +118,109 @@ def test_sensors_that_are_wrong(sensors, said, rig_data):
     line = refused(rig_data)
     for part in said:
         assert part in line
+
+
+# --- the friction section ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", FRICTION_MODELS.names())
+def test_the_word_model_is_all_that_has_to_change(model, rig_data):
+    paper = rig_from_mapping(rig_data, "rig.yaml")
+    rig_data["friction"]["model"] = model
+    rig = rig_from_mapping(rig_data, "rig.yaml")
+    assert rig.friction_model == model
+    assert type(rig.friction) is FRICTION_MODELS.load(model).Parameters
+    written = json.loads(json.dumps(rig_to_mapping(rig)))
+    assert rig_from_mapping(written, "rig.yaml") == rig
+    written["friction"]["model"] = paper.friction_model
+    back = rig_from_mapping(written, "rig.yaml")
+    assert back.friction == paper.friction
+    assert set(rig_data["friction"]) <= set(written["friction"])
+
+
+@pytest.mark.parametrize("model", FRICTION_MODELS.names())
+def test_a_model_reads_its_own_keys_alone(model, rig_data):
+    declared = FRICTION_MODELS.load(model).Parameters
+    rig_data["friction"]["model"] = model
+    rig = rig_from_mapping(rig_data, "rig.yaml")
+    rig_data["friction"] = {"model": model, **rig.friction._asdict()}
+    alone = rig_from_mapping(rig_data, "rig.yaml")
+    assert alone.friction == rig.friction
+    assert alone.other_friction == {}
+    for key in declared._fields:
+        less = {**rig_data, "friction": {k: v for k, v in rig_data["friction"].items() if k != key}}
+        if key in declared._field_defaults:
+            rig_from_mapping(less, "rig.yaml")
+        else:
+            assert f"key '{key}' is missing" in refused(less)
+
+
+@pytest.mark.parametrize("model", FRICTION_MODELS.names())
+def test_a_key_that_no_friction_model_has(model, rig_data):
+    rig_data["friction"] |= {"model": model, "stickiness": 1.0}
+    line = refused(rig_data)
+    assert "friction: key 'stickiness' is unknown" in line
+    for other in FRICTION_MODELS.names():
+        assert all(key in line for key in FRICTION_MODELS.load(other).Parameters._fields)
+
+
+@pytest.mark.parametrize(
+    ("model", "key", "value"), [("stribeck", "attraction_rate", -1.0), ("lugre", "element_weight", "even")]
+)
+def test_keys_of_other_models_are_checked_too(model, key, value, rig_data):
+    rig_data["friction"] |= {"model": model, key: value}
+    line = refused(rig_data)
+    assert f"friction: {key} is {value!r}" in line
+
+
+def test_an_own_stiffness_goes_before_that_of_other_models_elements(rig_data):
+    rig_data["friction"] |= {"model": "lugre", "presliding_stiffness": 3e6}
+    rig = rig_from_mapping(rig_data, "rig.yaml")
+    assert rig.friction.presliding_stiffness == 3e6
+    assert rig_to_mapping(rig)["friction"]["presliding_stiffness"] == 3e6
+    del rig_data["friction"]["presliding_stiffness"]
+    assert rig_from_mapping(rig_data, "rig.yaml").friction.presliding_stiffness == 1.884e6 + 1.969e5 + 1.841e5
+
+
+# --- effects on friction ----------------------------------------------------------------------------------------------
+
+
+def pairs(acting):
+    """Yield each effect on coefficients of friction with each model that has, or has none of, what it shifts."""
+    for name in EFFECTS.names():
+        shifts = set(getattr(EFFECTS.load(name), "SHIFTS", ()))
+        for model in FRICTION_MODELS.names():
+            fields = set(FRICTION_MODELS.load(model).Parameters._fields)
+            if shifts and bool(shifts & fields) == acting:
+                yield name, model
+
+
+@pytest.mark.parametrize(("effect", "model"), list(pairs(acting=True)))
+def test_an_effect_shifts_the_coefficients_that_a_model_has(effect, model, rig_data):
+    rig_data["friction"]["model"] = model
+    rig = rig_from_mapping(rig_data, "rig.yaml")
+    member = EFFECTS.load(effect)
+    assert member.forms(rig)
+    assert rig.with_effects((EffectUse(effect, member.Parameters()),)).effective().friction == rig.friction
+    for form in member.forms(rig):
+        for key in form.free:
+            changed = EffectUse(effect, member.Parameters(**{key: 1.5}))
+            assert rig.with_effects((changed,)).effective().friction != rig.friction
+
+
+@pytest.mark.parametrize(("effect", "model"), list(pairs(acting=False)))
+def test_an_effect_without_anything_to_act_on_is_refused(effect, model, rig_data):
+    rig_data["friction"]["model"] = model
+    assert EFFECTS.load(effect).forms(rig_from_mapping(rig_data, "rig.yaml")) == ()
+    rig_data["effects"] = [{"name": effect}]
+    line = refused(rig_data)
+    assert line.startswith("rig.yaml: effects")
+    assert repr(effect) in line
+    assert repr(model) in line
+    able = [other for name, other in pairs(acting=True) if name == effect]
+    assert all(other in line for other in able)
+
+
+def test_some_effect_finds_nothing_to_act_on_in_some_model():
+    """Else the test above is run for no pair."""
+    assert list(pairs(acting=False))

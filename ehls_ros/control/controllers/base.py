@@ -1,9 +1,9 @@
 """What a controller's file provides.
 
 ``Parameters``, a named tuple declaring its parameters; ``FOLLOWS``, what the reference it follows is, force or
-position; ``FRICTION``, whether it uses the friction estimate; ``NEEDS``, the readings without which it controls
-nothing; ``memory(parameters)``, its state before the first cycle; ``FRICTION_MODEL``, where it has one friction model within
-it and serves no other; and a compiled
+position; ``FRICTION``, whether it uses the friction estimate; ``NEEDS``, the readings it cannot do without;
+``memory(parameters)``, its state before the first cycle; ``FRICTION_MODEL``, where it contains one friction model
+and serves no other; and a compiled
 
 ``step(m, r, f, p, model, memory, status) -> spool command [m]``
 
@@ -54,7 +54,7 @@ class ControllerLaw(Protocol):
 
 
 def model_of(rig: Rig, period: float) -> Model:
-    """Return what a controller may know of a rig: its parameters, not its effects."""
+    """Return the rig as a controller may know it: its parameters, not its effects."""
     return Model(rig.plant, rig.friction, period, rig.limits.spool)
 
 

@@ -1,22 +1,22 @@
 """Finite-time adaptive sliding mode force control, equations (26)-(38).
 
-The law is written in the units its numbers cohere in: N, mm, MPa, t, s. So k = 12, g = 60, h = 25,
+The law is written in the units in which the paper gives its numbers: N, mm, MPa, t, s. So k = 12, g = 60, h = 25,
 b = 107.5 are the paper's controller.
 
 The robust term u3 is discretised implicitly (backward Euler): with the paper's numbers the reaching rate K
-is 8.8e4 1/s, and an explicit u3 diverges once K T > 2, at the paper's own 1 ms by a factor of 44. Put the law
-into m0 s' = -m0 K s and step it backwards; then the sliding variable at the end of the cycle is s/(1 + K T).
-This foreseen s is what the adaptation (36)-(38) acts on, and u3 takes what the adaptation leaves: as the
-adaptive terms grow evenly over a cycle, half their step counts as taken. All of it tends to (35)-(38) as T
-goes to 0. The adaptation takes at most all of s in one cycle, which keeps it stable at any phi3.
+is 8.8e4 1/s, and an explicit u3 diverges above K T = 2, which the paper's own 1 ms exceeds by a factor of 44.
+With the law, m0 s' = -m0 K s; stepped backwards, the sliding variable at the end of the cycle is s/(1 + K T).
+The adaptation (36)-(38) acts on this predicted s, and u3 removes what the adaptation leaves: since the
+adaptive terms grow evenly over a cycle, half their step counts. All of this tends to (35)-(38) as T goes to 0.
+The adaptation removes at most all of s in one cycle, which keeps it stable at any phi3.
 
-At 1 ms the foreseen s is 89 times smaller than the sampled one, so the adaptation rates that go with it are
-larger than the paper's. The paper's own phi1..3 cannot be meant in these units (phi1 = 103 would move alpha by
+At 1 ms the predicted s is 89 times smaller than the sampled one, so the adaptation rates are larger than the
+paper's. The paper's own phi1..3 cannot be meant in these units (phi1 = 103 would move alpha by
 3e5 1/s at s = 1 MPa/s); the defaults were chosen once, over all references and disturbances of Table 3.
 
-The rate of the load pressure that s needs is the model's (25), corrected by how far the model missed the
-change of pressure over the last cycle. Without that, an error of a few MPa/s in the model, which 0.2 % of
-the flow makes at full speed, is as large as the surface's slope k/2 and the error grows without bound.
+The rate of the load pressure in s is the model's (25), corrected by the model's error in the change of
+pressure over the last cycle. Without the correction, a model error of a few MPa/s, 0.2 % of the flow at full
+speed, would be as large as the surface's slope k/2, and the error would grow without bound.
 """
 
 import math
@@ -37,7 +37,7 @@ FRICTION = True
 NEEDS = ("position", "velocity", "load_pressure", "spool_position", "force", "supply_pressure")
 
 LEAST_DROP = 0.01
-"""The pressure drop over the valve is taken no smaller than this part of the nominal supply pressure."""
+"""Lower bound of the pressure drop over the valve, as a fraction of the nominal supply pressure."""
 
 
 class Parameters(NamedTuple):
@@ -60,9 +60,9 @@ class Parameters(NamedTuple):
     phi2: Annotated[
         float, quantity("mm^5/N^3", "adaptation rate of beta, the scale of the viscous friction", minimum=0.0, maximum=1e6)
     ] = 1e-6
-    phi3: Annotated[
-        float, quantity("mm^5/N", "adaptation rate of D, what the friction model leaves over", minimum=0.0, maximum=1e9)
-    ] = 2.5e5
+    phi3: Annotated[float, quantity("mm^5/N", "adaptation rate of D, the remaining disturbance", minimum=0.0, maximum=1e9)] = (
+        2.5e5
+    )
     implicitness: Annotated[
         float,
         quantity(
@@ -71,15 +71,15 @@ class Parameters(NamedTuple):
     ] = 1.0
     rate_correction: Annotated[
         float,
-        quantity("1", "part of the pressure change the model misses that its rate is corrected by", minimum=0.0, maximum=1.0),
+        quantity("1", "fraction of the model's error in the pressure's rate that is corrected", minimum=0.0, maximum=1.0),
     ] = 1.0
     forgetting: Annotated[
         float, quantity("1/s", "rate at which alpha and beta return to 1 where nothing moves them", minimum=0.0, maximum=1e3)
     ] = 0.1
-    scale_minimum: Annotated[float, quantity("1", "alpha and beta stay at or above this", above=0.0, maximum=1.0)] = 0.2
-    scale_maximum: Annotated[float, quantity("1", "alpha and beta stay at or below this", minimum=1.0, maximum=100.0)] = 5.0
+    scale_minimum: Annotated[float, quantity("1", "lower bound of alpha and beta", above=0.0, maximum=1.0)] = 0.2
+    scale_maximum: Annotated[float, quantity("1", "upper bound of alpha and beta", minimum=1.0, maximum=100.0)] = 5.0
     delta_maximum: Annotated[
-        float, quantity("N", "D stays within plus and minus this, more than the largest load", minimum=0.0, maximum=1e6)
+        float, quantity("N", "bound of D to either side, above the largest load", minimum=0.0, maximum=1e6)
     ] = 5e4
 
 
@@ -95,9 +95,9 @@ def memory(p: Parameters) -> Array:
 
 @kernel
 def corrected_rate(model_rate: float, pressure: float, part: float, memory: Array) -> float:
-    """Return the load pressure's rate: the model's, plus a part of what it missed since the last good reading.
+    """Return the load pressure's rate: the model's, plus a fraction of its error since the last good reading.
 
-    Model rate [MPa/s] and pressure [MPa] are now's; the last ones are kept in ``memory``.
+    Model rate [MPa/s] and pressure [MPa] are the present ones; the last ones are kept in ``memory``.
     """
     if memory[STARTED] == 1.0:
         measured = (pressure - memory[LAST_PRESSURE]) / memory[SINCE]
@@ -154,7 +154,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     root = math.sqrt(max(drop, least_drop))
     g1 = (-plant.spring_stiffness * x1 - plant.viscous_damping * x2 + area * x3) / m0 - plant.gravity
     g3 = e3 * root
-    # Zero where the drop is held up: a steep slope there would keep the spool at its limit for good.
+    # Zero where the drop is at its lower bound: a steep slope there would keep the spool at its limit.
     g3_slope = -side * e3 / (2.0 * root) if drop > least_drop else 0.0
 
     model_rate = -e1 * x2 - e2 * x3 + g3 * x4  # (25)
@@ -164,7 +164,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     if sound and drop > least_drop:
         x3_rate = corrected_rate(model_rate, x3, p.rate_correction, memory)
     elif sound:
-        # Where the drop is held up, the model's rate is no rate; as it is, it pulls the spool back from its limit.
+        # At the lower bound of the drop the model's rate is wrong; uncorrected, it pulls the spool back from its limit.
         memory[CORRECTION], memory[STARTED] = 0.0, 0.0
     error = (m[sensors.FORCE] - r[0]) / area  # (26), with the force as the load cell has it
     error_rate = x3_rate - x3d_rate
@@ -180,7 +180,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     reached = s / (1.0 + implicit * rate)
     share = p.xi * e1 / m0 * follow * period * period / (1.0 + implicit * rate)
     change = period * p.xi * e1 * reached / max(1.0, share)
-    # (36), (37) alone let alpha and beta drift for ever by the little that sampling leaves over: sigma-modification.
+    # With (36), (37) alone, the residual of sampling lets alpha and beta drift: hence the sigma-modification.
     forget = p.forgetting * period
     alpha = (memory[ALPHA] + p.phi1 * elements * change + forget) / (1.0 + forget)  # (36)
     beta = (memory[BETA] + p.phi2 * viscous * change + forget) / (1.0 + forget)  # (37)
@@ -199,7 +199,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     u3 = -m0 * rate * s_next  # (35)
     wanted = (u1 + u2 + u3) / (m0 * p.xi * e5 * g3) * 1e-3  # (34)
     command = saturate(wanted, model.spool_limit)
-    # At the limit, only an adaptation that leads away from it goes on; after a broken measurement, none.
+    # At the limit, only adaptation away from it continues; after an invalid measurement, none.
     if sound and (wanted == command or wanted * s > 0.0):
         memory[ALPHA], memory[BETA], memory[DELTA] = alpha, beta, delta
 

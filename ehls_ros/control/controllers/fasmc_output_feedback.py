@@ -1,15 +1,15 @@
 """Finite-time adaptive sliding mode force control from what a rig measures, and with a command that arrives late.
 
-The sliding surface (26), (27) is the paper's. Its law (34) wants velocity, friction and disturbance, without delay or noise.
+The sliding surface (26), (27) is the paper's. Its law (34) needs velocity, friction and disturbance without delay or noise.
 Here :mod:`ehls_ros.control.state_estimator` supplies them from position, load pressure, spool and force, for the moment the
-command acts: friction by GMS elements within it, and in place of the adapted D of (38) the external force and its rates.
+command acts: friction from its GMS elements, and the external force and its rates in place of the adapted D of (38).
 
-(34) takes the rates at one moment and holds the command for a cycle. Here the same is asked of the cycle as a whole: that
-command is sent which takes s from what it will be when the command arrives to 1/(1 + reaching_rate T) of it when the next one
-arrives, as the model foresees both. s is nearly straight in the command, so two trials find it. This is s' = -K s stepped
-backwards, and with T it tends to (34). The paper's K of 8.8e4 1/s would take all of s out in one cycle, noise included.
+(34) takes the rates at one moment and holds the command for a cycle. Here the command is chosen for the cycle as a whole:
+between its own arrival and that of the next command it takes the predicted s to 1/(1 + reaching_rate T) of itself. s is
+nearly linear in the command, so two trials are enough. This is s' = -K s stepped backwards, and it tends to (34) as T goes
+to 0. The paper's K of 8.8e4 1/s would remove all of s in one cycle, noise included.
 
-The reference is foreseen by its own derivatives. The velocity reading is not used, and may be no number.
+The reference is extrapolated by its derivatives. The velocity reading is not used and may be NaN.
 """
 
 import math
@@ -46,26 +46,28 @@ FRICTION_MODEL = state_estimator.FRICTION_MODEL
 NEEDS = ("position", "load_pressure", "spool_position", "force")
 
 TRIALS = 2
-"""Commands whose outcome is foreseen before the one that is sent."""
+"""Commands whose outcome is predicted before one is sent."""
 
 STEEPEST = 3.0
-"""How far the slope of s over the command may be from that of the valve's flow alone, either way."""
+"""Largest factor, either way, between the slope of s over the command and that of the valve's flow alone."""
 
 
 class Parameters(NamedTuple):
-    """Tuning of the law, and what the filter takes for granted; k, g and xi are the paper's."""
+    """Tuning of the law, and the filter's assumptions; k, g and xi are the paper's."""
 
     k: Annotated[
         float, quantity("MPa/s", "slope of the sliding surface: speed of a large error is k/2", minimum=0.1, maximum=1e3)
     ] = 12.0
     g: Annotated[float, quantity("1/MPa", "steepness of the sliding surface near zero error", minimum=0.1, maximum=1e4)] = 13.0
     xi: Annotated[float, quantity("1", "weight of the error's rate in the sliding variable", minimum=1e-3, maximum=1e3)] = 1.0
-    reaching_rate: Annotated[float, quantity("1/s", "rate at which s is taken out", minimum=0.0, maximum=1e6)] = 300.0
+    reaching_rate: Annotated[float, quantity("1/s", "rate at which s is removed", minimum=0.0, maximum=1e6)] = 300.0
     command_delay: Annotated[float, quantity("s", "time a command takes to the valve", minimum=0.0, maximum=0.05)] = 1e-3
     coupling_stiffness: Annotated[
-        float, quantity("N/m", "stiffness of what ties the piston to its surroundings", minimum=0.0, maximum=1e9)
+        float, quantity("N/m", "stiffness between the piston and its surroundings", minimum=0.0, maximum=1e9)
     ] = 2e6
-    coupling_damping: Annotated[float, quantity("N s/m", "and its damping", minimum=0.0, maximum=1e6)] = 2e3
+    coupling_damping: Annotated[
+        float, quantity("N s/m", "damping between the piston and its surroundings", minimum=0.0, maximum=1e6)
+    ] = 2e3
     position_noise: Annotated[
         float, quantity("m", "standard deviation of a position reading, rounding included", above=0.0, maximum=1.0)
     ] = 2.5e-6
@@ -75,30 +77,37 @@ class Parameters(NamedTuple):
     spool_noise: Annotated[float, quantity("m", "standard deviation of a spool reading", above=0.0, maximum=1e-2)] = 1.05e-6
     force_noise: Annotated[float, quantity("N", "standard deviation of a load cell reading", above=0.0, maximum=1e5)] = 2.3
     motion_noise: Annotated[
-        float, quantity("N s^1/2", "force the motion's model misses, root of its density", minimum=0.0, maximum=1e6)
+        float,
+        quantity("N s^1/2", "force missing in the model of the motion, root of its spectral density", minimum=0.0, maximum=1e6),
     ] = 0.5
     oil_noise: Annotated[
-        float, quantity("Pa/s^1/2", "pressure the flow's model misses, root of its rate's density", minimum=0.0, maximum=1e9)
+        float,
+        quantity(
+            "Pa/s^1/2", "pressure rate missing in the model of the flow, root of its spectral density", minimum=0.0, maximum=1e9
+        ),
     ] = 500.0
     valve_noise: Annotated[
-        float, quantity("m/s^1/2", "spool travel the valve's model misses, likewise", minimum=0.0, maximum=1.0)
+        float,
+        quantity(
+            "m/s^1/2", "spool rate missing in the model of the valve, root of its spectral density", minimum=0.0, maximum=1.0
+        ),
     ] = 1e-6
     external_noise: Annotated[
-        float, quantity("N/s^5/2", "unrest of the external force's second rate", minimum=0.0, maximum=1e15)
+        float, quantity("N/s^5/2", "noise of the external force's second derivative", minimum=0.0, maximum=1e15)
     ] = 1.3e8
-    gain_noise: Annotated[float, quantity("1/s^1/2", "unrest of the valve's gain", minimum=0.0, maximum=1e3)] = 0.05
-    flow_noise: Annotated[float, quantity("Pa/s^3/2", "unrest of the flow's error", minimum=0.0, maximum=1e12)] = 1e7
-    offset_noise: Annotated[float, quantity("N/s^1/2", "unrest of the load cell's offset", minimum=0.0, maximum=1e6)] = 30.0
+    gain_noise: Annotated[float, quantity("1/s^1/2", "noise of the valve's gain", minimum=0.0, maximum=1e3)] = 0.05
+    flow_noise: Annotated[float, quantity("Pa/s^3/2", "noise of the flow's error", minimum=0.0, maximum=1e12)] = 1e7
+    offset_noise: Annotated[float, quantity("N/s^1/2", "noise of the load cell's offset", minimum=0.0, maximum=1e6)] = 30.0
 
 
 def memory(p: Parameters) -> Array:
-    """Return a filter that has seen nothing."""
+    """Return a filter before its first measurement."""
     return np.zeros(state_estimator.MEMORY_SIZE)
 
 
 @kernel
 def assumptions(p: Parameters) -> Assumptions:
-    """Return the filter's part of the parameters."""
+    """Return the parameters of the filter."""
     return Assumptions(
         p.coupling_stiffness,
         p.coupling_damping,
@@ -119,7 +128,7 @@ def assumptions(p: Parameters) -> Assumptions:
 
 @kernel
 def pressure_error(y: Array, wanted: float, area: float) -> float:
-    """Return (26) [MPa] of a mean, with the force as the load cell has it."""
+    """Return (26) [MPa] of a mean, with the force as the load cell reads it."""
     return (y[PL] - (wanted - y[CELL_OFFSET]) / area) * 1e-6
 
 
@@ -131,7 +140,7 @@ def sliding_variable(error: float, error_rate: float, p: Parameters) -> float:
 
 @kernel
 def foreseen_variable(ahead: float, r: Array, supply: float, p: Parameters, model: Model, state: State) -> float:
-    """Return s of the foreseen mean, ``ahead`` [s] from now."""
+    """Return s of the predicted mean, ``ahead`` [s] from now."""
     area, rate = model.plant.piston_area, state.work[0]
     wanted = r[0] + ahead * (r[1] + 0.5 * ahead * r[2])
     wanted_rate = r[1] + ahead * r[2]
@@ -142,7 +151,7 @@ def foreseen_variable(ahead: float, r: Array, supply: float, p: Parameters, mode
 
 @kernel
 def command_for(r: Array, supply: float, p: Parameters, model: Model, state: State) -> float:
-    """Return the spool command [m] that reaches what the law wants, not limited yet."""
+    """Return the spool command [m] of the law before it is limited."""
     plant, period, taken = model.plant, model.period, assumptions(p)
     foresee(supply, model, taken, state)
     s = foreseen_variable(p.command_delay, r, supply, p, model, state)
@@ -189,7 +198,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     status[base.DELTA] = y[EXTERNAL] + p.coupling_stiffness * y[X] + p.coupling_damping * y[V]
     status[base.FORCE_ERROR] = m[sensors.FORCE] - r[0]
     status[base.SATURATED] = 1.0 if wanted != command else 0.0
-    # Numbers beyond all measure leave nothing to go on from: the filter starts again from the next measurement.
+    # From numbers out of range the filter cannot recover: it starts again from the next measurement.
     if not math.isfinite(memory.sum()):
         memory[:] = 0.0
     return command

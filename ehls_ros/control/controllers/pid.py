@@ -1,9 +1,9 @@
-"""Position loop for friction identification: feed-forward of the wanted motion, and PI on the position error.
+"""Position loop for friction identification: feed-forward of the reference motion, and PI on the position error.
 
-The wanted motion's flow through the valve's flow equation (1), with what leaks at the measured load pressure,
-is fed forward; the valve's lag is made up for by the wanted acceleration. The loop has to take out only what
-that leaves: the oil's compression when friction turns round, and what the rig file does not know of the valve.
-Measured velocity is not used, for a rig has no sensor of it.
+The flow of the reference motion and the leakage at the measured load pressure are fed forward through the valve's
+flow equation (1); the reference acceleration compensates the valve's lag. The loop removes only the rest: the
+compression of the oil when friction reverses, and errors of the rig file's valve. The measured velocity is not
+used: a rig has no sensor of it.
 """
 
 import math
@@ -22,16 +22,16 @@ FRICTION = False
 NEEDS = ("position", "load_pressure", "supply_pressure")
 
 LEAST_DROP = 0.01
-"""The pressure drop over the valve is taken no smaller than this part of the nominal supply pressure."""
+"""Lower bound of the pressure drop over the valve, as a fraction of the nominal supply pressure."""
 
 
 class Parameters(NamedTuple):
     """The loop's gains."""
 
-    proportional: Annotated[float, quantity("1/s", "velocity asked for per position error", minimum=0.0, maximum=1e3)] = 40.0
-    integral: Annotated[float, quantity("1/s^2", "rate of that for a lasting error", minimum=0.0, maximum=1e4)] = 400.0
+    proportional: Annotated[float, quantity("1/s", "velocity per position error", minimum=0.0, maximum=1e3)] = 40.0
+    integral: Annotated[float, quantity("1/s^2", "rate of that velocity for a lasting error", minimum=0.0, maximum=1e4)] = 400.0
     correction: Annotated[
-        float, quantity("m/s", "largest velocity asked for to take an error out", above=0.0, maximum=10.0)
+        float, quantity("m/s", "largest velocity by which an error is corrected", above=0.0, maximum=10.0)
     ] = 0.05
 
 
@@ -62,7 +62,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     flow = plant.piston_area * (velocity + r[2] / plant.valve_bandwidth) + plant.leakage_coefficient * pressure
     wanted = flow / (plant.discharge_coefficient * plant.valve_area_gradient * root * plant.valve_gain)
     command = saturate(wanted, model.spool_limit)
-    # At a limit, the integral moves only away from it; after a broken measurement, not at all.
+    # At a limit, the integral moves only away from it; after an invalid measurement, not at all.
     if (asked == correction or asked * error < 0.0) and (wanted == command or wanted * error < 0.0):
         memory[INTEGRAL] = integral
 

@@ -1,8 +1,7 @@
 """Structure invariance compensation: the motion's flow fed forward, and a PI force loop.
 
-What the disturbance does to the load pressure it does through the piston's velocity, -e1 x2 in (25).
-The spool that passes just this flow makes the pressure invariant to the motion; the PI loop does the
-rest. There is no friction compensation.
+The disturbance acts on the load pressure through the piston's velocity, -e1 x2 in (25). A spool that passes
+exactly this flow makes the pressure invariant to the motion; the PI loop does the rest. There is no friction compensation.
 """
 
 import math
@@ -21,24 +20,24 @@ FRICTION = False
 NEEDS = ("velocity", "load_pressure", "spool_position", "force", "supply_pressure")
 
 LEAST_DROP = 0.01
-"""The pressure drop over the valve is taken no smaller than this part of the nominal supply pressure."""
+"""Lower bound of the pressure drop over the valve, as a fraction of the nominal supply pressure."""
 
 WINDING_DROP = 0.1
-"""Below this part of the supply pressure the valve has no more pressure to give, and the integral waits."""
+"""Pressure drop, as a fraction of the supply pressure, below which the valve has no reserve and the integral waits."""
 
 
 class Parameters(NamedTuple):
     """Tuning of the compensation and of the loop."""
 
     proportional: Annotated[
-        float, quantity("1/s", "rate at which the loop takes the pressure error out", minimum=0.0, maximum=1e4)
+        float, quantity("1/s", "rate at which the loop removes the pressure error", minimum=0.0, maximum=1e4)
     ] = 280.0
-    integral: Annotated[
-        float, quantity("1/s^2", "rate at which the remaining error is taken out", minimum=0.0, maximum=1e4)
-    ] = 200.0
-    compensation: Annotated[float, quantity("1", "part of the motion's flow that is fed forward", minimum=0.0, maximum=1.5)] = (
-        1.0
+    integral: Annotated[float, quantity("1/s^2", "rate at which the remaining error is removed", minimum=0.0, maximum=1e4)] = (
+        200.0
     )
+    compensation: Annotated[
+        float, quantity("1", "fraction of the motion's flow that is fed forward", minimum=0.0, maximum=1.5)
+    ] = 1.0
 
 
 INTEGRAL, LAST_VELOCITY, STARTED = 0, 1, 2

@@ -17,7 +17,7 @@ FORCE, FORCE_RATE, DISPLACEMENT, VELOCITY, ROW = range(5)
 
 
 class Source(Protocol):
-    """A running disturbance; it is asked once a cycle, one cycle ahead."""
+    """A running disturbance, evaluated once a cycle, one cycle ahead."""
 
     def first(self) -> Array:
         """Return the row of cycle 0."""
@@ -27,10 +27,10 @@ class Source(Protocol):
 
 
 class Planned(Source, Protocol):
-    """A disturbance that does not react: any number of cycles can be had at once."""
+    """A disturbance that does not react: any number of cycles can be computed at once."""
 
     def rows(self, first: int, cycles: int) -> Array:
-        """Return the rows of some cycles on end, shape (cycles, ROW)."""
+        """Return the rows of consecutive cycles, shape (cycles, ROW)."""
 
 
 class DisturbanceKind(Protocol):

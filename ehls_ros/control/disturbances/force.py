@@ -38,7 +38,7 @@ class Force:
         return self._at(cycle + 1)
 
     def rows(self, first: int, cycles: int) -> Array:
-        """Return the rows of some cycles on end, shape (cycles, ROW)."""
+        """Return the rows of consecutive cycles, shape (cycles, ROW)."""
         rows = np.zeros((cycles, ROW))
         rows[:, [FORCE, FORCE_RATE]] = self._signal.rows(first, cycles)[:, :2]
         return rows

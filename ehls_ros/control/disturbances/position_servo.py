@@ -1,7 +1,7 @@
 """The actuator under test, as in the paper's experiment: a position servo with its own valve and cylinder.
 
-It moves against the loader through the elasticity of beam and hinges, feels the loader's reaction, and is
-steered by its own position loop.
+It acts on the loader through the elasticity of beam and hinges, feels the loader's reaction, and has its own
+position loop.
 """
 
 import math
@@ -29,9 +29,9 @@ class Parameters(NamedTuple):
         2e6
     )
     damping: Annotated[float, quantity("N s/m", "damping of beam and hinges", minimum=0.0, maximum=1e5)] = 2e3
-    moving_mass: Annotated[float, quantity("kg", "mass the servo moves by itself", above=0.0, maximum=1e5)] = 70.0
+    moving_mass: Annotated[float, quantity("kg", "moving mass of the servo", above=0.0, maximum=1e5)] = 70.0
     supply_pressure: Annotated[float, quantity("Pa", "supply pressure of the servo", above=0.0, maximum=1e8)] = 2.1e7
-    position_gain: Annotated[float, quantity("1/s", "velocity asked for per position error", minimum=0.0, maximum=1e3)] = 30.0
+    position_gain: Annotated[float, quantity("1/s", "velocity per position error", minimum=0.0, maximum=1e3)] = 30.0
 
 
 def loader_effects(p: Parameters) -> tuple[EffectUse, ...]:

@@ -14,7 +14,7 @@ DRIVING = 1e9
 """Force that drives the measured motion [N]: more than any friction holds."""
 
 MOST_STEPS = 1000
-"""Most integration steps between two measurements; a velocity that asks for more is no piston's."""
+"""Largest number of integration steps between two measurements; no piston's velocity needs more."""
 
 
 class Parameters(NamedTuple):
@@ -41,7 +41,7 @@ def state(model: FrictionModel, friction: Any) -> ObserverState:
 def updater(model: FrictionModel) -> Callable[..., None]:
     """Build the update of one friction model."""
     level, rates, force, event, switch = model.level, model.rates, model.force, model.event, model.switch
-    relaxation_rate = kernel(model.relaxation_rate)
+    begin, relaxation_rate = model.begin, kernel(model.relaxation_rate)
 
     @kernel
     def evaluate(t: float, y: Array, mode: Array, c: Motion, rate: Array) -> float:
@@ -63,21 +63,23 @@ def updater(model: FrictionModel) -> Callable[..., None]:
         last, started = state.last[0], state.last[1] == 1.0
         velocity = held(velocity, state)
         if started:
-            # One step for each time constant of the forces, and more where more are asked for.
+            # At least one step for each time constant of the forces.
             needed = period * relaxation_rate(friction, max(abs(last), abs(velocity)))
             steps = max(p.steps, math.ceil(min(needed, MOST_STEPS)))
             motion = Motion(friction, last, (velocity - last) / period)
             advance(0.0, state.forces, state.mode, motion, period / steps, steps, state.work)
         elements = state.forces.size
-        most = level(0.0, friction)
+        most, total, lost = level(0.0, friction), 0.0, False
         for i in range(elements):
-            value = state.forces[i]
-            # Only steps too long for an absurd velocity lead beyond.
-            if not abs(value) <= most:
-                state.forces[i] = math.copysign(most, value if math.isfinite(value) else velocity)
+            total += state.forces[i]
+            lost = lost or not abs(state.forces[i]) <= most
+        if lost:
+            # At an absurd velocity the steps are too long: back to a force that the contact can hold.
+            begin(total if math.isfinite(total) else math.copysign(most, velocity), most, friction, state.forces)
+        for i in range(elements):
             state.estimate[ELEMENTS + i] = state.forces[i]
             state.estimate[ELEMENTS + elements + i] = abs(state.mode[i])
-        # At v = 0 the viscous term is zero, and what is left is the elements' force.
+        # At v = 0 the viscous term is zero and the force is that of the elements.
         state.estimate[0] = force(0.0, 0.0, level(velocity, friction), state.forces, state.mode, friction)
         if elements == 1:
             state.estimate[ELEMENTS] = state.estimate[0]

@@ -11,21 +11,21 @@ from ehls_ros.errors import BadInput
 from ehls_ros.schema import text
 
 DEGREE = 5
-"""Its second derivative is smooth, as the sliding mode law needs it."""
+"""Degree of the spline: its second derivative is smooth, as the sliding mode law requires."""
 
 AT_REST = [(1, 0.0), (2, 0.0)]
-"""First and second derivative at both ends: holding before and after joins on without a step."""
+"""First and second derivative at both ends: the held values before and after join without a step."""
 
 
 class Parameters(NamedTuple):
-    """The points; a spec names a CSV ``file`` with the columns time_s and value in their place."""
+    """The points; instead of them a spec may name a CSV ``file`` with the columns time_s and value."""
 
     points: Annotated[tuple[tuple[float, float], ...], text("time [s] and value [N or m] of each point, in order of time")]
 
 
 @lru_cache(maxsize=4)
 def _spline(p: Parameters) -> BSpline:
-    """Return the spline through the points; it is asked for once a block of cycles."""
+    """Return the spline through the points; it is needed once per block of cycles."""
     points = np.asarray(p.points, dtype=np.float64)
     if len(points) < 2:
         raise BadInput(f"points holds {len(points)}", "load_spectrum", "two or more points")

@@ -1,7 +1,7 @@
 """Levels held one after the other: a train of steps, a staircase, moves with rests between them.
 
-From one level to the next it goes along a quintic, so that the second derivative does not jump. The last level
-is held from then on.
+From one level to the next the signal follows a quintic, so that the second derivative does not jump. The last
+level is held.
 """
 
 import math
@@ -19,17 +19,17 @@ class Parameters(NamedTuple):
     """The levels; the signal starts at the first of them."""
 
     levels: Annotated[tuple[float, ...], text("levels in their order [N or m]")] = (0.0, 5e3, -5e3, 0.0)
-    hold: Annotated[float, quantity("s", "time a level is held before the next is gone to", minimum=0.0, maximum=1e4)] = 1.0
-    rise: Annotated[float, quantity("s", "time the way from one level to the next takes", above=0.0, maximum=1e4)] = 0.5
+    hold: Annotated[float, quantity("s", "time for which a level is held", minimum=0.0, maximum=1e4)] = 1.0
+    rise: Annotated[float, quantity("s", "time from one level to the next", above=0.0, maximum=1e4)] = 0.5
 
 
 def duration(p: Parameters) -> float:
-    """Return how long it takes until the last level has been held as long as the others [s]."""
+    """Return the time until the last level has been held as long as the others [s]."""
     return len(p.levels) * p.hold + (len(p.levels) - 1) * p.rise
 
 
 def sample(t: Array, p: Parameters) -> Array:
-    """Return the levels and the ways between them.
+    """Return the levels and the transitions between them.
 
     Raises:
         BadInput: there is no level, or one that is not finite.

@@ -13,7 +13,9 @@ class Parameters(NamedTuple):
 
     amplitude: Annotated[float, quantity("N or m", "peak of the sharp triangle", minimum=-1e6, maximum=1e6)] = 1e4
     frequency: Annotated[float, quantity("Hz", "frequency", above=0.0, maximum=1e3)] = 0.5
-    corner: Annotated[float, quantity("1", "part of the period each corner's parabola takes", above=0.0, maximum=0.5)] = 0.02
+    corner: Annotated[
+        float, quantity("1", "fraction of the period that each corner's parabola takes", above=0.0, maximum=0.5)
+    ] = 0.02
 
 
 def sample(t: Array, p: Parameters) -> Array:

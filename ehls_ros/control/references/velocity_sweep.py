@@ -1,8 +1,8 @@
-"""Strokes to and fro at one constant velocity after the other, from which static friction is identified.
+"""Strokes to and fro at a series of constant velocities, from which static friction is identified.
 
-A stroke speeds up and slows down evenly and keeps its velocity in between. Each begins and ends at rest; the
-strokes of one velocity lie centred, and on the way to where the next ones begin the larger velocity of the two
-is used. The sweep ends where it began and holds still from then on.
+A stroke accelerates and decelerates evenly and holds its velocity in between. Each begins and ends at rest; the
+strokes of one velocity are centred, and the move to where the next ones begin uses the larger of the two
+velocities. The sweep ends where it began and then holds its position.
 """
 
 import math
@@ -26,8 +26,8 @@ PAPER_VELOCITIES = (
 class Parameters(NamedTuple):
     """The velocities and the strokes; the defaults are the paper's 40 velocities, six times."""
 
-    velocities: Annotated[tuple[float, ...], text("velocities, each moved at forth and back [m/s]")] = PAPER_VELOCITIES
-    repeats: Annotated[int, quantity("1", "how often all velocities are gone through", minimum=1, maximum=1000)] = 6
+    velocities: Annotated[tuple[float, ...], text("velocities, each used in both directions [m/s]")] = PAPER_VELOCITIES
+    repeats: Annotated[int, quantity("1", "number of passes through all velocities", minimum=1, maximum=1000)] = 6
     travel: Annotated[float, quantity("m", "longest stroke", above=0.0, maximum=10.0)] = 0.5
     longest: Annotated[float, quantity("s", "longest time of a stroke at its velocity", above=0.0, maximum=1e4)] = 6.0
     acceleration: Annotated[float, quantity("m/s^2", "acceleration at the ends of a stroke", above=0.0, maximum=100.0)] = 0.25
@@ -36,7 +36,7 @@ class Parameters(NamedTuple):
 
 
 class _Moves(NamedTuple):
-    """One straight way after the other, shape (n,) each; ``end`` is when the last is done."""
+    """Moves in their order, shape (n,) each; ``end`` is the end of the last [s]."""
 
     start: Array
     origin: Array
@@ -46,7 +46,7 @@ class _Moves(NamedTuple):
 
 
 def duration(p: Parameters) -> float:
-    """Return how long the sweep takes [s].
+    """Return the duration of the sweep [s].
 
     Raises:
         BadInput: as :func:`sample`.
@@ -85,7 +85,7 @@ def _stroke(velocity: float, p: Parameters) -> float:
 
 @lru_cache(maxsize=4)
 def _moves(p: Parameters) -> _Moves:
-    """Return the moves in their order; they are asked for once a block of cycles."""
+    """Return the moves in their order; they are needed once per block of cycles."""
     if not p.velocities:
         raise BadInput("velocities is empty", "velocity_sweep", "one velocity or more")
     for index, velocity in enumerate(p.velocities):
@@ -100,7 +100,7 @@ def _moves(p: Parameters) -> _Moves:
         way = target - position
         if way == 0.0:
             continue
-        # A way too short for its velocity is gone as fast as it allows.
+        # A move too short for its velocity is made as fast as it allows.
         reached = min(velocity, math.sqrt(p.acceleration * abs(way)))
         time += p.rest
         starts.append(time)

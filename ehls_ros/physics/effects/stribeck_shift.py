@@ -31,7 +31,7 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
         rig,
         static_force=max(friction.static_force + parameters.static_offset, friction.coulomb_force),
         stribeck_velocity=parameters.velocity_factor * friction.stribeck_velocity,
-        stribeck_exponent=min(parameters.exponent_factor * friction.stribeck_exponent, STEEPEST),
+        stribeck_exponent=min(parameters.exponent_factor * getattr(friction, "stribeck_exponent", STEEPEST), STEEPEST),
     )
 
 
