@@ -1,7 +1,7 @@
 """Identification of any friction model: its declared parameters fitted to sliding and presliding."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from ehls_ros.identification.along import force_along
 from ehls_ros.identification.balance import Recorded
 from ehls_ros.identification.joint import REACH, JointFit, Problem, Start
 from ehls_ros.identification.motion import Motion, slides
-from ehls_ros.identification.static import StaticFit
+from ehls_ros.identification.static import LEAST_BLOCKS, StaticFit
 from ehls_ros.identification.uncertainty import SHARP
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.rig import Rig
@@ -175,7 +175,7 @@ def fit_declared(
     Args:
         recorded: the recordings.
         rig: the rig as known so far.
-        start: friction to start from, what a static fit tells in it.
+        start: friction to start from, with what a static fit tells.
         steady: the static fit; None without steady sliding.
         tell: called with the name of each step that begins.
 
@@ -183,29 +183,32 @@ def fit_declared(
         The fit.
 
     Raises:
-        BadInput: no block slides steadily, and none of presliding can be used.
+        BadInput: there are too few blocks of steady sliding, and of presliding.
     """
     coordinates = DeclaredCoordinates.of(rig.friction_model, start)
     law = FRICTION_MODELS.load(rig.friction_model)
     motions = recorded.motions
     # A rigid contact has no presliding.
     rigid = not math.isfinite(law.stiffness(start))
-    small = [] if rigid else [i for i, m in enumerate(motions) if m.small and np.any(recorded.usable[i])]
-    wide = [] if steady is None else [i for i, m in enumerate(motions) if not m.small]
+    small = [] if rigid else [i for i, m in enumerate(motions) if m.small and recorded.usable[i].sum() >= LEAST_BLOCKS]
+    wide = [i for i, m in enumerate(motions) if not m.small]
+    far = recorded.chosen(wide)
+    forget = max(FORGET * law.break_away(start), LEAST_FORGET)
+    settle = 0.0 if steady is None else steady.settle_time
+    sliding = tuple(u & slides(m, forget, settle) for m, u in zip(far.motions, far.usable, strict=True))
+    far = far._replace(usable=sliding)
+    if steady is None or sum(int(u.sum()) for u in sliding) < LEAST_BLOCKS:
+        wide = []
     if not small and not wide:
         names = ", ".join(m.name for m in motions)
         what = "there is no steady sliding" if rigid else "there is neither steady sliding nor a hysteresis loop"
         raise BadInput(what, names, f"strokes at constant velocities both ways{'' if rigid else ', or a small sine'}")
     near, everything = recorded.chosen(small), Start(coordinates, start, coordinates.names)
-    if steady is None:
+    if not wide:
         tell("presliding")
-        remark = "Nothing slides steadily: all parameters are fitted to presliding."
+        remark = "Nothing slides steadily for long enough: all parameters are fitted to presliding."
         return DeclaredFit(joint.placed(_best_fit(near, everything), small, motions), (remark,))
     tell("sliding")
-    forget = max(FORGET * law.break_away(start), LEAST_FORGET)
-    far = recorded.chosen(wide)
-    sliding = tuple(u & slides(m, forget, steady.settle_time) for m, u in zip(far.motions, far.usable, strict=True))
-    far = far._replace(usable=sliding)
     told = _told(far, everything, SHARP if small else NOTHING)
     free = tuple(name for name in coordinates.names if name not in told.free)
     if not small:
@@ -220,10 +223,12 @@ def fit_declared(
 
 
 def _told(recorded: Recorded, start: Start, doubt: float) -> Start:
-    """Return a start at which only those coordinates are free that the recordings tell better than a doubt."""
+    """Return a start that frees only the coordinates that the recordings tell better than a doubt; all if there are none."""
     fit = joint.fit(recorded, start, rounds=1)
     std = np.sqrt(np.diag(fit.covariance))[: len(fit.free)]
     told = tuple(name for name, own in zip(fit.free, std, strict=True) if own <= doubt and name not in fit.limited)
+    if not told:
+        return start
     z = np.where([name in told for name in start.coordinates.names], fit.z, start.coordinates.pack(start.friction))
     return Start(start.coordinates, start.coordinates.unpack(z), told)
 
@@ -235,23 +240,18 @@ def _best_fit(recorded: Recorded, start: Start) -> JointFit:
     problem = Problem(recorded, start, z, [max(m.force_noise, 1e-9) for m in recorded.motions])
     low, high = map(problem.free, coordinates.bounds(z, max(m.period for m in recorded.motions)))
     own = np.clip(problem.free(z), low, high)
-    unit = qmc.Sobol(len(own), rng=0).random(SAMPLES)
+    unit = qmc.Sobol(len(own), scramble=False).random(SAMPLES)
     bottom, top = np.maximum(low, own - WIDTH), np.minimum(high, own + WIDTH)
     trials = [own, *(bottom + unit * (top - bottom))]
     # Absolute values: the best start is not the one that happens to suit a few stray blocks.
     costs = [float(np.sum(np.abs(problem.residuals(trial)))) for trial in trials]
-    chosen = _distinct(np.argsort(costs)[:STARTS].tolist())
-    fits = [joint.fit(recorded, start._replace(friction=problem.friction(trials[i])), turned=None) for i in chosen]
+    chosen = {*np.argsort(costs)[:STARTS].tolist(), 0}
+    fits = [joint.fit(recorded, start._replace(friction=problem.friction(trials[i]))) for i in sorted(chosen)]
     return min(fits, key=lambda fit: _unexplained(fit, recorded))
 
 
-def _distinct(numbers: Iterable[int]) -> list[int]:
-    """Return the numbers and 0, the given start, each once."""
-    return list(dict.fromkeys([*numbers, 0]))
-
-
 def _unexplained(fit: JointFit, recorded: Recorded) -> float:
-    """Return the mean of the residuals' size, blocks that were left out at their limit."""
+    """Return the mean size of the residuals [N]; a block that was left out counts with its limit."""
     total, count = 0.0, 0
     for residuals, usable, noise in zip(fit.residuals, recorded.usable, fit.noise, strict=True):
         left_out = usable & np.isnan(residuals)

@@ -1,5 +1,6 @@
 """From recordings to the friction of a rig: static fit, then one fit of the model and the force balance to everything."""
 
+import itertools
 import math
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
@@ -32,8 +33,8 @@ STEADY = 0.1
 SOME_OUTLIERS = 1e-3
 """Fraction of a recording left out above which a remark says so."""
 
-STEPS = 4
-"""Steps that an identification reports."""
+STEPS, DONE = 4, "done"
+"""Largest number of steps that an identification reports, and the name of its end."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -66,11 +67,11 @@ def identify(
         BadInput: the recordings cannot be used; the message names the signal.
     """
     began = clock.perf_counter()
-    steps = iter(range(STEPS + 1))
+    steps = itertools.count()
 
     def tell(what: str) -> None:
         if progress is not None:
-            progress(what, next(steps), STEPS)
+            progress(what, STEPS if what == DONE else next(steps), STEPS)
 
     if not recordings:
         raise BadInput("there is no recording", "identification", "at least one recording")
@@ -103,7 +104,7 @@ def identify(
     by_elements = fit_elements(recorded, rig, start, steady, elements, tell) if rig.friction_model == MODEL else None
     result = by_elements or fit_declared(recorded._replace(usable=slow), rig, start, steady, tell)
     found = estimates(result.fit, rig)
-    tell("done")
+    tell(DONE)
     return Identification(
         rig=found.rig,
         estimates=found.by_name,
