@@ -36,7 +36,7 @@ def clustered_covariance(rows: Array, residuals: Array, clusters: Array, searche
 
     A model error shifts a whole stroke to one side, so strokes, not blocks, are independent. The covariance is the jackknife's:
     from how the coefficients shift when each cluster in turn is left out (CR3 of Cameron and Miller, Journal of Human
-    Resources 50, 2015). It stays honest where a few clusters alone tell a coefficient.
+    Resources 50, 2015), widened for the degrees of freedom. It stays honest where a few clusters alone tell a coefficient.
 
     Args:
         rows: derivatives of the residuals, shape (n, coefficients).
@@ -62,7 +62,7 @@ def clustered_covariance(rows: Array, residuals: Array, clusters: Array, searche
     own = np.array([scaled[i:j].T @ scaled[i:j] for i, j in zip(starts.tolist(), ends.tolist(), strict=True)])
     without = information / scale[:, np.newaxis] / scale - own
     shifts = (np.linalg.pinv(without, rcond=1e-13, hermitian=True) @ pulls[:, :, np.newaxis])[:, :, 0] / scale
-    jackknife: Array = shifts.T @ shifts * ((count - 1) / count)
+    jackknife: Array = shifts.T @ shifts * (count / (count - size))
     independent = _inverse(information)
     return jackknife + independent @ prior @ independent
 
