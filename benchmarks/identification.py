@@ -1,4 +1,4 @@
-"""Identification on simulated recordings whose friction is known: errors, their bound, and whether the intervals hold.
+"""Identification on simulated recordings with known friction: errors, their bound, and coverage of the intervals.
 
     python benchmarks/identification.py --seeds 50
     python benchmarks/identification.py --truth separate --repeats 1 --seeds 200
@@ -72,7 +72,7 @@ def recordings(rig: Rig, seed: int, repeats: int) -> dict[str, Trajectory]:
 
 
 def given(rig: Rig, seed: int, repeats: int) -> dict[str, Trajectory]:
-    """Move the rod exactly as wanted, without a loop that answers to the sensors' noise, and record it."""
+    """Move the rod exactly along the reference, without a loop that responds to the sensors' noise, and record it."""
     out = {}
     random = np.random.default_rng(seed)
     for name in ("friction_sweep_quick" if repeats == 1 else "friction_sweep", "friction_presliding"):
@@ -143,7 +143,7 @@ def main() -> None:
         "--motion",
         choices=("loop", "given"),
         default="loop",
-        help="loop: the rod is moved by the position loop, whose sensors' noise shakes it; given: it moves as wanted",
+        help="loop: a position loop moves the rod, shaken by its sensors' noise; given: the rod follows the reference exactly",
     )
     options = parser.parse_args()
     one(options.truth, 1, options.motion, 0)

@@ -1,10 +1,10 @@
-"""The optimisers on the paper's static objective (20)-(21): how soon each comes within 1 % of the lowest cost, and how surely.
+"""The optimisers on the paper's static objective (20)-(21): time to within 1 % of the lowest cost, and failed runs.
 
-All get the same compiled objective on the same data: the paper's 40 velocities, six repeats, its friction with noise, read with
-its force sensor. Runs are interleaved, seed by seed, so that whatever else the machine does falls on all alike. A run fails if
-it uses up its evaluations first. Libraries stand in the table with their default settings and with those that did best when
-several were tried, our swarm also with the usual constants and without crossover and mutation. `pip install
-'ehls_ros[optimisers]'` gets the libraries that are not installed with ehls_ros.
+All get the same compiled objective on the same data: the paper's 40 velocities, six repeats, its friction with the noise and
+resolution of its force sensor. Runs are interleaved seed by seed, so that other load on the machine affects all alike. A run
+that uses up its evaluations has failed. Libraries are listed with their default settings and with the best of several tried,
+our swarm also with the usual constants and without crossover and mutation. `pip install 'ehls_ros[optimisers]'` installs the
+libraries that do not come with ehls_ros.
 """
 
 import argparse
@@ -54,7 +54,7 @@ class Contestant(NamedTuple):
     parameters: Any
 
     def run(self, problem: Problem, seed: int, target: float) -> tuple[Result, float]:
-        """Search, and return how long it took, too [s]."""
+        """Search; return the result and the time it took [s]."""
         before = time.perf_counter()
         result = self.optimiser.minimise(problem, self.parameters, seed, target)
         return result, time.perf_counter() - before
@@ -73,7 +73,7 @@ def measured(seed: int) -> Problem:
 
 
 def contestants(problem: Problem, evaluations: int) -> list[Contestant]:
-    """Return those whose libraries are installed, compiled; say which are not."""
+    """Return the contestants whose libraries are installed, compiled; print the others."""
     found = []
     for name, settings in CONTESTANTS:
         optimiser = OPTIMISERS.load(name)

@@ -1,1 +1,1 @@
-"""From a rig's recordings to its coefficients, with honest uncertainty."""
+"""From a rig's recordings to its coefficients and their uncertainty."""

@@ -1,128 +1,104 @@
-"""One fit of everything to the recorded motion: the force balance (3) with the friction elements run along it.
+"""Fit of a friction model and the force balance (3) to recordings, all at once.
 
-The elements' force depends on its coefficients in a bent way, the rest of the balance in a straight one. So
-only the elements' coefficients are searched for (Gauss-Newton with bounds, SciPy); at each trial the straight
-part follows by linear least squares (variable projection). Blocks that stay far off are left out.
+The friction force depends on the model's coefficients nonlinearly, the rest of the balance linearly. So only the model's
+coefficients are searched for (Gauss-Newton with bounds, SciPy); at each trial the linear ones follow by linear least squares
+(variable projection). Blocks with residuals that are too large are left out.
 """
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from ehls_ros.arrays import Array
-from ehls_ros.identification.gms_force import MOST_PARTS, elements_force, linear_columns
+from ehls_ros.identification.balance import Recorded, linear_columns
+from ehls_ros.identification.covariance import clustered_covariance, correlation_time, normal_covariance
 from ehls_ros.identification.motion import Motion
-from ehls_ros.identification.presliding import corrected_turns
-from ehls_ros.physics.friction.gms import Parameters as Friction
-from ehls_ros.samples import GAUSS, Mask
+from ehls_ros.samples import GAUSS
 
 STEP = 1e-4
-"""Relative step of the numerical derivatives."""
+"""Step of the numerical derivatives, in searched coordinates."""
 
 REACH = 4.0
 """How far a logarithm may move from its start: a factor of 55 either way."""
 
-EXPONENTS = (0.1, 4.0)
-"""Range of the Stribeck exponent; a rig file takes no larger one."""
+EDGE = 1e-3
+"""Distance to the end of its reach, as a fraction of it, within which a coordinate has ended there."""
 
 FAR = 5.0
-"""Standard deviations at which a block is left out."""
+"""Residual, in standard deviations, beyond which a block is left out."""
 
 ROUNDS = 3
-"""Fits in a row, each with the noise and the blocks left out that the one before it showed."""
-
-DOUBT = 2.0
-"""Standard deviation of a coefficient's logarithm without any data: within a factor of e^2 of where the search ended.
-
-It keeps what the data say nothing of from blurring what they do say.
-"""
-
-MOST_LAGS = 200
-"""Longest correlation of residuals that is looked for [blocks]."""
+"""Fits in a row; each uses the noise that the one before it left, and leaves out the blocks that it found too far off."""
 
 
-class Layout(NamedTuple):
-    """Where the searched vector holds what; all but the weights are logarithms.
+class Coordinates(Protocol):
+    """The coordinates in which the coefficients of a friction model are searched for.
 
-    Attributes:
-        elements: number of friction elements.
+    Coordinates are of order 1: logarithms, or multiples of a typical value.
     """
-
-    elements: int
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the searched coefficients: ``static_rise`` is Fs - Fc, weights are relative to the last one's."""
-        numbers = range(1, self.elements + 1)
-        return (
-            "coulomb_force",
-            "static_rise",
-            "stribeck_velocity",
-            "stribeck_exponent",
-            "attraction_rate",
-            *(f"element_stiffness_{i}" for i in numbers),
-            *(f"element_weight_{i}" for i in numbers[:-1]),
-        )
+        """Names of the coordinates."""
 
-    def pack(self, friction: Friction) -> Array:
-        """Return the vector of a friction."""
-        weight = np.asarray(friction.element_weight)
-        return np.concatenate(
-            [
-                np.log(
-                    [
-                        friction.coulomb_force,
-                        max(friction.static_force - friction.coulomb_force, 1e-3 * friction.coulomb_force),
-                        friction.stribeck_velocity,
-                        friction.stribeck_exponent,
-                        friction.attraction_rate,
-                        *friction.element_stiffness,
-                    ]
-                ),
-                np.log(weight[:-1] / weight[-1]),
-            ]
-        )
+    def pack(self, friction: Any) -> Array:
+        """Return the coordinates of a friction, shape (len(names),)."""
 
-    def unpack(self, z: Array) -> Friction:
-        """Return the friction of a vector, without viscous part."""
-        coulomb, rise, velocity, exponent, rate, *stiffness = np.exp(z[: 5 + self.elements])
-        weight = np.exp(np.append(z[5 + self.elements :], 0.0))
-        weight /= weight.sum()
-        return Friction(
-            coulomb_force=float(coulomb),
-            static_force=float(coulomb + rise),
-            stribeck_velocity=float(velocity),
-            stribeck_exponent=float(exponent),
-            viscous_coefficient=0.0,
-            element_stiffness=tuple(float(k) for k in stiffness),
-            element_weight=tuple(float(a) for a in weight),
-            attraction_rate=float(rate),
-        )
+    def unpack(self, z: Array) -> Any:
+        """Return the friction at coordinates ``z``; a viscous part that the linear coefficients hold is 0."""
+
+    def bounds(self, z: Array, period: float) -> tuple[Array, Array]:
+        """Return the lowest and the highest coordinates of a search.
+
+        Args:
+            z: where the search starts.
+            period: length of the longest block [s].
+        """
+
+    def force(self, motion: Motion, friction: Any) -> Array:
+        """Return the mean friction force in each block of a motion, shape (n,) [N]."""
+
+
+class Start(NamedTuple):
+    """Where a search starts and which coordinates it may move.
+
+    Attributes:
+        coordinates: of the friction model.
+        friction: the model's coefficients to start from.
+        free: names of the coordinates that are searched for; the others stay.
+    """
+
+    coordinates: Coordinates
+    friction: Any
+    free: tuple[str, ...]
 
 
 class JointFit(NamedTuple):
-    """What the fit found.
+    """Result of a fit.
 
     Attributes:
-        layout: of the searched vector.
-        z: the whole vector.
-        free: names of its coefficients that were searched for.
+        coordinates: of the friction model.
+        z: all coordinates, searched for or not.
+        free: names of the coordinates that were searched for.
+        limited: names of those that ended at the end of their reach.
         linear_names: names of the linear coefficients.
         linear: their values.
-        covariance: of the searched coefficients, as in z, and the linear ones together.
+        covariance: of the free coordinates followed by the linear coefficients.
         cost: half the sum of squares of the residuals in standard deviations.
         blocks: number of blocks that counted, correlated ones counted once.
-        noise: standard deviation of each recording's residuals [N].
-        residuals: force not explained, one array a recording [N]; NaN where a block did not count.
+        noise: standard deviation of each recording's residuals [N]; NaN for a recording that did not count.
+        residuals: measured less fitted force, one array for each recording [N]; NaN where a block did not count.
+        converged: whether the last search ended by its own rule.
     """
 
-    layout: Layout
+    coordinates: Coordinates
     z: Array
     free: tuple[str, ...]
+    limited: tuple[str, ...]
     linear_names: tuple[str, ...]
     linear: Array
     covariance: Array
@@ -130,119 +106,127 @@ class JointFit(NamedTuple):
     blocks: float
     noise: tuple[float, ...]
     residuals: tuple[Array, ...]
+    converged: bool = True
 
     @property
-    def friction(self) -> Friction:
-        """The friction's coefficients without the viscous one."""
-        return self.layout.unpack(self.z)
+    def friction(self) -> Any:
+        """The fitted friction; a viscous part that the linear coefficients hold is 0."""
+        return self.coordinates.unpack(self.z)
 
 
-class _Problem:
-    """Residuals of all recordings, in standard deviations."""
+class Problem:
+    """Residuals of all recordings, in standard deviations.
 
-    def __init__(
-        self,
-        motions: Sequence[Motion],
-        usable: Sequence[Mask],
-        noise: Sequence[float],
-        layout: Layout,
-        linear: Sequence[str],
-        z: Array,
-        searched: Mask,
-    ) -> None:
-        self.motions, self.usable, self.noise, self.layout = motions, usable, noise, layout
-        self.z, self.searched = z, searched
-        self.columns = [linear_columns(m, linear) for m in motions]
-        rows = np.concatenate([c[u] / s for c, u, s in zip(self.columns, usable, noise, strict=True)])
-        self.rows = rows
-        self.q, self.r = np.linalg.qr(rows)
+    Attributes:
+        rows: what the linear coefficients multiply in each usable block, shape (n, linear coefficients).
+    """
 
-    def whole(self, searched: Array) -> Array:
-        """Return the whole vector for a trial of its searched part."""
-        z = self.z.copy()
-        z[self.searched] = searched
+    def __init__(self, recorded: Recorded, start: Start, z: Array, deviations: Sequence[float]) -> None:
+        """Prepare the linear part.
+
+        Args:
+            recorded: the recordings.
+            start: coordinates and which of them are free; its friction is not used.
+            z: all coordinates; those that are not free stay at these values.
+            deviations: standard deviation of a residual in each recording [N].
+        """
+        self._recorded, self._coordinates, self._z, self._deviations = recorded, start.coordinates, z, tuple(deviations)
+        self._searched = np.array([name in start.free for name in start.coordinates.names])
+        self._columns = [linear_columns(m, recorded.linear) for m in recorded.motions]
+        self.rows = self._stacked(self._columns)
+        self._q, self._r = np.linalg.qr(self.rows)
+
+    def _stacked(self, values: Sequence[Array]) -> Array:
+        usable = zip(values, self._recorded.usable, self._deviations, strict=True)
+        return np.concatenate([v[good] / deviation for v, good, deviation in usable])
+
+    def free(self, z: Array) -> Array:
+        """Return those of all coordinates that are searched for."""
+        return z[self._searched]
+
+    def complete(self, free: Array) -> Array:
+        """Return all coordinates for a trial of the free ones."""
+        z = self._z.copy()
+        z[self._searched] = free
         return z
 
-    def friction(self, searched: Array) -> Friction:
+    def friction(self, free: Array) -> Any:
         """Return the friction of a trial."""
-        return self.layout.unpack(self.whole(searched))
+        return self._coordinates.unpack(self.complete(free))
 
-    def unexplained(self, z: Array) -> Array:
-        """Return force less that of the elements, in standard deviations, all usable blocks; ``z`` is the searched part."""
-        friction = self.friction(z)
-        parts = [
-            (m.force - elements_force(m, friction))[u] / s
-            for m, u, s in zip(self.motions, self.usable, self.noise, strict=True)
-        ]
-        return np.concatenate(parts)
+    def unexplained(self, free: Array) -> Array:
+        """Return the measured force less the friction model's, in standard deviations, in all usable blocks."""
+        friction = self.friction(free)
+        return self._stacked([m.force - self._coordinates.force(m, friction) for m in self._recorded.motions])
 
-    def residuals(self, z: Array) -> Array:
-        """Return what is left when the linear part has taken what it can."""
-        left = self.unexplained(z)
-        projected: Array = left - self.q @ (self.q.T @ left)
+    def residuals(self, free: Array) -> Array:
+        """Return the residuals with the best linear coefficients."""
+        total = self.unexplained(free)
+        projected: Array = total - self._q @ (self._q.T @ total)
         return projected
 
-    def jacobian(self, z: Array, *, projected: bool = True) -> Array:
-        """Return the derivatives of the residuals, by forward differences."""
-        function = self.residuals if projected else self.unexplained
-        base = function(z)
-        columns = []
-        for i in range(len(z)):
-            moved = z.copy()
-            moved[i] += STEP
-            columns.append((function(moved) - base) / STEP)
-        return np.column_stack(columns)
-
-    def linear(self, z: Array) -> Array:
-        """Return the linear coefficients."""
-        solution: Array = solve_triangular(self.r, self.q.T @ self.unexplained(z))
+    def linear(self, free: Array) -> Array:
+        """Return the best linear coefficients."""
+        solution: Array = solve_triangular(self._r, self._q.T @ self.unexplained(free))
         return solution
 
+    def jacobian(self, free: Array) -> Array:
+        """Return the derivatives of :meth:`residuals`, by forward differences."""
+        return derivatives(self.residuals, free)
 
-def fit(
-    motions: Sequence[Motion],
-    usable: Sequence[Mask],
-    start: Friction,
-    linear_names: Sequence[str],
-    *,
-    free: Sequence[str],
-    turning: bool = False,
-    rounds: int = ROUNDS,
-) -> JointFit:
-    """Fit friction elements and force balance to recordings.
+    def design(self, free: Array) -> Array:
+        """Return the derivatives of the fitted force by the free coordinates and the linear coefficients [1/deviation]."""
+        return np.column_stack([-derivatives(self.unexplained, free), self.rows])
+
+    def forces_left(self, free: Array) -> list[Array]:
+        """Return measured less fitted force in every block of every recording, usable or not [N]."""
+        friction, coefficients = self.friction(free), self.linear(free)
+        return [
+            m.force - self._coordinates.force(m, friction) - columns @ coefficients
+            for m, columns in zip(self._recorded.motions, self._columns, strict=True)
+        ]
+
+
+def derivatives(function: Callable[[Array], Array], at: Array) -> Array:
+    """Return the derivatives of a function by forward differences, shape (n, len(at))."""
+    base = function(at)
+    columns = np.empty((len(base), len(at)))
+    for i in range(len(at)):
+        moved = at.copy()
+        moved[i] += STEP
+        columns[:, i] = (function(moved) - base) / STEP
+    return columns
+
+
+Turned = Callable[[Motion, Array, Any], Motion]
+"""Corrects the turns of a motion, from the forces that a fit left, shape (n,) [N], and the fitted friction."""
+
+
+def fit(recorded: Recorded, start: Start, *, turned: Turned | None = None, rounds: int = ROUNDS) -> JointFit:
+    """Fit a friction model and the force balance to recordings.
 
     Args:
-        motions: the recordings.
-        usable: blocks of each that may count.
-        start: where to start; its number of elements is kept.
-        linear_names: linear coefficients to fit, of :func:`ehls_ros.identification.gms_force.linear_columns`.
-        free: names of the searched coefficients, of :attr:`Layout.names`; the others stay at the start.
-        turning: whether the recordings' turns are corrected between two fits.
+        recorded: the recordings.
+        start: where to start.
+        turned: how the turns of a motion are corrected between two fits; None: not at all.
         rounds: fits in a row.
 
     Returns:
         The fit.
     """
-    layout = Layout(len(start.element_stiffness))
-    z = layout.pack(start)
-    searched = np.array([name in free for name in layout.names])
-    deviations = [max(m.force_noise, 1e-9) for m in motions]
-    inflation = [1.0] * len(motions)
-    masks = [u & np.isfinite(m.force) for u, m in zip(usable, motions, strict=True)]
-    low, high = z[searched] - REACH, z[searched] + REACH
-    limits = np.array([EXPONENTS if name == "stribeck_exponent" else (0.0, np.inf) for name in layout.names])[searched]
-    with np.errstate(divide="ignore"):
-        low, high = np.maximum(low, np.log(limits[:, 0])), np.minimum(high, np.log(limits[:, 1]))
-    # A rate faster than a block can show, and than its integration can follow, is all the same.
-    fastest = math.log(MOST_PARTS * start.coulomb_force / max(m.period for m in motions))
-    rate = np.array(layout.names)[searched] == "attraction_rate"
-    high[rate] = np.minimum(high[rate], fastest)
-    low[rate] = np.minimum(low[rate], fastest - REACH)
+    offered = recorded.usable
+    recorded = _finite(recorded)
+    z = start.coordinates.pack(start.friction)
+    deviations = [max(m.force_noise, 1e-9) for m in recorded.motions]
+    inflation = [1.0] * len(recorded.motions)
+    problem = Problem(recorded, start, z, deviations)
+    low, high = map(problem.free, start.coordinates.bounds(z, max(m.period for m in recorded.motions)))
+    began, converged = np.clip(problem.free(z), low, high), True
     for turn in range(rounds):
-        problem = _Problem(motions, masks, _inflated(deviations, inflation), layout, linear_names, z, searched)
+        problem = Problem(recorded, start, z, _inflated(deviations, inflation))
         out = least_squares(
             problem.residuals,
-            np.clip(z[searched], low, high),
+            np.clip(problem.free(z), low, high),
             jac=problem.jacobian,
             bounds=(low, high),
             x_scale="jac",
@@ -252,53 +236,77 @@ def fit(
             xtol=1e-6,
             ftol=1e-6,
         )
-        z = problem.whole(out.x)
-        left = _left_over(problem, out.x)
+        z, converged = problem.complete(out.x), bool(out.status > 0)
+        left = problem.forces_left(out.x)
         deviations = [
             max(GAUSS * float(np.median(np.abs(r[u]))), 0.5 * m.force_noise, 1e-9)
-            for r, u, m in zip(left, masks, motions, strict=True)
+            for r, u, m in zip(left, recorded.usable, recorded.motions, strict=True)
         ]
-        masks = [
-            u & np.isfinite(m.force) & (np.abs(r) <= FAR * d)
-            for u, m, r, d in zip(usable, motions, left, deviations, strict=True)
-        ]
-        if turning:
+        near = tuple(u & (np.abs(r) <= FAR * d) for u, r, d in zip(offered, left, deviations, strict=True))
+        recorded = _finite(recorded._replace(usable=near))
+        if turned is not None:
             friction = problem.friction(out.x)
-            motions = [
-                corrected_turns(m, np.where(u, r, np.nan), friction) for m, u, r in zip(motions, masks, left, strict=True)
-            ]
+            motions = tuple(
+                turned(m, np.where(u, r, np.nan), friction)
+                for m, u, r in zip(recorded.motions, recorded.usable, left, strict=True)
+            )
+            recorded = recorded._replace(motions=motions)
         # Correlated blocks count once: a recording weighs less by its correlation time.
-        inflation = [_correlation_time(r / s, u) for r, s, u in zip(left, deviations, masks, strict=True)]
-    problem = _Problem(motions, masks, _inflated(deviations, inflation), layout, linear_names, z, searched)
-    found = z[searched]
-    left = _left_over(problem, found)
+        inflation = [correlation_time(r / s, u) for r, s, u in zip(left, deviations, recorded.usable, strict=True)]
+    problem = Problem(recorded, start, z, _inflated(deviations, inflation))
+    found = problem.free(z)
+    left = problem.forces_left(found)
     scaled = problem.residuals(found)
-    rows = np.column_stack([-problem.jacobian(found, projected=False), problem.rows])
-    covariance = _by_stroke(rows, scaled, _strokes(motions, masks), _covariance(rows, len(found)))
+    covariance = clustered_covariance(problem.design(found), scaled, strokes(recorded), len(found))
+    free = tuple(name for name in start.coordinates.names if name in start.free)
     return JointFit(
-        layout=layout,
+        coordinates=start.coordinates,
         z=z,
-        free=tuple(name for name, is_free in zip(layout.names, searched, strict=True) if is_free),
-        linear_names=tuple(linear_names),
+        free=free,
+        limited=tuple(np.array(free)[np.abs(found - began) >= (1.0 - EDGE) * REACH].tolist()),
+        linear_names=recorded.linear,
         linear=problem.linear(found),
         covariance=covariance,
         cost=0.5 * float(scaled @ scaled),
-        blocks=float(sum(u.sum() / t for u, t in zip(masks, inflation, strict=True))),
+        blocks=float(sum(u.sum() / t for u, t in zip(recorded.usable, inflation, strict=True))),
         noise=tuple(deviations),
-        residuals=tuple(np.where(u, r, np.nan) for r, u in zip(left, masks, strict=True)),
+        residuals=tuple(np.where(u, r, np.nan) for r, u in zip(left, recorded.usable, strict=True)),
+        converged=converged,
     )
 
 
-def combined(first: JointFit, second: JointFit, first_at: Sequence[int], second_at: Sequence[int]) -> JointFit:
-    """Return one fit of two that searched for different coefficients, the second starting from the first.
+def _finite(recorded: Recorded) -> Recorded:
+    usable = tuple(u & np.isfinite(m.force) for u, m in zip(recorded.usable, recorded.motions, strict=True))
+    return recorded._replace(usable=usable)
+
+
+def _inflated(deviations: Sequence[float], inflation: Sequence[float]) -> list[float]:
+    return [s * math.sqrt(t) for s, t in zip(deviations, inflation, strict=True)]
+
+
+def placed(fit: JointFit, at: Sequence[int], motions: Sequence[Motion]) -> JointFit:
+    """Return a fit of some recordings as a fit of all, in which the others do not count.
 
     Args:
-        first: whose linear coefficients are kept.
-        second: the other.
-        first_at: places of the first fit's recordings among all.
-        second_at: places of the second's.
+        fit: the fit.
+        at: numbers of its recordings among all.
+        motions: all recordings.
     """
-    names = [name for name in first.layout.names if name in {*first.free, *second.free}]
+    noise = [math.nan] * len(motions)
+    residuals = [np.full(len(m.force), np.nan) for m in motions]
+    for i, place in enumerate(at):
+        noise[place], residuals[place] = fit.noise[i], fit.residuals[i]
+    return fit._replace(noise=tuple(noise), residuals=tuple(residuals))
+
+
+def combined(first: JointFit, second: JointFit) -> JointFit:
+    """Return one fit made of two that searched for different coordinates, the second starting from the first.
+
+    Args:
+        first: the fit whose linear coefficients are kept.
+        second: the other fit, of the same recordings; where one has no residual the other's counts.
+    """
+    names = [name for name in first.coordinates.names if name in {*first.free, *second.free}]
     size = len(names) + len(first.linear_names)
     covariance = np.zeros((size, size))
     for fit, linear in ((first, True), (second, False)):
@@ -306,106 +314,37 @@ def combined(first: JointFit, second: JointFit, first_at: Sequence[int], second_
         if linear:
             where += range(len(names), size)
         covariance[np.ix_(where, where)] = fit.covariance[: len(where), : len(where)]
-    places = {place: (fit, i) for fit, at in ((first, first_at), (second, second_at)) for i, place in enumerate(at)}
-    ordered = [places[place] for place in sorted(places)]
-    return JointFit(
-        layout=second.layout,
-        z=second.z,
+    return second._replace(
         free=tuple(names),
+        limited=(*first.limited, *second.limited),
         linear_names=first.linear_names,
         linear=first.linear,
         covariance=covariance,
         cost=first.cost + second.cost,
         blocks=first.blocks + second.blocks,
-        noise=tuple(fit.noise[i] for fit, i in ordered),
-        residuals=tuple(fit.residuals[i] for fit, i in ordered),
+        noise=tuple(b if math.isnan(a) else a for a, b in zip(first.noise, second.noise, strict=True)),
+        residuals=tuple(np.where(np.isnan(a), b, a) for a, b in zip(first.residuals, second.residuals, strict=True)),
+        converged=first.converged and second.converged,
     )
 
 
-def _strokes(motions: Sequence[Motion], masks: Sequence[Mask]) -> Array:
-    """Return for each block that counts the number of the stroke it belongs to: a way in one direction."""
+def strokes(recorded: Recorded) -> Array:
+    """Return the number of the stroke of each usable block, counted through all recordings, shape (blocks,)."""
     numbers, first = [], 0
-    for motion, mask in zip(motions, masks, strict=True):
+    for motion, mask in zip(recorded.motions, recorded.usable, strict=True):
         stroke = first + motion.strokes
         numbers.append(stroke[mask])
         first = int(stroke[-1]) + 1
     return np.concatenate(numbers)
 
 
-def _by_stroke(rows: Array, residuals: Array, strokes: Array, covariance: Array) -> Array:
-    """Return the covariance that holds however the residuals of one stroke go together.
-
-    What the model lacks pulls a whole stroke one way. So the strokes, not the blocks, count as independent: the
-    sandwich of cluster-robust regression (Liang and Zeger 1986).
-
-    Args:
-        rows: derivatives of the residuals, shape (n, coefficients).
-        residuals: shape (n,).
-        strokes: number of each one's stroke, shape (n,).
-        covariance: as if all residuals were independent.
-    """
-    _, index = np.unique(strokes, return_inverse=True)
-    count, size = int(index.max()) + 1 if index.size else 0, rows.shape[1]
-    if count < 2 * size:
-        return covariance
-    pulls = np.zeros((count, size))
-    np.add.at(pulls, index, rows * residuals[:, np.newaxis])
-    robust: Array = covariance @ (pulls.T @ pulls) @ covariance * (count / (count - size))
-    return robust
-
-
-def _inflated(deviations: Sequence[float], inflation: Sequence[float]) -> list[float]:
-    return [s * math.sqrt(t) for s, t in zip(deviations, inflation, strict=True)]
-
-
-def _covariance(jacobian: Array, logarithms: int) -> Array:
-    """Return the covariance of the coefficients, the first ones logarithms that nobody doubts by more than :data:`DOUBT`."""
-    information = jacobian.T @ jacobian
-    diagonal = np.arange(logarithms)
-    information[diagonal, diagonal] += 1.0 / DOUBT**2
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    inverse = np.linalg.pinv(information / scale[:, np.newaxis] / scale, rcond=1e-13, hermitian=True)
-    covariance: Array = inverse / scale[:, np.newaxis] / scale
-    return covariance
-
-
-def _left_over(problem: _Problem, z: Array) -> list[Array]:
-    """Return the force not explained in every block of every recording [N]."""
-    friction, coefficients = problem.friction(z), problem.linear(z)
-    return [
-        m.force - elements_force(m, friction) - c @ coefficients for m, c in zip(problem.motions, problem.columns, strict=True)
-    ]
-
-
-def _correlation_time(residuals: Array, mask: Mask) -> float:
-    """Return how many blocks on end carry the information of one, at least 1."""
-    values = np.where(mask, residuals, 0.0)
-    values = values - np.sum(values) / max(1, int(mask.sum())) * mask
-    size = 1 << (2 * len(values) - 1).bit_length()
-
-    def correlate(x: Array) -> Array:
-        spectrum = np.fft.rfft(x, size)
-        out: Array = np.fft.irfft(spectrum * np.conj(spectrum), size)[:MOST_LAGS]
-        return out
-
-    pairs = correlate(mask.astype(np.float64))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = correlate(values) / np.where(pairs > 0.5, pairs, np.nan)
-    correlation = np.nan_to_num(correlation / correlation[0])
-    below = np.flatnonzero(correlation < 2.0 / math.sqrt(max(1, int(mask.sum()))))
-    last = int(below[0]) if below.size else len(correlation)
-    return float(max(1.0, 1.0 + 2.0 * np.sum(correlation[1:last])))
-
-
 def least_covariance(fit: JointFit, motions: Sequence[Motion]) -> Array:
-    """Return the Cramér-Rao bound of a fit's coefficients, were the force sensor's white noise all there is.
+    """Return the Cramér-Rao bound of a fit's coefficients for the force sensor's white noise alone.
 
     Args:
         fit: the fit, for its coefficients and the blocks that counted.
         motions: its recordings.
     """
-    masks = [np.isfinite(r) for r in fit.residuals]
-    searched = np.array([name in fit.free for name in fit.layout.names])
-    problem = _Problem(motions, masks, [m.force_noise for m in motions], fit.layout, fit.linear_names, fit.z, searched)
-    rows = np.column_stack([-problem.jacobian(fit.z[searched], projected=False), problem.rows])
-    return _covariance(rows, int(searched.sum()))
+    recorded = Recorded(tuple(motions), tuple(np.isfinite(r) for r in fit.residuals), fit.linear_names)
+    problem = Problem(recorded, Start(fit.coordinates, None, fit.free), fit.z, [m.force_noise for m in motions])
+    return normal_covariance(problem.design(problem.free(fit.z)), len(fit.free))

@@ -1,9 +1,10 @@
-"""A recording made ready for identification: even blocks of position and force, velocity and acceleration from position.
+"""A recording prepared for identification: even blocks of position and force, velocity and acceleration from position.
 
-Identification needs the position and the driving force; velocity and acceleration are taken from a local
-cubic fit of the position, because a rig has no sensor for them.
+Identification needs position and driving force. Velocity and acceleration are derivatives of a local cubic fit of the
+position, because a rig has no sensors for them.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -16,51 +17,64 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import GAUSS, Mask, inliers, noise
 from ehls_ros.trajectory import Trajectory
 
+BLOCK_LENGTHS, BLOCKS = (0.005, 0.01, 0.02, 0.05, 0.1), 100_000
+"""Lengths of a block [s], and how many blocks all recordings together have at most, as far as the longest length allows."""
+
+BRANCH_BLOCKS, LONGEST_FINE = 80, 0.02
+"""Blocks between two turns that resolve the hysteresis loop, and the longest such block [s]."""
+
+SLOW, CLEAR = 0.1, 0.01
+"""The velocity of a block is clear if its noise is below this fraction of the slowest tenth of the velocities."""
+
+LAST_FRACTION, LEAST_SETTLED = 0.4, 0.85
+"""Fraction at the end of a short stroke that counts, and fraction of the settling time that must have passed by then."""
+
 WINDOW = 9
-"""Blocks a local fit spans."""
+"""Blocks in the window of a local fit."""
 
 SMALL_TRAVEL = 0.02
-"""Travel up to which a recording is one of presliding, looked at in short blocks [m]."""
+"""Travel below which a recording is one of presliding, cut into short blocks [m]."""
 
 ORDER = 3
 """Order of the local polynomial."""
 
 MOST_OUTLIERS = 0.25
-"""Part of a signal that may be outliers; beyond it, it cannot be told which samples are the right ones."""
+"""Fraction of a signal that may be outliers; with more, nobody can say which samples are right."""
 
 STUCK_TIME, STUCK_TRAVEL = 1.0, 1e-3
-"""Time [s] and travel [m] over which a force that does not change by a bit is a stuck sensor."""
+"""Time [s] and travel [m] over which a force that does not change by one bit means a stuck sensor."""
 
 TURN_DOUBT = 4.0
-"""Standard deviations of a position sample by which a turn may be missed: what moves to and fro less is not seen."""
+"""Standard deviations of a position sample by which a turn may be missed; smaller motion to and fro is invisible."""
 
 STUCK_FORCE = 2.5
-"""Change of force, in static friction, that no piston stands without moving: 2 take it from one side to the other."""
+"""Change of force, in units of static friction, that no piston withstands at rest; 2 take it from one limit to the other."""
 
 FULL_BLOCK = 0.5
-"""Part of its samples a block needs to count."""
+"""Fraction of its samples that a block needs."""
 
 SMALLEST_MISFIT = 1e-5
-"""Misfit of the local fit that is never too large, as a part of the travel."""
+"""Misfit of the local fit that is always accepted, as a fraction of the travel."""
 
 
 class Motion(NamedTuple):
     """One recording in blocks, shape (n,) each.
 
     Attributes:
-        name: what the recording is called in messages.
+        name: name of the recording in messages.
         period: time between blocks [s].
         time: middle of each block [s].
         position: mean position, smoothed [m].
         velocity: its derivative [m/s].
         acceleration: its second derivative [m/s^2].
         force: mean driving force, outliers left out [N].
+        scatter: standard deviation of the force's samples within each block, about a straight line [N].
         fresh: whether a block begins a stretch without gaps.
-        resolved: whether position and its derivatives can be trusted: no gap, and no motion the local fit cannot follow.
+        resolved: whether position and derivatives can be trusted: no gap, and no motion too fast for the local fit.
         force_noise: standard deviation of a block's mean force from the sensor's noise [N].
         velocity_noise: standard deviation of the velocity from the sensor's noise [m/s].
-        turn_doubt: how far beyond where it was seen a turn may lie, by the sensor's noise [m].
-        outliers: part of the samples that were left out.
+        turn_doubt: how far beyond its measured place a turn may lie, because of the sensor's noise [m].
+        outliers: fraction of the samples that were left out.
     """
 
     name: str
@@ -70,6 +84,7 @@ class Motion(NamedTuple):
     velocity: Array
     acceleration: Array
     force: Array
+    scatter: Array
     fresh: Mask
     resolved: Mask
     force_noise: float
@@ -79,21 +94,72 @@ class Motion(NamedTuple):
 
     @property
     def small(self) -> bool:
-        """Whether it is one of presliding: it goes less than :data:`SMALL_TRAVEL`."""
+        """Whether it is one of presliding: its travel is below :data:`SMALL_TRAVEL`."""
         return bool(np.any(self.resolved)) and float(np.ptp(self.position[self.resolved])) < SMALL_TRAVEL
 
     @property
     def turns(self) -> NDArray[np.intp]:
-        """Numbers of the blocks that go the other way than the one before."""
+        """Numbers of the blocks that move the other way than the one before."""
         return np.flatnonzero(np.diff(np.sign(self.velocity)) != 0.0) + 1
 
     @property
     def strokes(self) -> NDArray[np.intp]:
-        """Number of each block's stroke, from 0: a way in one direction without a gap, shape (n,)."""
+        """Number of each block's stroke, from 0: a motion in one direction without a gap, shape (n,)."""
         begins = self.fresh.copy()
         begins[self.turns] = True
         begins[0] = False
         return np.cumsum(begins)
+
+
+def motions_of(recordings: Mapping[str, Trajectory], rig: Rig) -> tuple[Motion, ...]:
+    """Bring recordings into blocks, short ones for presliding and longer ones for wide strokes.
+
+    Args:
+        recordings: by a name for errors.
+        rig: as in :func:`prepare`.
+
+    Raises:
+        BadInput: as in :func:`prepare`.
+    """
+    total = sum(float(t.time_s[-1] - t.time_s[0]) for t in recordings.values() if len(t) > 1)
+    shortest = min(total / BLOCKS, BLOCK_LENGTHS[-1])
+    return tuple(prepare(t, rig, name, block_length(t, shortest)) for name, t in recordings.items())
+
+
+def _travel(trajectory: Trajectory) -> float:
+    """Return the range of the position without stray samples [m]."""
+    position = trajectory.signals.get("position_m", np.zeros(1))
+    position = position[np.isfinite(position)]
+    return float(np.ptp(np.quantile(position, [0.01, 0.99]))) if position.size else 0.0
+
+
+def block_length(trajectory: Trajectory, shortest: float) -> float:
+    """Return the shortest block in which the velocity is clear of the position's noise [s].
+
+    Args:
+        trajectory: the recording.
+        shortest: lower limit for wide strokes [s].
+    """
+    position = trajectory.signals.get("position_m", np.zeros(0))
+    position = position[np.isfinite(position)]
+    if len(position) < 100:
+        return BLOCK_LENGTHS[0]
+    sample = float(np.median(np.diff(trajectory.time_s)))
+    stride = max(1, round(BLOCK_LENGTHS[-1] / sample))
+    speed = np.abs(np.diff(position[::stride])) / (stride * sample)
+    if _travel(trajectory) < SMALL_TRAVEL:
+        passes = np.count_nonzero(np.diff(position[::stride] > np.median(position)))
+        branch = (trajectory.time_s[-1] - trajectory.time_s[0]) / max(1, passes)
+        fine = [length for length in BLOCK_LENGTHS if branch >= BRANCH_BLOCKS * length and length <= LONGEST_FINE]
+        return max(fine[-1] if fine else BLOCK_LENGTHS[0], sample)
+    moving = speed[speed > 0.1 * np.median(speed)]
+    slow = float(np.quantile(moving, SLOW)) if moving.size else 0.0
+    per_sample = noise(position)
+    for length in BLOCK_LENGTHS:
+        block = max(length, sample)
+        if length >= shortest and slope_noise(per_sample / np.sqrt(block / sample), block) < CLEAR * slow:
+            return block
+    return max(BLOCK_LENGTHS[-1], sample)
 
 
 def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motion:
@@ -101,8 +167,8 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
 
     Args:
         trajectory: the recording; needs ``position_m``, and ``force_n`` or ``load_pressure_pa``.
-        rig: the rig, for the piston area and for limits that tell a wrong unit.
-        name: what the recording is called in errors.
+        rig: the rig, for the piston area and for limits that reveal a wrong unit.
+        name: name of the recording in errors.
         period: length of a block [s].
 
     Returns:
@@ -117,7 +183,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
     elif "load_pressure_pa" in trajectory:
         source, force = "load_pressure_pa", rig.plant.piston_area * trajectory["load_pressure_pa"]
     else:
-        raise BadInput("signal 'force_n' is missing", name, "force_n, or load_pressure_pa of which it can be made")
+        raise BadInput("signal 'force_n' is missing", name, "force_n, or load_pressure_pa from which it follows")
     time = trajectory.time_s - trajectory.time_s[0]
     if len(time) < 2 * WINDOW or time[-1] < 2 * WINDOW * period:
         raise BadInput(f"it is {time[-1]:.3g} s long with {len(time)} samples", name, f"at least {2 * WINDOW * period:g} s")
@@ -132,10 +198,13 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
     there = (count_x >= FULL_BLOCK * expected) & (count_f >= FULL_BLOCK * expected)
     middle = (np.arange(blocks, dtype=np.float64) + 0.5) * period
     _, velocity, _, _ = _local_fit(x, there, period)
-    # A block that lacks samples has its mean elsewhere than in its middle.
+    # The mean time of a block that lacks samples is not its middle.
     x = x + velocity * (middle - x_time)
     smooth, velocity, acceleration, inside = _local_fit(x, there, period)
-    f = f + np.gradient(np.where(there, f, np.interp(middle, middle[there], f[there])), period) * (middle - f_time)
+    slope = np.gradient(np.where(there, f, np.interp(middle, middle[there], f[there])), period)
+    squares, *_ = _means(time, (force - np.mean(force[good_force])) ** 2, good_force, period, blocks)
+    variance = squares - (f - np.mean(force[good_force])) ** 2 - (slope * period) ** 2 / 12.0
+    f = f + slope * (middle - f_time)
 
     per_block = max(1.0, expected)
     position_noise = noise(position[good_position]) / np.sqrt(per_block)
@@ -144,7 +213,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
     least = SMALLEST_MISFIT * float(np.ptp(smooth[inside])) if np.any(inside) else 0.0
     usual = max(GAUSS * float(np.median(misfit[inside])) if np.any(inside) else 0.0, position_noise, least)
     resolved = inside & ~_widened(misfit > 5.0 * usual, WINDOW // 2)
-    # What the local fit smears, plain differences keep: the way the elements were pulled.
+    # Plain differences keep what the local fit smears: the total deflection of the contact.
     filled = np.interp(middle, middle[there], x[there])
     velocity = np.where(resolved, velocity, np.gradient(filled, period))
     fresh = there & ~np.concatenate([[False], there[:-1]])
@@ -156,6 +225,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
         velocity=velocity,
         acceleration=acceleration,
         force=f,
+        scatter=np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)),
         fresh=fresh,
         resolved=resolved,
         force_noise=force_noise,
@@ -185,7 +255,7 @@ def _inliers(values: Array, signal: str, name: str) -> Mask:
 
 
 def _check_sizes(position: Array, force: Array, source: str, rig: Rig, name: str) -> None:
-    """Refuse what only a wrong unit explains."""
+    """Refuse signals that only a wrong unit explains."""
     travel, room = float(np.ptp(position)), rig.limits.position[1] - rig.limits.position[0]
     if travel > 5.0 * room:
         raise BadInput(f"position_m moves {travel:.3g} m, the rig {room:.3g} m", name, "position in metres (see --columns)")
@@ -200,16 +270,16 @@ def _check_sizes(position: Array, force: Array, source: str, rig: Rig, name: str
 
 
 def _check_stuck(time: Array, position: Array, force: Array, source: str, rig: Rig, name: str) -> None:
-    """Refuse a signal that does not change by a bit while the other one says that there is motion."""
+    """Refuse a signal that does not change by one bit while the other shows motion."""
     start, end = _longest_constant(force)
     if time[end] - time[start] > STUCK_TIME and abs(position[end] - position[start]) > STUCK_TRAVEL:
         what = f"{source} is stuck from {time[start]:.3g} to {time[end]:.3g} s while the piston moves"
-        raise BadInput(what, name, "a force sensor that is not stuck; cut that part off")
+        raise BadInput(what, name, "a force sensor that is not stuck; cut that stretch off")
     start, end = _longest_constant(position)
-    holds = STUCK_FORCE * rig.friction.static_force
+    holds = STUCK_FORCE * rig.friction_level(0.0)
     if time[end] - time[start] > STUCK_TIME and np.ptp(force[start : end + 1]) > holds:
         what = f"position_m is stuck from {time[start]:.3g} to {time[end]:.3g} s while the force changes"
-        raise BadInput(what, name, "a position sensor that is not stuck; cut that part off")
+        raise BadInput(what, name, "a position sensor that is not stuck; cut that stretch off")
 
 
 def _longest_constant(values: Array) -> tuple[int, int]:
@@ -221,7 +291,7 @@ def _longest_constant(values: Array) -> tuple[int, int]:
 
 def _means(time: Array, values: Array, good: Mask, period: float, blocks: int) -> tuple[Array, Array, Array]:
     """Return mean, mean time and number of the good samples of each block; NaN where there is none."""
-    # A sample on the edge of two blocks belongs to the later one, whatever rounding says.
+    # A sample on the edge of two blocks belongs to the later one, despite rounding.
     index = np.minimum((time[good] / period + 1e-6).astype(np.intp), blocks)
     count = np.bincount(index, minlength=blocks + 1)[:blocks].astype(np.float64)
     total = np.bincount(index, weights=values[good], minlength=blocks + 1)[:blocks]
@@ -231,7 +301,7 @@ def _means(time: Array, values: Array, good: Mask, period: float, blocks: int) -
 
 
 def _local_fit(x: Array, there: Mask, period: float) -> tuple[Array, Array, Array, Mask]:
-    """Return smoothed position, velocity, acceleration, and where a whole window lay inside one stretch."""
+    """Return smoothed position, velocity, acceleration, and where a complete window lies in one stretch."""
     filled = np.interp(np.arange(len(x)), np.flatnonzero(there), x[there]) if np.any(there) else np.zeros(len(x))
     rows = [savgol_coeffs(WINDOW, ORDER, deriv=d, delta=period, use="dot") for d in range(3)]
     half = WINDOW // 2
@@ -248,5 +318,30 @@ def _widened(mask: Mask, by: int) -> Mask:
 
 
 def slope_noise(block_noise: float, period: float) -> float:
-    """Return the noise of the velocity [m/s] that comes of a block's mean position having one [m]."""
+    """Return the noise of the velocity [m/s] for that of a block's mean position [m]."""
     return block_noise * float(np.sqrt(np.sum(savgol_coeffs(WINDOW, ORDER, deriv=1, delta=period) ** 2)))
+
+
+def slides(motion: Motion, travel: float, time: float) -> Mask:
+    """Tell which blocks slide, with the turn before them forgotten.
+
+    Long blocks smear a turn; what happens there is for the recordings of presliding to tell.
+
+    Args:
+        motion: a recording of wide strokes.
+        travel: travel since the turn that it takes [m].
+        time: time since the turn that it takes [s].
+
+    Returns:
+        A mask of shape (n,).
+    """
+    stroke = motion.strokes
+    start = np.searchsorted(stroke, stroke)
+    time_since = (np.arange(len(stroke)) - start) * motion.period
+    travel_since = np.abs(motion.position - motion.position[start])
+    lasts = np.bincount(stroke) * motion.period
+    # The end of a stroke too short for the time counts, too, unless it is still settling.
+    needed = np.clip((1.0 - LAST_FRACTION) * lasts, LEAST_SETTLED * time, time)[stroke]
+    moves = np.abs(motion.velocity) > 5.0 * motion.velocity_noise
+    sliding: Mask = moves & (travel_since >= travel) & (time_since >= needed)
+    return sliding

@@ -1,8 +1,8 @@
 """The hysteresis loop (22), (23): from its branches to the friction elements, without nodes picked by hand.
 
-After each reversal the elements stick, each until its force has gone from one side to the other. So the force
-gained since the reversal is a sum of ramps, sum k_i min(d, D_i) over the way d since then, with D_i = 2 alpha_i s/k_i.
-Ramps with many ends are fitted at once, none of them negative; the few that remain are the elements.
+After a reversal each element sticks until its force has changed from one limit to the other. So the force gained since the
+reversal is a sum of ramps, sum k_i min(d, D_i), with the travel d since then and D_i = 2 alpha_i s/k_i. Ramps with many ends
+are fitted at once, none of them negative; the few that remain are the elements. It serves models with friction elements.
 """
 
 import itertools
@@ -18,25 +18,25 @@ from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.samples import Mask
 
 RAMPS = 60
-"""Ends of ramps that are tried."""
+"""Number of ends of ramps that are tried."""
 
 POINTS = 200
 """Points of the mean branch."""
 
 STICKING, LEAST_STICKING = 0.8, 3
-"""Part of the shortest way on which all elements stick that is looked at after a turn, and the blocks it needs."""
+"""Fraction of the travel on which all elements stick that is used after a turn, and the number of blocks it needs."""
 
 LEAST_BRANCHES = 3
-"""Branches a recording needs to count."""
+"""Branches that a mean needs."""
 
 
 class Branch(NamedTuple):
     """The mean branch of all reversals, shape (n,).
 
     Attributes:
-        way: way since the reversal [m].
+        way: travel since the reversal [m].
         force: friction force gained since the reversal [N].
-        branches: number of branches it is the mean of.
+        branches: number of branches averaged.
     """
 
     way: Array
@@ -45,10 +45,10 @@ class Branch(NamedTuple):
 
 
 class Node(NamedTuple):
-    """Where the branch bends: an element has given way.
+    """A bend of the branch: an element has given way.
 
     Attributes:
-        way: way since the reversal [m].
+        way: travel since the reversal [m].
         force: force gained by then [N].
         slope: slope of the branch before it, K_i [N/m].
     """
@@ -59,12 +59,12 @@ class Node(NamedTuple):
 
 
 def mean_branch(motions: Sequence[Motion], usable: Sequence[Mask], rest: Sequence[Array]) -> Branch | None:
-    """Return the mean of all branches between two reversals.
+    """Return the mean of all branches between successive reversals.
 
     Args:
         motions: the recordings.
         usable: blocks of each that may count.
-        rest: force balance without the friction elements of each [N], to be taken off.
+        rest: force balance of each without the friction elements, subtracted, shape (n,) each [N].
 
     Returns:
         The branch; None where there are too few reversals.
@@ -89,16 +89,16 @@ def mean_branch(motions: Sequence[Motion], usable: Sequence[Mask], rest: Sequenc
 
 
 def corrected_turns(motion: Motion, left: Array, friction: Friction) -> Motion:
-    """Return a motion whose turns lie where the force says.
+    """Return a motion with its turns where the force shows them.
 
-    Around a turn the piston moves to and fro by less than the sensor resolves, and each micrometre further that
-    it goes before it turns lowers the force of the sticking elements by all their stiffness. So the force left over
-    while all stick tells by how much the turn was missed; as much is added to the way before and taken off after it.
+    Around a turn the piston moves to and fro by less than the sensor resolves, and each micrometre further before the turn
+    lowers the force of the sticking elements by their total stiffness. So the residual force while all stick shows by how much
+    the turn was missed. That travel is added before the turn and subtracted after it.
 
     Args:
         motion: the recording.
-        left: force a fit did not explain, shape (n,) [N]; NaN where a block does not count.
-        friction: the friction that was fitted.
+        left: residual force of a fit, shape (n,) [N]; NaN where a block does not count.
+        friction: the fitted friction.
     """
     stiffness = float(np.sum(friction.element_stiffness))
     shortest = min(
@@ -121,12 +121,12 @@ def corrected_turns(motion: Motion, left: Array, friction: Friction) -> Motion:
 
 
 def _turning_point(values: Array, at: int) -> float:
-    """Return a signal where the motion turned, between the blocks at - 1 and at."""
+    """Return the value of a signal at the turn, between the blocks ``at - 1`` and ``at``."""
     return float(0.5 * (values[at - 1] + values[at]))
 
 
 def ramps(branch: Branch) -> tuple[Array, Array]:
-    """Return ends D [m] and stiffness k [N/m] of the ramps that make up a branch, by non-negative least squares."""
+    """Return ends D [m] and stiffness k [N/m] of the ramps that add up to a branch, by non-negative least squares."""
     shortest = max(branch.way[-1] / 500.0, 1e-9)
     ends = np.geomspace(shortest, branch.way[-1], RAMPS)
     columns = np.minimum(branch.way[:, np.newaxis], ends)
@@ -138,15 +138,15 @@ def ramps(branch: Branch) -> tuple[Array, Array]:
 
 
 def merged(ends: Array, stiffness: Array, elements: int) -> tuple[Array, Array]:
-    """Return the ramps put together to a number of elements: neighbours with the closest ends first.
+    """Return the ramps merged to a number of elements, neighbours with the closest ends first.
 
     Args:
         ends: ends of the ramps, increasing, shape (n,) [m].
         stiffness: their stiffness, shape (n,) [N/m].
-        elements: how many are to be left; where there are fewer ramps, the strongest are split.
+        elements: number of elements; where there are fewer ramps, the strongest are split.
 
     Returns:
-        Ends and stiffness, shape (elements,). What the elements hold together stays the same.
+        Ends and stiffness, shape (elements,). Their total force and total stiffness stay the same.
     """
     d, k = list(ends), list(stiffness)
     while len(d) > elements:
@@ -156,12 +156,17 @@ def merged(ends: Array, stiffness: Array, elements: int) -> tuple[Array, Array]:
         d[i : i + 2], k[i : i + 2] = [force / both], [both]
     while len(d) < elements:
         i = int(np.argmax(np.multiply(d, k)))
-        d[i : i + 1], k[i : i + 1] = [0.7 * d[i], 1.4 * d[i]], [0.5 * k[i], 0.5 * k[i]]
+        d[i : i + 1], k[i : i + 1] = [0.6 * d[i], 1.4 * d[i]], [0.5 * k[i], 0.5 * k[i]]
     return np.array(d), np.array(k)
 
 
 def nodes(ends: Array, stiffness: Array) -> list[Node]:
-    """Return the nodes N1..N of the branch that elements make, with the slopes K_i of (22)."""
+    """Return the nodes N1, N2, ... of the branch of some elements, with the slopes K_i of (22).
+
+    Args:
+        ends: travel at which each gives way, shape (n,) [m].
+        stiffness: stiffness of each, shape (n,) [N/m].
+    """
     order = np.argsort(ends)
     d, k = ends[order], stiffness[order]
     return [Node(float(d[i]), float(np.sum(k * np.minimum(d, d[i]))), float(np.sum(k[i:]))) for i in range(len(d))]

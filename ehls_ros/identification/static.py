@@ -1,12 +1,10 @@
 """The static fit (20), (21): Stribeck curve and viscous friction from steady sliding.
 
-Spring, constant force and mass enter (20) in a straight line. They are taken out first, with the Stribeck curve
-left free over a coarse grid of its two bent coefficients; then an optimiser fits the curve to what is left,
-averaged over classes of velocity.
+Spring, constant force and mass enter (20) linearly. They are subtracted first, with the best coefficients over a coarse grid
+of the Stribeck curve's two nonlinear ones. Then an optimiser fits the curve to the rest, averaged over classes of velocity.
 """
 
 import itertools
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,37 +12,56 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
 from ehls_ros.identification import stribeck
-from ehls_ros.identification.gms_force import linear_columns
-from ehls_ros.identification.motion import Motion
+from ehls_ros.identification.balance import Recorded, linear_columns
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.optimisers.base import Result
-from ehls_ros.samples import GAUSS, Mask
+from ehls_ros.samples import GAUSS
 
 SETTLE_TIMES = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0)
 """Times after a reversal or a break-away that are tried as the end of settling [s]."""
 
 CLASSES = 400
-"""Most classes of velocity the fit works on."""
+"""Most classes of velocity that the fit uses."""
 
-LEAST_WAY = 0.004
-"""Way after a turn from which the piston slides, as a part of the recording's travel."""
+LEAST_TRAVEL = 0.004
+"""Travel since a turn above which the piston slides, as a fraction of the recording's travel."""
 
 FEW = 3
-"""Blocks a class of velocity needs."""
+"""Blocks that a class of velocity needs."""
 
 FAR = 6.0
-"""Standard deviations, as the classes scatter, at which a class is left out."""
+"""Residual, in standard deviations of the classes' scatter, beyond which a class is left out."""
 
 LEAST_BLOCKS = 20
-"""Blocks of steady sliding below which there is no static fit."""
+"""Blocks of steady sliding that a static fit needs."""
+
+LEAST_RATIO = 1.2
+"""Ratio of fast to slow sliding, 90th to 10th percentile of the speed, that a static fit needs."""
+
+BOTH_WAYS = 0.02
+"""Least fraction of the sliding blocks that has to go the other way."""
 
 VELOCITIES = np.geomspace(2e-4, 0.1, 14)
 EXPONENTS = (0.5, 0.8, 1.2, 2.0)
-"""Grid of the Stribeck velocity [m/s] and exponent while the straight part is taken out."""
+"""Grid of the Stribeck velocity [m/s] and exponent while the linear part is fitted."""
+
+
+class Search(NamedTuple):
+    """How the curve is searched for.
+
+    Attributes:
+        optimiser: name of the optimiser.
+        parameters: its parameters.
+        seed: seed of its random numbers.
+    """
+
+    optimiser: str
+    parameters: Any
+    seed: int = 0
 
 
 class StaticFit(NamedTuple):
-    """What steady sliding says.
+    """Result of the static fit.
 
     Attributes:
         friction: the five coefficients.
@@ -53,7 +70,7 @@ class StaticFit(NamedTuple):
         velocity: classes of velocity, shape (n,) [m/s].
         force: friction force of each class [N].
         deviation: standard deviation of each class's force [N].
-        search: how the optimiser went.
+        search: how the optimiser's search went.
     """
 
     friction: stribeck.StaticFriction
@@ -65,127 +82,146 @@ class StaticFit(NamedTuple):
     search: Result
 
 
-class _Blocks(NamedTuple):
+class Classes(NamedTuple):
+    """Averages over classes of velocity, shape (n,).
+
+    Attributes:
+        velocity: mean velocity [m/s].
+        force: median force [N].
+        deviation: standard deviation of that [N].
+    """
+
+    velocity: Array
+    force: Array
+    deviation: Array
+
+    def chosen(self, mask: Any) -> "Classes":
+        """Return the classes of a mask."""
+        return Classes(*(values[mask] for values in self))
+
+
+class Blocks(NamedTuple):
+    """Blocks in which the piston moves, shape (n,) unless stated.
+
+    Attributes:
+        velocity: velocity [m/s].
+        since: time since the last turn, break-away or gap [s].
+        force: driving force [N].
+        columns: what the linear coefficients multiply, shape (n, coefficients).
+        noise: standard deviation of the force [N].
+    """
+
     velocity: Array
     since: Array
     force: Array
     columns: Array
     noise: Array
 
+    def chosen(self, mask: Any) -> "Blocks":
+        """Return the blocks of a mask."""
+        return Blocks(*(values[mask] for values in self))
 
-def steady_fit(
-    motions: Sequence[Motion],
-    usable: Sequence[Mask],
-    linear: Sequence[str],
-    viscous_damping: float,
-    optimiser: str,
-    parameters: Any,
-    seed: int,
-) -> StaticFit | None:
+
+def steady_fit(recorded: Recorded, viscous_damping: float, how: Search) -> StaticFit | None:
     """Fit the Stribeck curve.
 
     Args:
-        motions: the recordings.
-        usable: blocks of each that may count.
-        linear: straight-line coefficients to take out, ``constant`` and those of ``spring`` and ``mass`` that are fitted.
-        viscous_damping: B0, which the data cannot tell from sigma_f [N s/m].
-        optimiser: name of the optimiser.
-        parameters: its parameters.
-        seed: seed of its random numbers.
+        recorded: the recordings; ``linear`` names what is subtracted: ``constant``, and ``spring`` and ``mass`` if fitted.
+        viscous_damping: B0, which no data can separate from sigma_f [N s/m].
+        how: optimiser and seed.
 
     Returns:
         The fit; None where nothing slides steadily for long enough.
 
     Raises:
-        BadInput: sliding goes one way only, so that friction cannot be told from a constant force.
+        BadInput: sliding goes one way only, so that friction cannot be separated from a constant force.
     """
-    if not motions:
+    if not recorded.motions:
         return None
-    blocks = _sliding(motions, usable, linear)
-    if len(blocks.velocity) < LEAST_BLOCKS or np.ptp(np.abs(blocks.velocity)) <= 0.0:
+    blocks = sliding(recorded)
+    if len(blocks.velocity) < LEAST_BLOCKS:
+        return None
+    slow, fast = np.quantile(np.abs(blocks.velocity), [0.1, 0.9])
+    if fast < LEAST_RATIO * slow:
         return None
     forward = float(np.mean(blocks.velocity > 0.0))
-    if not 0.02 < forward < 0.98:
+    if not BOTH_WAYS < forward < 1.0 - BOTH_WAYS:
         way = "forwards" if forward > 0.5 else "backwards"
-        raise BadInput(f"position_m slides {way} only", motions[0].name, "strokes in both directions")
-    settle = _settle_time(blocks)
-    steady = blocks.since >= settle
-    v, f, c = blocks.velocity[steady], blocks.force[steady], blocks.columns[steady]
-    coefficients = _straight_part(v, f, c, blocks.noise[steady])
-    velocity, force, deviation = _classes(v, f - c @ coefficients, blocks.noise[steady])
-    search = _search(velocity, force, deviation, viscous_damping, optimiser, parameters, seed)
-    left = _left_over(search, velocity, force, viscous_damping) / deviation
-    near = np.abs(left) <= FAR * max(1.0, GAUSS * float(np.median(np.abs(left))))
+        raise BadInput(f"position_m slides {way} only", recorded.motions[0].name, "strokes in both directions")
+    settle = settle_time(blocks)
+    steady = blocks.chosen(blocks.since >= settle)
+    coefficients = linear_part(steady)
+    classes = averaged(steady.velocity, steady.force - steady.columns @ coefficients, steady.noise)
+    if len(classes.velocity) < len(stribeck.StaticFriction._fields):
+        return None
+    search = _search(classes, viscous_damping, how)
+    residual = unexplained(stribeck.friction_of(search.x, classes.velocity), classes, viscous_damping) / classes.deviation
+    near = np.abs(residual) <= FAR * max(1.0, GAUSS * float(np.median(np.abs(residual))))
     if not np.all(near):
-        velocity, force, deviation = velocity[near], force[near], deviation[near]
-        search = _search(velocity, force, deviation, viscous_damping, optimiser, parameters, seed)
+        classes = classes.chosen(near)
+        search = _search(classes, viscous_damping, how)
     return StaticFit(
-        friction=stribeck.friction_of(search.x, velocity),
-        linear=dict(zip(linear, coefficients.tolist(), strict=True)),
+        friction=stribeck.friction_of(search.x, classes.velocity),
+        linear=dict(zip(recorded.linear, coefficients.tolist(), strict=True)),
         settle_time=settle,
-        velocity=velocity,
-        force=force,
-        deviation=deviation,
+        velocity=classes.velocity,
+        force=classes.force,
+        deviation=classes.deviation,
         search=search,
     )
 
 
-def _search(
-    velocity: Array, force: Array, deviation: Array, viscous_damping: float, optimiser: str, parameters: Any, seed: int
-) -> Result:
-    problem = stribeck.problem(velocity, force, 1.0 / deviation, viscous_damping)
-    result: Result = OPTIMISERS.load(optimiser).minimise(problem, parameters, seed)
-    return result
+def _search(classes: Classes, viscous_damping: float, how: Search) -> Result:
+    problem = stribeck.problem(classes.velocity, classes.force, 1.0 / classes.deviation, viscous_damping)
+    return OPTIMISERS.load(how.optimiser).minimise(problem, how.parameters, how.seed)
 
 
-def _left_over(search: Result, velocity: Array, force: Array, viscous_damping: float) -> Array:
-    """Return the force the curve does not explain, shape (n,) [N]."""
-    f = stribeck.friction_of(search.x, velocity)
-    level = f.coulomb_force + (f.static_force - f.coulomb_force) * np.exp(
-        -((np.abs(velocity) / f.stribeck_velocity) ** f.stribeck_exponent)
-    )
-    left: Array = force - (viscous_damping + f.viscous_coefficient) * velocity - np.sign(velocity) * level
+def unexplained(friction: stribeck.StaticFriction, classes: Classes, viscous_damping: float) -> Array:
+    """Return the force of each class that the curve does not explain, shape (n,) [N]."""
+    left: Array = classes.force - viscous_damping * classes.velocity - stribeck.steady_force(classes.velocity, friction)
     return left
 
 
-def _sliding(motions: Sequence[Motion], usable: Sequence[Mask], linear: Sequence[str]) -> _Blocks:
-    """Collect the blocks that move, with the time since each last turned, broke away or had a gap."""
+def sliding(recorded: Recorded) -> Blocks:
+    """Collect the usable blocks that move."""
     parts = []
-    for motion, good in zip(motions, usable, strict=True):
+    for motion, good in zip(recorded.motions, recorded.usable, strict=True):
         moves = good & (np.abs(motion.velocity) > 5.0 * motion.velocity_noise)
         direction = np.where(moves, np.sign(motion.velocity), 0.0)
         begins = np.concatenate([[True], direction[1:] != direction[:-1]])
         start = np.maximum.accumulate(np.where(begins, np.arange(len(begins)), 0))
-        since = (np.arange(len(begins)) - start) * motion.period
-        # On the first bit of its way the piston only pulls the elements along.
-        way = np.abs(motion.position - motion.position[start])
-        moves &= way >= LEAST_WAY * float(np.ptp(motion.position[good]) if np.any(good) else 0.0)
-        noise = np.full(int(moves.sum()), max(motion.force_noise, 1e-9))
-        parts.append((motion.velocity[moves], since[moves], motion.force[moves], linear_columns(motion, linear)[moves], noise))
-    return _Blocks(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        since: Array = np.asarray((np.arange(len(begins)) - start) * motion.period, dtype=np.float64)
+        # At first after a turn the piston only deflects the contact.
+        travel = np.abs(motion.position - motion.position[start])
+        moves &= travel >= LEAST_TRAVEL * float(np.ptp(motion.position[good]) if np.any(good) else 0.0)
+        noise = np.full(len(moves), max(motion.force_noise, 1e-9))
+        blocks = Blocks(motion.velocity, since, motion.force, linear_columns(motion, recorded.linear), noise)
+        parts.append(blocks.chosen(moves))
+    return Blocks(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _straight_part(v: Array, f: Array, columns: Array, noise: Array) -> Array:
-    """Return the coefficients of the straight part, the best of a grid over the Stribeck curve's shape."""
+def linear_part(blocks: Blocks) -> Array:
+    """Return the linear coefficients, shape (coefficients,): the best over a grid of the Stribeck curve's shape."""
+    v, size = blocks.velocity, blocks.columns.shape[1]
     direction = np.sign(v)
-    best, lowest = np.zeros(columns.shape[1]), np.inf
-    rows = np.column_stack([columns, v, direction, direction]) / noise[:, np.newaxis]
-    target = f / noise
+    best, lowest = np.zeros(size), np.inf
+    rows = np.column_stack([blocks.columns, v, direction, direction]) / blocks.noise[:, np.newaxis]
+    target = blocks.force / blocks.noise
     for velocity in VELOCITIES:
         for exponent in EXPONENTS:
-            rows[:, -1] = direction * np.exp(-((np.abs(v) / velocity) ** exponent)) / noise
-            # The normal equations are small, and the columns scaled to one another by nature of the units.
+            rows[:, -1] = direction * np.exp(-((np.abs(v) / velocity) ** exponent)) / blocks.noise
+            # Normal equations are small; scaled, since the columns have different units.
             scale = np.sqrt(np.sum(rows**2, axis=0)) + 1e-300
             scaled = rows / scale
             solution, *_ = np.linalg.lstsq(scaled.T @ scaled, scaled.T @ target, rcond=1e-12)
             cost = float(np.sum((target - scaled @ solution) ** 2))
             if cost < lowest:
-                best, lowest = (solution / scale)[: columns.shape[1]], cost
+                best, lowest = (solution / scale)[:size], cost
     return best
 
 
-def _settle_time(blocks: _Blocks) -> float:
-    """Return the shortest time after which waiting longer no longer changes the friction that comes out."""
+def settle_time(blocks: Blocks) -> float:
+    """Return the shortest time after which a longer wait no longer changes the friction [s]."""
     for shorter, longer in itertools.pairwise(SETTLE_TIMES):
         early = (blocks.since >= shorter) & (blocks.since < longer)
         late = blocks.since >= longer
@@ -193,12 +229,11 @@ def _settle_time(blocks: _Blocks) -> float:
             return shorter
         if early.sum() < LEAST_BLOCKS:
             continue
-        v, f, c, noise = (values[late] for values in (blocks.velocity, blocks.force, blocks.columns, blocks.noise))
-        coefficients = _straight_part(v, f, c, noise)
-        friction = (blocks.force - blocks.columns @ coefficients) * np.sign(blocks.velocity)
-        edges = np.quantile(np.abs(v), np.linspace(0.0, 1.0, 11))
+        settled = blocks.chosen(late)
+        friction = (blocks.force - blocks.columns @ linear_part(settled)) * np.sign(blocks.velocity)
+        edges = np.quantile(np.abs(settled.velocity), np.linspace(0.0, 1.0, 11))
         where = np.clip(np.searchsorted(edges, np.abs(blocks.velocity)) - 1, 0, 9)
-        # Compare the same velocities, before and after.
+        # Compare early and late friction at the same velocities.
         apart = []
         for i in range(10):
             a, b = friction[early & (where == i)], friction[late & (where == i)]
@@ -210,12 +245,18 @@ def _settle_time(blocks: _Blocks) -> float:
     return SETTLE_TIMES[-1]
 
 
-def _classes(v: Array, f: Array, noise: Array) -> tuple[Array, Array, Array]:
-    """Average over classes of velocity that hold about as many blocks each; medians, so that stragglers do not matter."""
-    order = np.argsort(v)
-    v, f, noise = v[order], f[order], noise[order]
-    # Speeds that belong together stay together: a class ends where the next velocity is 1 % away, or the class is full.
-    full = max(1, len(v) // CLASSES)
+def averaged(velocity: Array, force: Array, noise: Array) -> Classes:
+    """Average over classes of velocity with about equally many blocks; medians, so that stragglers do not matter.
+
+    Args:
+        velocity: of the blocks, shape (n,) [m/s].
+        force: friction force, shape (n,) [N].
+        noise: standard deviation of each force, shape (n,) [N].
+    """
+    order = np.argsort(velocity)
+    v, f, noise = velocity[order], force[order], noise[order]
+    # Equal speeds stay together: a class ends where the next velocity is 1 % away, or where it is full.
+    full = max(FEW, len(v) // CLASSES)
     jumps = np.flatnonzero(np.diff(v) > 0.01 * np.maximum(np.abs(v[1:]), 1e-6)) + 1
     edges = [0]
     for edge in [*jumps.tolist(), len(v)]:
@@ -224,8 +265,9 @@ def _classes(v: Array, f: Array, noise: Array) -> tuple[Array, Array, Array]:
         if edge > edges[-1]:
             edges.append(edge)
     classes = [slice(a, b) for a, b in itertools.pairwise(edges) if b - a >= FEW]
-    velocity = np.array([v[c].mean() for c in classes])
-    force = np.array([np.median(f[c]) for c in classes])
     count = np.array([c.stop - c.start for c in classes])
-    deviation = np.array([noise[c].mean() for c in classes]) * np.sqrt(np.pi / 2.0 / count)
-    return velocity, force, deviation
+    return Classes(
+        velocity=np.array([v[c].mean() for c in classes]),
+        force=np.array([np.median(f[c]) for c in classes]),
+        deviation=np.array([noise[c].mean() for c in classes]) * np.sqrt(np.pi / 2.0 / count),
+    )

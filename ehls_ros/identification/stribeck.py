@@ -1,12 +1,12 @@
 """The paper's static objective (20)-(21): steady friction against velocity, as residuals for any optimiser.
 
-The unknowns are coordinates ``x = (Fc, e, w, delta, sigma_f)``, chosen so that every point of the box shows in the data; with
-(Fc, Fs, Vs, delta, sigma_f) a quarter of it means a curve that has died away below the slowest speed, where a search gets lost:
+The unknowns are coordinates ``x = (Fc, e, w, delta, sigma_f)``, chosen so that every point of the box shows in the data. With
+(Fc, Fs, Vs, delta, sigma_f) a quarter of the box holds curves that vanish below the slowest speed, where a search gets lost:
 
 * Fc, from just above 0 to the largest force measured [N];
 * e = (Fs - Fc) exp(-(v1/Vs)^delta), what Stribeck's curve adds to Fc at the slowest speed v1, from 0, so that Fs >= Fc, to the
   largest force [N];
-* w, where ln Vs lies from 0, the Vs at which exp(-5) of the curve is left at v1, to 1, the fastest speed;
+* w, the place of ln Vs between 0, where exp(-5) of the curve remains at v1, and 1, the fastest speed;
 * delta, from 0.2 to 4: the literature has 0.5 to 2, and a rig file takes no more than 4;
 * sigma_f, from 0 to 1.2 times the largest force over the fastest speed [N s/m].
 """
@@ -29,12 +29,12 @@ FARTHEST = 5.0
 # Products and sums may be fused, which halves the time; results then differ between machines in the last digit.
 _fused = njit(error_model="numpy", forceinline=True, fastmath={"contract"})
 
-_ROUND = 1.5 * 2.0**52  # added to a double, it leaves the nearest whole number in the low bits
+_ROUND = 1.5 * 2.0**52  # added to a double, it leaves the nearest integer in the low bits
 _LN2_HIGH, _LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10
 
 
 class StaticFriction(NamedTuple):
-    """What the objective identifies.
+    """The coefficients that the objective identifies.
 
     Attributes:
         coulomb_force: Fc [N].
@@ -58,8 +58,8 @@ class Data(NamedTuple):
         velocity: velocity [m/s].
         direction: its sign.
         log_speed: logarithm of the speed in m/s.
-        force: driving force without what is known of it, such as the spring's [N].
-        weight: what a residual is multiplied with [1/N or 1].
+        force: driving force less its known parts, such as the spring's [N].
+        weight: factor of each residual [1/N or 1].
         viscous_damping: B0, one number [N s/m].
         slowest: logarithm of the slowest speed v1 in m/s.
         fastest: logarithm of the fastest one.
@@ -77,7 +77,7 @@ class Data(NamedTuple):
 
 @_fused
 def _exp(y: float) -> float:
-    """Return e^y to the last digit or two, in arithmetic that a compiler turns into vector instructions."""
+    """Return e^y to the last digit or two, in arithmetic that compiles to vector instructions."""
     y = min(max(y, -708.0), 709.0)
     shifted = y * 1.4426950408889634 + _ROUND
     n = shifted - _ROUND
@@ -119,18 +119,26 @@ def residuals(x: Array, data: Data, out: Array) -> None:
         out[k] = data.weight[k] * (data.force[k] - viscous * data.velocity[k] - data.direction[k] * level)  # (20)
 
 
+def steady_force(velocity: Array, friction: StaticFriction) -> Array:
+    """Return the steady friction force (9) at velocities other than zero, shape (n,) [N]; sigma_f only, without B0."""
+    decay = np.exp(-((np.abs(velocity) / friction.stribeck_velocity) ** friction.stribeck_exponent))
+    level = friction.coulomb_force + (friction.static_force - friction.coulomb_force) * decay  # (7)
+    force: Array = np.sign(velocity) * level + friction.viscous_coefficient * velocity
+    return force
+
+
 def problem(velocity: Array, force: Array, weight: Array | None = None, viscous_damping: float = 0.0) -> Problem:
     """Pose the fit of the steady friction.
 
     Args:
         velocity: velocities, shape (n,) [m/s].
-        force: driving force at each, without what is known of it, such as the spring's, shape (n,) [N].
-        weight: what each residual is multiplied with, 1/N for residuals in standard deviations; none: 1, as in (21).
-        viscous_damping: B0, which no data can tell from sigma_f [N s/m].
+        force: driving force at each less its known parts, such as the spring's, shape (n,) [N].
+        weight: factor of each residual, 1/N for residuals in standard deviations; None: 1, as in (21).
+        viscous_damping: B0, which no data can separate from sigma_f [N s/m].
 
     Raises:
-        BadInput: the arrays do not match, hold something that is not finite, a velocity of zero or a weight below zero, or
-            have fewer values than there are unknowns.
+        BadInput: the arrays differ in shape, have fewer values than there are unknowns, or hold a value that is not finite,
+            a velocity of zero or a negative weight.
     """
     where = "static friction"
     weight = np.ones_like(velocity, dtype=np.float64) if weight is None else weight
@@ -139,14 +147,14 @@ def problem(velocity: Array, force: Array, weight: Array | None = None, viscous_
     if v.ndim != 1 or v.shape != f.shape or v.shape != w.shape or v.size < size:
         shapes = f"velocity, force and weight of shape {v.shape}, {f.shape} and {w.shape}"
         raise BadInput(shapes, where, f"one shape (n,) with n of {size} or more")
-    for name, values, usable, wanted in (
+    for name, values, usable, expected in (
         ("velocity", v, np.isfinite(v) & (v != 0.0), "finite and not zero, the sign of friction being unknown there"),
         ("force", f, np.isfinite(f), "finite"),
         ("weight", w, np.isfinite(w) & (w >= 0.0), "finite and not below zero"),
     ):
         if not usable.all():
             first = int(np.argmin(usable))
-            raise BadInput(f"{name} {first} is {values[first]:g}", where, wanted)
+            raise BadInput(f"{name} {first} is {values[first]:g}", where, expected)
     if not np.any(f):
         raise BadInput("every force is 0", where, "a measured force")
     largest = float(np.abs(f).max())
@@ -155,7 +163,7 @@ def problem(velocity: Array, force: Array, weight: Array | None = None, viscous_
         residuals=residuals,
         data=Data(v, np.sign(v), np.log(np.abs(v)), f, w, float(viscous_damping), slowest, fastest),
         residual_count=v.size,
-        # A rig file wants Fc above zero.
+        # In a rig file Fc is above zero.
         lower=np.array([1e-6 * largest, 0.0, 0.0, LOWEST_EXPONENT, 0.0]),
         upper=np.array([largest, largest, 1.0, HIGHEST_EXPONENT, 1.2 * largest / math.exp(fastest)]),
         name=where,

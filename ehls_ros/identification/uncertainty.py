@@ -1,32 +1,33 @@
-"""What a fit says of each coefficient, how surely, and what it cannot say.
+"""The coefficients of a fit: how well each is known, and which the data cannot tell.
 
-Standard errors come from the fit's covariance, by the derivative of each coefficient with respect to what was
-searched for. A coefficient whose standard error is a large part of itself is not given as a number.
+Standard errors follow from the fit's covariance and the derivatives of each coefficient by the fitted coordinates. A
+coefficient whose standard error is a large fraction of its value is not given as a number.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.estimate import Estimate
+from ehls_ros.identification.covariance import DOUBT
 from ehls_ros.identification.joint import JointFit
-from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import declarations
 
 VAGUE = 0.25
-"""Standard error, as a part of the value, from which a coefficient counts as not identifiable."""
+"""Standard error, as a fraction of the value, above which a coefficient is not identifiable."""
 
 TANGLED = 0.999
-"""Correlation from which two coefficients cannot be told apart, if neither is sharp."""
+"""Correlation above which two coefficients cannot be told apart, unless one is sharp."""
 
 SHARP = 0.02
-"""Standard error, as a part of the value, below which a coefficient is known whatever it is correlated with."""
+"""Standard error, as a fraction of the value, below which a coefficient is known despite any correlation."""
 
 STEP = 1e-6
+"""Step of the numerical derivatives, relative or in coordinates of order 1."""
 
 
 class Estimates(NamedTuple):
@@ -34,10 +35,10 @@ class Estimates(NamedTuple):
 
     Attributes:
         rig: the rig with them.
-        by_name: those the data say something of.
-        correlations: between them.
+        by_name: coefficients that the data tell, by their names in the rig file, those of an element with its number.
+        correlations: between them, shape (n, n).
         not_identifiable: names of the others.
-        remarks: why.
+        remarks: why they are not identifiable.
     """
 
     rig: Rig
@@ -47,122 +48,184 @@ class Estimates(NamedTuple):
     remarks: tuple[str, ...]
 
 
+class Propagated(NamedTuple):
+    """Coefficients with what follows for them from a covariance.
+
+    Attributes:
+        names: the coefficients.
+        values: their values, shape (n,).
+        std: their standard errors, shape (n,).
+        correlations: between them, shape (n, n).
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    std: Array
+    correlations: Array
+
+    @property
+    def relative(self) -> Array:
+        """Standard errors as fractions of the values, shape (n,)."""
+        fraction: Array = self.std / np.maximum(np.abs(self.values), 1e-300)
+        return fraction
+
+
 def estimates(fit: JointFit, rig: Rig) -> Estimates:
     """Turn a fit into coefficients of the rig file.
 
     Args:
         fit: the joint fit.
-        rig: the rig before it, whose B0, mass and gravity are kept or moved.
+        rig: the rig before it; what the fit does not tell is kept.
 
     Returns:
         The coefficients with their standard errors.
     """
-    free = [fit.layout.names.index(name) for name in fit.free]
-    searched = np.concatenate([fit.z[free], fit.linear])
-
-    def of(vector: Array) -> dict[str, float]:
-        z = fit.z.copy()
-        z[free] = vector[: len(free)]
-        return _coefficients(fit.layout.unpack(z), dict(zip(fit.linear_names, vector[len(free) :], strict=True)), rig)
-
-    values = of(searched)
-    names = [name for name in values if _depends(name, fit)]
-    derivative = np.empty((len(names), len(searched)))
-    for i in range(len(searched)):
-        step = STEP * max(1.0, abs(searched[i]))
-        moved = searched.copy()
-        moved[i] += step
-        changed = of(moved)
-        derivative[:, i] = [(changed[name] - values[name]) / step for name in names]
-    covariance = derivative @ fit.covariance @ derivative.T
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    correlations = covariance / np.where(std > 0.0, std, 1.0)[:, np.newaxis] / np.where(std > 0.0, std, 1.0)
-    relative = std / np.maximum(np.abs([values[name] for name in names]), 1e-300)
-
-    vague = {name for name, part in zip(names, relative, strict=True) if part > VAGUE and name != "gravity"}
-    remarks = [f"{name} has a standard error of {100 * relative[names.index(name)]:.0f} %." for name in names if name in vague]
-    for i, first in enumerate(names):
-        for j in range(i):
-            if abs(correlations[i, j]) > TANGLED and min(relative[i], relative[j]) > SHARP:
-                vague |= {first, names[j]}
-                remarks.append(f"{names[j]} and {first} cannot be told apart (correlation {correlations[i, j]:+.4f}).")
-    if "viscous_coefficient" in names:
+    everything = np.concatenate([fit.z, fit.linear])
+    values = coefficients(fit, everything, rig)
+    changes = _derivatives(fit, everything, rig)
+    free = np.array([name in fit.free for name in fit.coordinates.names] + [True] * len(fit.linear))
+    moved = {name for name in values if np.any(changes[name][free])}
+    # A coefficient that depends on nothing, such as the only element's weight, is known once the elements are.
+    numbered = any(name in moved and name != _base(name, rig) for name in values)
+    untouched = [
+        name for name in values if name not in moved and (np.any(changes[name]) or (name != _base(name, rig) and not numbered))
+    ]
+    # What was not searched for is as doubtful as without any data.
+    covariance = np.diag(np.where(free, 0.0, DOUBT**2))
+    covariance[np.ix_(free, free)] = fit.covariance
+    found = propagated({name: values[name] for name in values if name in moved}, changes, covariance)
+    vague, remarks = doubts(found)
+    limited = np.array([name in fit.limited for name in fit.coordinates.names] + [False] * len(fit.linear))
+    for name, value in zip(found.names, found.values, strict=True):
+        if name not in vague and np.any(np.abs(changes[name][limited]) > VAGUE * abs(value)):
+            vague.add(name)
+            remarks.append(f"{name} ended at a limit of its search.")
+    fixed = []
+    if "viscous_coefficient" in moved:
+        fixed.append("viscous_damping")
         remarks.append(
             "viscous_damping and viscous_coefficient act alike; only their sum is identified, and viscous_damping is kept."
         )
-    kept = [i for i, name in enumerate(names) if name not in vague]
-    units = _units()
-    fixed = ("viscous_damping",) if "viscous_coefficient" in names else ()
+    kept = [i for i, name in enumerate(found.names) if name not in vague]
+    units = _units(rig)
     return Estimates(
-        rig=_rig_with(rig, fit, values),
-        by_name={names[i]: Estimate(values[names[i]], float(std[i]), units[names[i].rstrip("_0123456789")]) for i in kept},
-        correlations=correlations[np.ix_(kept, kept)],
-        not_identifiable=(*sorted(vague), *fixed, *_untouched(fit)),
+        rig=_rig_with(rig, fit, values, untouched),
+        by_name={
+            found.names[i]: Estimate(float(found.values[i]), float(found.std[i]), units[_base(found.names[i], rig)])
+            for i in kept
+        },
+        correlations=found.correlations[np.ix_(kept, kept)],
+        not_identifiable=(*sorted(vague), *fixed, *dict.fromkeys(_base(name, rig) for name in untouched)),
         remarks=tuple(remarks),
     )
 
 
-def _coefficients(friction: Friction, linear: Mapping[str, float], rig: Rig) -> dict[str, float]:
-    """Return the rig file's coefficients by name; those of the elements with their number."""
-    out = {
-        "coulomb_force": friction.coulomb_force,
-        "static_force": friction.static_force,
-        "stribeck_velocity": friction.stribeck_velocity,
-        "stribeck_exponent": friction.stribeck_exponent,
-        "viscous_coefficient": linear["viscous"] - rig.plant.viscous_damping,
-        "attraction_rate": friction.attraction_rate,
-    }
-    for i, (stiffness, weight) in enumerate(zip(friction.element_stiffness, friction.element_weight, strict=True), start=1):
-        out[f"element_stiffness_{i}"] = stiffness
-        out[f"element_weight_{i}"] = weight
-    mass = linear.get("mass", rig.plant.moving_mass)
+def propagated(values: Mapping[str, float], changes: Mapping[str, Array], covariance: Array) -> Propagated:
+    """Return standard errors and correlations of coefficients.
+
+    Args:
+        values: the coefficients by name.
+        changes: derivatives of each by all coordinates and linear coefficients, shape (m,).
+        covariance: of those, shape (m, m).
+    """
+    names = tuple(values)
+    derivative = np.array([changes[name] for name in names]).reshape(len(names), len(covariance))
+    own = derivative @ covariance @ derivative.T
+    std = np.sqrt(np.maximum(np.diag(own), 0.0))
+    scale = np.where(std > 0.0, std, 1.0)
+    return Propagated(names, np.array([values[name] for name in names]), std, own / scale[:, np.newaxis] / scale)
+
+
+def doubts(found: Propagated) -> tuple[set[str], list[str]]:
+    """Return the names of the coefficients that the data do not tell, or not apart, and a sentence about each reason."""
+    relative = found.relative
+    vague = {name for name, share in zip(found.names, relative, strict=True) if share > VAGUE and name != "gravity"}
+    remarks = [
+        f"{name} has a standard error of {100 * share:.0f} %."
+        for name, share in zip(found.names, relative, strict=True)
+        if name in vague
+    ]
+    for i, first in enumerate(found.names):
+        for j in range(i):
+            correlation = found.correlations[i, j]
+            both = {first, found.names[j]}
+            if abs(correlation) > TANGLED and min(relative[i], relative[j]) > SHARP and not both <= vague:
+                vague |= both
+                remarks.append(f"{found.names[j]} and {first} cannot be told apart (correlation {correlation:+.4f}).")
+    return vague, remarks
+
+
+def coefficients(fit: JointFit, everything: Array, rig: Rig) -> dict[str, float]:
+    """Return the rig file's coefficients by name; those of an element with its number.
+
+    Args:
+        fit: for its coordinates and the names of its linear coefficients.
+        everything: all coordinates followed by the linear coefficients.
+        rig: for B0 and a mass that is not fitted.
+    """
+    size = len(fit.z)
+    linear = dict(zip(fit.linear_names, everything[size:].tolist(), strict=True))
+    out = flat(fit.coordinates.unpack(everything[:size]))
+    if "viscous" in linear:
+        out["viscous_coefficient"] = linear["viscous"] - rig.plant.viscous_damping
     if "spring" in linear:
         out["spring_stiffness"] = linear["spring"]
     if "mass" in linear:
-        out["moving_mass"] = mass
-    out["gravity"] = linear["constant"] / mass
+        out["moving_mass"] = linear["mass"]
+    if "constant" in linear:
+        out["gravity"] = linear["constant"] / linear.get("mass", rig.plant.moving_mass)
     return out
 
 
-def _depends(name: str, fit: JointFit) -> bool:
-    """Tell whether the fit moved a coefficient."""
-    match name:
-        case "static_force":
-            return "static_rise" in fit.free or "coulomb_force" in fit.free
-        case "viscous_coefficient" | "spring_stiffness" | "moving_mass" | "gravity":
-            return True
-        case _ if name.startswith("element_weight"):
-            return fit.layout.elements > 1 and "element_stiffness_1" in fit.free
-        case _:
-            return name in fit.free
+def flat(friction: Any) -> dict[str, float]:
+    """Return a friction's coefficients by name, those of a tuple with their number from 1."""
+    out: dict[str, float] = {}
+    for name, value in friction._asdict().items():
+        if isinstance(value, tuple):
+            out.update({f"{name}_{i}": float(item) for i, item in enumerate(value, start=1)})
+        else:
+            out[name] = float(value)
+    return out
 
 
-def _untouched(fit: JointFit) -> tuple[str, ...]:
-    """Return the friction coefficients the fit left alone."""
-    names = [name for name in ("stribeck_velocity", "stribeck_exponent", "attraction_rate") if name not in fit.free]
-    if "element_stiffness_1" not in fit.free:
-        names += ["element_stiffness", "element_weight"]
-    return tuple(names)
+def _derivatives(fit: JointFit, everything: Array, rig: Rig) -> dict[str, Array]:
+    """Return the derivatives of each coefficient by all coordinates and linear coefficients, by central differences."""
+    columns = []
+    for i in range(len(everything)):
+        step = STEP * max(1.0, abs(everything[i]))
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = everything.copy()
+            moved[i] += sign * step
+            ends.append(coefficients(fit, moved, rig))
+        columns.append({name: (ends[0][name] - ends[1][name]) / (2.0 * step) for name in ends[0]})
+    return {name: np.array([column[name] for column in columns]) for name in columns[0]}
 
 
-def _rig_with(rig: Rig, fit: JointFit, values: Mapping[str, float]) -> Rig:
-    friction = fit.friction._replace(viscous_coefficient=max(0.0, float(values["viscous_coefficient"])))
-    if "element_stiffness_1" not in fit.free:
-        kept = rig.friction
-        friction = friction._replace(
-            element_stiffness=kept.element_stiffness,
-            element_weight=kept.element_weight,
-            attraction_rate=kept.attraction_rate,
-        )
-    changed: dict[str, Any] = {n: float(values[n]) for n in ("spring_stiffness", "moving_mass") if n in values}
-    if abs(values["gravity"]) < _GRAVITY_LIMIT:
-        changed["gravity"] = float(values["gravity"])
+def _base(name: str, rig: Rig) -> str:
+    """Return the name in the rig file of a coefficient that may bear the number of an element."""
+    known: Sequence[str] = (*rig.friction._fields, *Plant._fields)
+    return name if name in known else name.rpartition("_")[0]
+
+
+def _rig_with(rig: Rig, fit: JointFit, values: Mapping[str, float], untouched: Sequence[str]) -> Rig:
+    kept = {name: getattr(rig.friction, name) for name in dict.fromkeys(_base(name, rig) for name in untouched)}
+    friction = fit.friction._replace(**kept)
+    if "viscous" in fit.linear_names:
+        friction = friction._replace(viscous_coefficient=max(0.0, values["viscous_coefficient"]))
+    changed = {name: values[name] for name in ("spring_stiffness", "moving_mass") if name in values}
+    if "gravity" in values and abs(values["gravity"]) < _GRAVITY_LIMIT:
+        changed["gravity"] = values["gravity"]
     return rig._replace(plant=rig.plant._replace(**changed), friction=friction)
 
 
 _GRAVITY_LIMIT = next(d.maximum for d in declarations(Plant) if d.name == "gravity") or 0.0
 
 
-def _units() -> dict[str, str]:
-    units = {d.name: d.unit for group in (Plant, Friction) for d in declarations(group)}
-    return {**units, "element_stiffness": "N/m", "element_weight": "1"}
+def _units(rig: Rig) -> dict[str, str]:
+    """Return the units of all coefficients; those of a list stand in brackets at the end of its description."""
+    out = {d.name: d.unit for d in declarations(Plant)}
+    for declared in declarations(type(rig.friction)):
+        bracketed = declared.description.rpartition("[")[2].rstrip("]") if declared.description.endswith("]") else "1"
+        out[declared.name] = declared.unit or bracketed
+    return out

@@ -1,4 +1,4 @@
-"""The report of an identification: the coefficients, how surely they are known, and what the data look like beside them."""
+"""The report of an identification: the coefficients, their uncertainty, and the data beside the fit."""
 
 import math
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ehls_ros.estimate import Estimate
-from ehls_ros.identification.identify import Identification
+from ehls_ros.identification.result import Identification
 from ehls_ros.physics.rig import Rig
 from ehls_ros.report import identification_figures as drawn
 from ehls_ros.report import identification_findings as findings
@@ -31,22 +31,22 @@ from ehls_ros.report.page import (
 )
 
 RECORDINGS = 6
-"""Most recordings the joint fit is drawn for."""
+"""Most recordings that the joint fit is drawn for."""
 
 NO_CORRELATION, ALMOST_ONE = 5e-3, 0.995
-"""Correlations that two decimals would write as 0 and as 1."""
+"""Correlations below and above which two decimals would show 0 and 1."""
 
 NAMED = 4
 """Most recordings named in the line below the heading."""
 
 
 def write_identification_report(found: Identification, path: Path, *, before: Rig | None = None) -> None:
-    """Write one HTML file that shows an identification and needs nothing else.
+    """Write a self-contained HTML file that shows an identification.
 
     Args:
-        found: what was found; a figure whose data it has not is left out and named.
+        found: the result; a figure without data is left out, with the reason.
         path: file to write; its folder must exist.
-        before: the rig the identification began with, to be shown beside the new values; None: not shown.
+        before: the rig before the identification, shown beside the new values; None: not shown.
     """
     parts: list[tuple[str, Callable[[], list[str]]]] = [
         ("Coefficients", lambda: _coefficients(found, before)),
@@ -80,7 +80,7 @@ def _subtitle(found: Identification) -> str:
 def _coefficients(found: Identification, before: Rig | None) -> list[str]:
     header = ["coefficient", "", "value", "standard error", "in % of the value", "95 % interval", "unit"]
     rows = [
-        [*_estimate_row(name, estimate), *([] if before is None else [_before(name, estimate, found, before)])]
+        [*_estimate_row(found, name, estimate), *([] if before is None else [_before(name, estimate, found, before)])]
         for name, estimate in found.estimates.items()
     ]
     blocks = [table([*header, *([] if before is None else ["rig file before"])], rows)] if rows else []
@@ -89,10 +89,10 @@ def _coefficients(found: Identification, before: Rig | None) -> list[str]:
         blocks += [
             paragraph("Not identifiable from these data:"),
             table(
-                ["coefficient", "", "in the new rig file", "why it is not told"],
+                ["coefficient", "", "in the new rig file", "why it is not identifiable"],
                 [
                     [
-                        _named(entry.name),
+                        _named(found, entry.name),
                         findings.symbol(entry.name),
                         Entry(entry.value, heat=0.4),
                         Entry(entry.reason, prose=True),
@@ -104,18 +104,17 @@ def _coefficients(found: Identification, before: Rig | None) -> list[str]:
     return [*blocks, *map(paragraph, findings.other_remarks(found))]
 
 
-def _named(name: str) -> Entry:
-    return Entry(name, findings.meaning(name))
+def _named(found: Identification, name: str) -> Entry:
+    return Entry(name, findings.meaning(found.rig, name))
 
 
-def _estimate_row(name: str, estimate: Estimate) -> list[str | Entry]:
+def _estimate_row(found: Identification, name: str, estimate: Estimate) -> list[str | Entry]:
     text = findings.written(estimate.value, estimate.std)
     share = estimate.std / abs(estimate.value) if estimate.value else math.nan
     interval = MISSING_NUMBER if text.low == MISSING_NUMBER else f"{text.low} to {text.high}"
-    unit = findings.READABLE.get(findings.split(name)[0])
-    beside = f"{findings.readable(name, estimate, digits=2).split(' ±')[0]}" if unit else ""
+    beside = findings.readable(estimate, digits=2).split(" ±")[0] if estimate.unit in findings.READABLE else ""
     return [
-        _named(name),
+        _named(found, name),
         findings.symbol(name),
         Entry(text.value, beside),
         text.error,
@@ -126,9 +125,10 @@ def _estimate_row(name: str, estimate: Estimate) -> list[str | Entry]:
 
 
 def _before(name: str, estimate: Estimate, found: Identification, before: Rig) -> Entry:
-    if name.startswith("element"):
-        count = len(before.friction.element_stiffness)
-        if count != len(found.fit.friction.element_stiffness):
+    base, index = findings.split(name)
+    if index:
+        count = len(getattr(before.friction, base))
+        if count != len(getattr(found.fit.friction, base)):
             return Entry(MISSING_NUMBER, f"{count} element{'s' if count > 1 else ''}")
     old = findings.value_in(before, name)
     if not isinstance(old, float):
@@ -136,7 +136,7 @@ def _before(name: str, estimate: Estimate, found: Identification, before: Rig) -
     change = estimate.value / old - 1 if old else math.nan
     if not math.isfinite(change):
         return Entry(findings.as_shown(old))
-    return Entry(findings.as_shown(old), f"{signed(100 * change, 2)} %" if abs(change) >= 1e-5 else "as before")
+    return Entry(findings.as_shown(old), f"{signed(100 * change, 2)} %" if abs(change) >= 1e-5 else "unchanged")
 
 
 def _static(found: Identification) -> list[str]:
@@ -146,9 +146,9 @@ def _static(found: Identification) -> list[str]:
 
 
 def _presliding(found: Identification) -> list[str]:
-    panels = [drawn.hysteresis(found), drawn.branch(found)]
+    panels = [drawn.hysteresis(found), *([drawn.branch(found)] if found.elements else [])]
     if found.branch is None or not found.nodes:
-        return [figures(panels, columns=2), left_out(panels)]
+        return [figures(panels, columns=len(panels)), left_out(panels)]
     static_force = found.fit.friction.static_force
     rows: list[list[str | Entry]] = [
         [
@@ -161,14 +161,14 @@ def _presliding(found: Identification) -> list[str]:
         ]
         for i, (node, stiffness) in enumerate(zip(found.nodes, drawn.element_stiffness(found), strict=True), start=1)
     ]
-    header = ["node", "way", "force gained", "slope before it, Ki", "element's stiffness, ki", "its share, αi"]
+    header = ["node", "travel", "force gained", "slope before it, Ki", "element stiffness, ki", "element weight, αi"]
     return [
         paragraph(findings.criteria_remark(found)),
         figures(panels, columns=2),
         left_out(panels),
         table(header, rows),
         paragraph(
-            "The ramps end at 2 αi Fs, as at standstill. In motion friction is lower, so the branch bends a little earlier."
+            "The ramps end at 2 αi Fs, as at standstill. In motion friction is lower, and the branch bends a little earlier."
         ),
     ]
 
@@ -220,9 +220,10 @@ def _making(found: Identification) -> list[str]:
     items = [
         ("Optimiser of the static fit", found.method if search is not None else ""),
         ("Its evaluations", number(search.evaluations) if search is not None else ""),
-        ("Settling cut off", f"{number(static.settle_time, 2)} s" if static is not None else ""),
-        ("Friction elements", number(len(fit.friction.element_stiffness))),
-        ("Branches of the loop", number(found.branch.branches) if found.branch is not None else ""),
+        ("Settling time", f"{number(static.settle_time, 2)} s" if static is not None else ""),
+        ("Friction model", found.rig.friction_model),
+        ("Friction elements", number(found.elements) if found.elements else ""),
+        ("Branches averaged", number(found.branch.branches) if found.branch is not None else ""),
         ("Independent blocks", number(round(fit.blocks)) if math.isfinite(fit.blocks) else ""),
         ("Wall time", f"{number(found.wall_s)} s"),
     ]
@@ -234,7 +235,7 @@ def _making(found: Identification) -> list[str]:
         "counted",
         "outliers or missing",
         "noise of a block's force",
-        "left over",
+        "residual",
     ]
     rows = []
     for motion, residual, noise in zip(found.motions, fit.residuals, fit.noise, strict=True):
@@ -253,10 +254,10 @@ def _making(found: Identification) -> list[str]:
         )
     return [
         paragraph(
-            "Position and force are averaged over blocks; velocity and acceleration are slopes of the position. Searched for"
-            f" in the joint fit: {listed(list(fit.free)) if fit.free else 'nothing'}. Solved for in it:"
-            f" {listed(list(fit.linear_names))}. A block that lies too far off is left out, and blocks that are correlated"
-            " count once."
+            "Position and force are averaged over blocks; velocity and acceleration are derivatives of a local cubic. The joint"
+            f" fit searched for {listed(list(fit.free)) if fit.free else 'nothing'} and solved for"
+            f" {listed(list(fit.linear_names))}. Blocks with residuals that are too large are left out; correlated blocks count"
+            " once."
         ),
         facts([(label, value) for label, value in items if value]),
         table(header, rows),

@@ -1,20 +1,19 @@
-"""The figures of the identification report: each function takes what was found and gives a panel."""
+"""The figures of the identification report: each function returns a panel, or why it is left out."""
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
-from ehls_ros.identification.gms_force import linear_columns
-from ehls_ros.identification.identify import Identification
+from ehls_ros.identification.balance import linear_columns
 from ehls_ros.identification.joint import JointFit
 from ehls_ros.identification.motion import Motion
+from ehls_ros.identification.result import Identification
 from ehls_ros.identification.static import StaticFit
-from ehls_ros.identification.stribeck import StaticFriction
-from ehls_ros.physics.friction.gms import Parameters as Friction
+from ehls_ros.identification.stribeck import StaticFriction, steady_force
+from ehls_ros.physics.friction.base import in_python
 from ehls_ros.report.identification_findings import as_shown, elements_remark
 from ehls_ros.report.page import LeftOut, Panel, number
 from ehls_ros.report.plot import (
@@ -48,13 +47,13 @@ CURVE_POINTS = 400
 """Points of a curve on each side of standstill."""
 
 FLAT = 0.02
-"""Part of the Stribeck curve's rise that is left where its low speeds end."""
+"""Fraction of the Stribeck curve's rise that remains where its low speeds end."""
 
 LOOP_BLOCKS = 4000
-"""Most blocks of a recording that are drawn as a hysteresis loop."""
+"""Most blocks of a recording drawn as a hysteresis loop."""
 
 EXCERPT = 1500
-"""Blocks of a recording the joint fit is shown for."""
+"""Blocks of a recording for which the joint fit is shown."""
 
 POINTS = 3000
 """Most residuals of a recording drawn as a cloud."""
@@ -64,64 +63,45 @@ WAYS = ((1.0, "forwards", BLUE, "circle"), (-1.0, "backwards", PURPLE, "diamond-
 RECORDING_COLORS = (SKY, ORANGE, GREEN, PURPLE, VERMILION)
 
 
-class _Curve(NamedTuple):
-    """A fitted Stribeck curve.
-
-    Attributes:
-        friction: its coefficients.
-        viscous: both viscous coefficients together [N s/m].
-    """
-
-    friction: StaticFriction | Friction
-    viscous: float
-
-    def force(self, velocity: Array, *, viscous: bool = True) -> Array:
-        """Return the steady friction (9), (20), shape (n,) [N]; velocity is not zero."""
-        f = self.friction
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            decay = np.exp(-((np.abs(velocity) / f.stribeck_velocity) ** f.stribeck_exponent))
-            level = f.coulomb_force + (f.static_force - f.coulomb_force) * decay  # (7)
-            return np.sign(velocity) * level + (self.viscous * velocity if viscous else 0.0)
-
-
-def _curves(found: Identification, static: StaticFit) -> tuple[_Curve, _Curve]:
-    """Return the static fit's curve and the joint fit's."""
-    known = found.rig.plant.viscous_damping
-    own = static.friction
-    return _Curve(own, known + own.viscous_coefficient), _Curve(
-        found.rig.friction, known + float(found.rig.friction.viscous_coefficient)
-    )
+def _curves(found: Identification, static: StaticFit, velocity: Array) -> list[Trace]:
+    """Draw the fitted curves of steady sliding at velocities other than zero [m/s]."""
+    at = velocity * MILLIMETRE_PER_SECOND.factor
+    known, friction = found.rig.plant.viscous_damping, found.rig.friction
+    level = in_python(found.rig.friction_law.level)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        curve = steady_force(velocity, static.friction)
+        steady = np.sign(velocity) * np.array([level(v, friction) for v in velocity.tolist()])
+    joint = steady + (known + float(friction.viscous_coefficient)) * velocity
+    without_viscous = curve - static.friction.viscous_coefficient * velocity
+    return [
+        line(at, curve + known * velocity, "static fit", NEWTON, VERMILION, width=1.8),
+        line(at, without_viscous, "without the viscous part", NEWTON, GREEN, width=1.5, dash="dash"),
+        line(at, joint, "joint fit", NEWTON, BLACK, width=1.2, dash="dot"),
+    ]
 
 
 def stribeck(found: Identification) -> Panel | LeftOut:
-    """Draw steady friction against velocity: classes of the data, and the curve with and without its viscous part."""
+    """Draw steady friction against velocity: the classes of the data and the fitted curves."""
     title = "Stribeck curve"
     static = found.static
     if static is None:
         return LeftOut(title, _NO_STATIC)
-    fitted, joint = _curves(found, static)
     fastest = float(np.max(np.abs(static.velocity)))
     side = np.geomspace(1e-4 * fastest, fastest, CURVE_POINTS)
     velocity = np.concatenate([-side[::-1], [np.nan], side])
-    at = velocity * MILLIMETRE_PER_SECOND.factor
-    traces = [
-        _classes(static.velocity, static.force, "data, classes of velocity", BLUE),
-        line(at, fitted.force(velocity), "static fit", NEWTON, VERMILION, width=1.8),
-        line(at, fitted.force(velocity, viscous=False), "without the viscous part", NEWTON, GREEN, width=1.5, dash="dash"),
-        line(at, joint.force(velocity), "joint fit", NEWTON, BLACK, width=1.2, dash="dot"),
-    ]
+    classes = _classes(static.velocity, static.force, "data, classes of velocity", BLUE)
+    traces = [classes, *_curves(found, static, velocity)]
     layout = plane_layout(Axis("velocity", MILLIMETRE_PER_SECOND), Axis("friction", NEWTON))
-    note = f"{number(len(static.velocity))} classes; spring and constant force are taken out."
+    note = f"{number(len(static.velocity))} classes; spring and constant force are subtracted."
     return Panel(title, traces, layout, note, height=400, over_time=False)
 
 
 def stribeck_slow(found: Identification) -> Panel | LeftOut:
-    """Draw the same at low speed, both directions upon each other."""
+    """Draw the same at low speed, both directions on top of each other."""
     title = "Stribeck curve at low speed"
     static = found.static
     if static is None:
         return LeftOut(title, _NO_STATIC)
-    fitted, joint = _curves(found, static)
     speed = np.abs(static.velocity)
     end = _low_end(static.friction, speed)
     traces: list[Trace] = []
@@ -130,25 +110,20 @@ def stribeck_slow(found: Identification) -> Panel | LeftOut:
         if shown.any():
             traces.append(_classes(speed[shown], way * static.force[shown], name, color, symbol))
     velocity = np.linspace(0.0, end, CURVE_POINTS + 1)[1:]
-    at = velocity * MILLIMETRE_PER_SECOND.factor
-    traces += [
-        line(at, fitted.force(velocity), "static fit", NEWTON, VERMILION, width=1.8),
-        line(at, fitted.force(velocity, viscous=False), "without the viscous part", NEWTON, GREEN, width=1.5, dash="dash"),
-        line(at, joint.force(velocity), "joint fit", NEWTON, BLACK, width=1.2, dash="dot"),
-    ]
+    traces += _curves(found, static, velocity)
     span = (0.0, 1.02 * end * MILLIMETRE_PER_SECOND.factor)
     layout = plane_layout(Axis("speed", MILLIMETRE_PER_SECOND, span), Axis("friction along the motion", NEWTON))
-    return Panel(title, traces, layout, "Both directions upon each other.", height=400, over_time=False)
+    return Panel(title, traces, layout, "Both directions on top of each other.", height=400, over_time=False)
 
 
 def static_residuals(found: Identification) -> Panel | LeftOut:
-    """Draw what the static fit leaves over against speed."""
+    """Draw the residual of the static fit against speed."""
     title = "Residual of the static fit"
     static = found.static
     if static is None:
         return LeftOut(title, _NO_STATIC)
-    fitted, _ = _curves(found, static)
-    left = static.force - fitted.force(static.velocity)
+    known = found.rig.plant.viscous_damping
+    left = static.force - known * static.velocity - steady_force(static.velocity, static.friction)
     speed = np.abs(static.velocity) * MILLIMETRE_PER_SECOND.factor
     traces: list[Trace] = []
     for way, name, color, symbol in WAYS:
@@ -160,10 +135,7 @@ def static_residuals(found: Identification) -> Panel | LeftOut:
     span = decades(speed)
     layout = plane_layout(Axis("speed", MILLIMETRE_PER_SECOND, span, logarithmic=True), Axis("data less static fit", NEWTON))
     usual, ratio = _root_mean_square(left), _root_mean_square(left / static.deviation)
-    note = (
-        f"Root mean square {number(usual)} N, {number(ratio, 2)} times what noise alone leaves."
-        " Bars: one standard deviation from noise."
-    )
+    note = f"Root mean square {number(usual)} N, {number(ratio, 2)} times the noise. Bars: one standard deviation of the noise."
     return Panel(title, traces, layout, note, height=320, over_time=False)
 
 
@@ -177,7 +149,7 @@ def _classes(velocity: Array, force: Array, name: str, color: str, symbol: str =
 
 
 def _low_end(friction: StaticFriction, speed: Array) -> float:
-    """Return the speed at which the Stribeck curve has come down [m/s], such that some of the data lie below it."""
+    """Return the speed at which the Stribeck curve has come down [m/s], with some of the data below it."""
     slowest, fastest = float(speed.min()), float(speed.max())
     try:
         down = friction.stribeck_velocity * (-math.log(FLAT)) ** (1.0 / friction.stribeck_exponent)
@@ -187,17 +159,17 @@ def _low_end(friction: StaticFriction, speed: Array) -> float:
 
 
 def hysteresis(found: Identification) -> Panel | LeftOut:
-    """Draw the friction of the elements against displacement, recorded and fitted."""
+    """Draw the friction without its viscous part against displacement, recorded and fitted."""
     title = "Hysteresis loop"
     small = [i for i, motion in enumerate(found.motions) if motion.small]
-    if found.branch is None or not small:
+    if not small or (found.elements and found.branch is None):
         return LeftOut(title, _no_branch(found))
     traces: list[Trace] = []
     modelled: list[Trace] = []
     for order, i in enumerate(small):
         motion, left = found.motions[i], found.fit.residuals[i]
         last = slice(max(0, len(motion.time) - LOOP_BLOCKS), None)
-        force = np.where(motion.resolved, elements_part(motion, found.fit), np.nan)
+        force = np.where(motion.resolved, friction_part(motion, found.fit), np.nan)
         at = (motion.position - _middle(motion)) * MILLIMETRE.factor
         color = RECORDING_COLORS[order % len(RECORDING_COLORS)]
         recorded = line(at[last], force[last], f"recorded, {motion.name}", NEWTON, color, width=4.0)
@@ -210,7 +182,7 @@ def hysteresis(found: Identification) -> Panel | LeftOut:
 
 
 def branch(found: Identification) -> Panel | LeftOut:
-    """Draw the mean branch of the loop with the nodes, their slopes, and the ramps of the fitted elements."""
+    """Draw the mean branch of the loop with its nodes and the ramps of the fitted elements."""
     title = "Mean branch with nodes"
     mean, nodes = found.branch, found.nodes
     if mean is None or not nodes:
@@ -231,7 +203,7 @@ def branch(found: Identification) -> Panel | LeftOut:
     names = [f"N{i}" for i in range(1, len(nodes) + 1)]
     mark = dots(way * MILLIMETRE.factor, force, "nodes", NEWTON, BLACK, size=9, remarks=names)
     traces.append(mark | {"mode": "markers+text", "textposition": "top left"})
-    layout = plane_layout(Axis("way since the reversal", MILLIMETRE), Axis("force gained since", NEWTON))
+    layout = plane_layout(Axis("travel since the reversal", MILLIMETRE), Axis("force gained", NEWTON))
     remark = elements_remark(found)
     note = f"{remark[0].upper()}{remark[1:]}."
     return Panel(title, traces, layout, note, height=420, over_time=False)
@@ -253,17 +225,17 @@ def _no_branch(found: Identification) -> str:
     return "it has too few reversals" if any(motion.small for motion in found.motions) else "no presliding is recorded"
 
 
-def elements_part(motion: Motion, fit: JointFit) -> Array:
-    """Return the recorded force without all but the friction elements' part, shape (n,) [N]."""
+def friction_part(motion: Motion, fit: JointFit) -> Array:
+    """Return the recorded force less the linear part of the balance, shape (n,) [N]."""
     return motion.force - linear_columns(motion, fit.linear_names) @ fit.linear
 
 
 def excerpt(motion: Motion, residual: Array, noise: float) -> Panel | LeftOut:
-    """Draw an excerpt of a recording: force measured and modelled, and what is left over.
+    """Draw an excerpt of a recording: measured and fitted force, and the residual.
 
     Args:
         motion: the recording.
-        residual: force not explained, NaN where a block did not count, shape (n,) [N].
+        residual: measured less fitted force, NaN where a block did not count, shape (n,) [N].
         noise: its standard deviation [N].
     """
     title = f"Joint fit: {motion.name}"
@@ -279,18 +251,18 @@ def excerpt(motion: Motion, residual: Array, noise: float) -> Panel | LeftOut:
         _small_dots(time_line(time, left, "measured less fitted", NEWTON, BLUE, row=2, width=1.0)),
         *_noise_band(span, noise),
     ]
-    layout = time_layout(span, [Axis("force", NEWTON, share=1.5), Axis("left over", NEWTON)])
+    layout = time_layout(span, [Axis("force", NEWTON, share=1.5), Axis("residual", NEWTON)])
     layout["xaxis"]["title"]["text"] = f"time since {number(float(motion.time[part][0]), 4)} s [{SECOND.symbol}]"
     return Panel(title, traces, layout, _counted_note(counted, motion, noise), height=380, over_time=False)
 
 
 def _small_dots(trace: Trace) -> Trace:
-    """Keep the dots of samples without neighbours from hiding what is drawn below them."""
+    """Keep the dots of isolated samples from hiding the lines below."""
     return trace | {"marker": trace["marker"] | {"size": 2}}
 
 
 def _excerpt(counted: Mask) -> slice:
-    """Return the stretch closest to the middle that holds about as many counted blocks as any."""
+    """Return the stretch closest to the middle with about as many counted blocks as any."""
     length = min(EXCERPT, len(counted))
     total = np.concatenate([[0], np.cumsum(counted)])
     inside = total[length:] - total[:-length]
@@ -302,7 +274,7 @@ def _excerpt(counted: Mask) -> slice:
 def _counted_note(counted: Mask, motion: Motion, noise: float) -> str:
     return (
         f"Blocks of {as_shown(1e3 * motion.period)} ms; {number(100 * float(np.mean(counted)), 2)} % of them count."
-        f" Standard deviation of what is left over: {number(noise)} N; the sensor's noise makes {number(motion.force_noise)} N."
+        f" Standard deviation of the residual: {number(noise)} N, of the sensor's noise: {number(motion.force_noise)} N."
     )
 
 
@@ -318,28 +290,28 @@ def _noise_band(end: float, noise: float) -> list[Trace]:
 
 
 def residual_over_time(motion: Motion, residual: Array) -> Panel | LeftOut:
-    """Draw what the joint fit leaves over in the whole of a recording."""
-    title = f"Left over in time: {motion.name}"
+    """Draw the residual of the joint fit over a recording."""
+    title = f"Residual over time: {motion.name}"
     if not np.isfinite(residual).any():
         return LeftOut(title, "none of its blocks counted")
     kept, note = _thinned(residual)
-    layout = time_layout(float(motion.time[-1]), [Axis("left over", NEWTON)]) | {"showlegend": False, "hovermode": "closest"}
+    layout = time_layout(float(motion.time[-1]), [Axis("residual", NEWTON)]) | {"showlegend": False, "hovermode": "closest"}
     return Panel(title, [_cloud(motion.time[kept], residual[kept])], layout, note, height=260, over_time=False)
 
 
 def residual_over_velocity(motion: Motion, residual: Array) -> Panel | LeftOut:
-    """Draw what the joint fit leaves over against velocity."""
-    title = f"Left over against velocity: {motion.name}"
+    """Draw the residual of the joint fit against velocity."""
+    title = f"Residual against velocity: {motion.name}"
     if not np.isfinite(residual).any():
         return LeftOut(title, "none of its blocks counted")
     kept, note = _thinned(residual)
     velocity = motion.velocity[kept] * MILLIMETRE_PER_SECOND.factor
-    layout = plane_layout(Axis("velocity", MILLIMETRE_PER_SECOND), Axis("left over", NEWTON)) | {"showlegend": False}
+    layout = plane_layout(Axis("velocity", MILLIMETRE_PER_SECOND), Axis("residual", NEWTON)) | {"showlegend": False}
     return Panel(title, [_cloud(velocity, residual[kept])], layout, note, height=260, over_time=False)
 
 
 def _thinned(residual: Array) -> tuple[NDArray[np.intp], str]:
-    """Return which residuals are drawn, and a sentence where these are not all."""
+    """Return which residuals are drawn, and a sentence where they are not all."""
     counted = np.flatnonzero(np.isfinite(residual))
     stride = -(-counted.size // POINTS)
     return counted[::stride], "" if stride == 1 else f"One block in {stride}."
@@ -353,7 +325,7 @@ def _cloud(x: Array, residual: Array) -> Trace:
 
 def convergence(found: Identification) -> Panel | LeftOut:
     """Draw the lowest cost of the static fit's search against its iterations."""
-    title = "Convergence of the swarm" if is_swarm(found.method) else "Convergence of the search"
+    title = "Convergence of the search"
     if found.static is None:
         return LeftOut(title, _NO_STATIC)
     search = found.static.search
@@ -370,14 +342,9 @@ def convergence(found: Identification) -> Panel | LeftOut:
     return Panel(title, traces, layout, note, height=300, over_time=False)
 
 
-def is_swarm(method: str) -> bool:
-    """Tell whether an optimiser is a particle swarm, by its name."""
-    return "pso" in method or "swarm" in method
-
-
 def _positive(values: Sequence[float] | NDArray[np.float64]) -> Array:
     known = np.asarray(values, dtype=float)
     return np.where(np.isfinite(known) & (known > 0.0), known, np.nan)
 
 
-_NO_STATIC = "nothing slides steadily, so that there is no static fit"
+_NO_STATIC = "nothing slides steadily, so there is no static fit"

@@ -1,4 +1,4 @@
-"""What an identification says, in words and in numbers written as surely as they are known."""
+"""What an identification says, in words and in numbers with the digits that their errors leave."""
 
 import math
 import re
@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.estimate import Estimate
-from ehls_ros.identification.identify import EVIDENCE, Identification
-from ehls_ros.physics.friction.gms import Parameters as Friction
+from ehls_ros.identification.elements import EVIDENCE
+from ehls_ros.identification.result import Identification
+from ehls_ros.identification.stribeck import StaticFriction
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.report.page import (
@@ -24,16 +25,16 @@ NORMAL_95 = 1.96
 """Half of the 95 % interval of a normal distribution, in standard errors."""
 
 TOGETHER = 1.2
-"""Ratio of the ways at which elements give way, below which they act as one."""
+"""Ratio of the travels at which elements give way, below which they act as one."""
 
 STRONG = 0.9
-"""Correlation from which a pair is worth naming."""
+"""Correlation above which a pair is worth naming."""
 
 NOISY = 3.0
-"""Residuals, as a multiple of the sensor's noise, from which on noise does not explain them."""
+"""Residuals, as a multiple of the sensor's noise, that noise no longer explains."""
 
 EXACT = 1e-12
-"""Standard error, as a part of the value, from which on it is not told from zero."""
+"""Standard error, as a fraction of the value, below which it counts as zero."""
 
 SYMBOLS = {
     "coulomb_force": "Fc",
@@ -44,33 +45,23 @@ SYMBOLS = {
     "attraction_rate": "C",
     "element_stiffness": "k",
     "element_weight": "α",
+    "presliding_stiffness": "σ0",
+    "softening_exponent": "i",
     "spring_stiffness": "ks",
     "viscous_damping": "B0",
     "moving_mass": "m0",
     "gravity": "g",
 }
-READABLE = {
-    "stribeck_velocity": Unit("mm/s", 1e3),
-    "viscous_coefficient": Unit("N s/mm", 1e-3),
-    "viscous_damping": Unit("N s/mm", 1e-3),
-    "element_stiffness": Unit("N/mm", 1e-3),
-    "spring_stiffness": Unit("N/mm", 1e-3),
-}
-"""Units the paper and the figures have where the rig file has SI units."""
-
-HEADLINE = tuple(name for name in SYMBOLS if name in Friction._fields and not name.startswith("element"))
-"""What the verdict gives as numbers."""
-
-_HELP = {d.name: d.description for group in (Plant, Friction) for d in declarations(group)}
-_ELEMENT_HELP = {"element_stiffness": "presliding stiffness of element", "element_weight": "share of element"}
+READABLE = {"m/s": Unit("mm/s", 1e3), "N s/m": Unit("N s/mm", 1e-3), "N/m": Unit("N/mm", 1e-3)}
+"""Units of the paper and the figures, by the rig file's SI units."""
 
 
 class Written(NamedTuple):
     """An estimate as text.
 
     Attributes:
-        value: to the last digit the standard error leaves.
-        error: the standard error, to as many.
+        value: to the last digit that the standard error leaves.
+        error: the standard error, with as many decimals.
         low: lower end of the 95 % interval.
         high: upper end.
     """
@@ -82,12 +73,12 @@ class Written(NamedTuple):
 
 
 class NotTold(NamedTuple):
-    """A coefficient the data do not tell.
+    """A coefficient that the data do not tell.
 
     Attributes:
         name: its name in the rig file.
-        value: what the new rig file has, as text.
-        reason: why it is not told.
+        value: its value in the new rig file, as text.
+        reason: why it is not identifiable.
     """
 
     name: str
@@ -100,7 +91,7 @@ def written(value: float, std: float, digits: int = 2) -> Written:
 
     Args:
         value: the value.
-        std: its standard error; what is not finite is written as a dash.
+        std: its standard error; a dash stands for what is not finite.
         digits: significant digits of the standard error.
     """
     if not math.isfinite(value):
@@ -121,7 +112,7 @@ def _fixed(value: float, decimals: int) -> str:
 
 
 def as_given(value: float) -> str:
-    """Write a number that was given and not measured: all its digits, no more."""
+    """Write a number that was given, not measured: all its digits and no more."""
     if not math.isfinite(value):
         return MISSING_NUMBER
     text = f"{value:,.10g}" if value == 0 or 1e-6 <= abs(value) < 1e10 else f"{value:.6g}"
@@ -131,29 +122,31 @@ def as_given(value: float) -> str:
 
 
 def percent(part: float) -> str:
-    """Write a part as a percentage that is not written out below a thousandth of one."""
+    """Write a fraction as a percentage; below a thousandth of a percent only that it is."""
     if not math.isfinite(part):
         return MISSING_NUMBER
     return f"{number(100 * part, 2)} %" if abs(part) >= 1e-5 or part == 0 else "< 0.001 %"
 
 
 def split(name: str) -> tuple[str, str]:
-    """Part the name of an element's coefficient from its number, which is empty for others."""
+    """Split the name of an element's coefficient into base and number, which is empty for others."""
     found = re.fullmatch(r"(element_\w+?)_(\d+)", name)
     return (found[1], found[2]) if found else (name, "")
 
 
 def symbol(name: str) -> str:
-    """Give the paper's symbol of a coefficient, or its name where there is none."""
+    """Return the symbol of a coefficient, or its name where there is none."""
     base, index = split(name)
     return SYMBOLS[base] + index if base in SYMBOLS else name
 
 
-def meaning(name: str) -> str:
-    """Say what a coefficient is, from its declaration."""
+def meaning(rig: Rig, name: str) -> str:
+    """Say what a coefficient of a rig is, from its declaration."""
     base, index = split(name)
-    text = f"{_ELEMENT_HELP[base]} {index}" if index and base in _ELEMENT_HELP else _HELP.get(base, "")
-    return re.sub(r" \[.*?\]", "", text.split(";", maxsplit=1)[0])
+    declared = {d.name: d.description for group in (Plant, type(rig.friction)) for d in declarations(group)}
+    text = declared.get(base, "").split(";", maxsplit=1)[0]
+    # The symbol stands in a column of its own.
+    return re.sub(r" \w+_i\b", "", text).replace("each element", f"element {index}") if index else text
 
 
 def unit_text(unit: str) -> str:
@@ -161,16 +154,16 @@ def unit_text(unit: str) -> str:
     return unit.replace("^2", "²").replace("^3", "³").replace("^5", "⁵")
 
 
-def readable(name: str, estimate: Estimate, digits: int = 1) -> str:
+def readable(estimate: Estimate, digits: int = 1) -> str:
     """Write an estimate with its standard error in the unit of the figures."""
-    unit = READABLE.get(split(name)[0], Unit(unit_text(estimate.unit)))
+    unit = READABLE.get(estimate.unit, Unit(unit_text(estimate.unit)))
     text = written(unit.factor * estimate.value, unit.factor * estimate.std, digits)
     shown = "" if unit.symbol == "1" else f" {unit.symbol}"
     return f"{text.value}{shown} ± {text.error}"
 
 
 def value_in(rig: Rig, name: str) -> float | tuple[float, ...] | None:
-    """Look a coefficient up in a rig; None where it has none of that name or number."""
+    """Return a coefficient of a rig; None where it has none of that name or number."""
     base, index = split(name)
     for group in (rig.friction, rig.plant):
         if base in group._fields:
@@ -182,7 +175,7 @@ def value_in(rig: Rig, name: str) -> float | tuple[float, ...] | None:
 
 
 def not_told(found: Identification) -> list[NotTold]:
-    """Give what the data do not tell, with the reason for each."""
+    """List the coefficients that the data do not tell, with the reason for each."""
     return [NotTold(name, _kept(found, name), _reason(found, name)) for name in found.not_identifiable]
 
 
@@ -196,7 +189,7 @@ def _kept(found: Identification, name: str) -> str:
 
 
 def as_shown(value: float) -> str:
-    """Write a number that stands in a rig file, fitted or given: six digits at most."""
+    """Write a number of a rig file, fitted or given, with six digits at most."""
     return as_given(float(f"{value:.6g}"))
 
 
@@ -204,15 +197,15 @@ def _reason(found: Identification, name: str) -> str:
     said = [remark.rstrip(".") for remark in found.remarks if re.search(rf"\b{re.escape(name)}\b", remark)]
     if said:
         return "; ".join(said)
-    if name.startswith("element") and found.branch is None:
-        return "no presliding is recorded"
-    if found.static is None:
+    if found.static is None and name in StaticFriction._fields:
         return "nothing slides steadily"
-    return "the fit left it alone"
+    if not any(motion.small for motion in found.motions) or (found.elements and found.branch is None):
+        return "no presliding is recorded"
+    return "the fit did not move it"
 
 
 def other_remarks(found: Identification) -> list[str]:
-    """Give the remarks that are no reason for something not told, and not about the number of elements, which has its place."""
+    """Return the remarks that give no reason for something not identifiable, without that on the number of elements."""
     named = [re.compile(rf"\b{re.escape(name)}\b") for name in found.not_identifiable]
     left = [remark for remark in found.remarks if not any(name.search(remark) for name in named)]
     return [remark for remark in left if found.branch is None or "Bayesian" not in remark]
@@ -222,26 +215,29 @@ def verdict_sentence(found: Identification) -> tuple[str, bool | None]:
     """Sum an identification up.
 
     Args:
-        found: what was found.
+        found: the result.
 
     Returns:
-        One sentence, and whether all that was looked for is told; None if a part of the experiments is missing, False if
-        the data are vague or the search has not converged.
+        One sentence, and whether all coefficients are identified; None if an experiment is missing, False if the data are
+        vague or a search has not converged.
     """
-    told = [f"{symbol(name)} {readable(name, found.estimates[name])}" for name in HEADLINE if name in found.estimates]
-    parts = [f"{listed(told)} (± one standard error)" if told else "No coefficient of friction is told by these data"]
-    parts.append(elements_remark(found))
+    scalars = [name for name in found.rig.friction._fields if name in found.estimates]
+    told = [f"{symbol(name)} {readable(found.estimates[name])}" for name in scalars]
+    parts = [f"{listed(told)} (± one standard error)" if told else "The data tell no coefficient of friction"]
+    if found.elements:
+        parts.append(elements_remark(found))
     missing = [name for name in found.not_identifiable if not _acts_alike(found, name)]
     if missing:
         parts.append(f"not identifiable: {listed(missing)}")
     if any(_acts_alike(found, name) for name in found.not_identifiable):
-        parts.append("viscous_damping is not told from viscous_coefficient")
+        parts.append("viscous_damping cannot be separated from viscous_coefficient")
     good: bool | None = True
-    if found.static is None or found.branch is None:
+    if found.static is None or (found.branch is None if found.elements else bool(missing)):
         good = None
     if any(_is_vague(found, name) for name in missing):
         good = False
-    if found.static is not None and not found.static.search.converged:
+    searches = [found.fit.converged, *([] if found.static is None else [found.static.search.converged])]
+    if not all(searches):
         parts.append("the search has not converged")
         good = False
     return "; ".join(parts) + ".", good
@@ -252,16 +248,16 @@ def _acts_alike(found: Identification, name: str) -> bool:
 
 
 def _is_vague(found: Identification, name: str) -> bool:
-    """Tell whether a coefficient was looked for in vain, not left out for want of a recording."""
+    """Tell whether a coefficient was searched for in vain, not left out for want of a recording."""
     said = [remark for remark in found.remarks if re.search(rf"\b{re.escape(name)}\b", remark)]
-    return any("standard error" in remark or "told apart" in remark for remark in said)
+    return any("standard error" in remark or "told apart" in remark or "limit" in remark for remark in said)
 
 
 def elements_remark(found: Identification) -> str:
     """Say how many friction elements explain the loop."""
     count = len(found.fit.friction.element_stiffness)
     if found.branch is None:
-        return "the hysteresis loop is not told"
+        return "the hysteresis loop is not identified"
     plural = "s" if count > 1 else ""
     if len(found.criteria) > 1:
         return f"{_COUNTS.get(count, str(count))} friction element{plural} explain{'' if plural else 's'} the loop"
@@ -272,7 +268,7 @@ _COUNTS = {1: "one", 2: "two", 3: "three", 4: "four"}
 
 
 def criteria_remark(found: Identification) -> str:
-    """Say what the Bayesian information criterion makes of other numbers of elements."""
+    """Say how the Bayesian information criterion changes with other numbers of elements."""
     chosen = len(found.fit.friction.element_stiffness)
     ours = found.criteria.get(chosen, math.nan)
     others = [(count, value - ours) for count, value in sorted(found.criteria.items()) if count != chosen]
@@ -286,7 +282,9 @@ def criteria_remark(found: Identification) -> str:
         )
     ways = [node.way for node in found.nodes]
     if len(ways) > 1 and 0 < max(ways) < TOGETHER * min(ways):
-        text += f" They give way within {number(100 * (max(ways) / min(ways) - 1), 2)} % of one way, so they act as one."
+        text += (
+            f" They give way within {number(100 * (max(ways) / min(ways) - 1), 2)} % of the same travel, so they act as one."
+        )
     return text
 
 
@@ -314,7 +312,7 @@ def correlation_remark(found: Identification) -> str:
 
 
 def noise_remark(found: Identification) -> str:
-    """Say how what is left over compares with the noise of the force sensor."""
+    """Compare the residuals with the noise of the force sensor."""
     ratios: Mapping[str, float] = {
         motion.name: left / motion.force_noise
         for motion, left in zip(found.motions, found.fit.noise, strict=True)
@@ -323,8 +321,8 @@ def noise_remark(found: Identification) -> str:
     if not ratios:
         return ""
     worst = max(ratios, key=lambda name: ratios[name])
-    text = f"What is left over is at most {number(ratios[worst], 2)} times the force sensor's noise"
+    text = f"The residuals are at most {number(ratios[worst], 2)} times the force sensor's noise"
     text += f" ({worst})." if len(ratios) > 1 else "."
     if ratios[worst] > NOISY:
-        text += " So it is the model that limits the fit, and the standard errors hold only as far as the model does."
+        text += " So the model limits the fit, and the standard errors hold only as far as the model does."
     return text

@@ -1,5 +1,6 @@
 """Friction identified from noisy recordings whose friction is known, and from recordings that will not do."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from identification.recordings import PAPER_VELOCITIES, PERIOD, recorded, small_
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.identification.identify import identify
+from ehls_ros.identification.result import to_json
 from ehls_ros.physics.rig import Rig, rig_from_mapping, rig_to_mapping
 from ehls_ros.trajectory import Trajectory
 
@@ -108,6 +110,36 @@ def test_without_presliding_the_elements_stay_the_rig_files(recordings, guess):
     assert out.rig.friction.element_stiffness == guess.friction.element_stiffness
     assert {"element_stiffness", "element_weight", "attraction_rate"} <= set(out.not_identifiable)
     assert out.estimates["static_force"].value == pytest.approx(865.4, rel=0.02)
+
+
+def test_presliding_with_too_few_turns_does_not_count(recordings, rig, guess):
+    out = identify({"short": recorded(small_sine(duration=4.0), rig, 4), "sweep": recordings["sweep"]}, guess)
+    assert out.branch is None
+    assert {"element_stiffness", "element_weight", "attraction_rate"} <= set(out.not_identifiable)
+    assert json.loads(json.dumps(to_json(out)))["noise_n"]["short"] is None
+    assert to_json(out)["noise_n"]["sweep"] > 0.0
+
+
+def test_one_speed_does_not_count_beside_presliding(recordings, rig, guess):
+    out = identify({"one": recorded(sweep([0.1]), rig, 3), "sine": recordings["sine"]}, guess)
+    assert out.static is None
+    assert np.isnan(out.fit.residuals[0]).all()
+    assert out.estimates["element_stiffness_1"].value == pytest.approx(sum(rig.friction.element_stiffness), rel=0.05)
+
+
+def test_elements_of_a_model_without_them_are_refused(recordings, rig):
+    data = rig_to_mapping(rig)
+    data["friction"]["model"] = "lugre"
+    with pytest.raises(BadInput, match="2 friction elements are asked for, friction model 'lugre' has none"):
+        identify(recordings, rig_from_mapping(data, "rig"), elements=2)
+
+
+def test_strokes_that_end_before_friction_settles_do_not_count(recordings, guess, monkeypatch):
+    monkeypatch.setattr("ehls_ros.identification.elements.SETTLED", 60.0)
+    out = identify(recordings, guess)
+    assert "Nothing slides steadily for long enough: of the Stribeck curve only its level is fitted." in out.remarks
+    assert {"stribeck_velocity", "stribeck_exponent"} <= set(out.not_identifiable)
+    assert np.isnan(out.fit.residuals[0]).all()
 
 
 def changed(trajectory: Trajectory, **signals: np.ndarray) -> Trajectory:

@@ -228,9 +228,9 @@ import sys
 sys.path[:0] = sys.argv[1:]
 from residual_problems import rosenbrock_problem
 from ehls_ros.identification.optimisers import pso
-from ehls_ros.identification.optimisers._kernels import composed
+from ehls_ros.identification.optimisers._kernels import compiled
 result = pso.minimise(rosenbrock_problem(), pso.Parameters(), 1)
-stats = composed(pso._TEMPLATE, rosenbrock_problem()).minimise.stats
+stats = compiled(pso.search, rosenbrock_problem()).stats
 print(result.cost, sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
 """
 

@@ -3,11 +3,12 @@
 import numpy as np
 
 from ehls_ros.estimate import Estimate
-from ehls_ros.identification.identify import Identification
-from ehls_ros.identification.joint import JointFit, Layout
+from ehls_ros.identification.elements import ElementCoordinates
+from ehls_ros.identification.joint import JointFit
 from ehls_ros.identification.motion import Motion
 from ehls_ros.identification.optimisers.base import Result
 from ehls_ros.identification.presliding import Branch, nodes
+from ehls_ros.identification.result import Identification
 from ehls_ros.identification.static import StaticFit
 from ehls_ros.identification.stribeck import StaticFriction
 from ehls_ros.physics.friction.gms import Parameters as Friction
@@ -51,7 +52,9 @@ def filled(kind, **given):
 def make_rig(friction=FRICTION):
     plant = filled(Plant, spring_stiffness=SPRING, viscous_damping=60.0, moving_mass=70.0, gravity=9.81)
     limits = Limits(spool=0.01, force=2e4, load_pressure=7e6, position=(-0.3, 0.3), velocity=2.0)
-    return Rig(**(dict.fromkeys(Rig._fields) | {"plant": plant, "friction": friction, "limits": limits}))
+    return Rig(
+        **(dict.fromkeys(Rig._fields) | {"plant": plant, "friction_model": "gms", "friction": friction, "limits": limits})
+    )
 
 
 def make_motion(name, position, velocity, force, *, period=0.1, outliers=0.0):
@@ -91,15 +94,16 @@ def make_static(converged=True):
 
 
 def make_fit(residuals, friction=FRICTION):
-    layout = Layout(len(friction.element_stiffness))
+    coordinates = ElementCoordinates(len(friction.element_stiffness))
     names = ("viscous", "spring", "constant")
     return JointFit(
-        layout=layout,
-        z=layout.pack(friction),
-        free=layout.names,
+        coordinates=coordinates,
+        z=coordinates.pack(friction),
+        free=coordinates.names,
+        limited=(),
         linear_names=names,
         linear=np.array([7060.0, SPRING, CONSTANT]),
-        covariance=np.eye(len(layout.names) + len(names)),
+        covariance=np.eye(len(coordinates.names) + len(names)),
         cost=100.0,
         blocks=321.4,
         noise=tuple(0.3 * (1 + i) for i in range(len(residuals))),

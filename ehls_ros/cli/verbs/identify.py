@@ -15,8 +15,9 @@ from ehls_ros.cli.folder import writable
 from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import load_rig
-from ehls_ros.identification.identify import DEFAULT_OPTIMISER, Identification, identify
+from ehls_ros.identification.identify import DEFAULT_OPTIMISER, identify
 from ehls_ros.identification.optimisers import OPTIMISERS
+from ehls_ros.identification.result import Identification, to_json
 from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.columns import read_columns
 from ehls_ros.recording.load import load
@@ -33,14 +34,19 @@ def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("data", type=Path, nargs="+", help="recordings: bags, or .csv, .mat or .parquet files")
     parser.add_argument(
-        "--rig", type=Path, required=True, help="rig file as known so far; mass and piston area are taken from it"
+        "--rig",
+        type=Path,
+        required=True,
+        help="rig file as known so far: friction model, mass and piston area are taken from it",
     )
     parser.add_argument("--columns", type=Path, help="YAML that maps the files' own column names and units")
     parser.add_argument("--out", type=Path, default=Path("runs/identify"), help="folder of the results (%(default)s)")
     parser.add_argument(
         "--optimiser", choices=OPTIMISERS.names(), default=DEFAULT_OPTIMISER, help="of the static fit (%(default)s)"
     )
-    parser.add_argument("--elements", type=int, help="number of friction elements (default: as many as the data show)")
+    parser.add_argument(
+        "--elements", type=int, help="number of friction elements, of a model that has them (default: as many as the data show)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of the search (%(default)s)")
     parser.add_argument("--json", action="store_true", help="end with one line of JSON: identification.json")
 
@@ -64,7 +70,7 @@ def run(options: Namespace) -> int:
         )
     plain = json.loads(json.dumps(rig_to_mapping(found.rig)))
     (folder / RIG).write_text(_heading(options.data) + yaml.safe_dump(plain, sort_keys=False), encoding="utf-8")
-    result = as_json(found)
+    result = to_json(found)
     (folder / RESULT).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     write_identification_report(found, folder / REPORT, before=rig)
     _print(found, folder)
@@ -82,22 +88,6 @@ def _recordings(paths: Sequence[Path], columns: Any) -> dict[str, Trajectory]:
 
 def _heading(data: Sequence[Path]) -> str:
     return f"# Identified by `ehls identify` from {', '.join(path.name for path in data)}.\n"
-
-
-def as_json(found: Identification) -> dict[str, Any]:
-    """Return what ``identification.json`` holds."""
-    return {
-        "parameters": {name: estimate._asdict() for name, estimate in found.estimates.items()},
-        "correlations": {"names": list(found.estimates), "matrix": found.correlations.tolist()},
-        "not_identifiable": list(found.not_identifiable),
-        "remarks": list(found.remarks),
-        "elements": len(found.rig.friction.element_stiffness),
-        "criteria": {str(number): value for number, value in found.criteria.items()},
-        "method": found.method,
-        "cost": found.fit.cost,
-        "noise_n": dict(zip((m.name for m in found.motions), found.fit.noise, strict=True)),
-        "wall_s": found.wall_s,
-    }
 
 
 def _print(found: Identification, folder: Path) -> None:

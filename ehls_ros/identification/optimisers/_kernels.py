@@ -1,16 +1,18 @@
-"""What the optimisers compile: a problem's cost on the unit box, and the module that composes it with a search.
+"""What the optimisers compile: a problem's cost on the unit box, and a search of that cost.
 
-All optimisers search the unit box; ``lower + u (upper - lower)`` is the point meant by u.
+All optimisers search the unit box; u there stands for ``lower + u (upper - lower)``.
 """
 
 import hashlib
+import inspect
 import math
 import sys
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 from numba import extending, njit
 
 from ehls_ros.arrays import Array, kernel
@@ -22,31 +24,69 @@ STEP = 2.0**-26
 """Step of differences in the unit box: the root of a double's resolution."""
 
 
+class Box(NamedTuple):
+    """A problem as its kernels take it.
+
+    Attributes:
+        data: what the residuals are computed from.
+        lower: lower bounds, shape (parameters,).
+        upper: upper bounds, shape (parameters,).
+    """
+
+    data: Any
+    lower: Array
+    upper: Array
+
+
+class Work(NamedTuple):
+    """Scratch of a kernel, so that it allocates nothing.
+
+    Attributes:
+        x: a point of the problem's box, shape (parameters,).
+        r: its residuals, shape (residual_count,).
+        moved: a point of the unit box, shape (parameters,).
+    """
+
+    x: Array
+    r: Array
+    moved: Array
+
+
+def box_of(problem: Problem) -> Box:
+    """Return what the kernels need of a checked problem."""
+    return Box(problem.data, problem.lower, problem.upper)
+
+
+def work_of(problem: Problem) -> Work:
+    """Return scratch for a problem."""
+    return Work(np.empty(problem.lower.size), np.empty(problem.residual_count), np.empty(problem.lower.size))
+
+
 @njit(error_model="numpy", forceinline=True, fastmath={"contract", "reassoc"})
 def half_square(r: Array) -> float:
-    """Return half the sum of the squares, summed up in the order that is fastest; infinity where it is no number."""
+    """Return half the sum of the squares, added in the fastest order; infinity where it is not finite."""
     total = 0.0
     for k in range(r.size):
         total += r[k] * r[k]
-    return min(math.inf, 0.5 * total)  # infinity, too, where the total is not a number
+    return min(math.inf, 0.5 * total)  # also where the total is NaN
 
 
 @kernel
-def place(u: Array, lower: Array, upper: Array, x: Array) -> None:
-    """Write the point of the problem's box that u means into ``x``."""
+def place(u: Array, box: Box, x: Array) -> None:
+    """Write the point of the problem's box that ``u`` stands for into ``x``."""
     for j in range(u.size):
         # The sum could round to beyond the bound.
-        x[j] = min(max(lower[j] + u[j] * (upper[j] - lower[j]), lower[j]), upper[j])
+        x[j] = min(max(box.lower[j] + u[j] * (box.upper[j] - box.lower[j]), box.lower[j]), box.upper[j])
 
 
 def cost(residuals: Any) -> Any:
     """Return the compiled cost at a point of the unit box, for a residual function."""
 
     @kernel
-    def cost_at(u: Array, data: Any, lower: Array, upper: Array, x: Array, r: Array) -> float:
-        place(u, lower, upper, x)
-        residuals(x, data, r)
-        return half_square(r)
+    def cost_at(u: Array, box: Box, work: Work) -> float:
+        place(u, box, work.x)
+        residuals(work.x, box.data, work.r)
+        return half_square(work.r)
 
     return cost_at
 
@@ -54,22 +94,21 @@ def cost(residuals: Any) -> Any:
 def jacobian(residuals: Any) -> Any:
     """Return the compiled derivatives by the coordinates of the unit box, for a residual function.
 
-    They are differences to a point beside, on the side that is farther from a bound; to the other side where that one's
-    residuals are not finite; zero where those are not, either.
+    They are differences to a neighbouring point, on the side farther from a bound; on the other side where the residuals
+    there are not finite; zero where neither are.
     """
     cost_at = cost(residuals)
 
     @kernel
-    def derivatives(
-        u: Array, r: Array, data: Any, lower: Array, upper: Array, x: Array, moved: Array, beside: Array, out: Array
-    ) -> None:
+    def derivatives(u: Array, r: Array, box: Box, work: Work, out: Array) -> None:
+        moved, beside = work.moved, work.r
         for j in range(u.size):
             moved[j] = u[j]
         for j in range(u.size):
             step = STEP if u[j] < 0.5 else -STEP
             for _ in range(2):
                 moved[j] = u[j] + step
-                finite = cost_at(moved, data, lower, upper, x, beside) < math.inf
+                finite = cost_at(moved, box, work) < math.inf
                 if finite:
                     break
                 step = -step
@@ -92,15 +131,15 @@ def gathered(points: Array, spread: float) -> bool:
     return True
 
 
-def composed(template: str, problem: Problem) -> ModuleType:
-    """Compile (or load) a search for a problem's residuals.
+def compiled(search: Callable[[Any], Any], problem: Problem) -> Any:
+    """Compile (or load) a search of a problem's residuals.
 
     Args:
-        template: text of a module with its compiled entries, ``{residuals}`` where it imports the residuals.
+        search: function at the top level of a module that returns the compiled search for a residual function.
         problem: the problem.
 
     Returns:
-        The module.
+        The compiled search.
 
     Raises:
         BadInput: the residuals are not compiled, or no other module could import them.
@@ -112,13 +151,21 @@ def composed(template: str, problem: Problem) -> ModuleType:
     module = sys.modules.get(residuals.__module__)
     if module is None or module.__file__ is None or getattr(module, name, None) is not residuals:
         raise BadInput(f"residuals {name} cannot be imported", where, "a function at the top level of a module's file")
-    return _composed(template, module.__name__, name, module.__file__)
+    return _compiled(search, module.__name__, name, module.__file__)
 
 
 @cache
-def _composed(template: str, module: str, name: str, file: str) -> ModuleType:
-    # The residuals may lie outside the package; a change of theirs, or of what they and the search use, makes another module.
-    sources = sorted(Path(__file__).parents[1].rglob("*.py"))
-    text = b"".join(path.read_bytes() for path in [*sources, Path(file)])
-    line = f"from {module} import {name} as residuals  # {hashlib.sha256(text).hexdigest()[:16]}"
-    return kernel_module(template.format(residuals=line))
+def _compiled(search: Callable[[Any], Any], module: str, name: str, file: str) -> Any:
+    # Residuals and search may lie outside the package; a change of theirs, or of what they use, makes another module.
+    used = {*Path(__file__).parents[1].rglob("*.py"), Path(file), Path(inspect.getfile(search))}
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(used))).hexdigest()[:16]
+    glue = [
+        "from numba import njit",
+        f"from {module} import {name} as residuals  # {digest}",
+        f"from {search.__module__} import {search.__name__} as search",
+        "run = search(residuals)",
+        "@njit(cache=True, error_model='numpy')",
+        "def entry(*arguments):",
+        "    return run(*arguments)",
+    ]
+    return kernel_module("\n".join(glue) + "\n").entry

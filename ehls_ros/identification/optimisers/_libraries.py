@@ -7,7 +7,7 @@ from ehls_ros.errors import BadInput
 
 
 def library(module: str, where: str) -> Any:
-    """Import a module of one.
+    """Import a module of such a library.
 
     Args:
         module: dotted name.

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.identification.optimisers._counted import Counted, Enough
+from ehls_ros.identification.objective import Counted, Enough
 from ehls_ros.identification.optimisers._libraries import library
 from ehls_ros.identification.optimisers.base import Result
 
 
 def search(counted: Counted, algorithm: Any, seed: int, where: str) -> Result:
-    """Run one of pymoo's algorithms until the objective says enough.
+    """Run one of pymoo's algorithms until the objective ends it.
 
     Args:
         counted: the objective.

@@ -1,4 +1,4 @@
-"""Random numbers inside compiled kernels: seeded, without allocation, and apart from every other generator.
+"""Random numbers inside compiled kernels: seeded, without allocation, independent of every other generator.
 
 SplitMix64: G. L. Steele, D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014.
 """
@@ -28,13 +28,13 @@ def uniform(state: State) -> float:
 
 @kernel
 def index(state: State, size: int) -> int:
-    """Return a whole number of 0 to size - 1."""
+    """Return an integer from 0 to size - 1."""
     return int(uniform(state) * size)
 
 
 @kernel
 def latin_hypercube(state: State, points: Array) -> None:
-    """Fill ``points``, shape (n, parameters), so that each n-th of the unit interval holds one point, on every axis."""
+    """Fill ``points``, shape (n, parameters), so that every n-th of the unit interval holds one point on every axis."""
     n, size = points.shape
     for j in range(size):
         for i in range(n):

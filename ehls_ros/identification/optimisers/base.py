@@ -1,10 +1,10 @@
 """What an optimiser's file provides, and the problem all of them solve.
 
-``Parameters``, a named tuple declaring the optimiser's parameters, of which ``evaluations``, the most evaluations of the
-objective it may use, is one that all have; and ``minimise(problem, parameters, seed, target)``. All seek the x within the
-bounds that makes half the sum of the squared residuals least.
+``Parameters``, a named tuple that declares the optimiser's parameters; every optimiser has ``evaluations``, the largest number
+of evaluations of the objective. And ``minimise(problem, parameters, seed, target)``, which seeks the x within the bounds with
+the least half sum of squared residuals.
 
-A search that ends without having converged is a result with advice; a problem that cannot be posed raises
+A search that ends without having converged is a result with advice; an ill-posed problem raises
 :class:`~ehls_ros.errors.BadInput`. The same seed gives the same result on the same machine.
 """
 
@@ -22,13 +22,13 @@ class Problem(NamedTuple):
 
     Attributes:
         residuals: function ``residuals(x, data, out)`` at the top level of a module, compiled by numba, that writes the
-            residuals at x, shape (parameters,), into ``out``, shape (residual_count,). Where one is not finite, x costs
-            infinity.
-        data: what it works on, a tuple or named tuple of arrays and numbers.
-        residual_count: how many there are.
+            residuals at x, shape (parameters,), into ``out``, shape (residual_count,). Where one is not finite, the cost of x
+            is infinite.
+        data: its data, a tuple or named tuple of arrays and numbers.
+        residual_count: number of residuals.
         lower: lower bounds, shape (parameters,).
         upper: upper bounds, shape (parameters,), above the lower ones.
-        name: what errors call it.
+        name: its name in errors.
     """
 
     residuals: Callable[[Array, Any, Array], None]
@@ -45,10 +45,10 @@ class Result(NamedTuple):
     Attributes:
         x: best point, shape (parameters,), within the bounds.
         cost: half the sum of its squared residuals.
-        evaluations: how many times the residuals were computed.
+        evaluations: number of evaluations of the residuals.
         history: lowest cost after each iteration, as the optimiser counts them.
         converged: whether the optimiser's own rule ended the search, or the target was reached.
-        advice: what to do about it where it has not converged, else empty.
+        advice: what to do if it has not converged; else empty.
     """
 
     x: Array
@@ -82,7 +82,7 @@ class Optimiser(Protocol):
 
 
 def checked(problem: Problem, seed: int) -> Problem:
-    """Return the problem with its bounds as the kernels want them.
+    """Return the problem with its bounds as contiguous arrays.
 
     Raises:
         BadInput: bounds, residual_count or seed cannot be used.

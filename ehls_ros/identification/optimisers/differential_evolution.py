@@ -1,4 +1,4 @@
-"""SciPy's differential evolution, its generations evaluated at once and without its final local search."""
+"""SciPy's differential evolution, whole generations evaluated at once, without the final local search."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -6,7 +6,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from scipy import optimize
 
-from ehls_ros.identification.optimisers._counted import Counted, Enough
+from ehls_ros.identification.objective import Counted, Enough
 from ehls_ros.identification.optimisers.base import Problem, Result
 from ehls_ros.schema import quantity
 

@@ -6,7 +6,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from scipy import optimize
 
-from ehls_ros.identification.optimisers._counted import Counted, Enough
+from ehls_ros.identification.objective import Counted, Enough
 from ehls_ros.identification.optimisers.base import Problem, Result
 from ehls_ros.schema import quantity
 
@@ -16,7 +16,7 @@ class Parameters(NamedTuple):
 
     evaluations: Annotated[int, quantity("1", "most evaluations of the objective", minimum=1, maximum=10**9)] = 100_000
     samples: Annotated[int, quantity("1", "points of a Latin hypercube to start from", minimum=1, maximum=10**6)] = 100
-    starts: Annotated[int, quantity("1", "how many of the best of them are followed down", minimum=1, maximum=10_000)] = 4
+    starts: Annotated[int, quantity("1", "how many of the best of them the solver starts from", minimum=1, maximum=10_000)] = 4
     tolerance: Annotated[float, quantity("1", "relative change of cost or point to end at", minimum=1e-15, maximum=1.0)] = 1e-10
 
 

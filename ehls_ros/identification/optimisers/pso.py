@@ -1,11 +1,11 @@
-"""The paper's optimiser, our own and compiled: a particle swarm with crossover and mutation.
+"""The paper's optimiser, compiled: a particle swarm with crossover and mutation.
 
-The paper says no more of it than that "crossover and mutation factor based on the idea of GA" were introduced, so operators and
-numbers are ours, chosen on the paper's static objective:
+The paper says only that "crossover and mutation factor based on the idea of GA" were introduced, so operators and numbers are
+ours, chosen on the paper's static objective:
 
 * the swarm: v = w v + c1 r1 (p_i - x) + c2 r2 (g - x), x = x + v, reflected at the bounds, with the constriction coefficients
-  of M. Clerc, J. Kennedy, IEEE Trans. Evol. Comput. 6 (2002) for c1 + c2 = 4.25. r1 and r2 are one number a particle, not one a
-  coordinate, so that no direction is preferred;
+  of M. Clerc, J. Kennedy, IEEE Trans. Evol. Comput. 6 (2002) for c1 + c2 = 4.25. r1 and r2 are one number for each
+  particle, not for each coordinate, so that no direction is preferred;
 * crossover, of the personal bests: p_i with p_i + F (p_a - p_i + p_b - p_c), p_a being the better of two drawn at random, p_b
   and p_c any, F from 0.5 to 1. The difference of two members, as in differential evolution, knows the direction of a valley;
 * mutation: now and then a coordinate of the child is drawn anew from its whole range.
@@ -21,7 +21,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.identification.optimisers import _random
-from ehls_ros.identification.optimisers._kernels import composed, cost, gathered
+from ehls_ros.identification.optimisers._kernels import Box, Work, box_of, compiled, cost, gathered, work_of
 from ehls_ros.identification.optimisers._random import State, index, uniform
 from ehls_ros.identification.optimisers.base import Problem, Result, checked, ended
 from ehls_ros.schema import quantity
@@ -47,16 +47,15 @@ class Parameters(NamedTuple):
 
 
 class Swarm(NamedTuple):
-    """What the kernel works in, so that it allocates nothing; n particles in the unit box.
+    """The kernel's memory, so that it allocates nothing; n particles in the unit box.
 
     Attributes:
         position: where the particles are, shape (n, parameters).
-        velocity: what they move by, same shape.
+        velocity: their moves, same shape.
         best: their personal bests, same shape.
         cost: cost of each personal best, shape (n,).
         candidate: point to evaluate next, shape (parameters,).
-        x: a point in the problem's own box, shape (parameters,).
-        r: its residuals, shape (residual_count,).
+        work: scratch of the objective.
         random: state of the random numbers.
     """
 
@@ -65,14 +64,13 @@ class Swarm(NamedTuple):
     best: Array
     cost: Array
     candidate: Array
-    x: Array
-    r: Array
+    work: Work
     random: State
 
 
 @kernel
 def _reflected(u: float) -> float:
-    """Return u thrown back at the ends of [0, 1], at most once."""
+    """Return u reflected at the ends of [0, 1], at most once."""
     u = abs(u)
     return min(u, 1.0) if u <= 1.0 else max(2.0 - u, 0.0)
 
@@ -127,19 +125,15 @@ def search(residuals: Any) -> Any:
     cost_at = cost(residuals)
 
     @kernel
-    def run(
-        data: Any, lower: Array, upper: Array, p: Parameters, target: float, swarm: Swarm, history: Array
-    ) -> tuple[int, int, int, bool]:
+    def run(box: Box, p: Parameters, target: float, swarm: Swarm, history: Array) -> tuple[int, int, int, bool]:
         """Search.
 
         Args:
-            data: the problem's.
-            lower: lower bounds.
-            upper: upper bounds.
+            box: the problem.
             p: parameters.
             target: cost to stop at.
-            swarm: what to work in; ``random`` is seeded.
-            history: where the lowest cost after each iteration goes.
+            swarm: the memory; ``random`` is seeded.
+            history: where the lowest cost after each iteration is written.
 
         Returns:
             Number of the best particle, evaluations, iterations, and whether the bests agree.
@@ -147,14 +141,14 @@ def search(residuals: Any) -> Any:
         _scatter(swarm)
         leader, evaluations, iterations = 0, 0, 0
         while True:
-            # First the particles are evaluated where they are: at rest at their own bests, they do not move towards themselves.
+            # At first the particles are evaluated where they are: at rest at their own bests, they do not move.
             for phase in range(1 + p.crossovers if iterations > 0 else 1):
                 for i in range(swarm.cost.size):
                     if phase == 0:
                         _move(i, leader if iterations > 0 else i, p, swarm)
                     else:
                         _cross(i, p, swarm)
-                    found = cost_at(swarm.candidate, data, lower, upper, swarm.x, swarm.r)
+                    found = cost_at(swarm.candidate, box, swarm.work)
                     evaluations += 1
                     if found < swarm.cost[i]:
                         swarm.cost[i] = found
@@ -183,20 +177,6 @@ def _agree(tolerance: float, swarm: Swarm) -> bool:
     return highest - lowest <= tolerance * lowest or gathered(swarm.best, tolerance)
 
 
-_TEMPLATE = '''"""Particle swarm, generated."""
-from numba import njit
-from ehls_ros.identification.optimisers import pso
-{residuals}
-
-run = pso.search(residuals)
-
-
-@njit(cache=True, error_model="numpy")
-def minimise(data, lower, upper, p, target, swarm, history):
-    return run(data, lower, upper, p, target, swarm, history)
-'''
-
-
 def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.inf) -> Result:
     """Search; an iteration is one move of the swarm and the crossovers after it."""
     problem = checked(problem, seed)
@@ -207,12 +187,10 @@ def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.i
         best=np.empty((n, size)),
         cost=np.empty(n),
         candidate=np.empty(size),
-        x=np.empty(size),
-        r=np.empty(problem.residual_count),
+        work=work_of(problem),
         random=np.array([seed], dtype=np.uint64),
     )
     history = np.empty(2 + p.evaluations // (n * (1 + p.crossovers)))
-    leader, evaluations, iterations, agreed = composed(_TEMPLATE, problem).minimise(
-        problem.data, problem.lower, problem.upper, p, float(target), swarm, history
-    )
+    run = compiled(search, problem)
+    leader, evaluations, iterations, agreed = run(box_of(problem), p, float(target), swarm, history)
     return ended(problem, swarm.best[leader], float(swarm.cost[leader]), evaluations, history[:iterations], agreed, target)

@@ -3,7 +3,7 @@
 import math
 from typing import Annotated, NamedTuple
 
-from ehls_ros.identification.optimisers._counted import Counted
+from ehls_ros.identification.objective import Counted
 from ehls_ros.identification.optimisers._libraries import library
 from ehls_ros.identification.optimisers._pymoo import search
 from ehls_ros.identification.optimisers.base import Problem, Result

@@ -1,10 +1,10 @@
 """pyswarms' global-best particle swarm, with constriction coefficients and reflecting bounds.
 
-So it does best on the paper's static objective; a minimum that lies on a bound it finds poorly. The library has had no release
+These settings do best on the paper's static objective; a minimum on a bound is found poorly. The library has had no release
 since 2021.
 
-The library draws from NumPy's global generator, and on every start sets logging up anew and opens ``report.log`` in the working
-directory. Here the generator is put back as it was, and logging is left alone.
+The library draws from NumPy's global generator; on every start it reconfigures logging and opens ``report.log`` in the working
+directory. Here the generator is restored, and logging is left alone.
 """
 
 import math
@@ -17,13 +17,13 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from ehls_ros.identification.optimisers._counted import Counted, Enough
+from ehls_ros.identification.objective import Counted, Enough
 from ehls_ros.identification.optimisers._libraries import library
 from ehls_ros.identification.optimisers.base import Problem, Result
 from ehls_ros.schema import quantity
 
 _LARGEST = 1e300
-"""Cost in place of infinity: a swarm that has seen nothing else would crash."""
+"""Cost in place of infinity: a swarm that has seen only infinity would crash."""
 
 
 class Parameters(NamedTuple):
@@ -55,7 +55,7 @@ def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.i
 
 @contextmanager
 def _seeded(seed: int) -> Iterator[None]:
-    """Seed NumPy's global generator for a while."""
+    """Seed NumPy's global generator, and restore it afterwards."""
     state = np.random.get_state()  # noqa: NPY002
     np.random.seed(seed)  # noqa: NPY002
     try:
@@ -66,7 +66,7 @@ def _seeded(seed: int) -> Iterator[None]:
 
 @contextmanager
 def _logging_left_alone() -> Iterator[None]:
-    """Point the library to a logging configuration that changes nothing."""
+    """Give the library a logging configuration that changes nothing."""
     before = os.environ.get("LOG_CFG")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "nothing.yaml")

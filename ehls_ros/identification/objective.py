@@ -1,50 +1,43 @@
-"""A problem as a library's optimiser sees it: points of the unit box in batches, compiled, counted, the best one kept."""
+"""A problem as an optimiser sees it: points of the unit box in batches, compiled and counted, the best one kept."""
 
 import math
+from typing import Any
 
 import numpy as np
 
-from ehls_ros.arrays import Array
-from ehls_ros.identification.optimisers._kernels import composed
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.identification.optimisers._kernels import Box, Work, box_of, compiled, cost, gathered, jacobian, work_of
 from ehls_ros.identification.optimisers.base import Problem, Result, checked, ended
 
-_TEMPLATE = '''"""Objective, generated."""
-from numba import njit
-from ehls_ros.identification.optimisers import _kernels
-{residuals}
 
-cost_at = _kernels.cost(residuals)
-derivatives = _kernels.jacobian(residuals)
+def batch(residuals: Any) -> Any:
+    """Return the compiled costs of several points, for a residual function."""
+    cost_at = cost(residuals)
 
+    @kernel
+    def run(points: Array, spread: float, box: Box, work: Work, out: Array) -> bool:
+        """Write the costs of the first points, shape (n, parameters), into ``out``, shape (at most n,).
 
-@njit(cache=True, error_model="numpy")
-def costs(points, spread, data, lower, upper, x, r, out):
-    for k in range(out.size):
-        out[k] = cost_at(points[k], data, lower, upper, x, r)
-    return _kernels.gathered(points, spread)
+        Returns:
+            Whether no coordinate of the points spreads as wide as ``spread``.
+        """
+        for k in range(out.size):
+            out[k] = cost_at(points[k], box, work)
+        return gathered(points, spread)
 
-
-@njit(cache=True, error_model="numpy")
-def cost(u, data, lower, upper, x, r):
-    return cost_at(u, data, lower, upper, x, r)
-
-
-@njit(cache=True, error_model="numpy")
-def jacobian(u, r, data, lower, upper, x, moved, beside, out):
-    derivatives(u, r, data, lower, upper, x, moved, beside, out)
-'''
+    return run
 
 
 class Enough(Exception):
-    """Ends a library's search from inside: it has converged, reached the target or used up its evaluations."""
+    """Ends a search from inside: it has converged, reached the target or used up its evaluations."""
 
 
 class Counted:
-    """The objective, its evaluations counted.
+    """The objective with its evaluations counted.
 
     Attributes:
         size: number of parameters.
-        evaluations: how many were made.
+        evaluations: number of evaluations so far.
         best: best point so far in the unit box, shape (parameters,).
         lowest: its cost.
     """
@@ -59,19 +52,19 @@ class Counted:
             seed: the seed, checked only.
             budget: most evaluations.
             target: cost at which to stop.
-            tolerance: a batch of points less wide than this in the unit box has converged.
-            patience: so many batches without a relative fall of the cost by the tolerance have converged; 0: not asked.
+            tolerance: a batch of points narrower than this in the unit box has converged.
+            patience: number of batches without a relative fall of the cost by the tolerance that means convergence; 0: none.
 
         Raises:
-            BadInput: the problem cannot be posed.
+            BadInput: the problem is ill-posed.
         """
         self._problem = checked(problem, seed)
-        self._kernel = composed(_TEMPLATE, self._problem)
-        self._box = (self._problem.data, self._problem.lower, self._problem.upper)
+        self._batch = compiled(batch, self._problem)
+        self._cost = compiled(cost, self._problem)
+        self._jacobian = compiled(jacobian, self._problem)
+        self._box, self._work = box_of(self._problem), work_of(self._problem)
         self.size = self._problem.lower.size
-        self._x, self._moved = np.empty(self.size), np.empty(self.size)
-        self._r = np.empty(problem.residual_count)
-        self._at = np.full(self.size, np.nan), self._r
+        self._at = np.full(self.size, np.nan), self._work.r
         self._budget = budget
         self._target = target
         self._tolerance = tolerance
@@ -91,11 +84,11 @@ class Counted:
         points = np.ascontiguousarray(points, dtype=np.float64)
         afforded = min(len(points), self._budget - self.evaluations)
         out = np.full(len(points), math.inf)
-        gathered = self._kernel.costs(points, self._tolerance, *self._box, self._x, self._r, out[:afforded])
+        close = self._batch(points, self._tolerance, self._box, self._work, out[:afforded])
         self.evaluations += afforded
         first = int(out.argmin())
         self._noted(points[first], float(out[first]))
-        self._converged = gathered or self._stagnates()
+        self._converged = close or self._stagnates()
         if self._converged or afforded < len(points):
             raise Enough
         return out
@@ -107,11 +100,10 @@ class Counted:
             Enough: the target is reached, or the evaluations are used up.
         """
         self._afford(1)
-        r = np.empty(self._r.size)
-        cost = self._kernel.cost(u, *self._box, self._x, r)
-        self._at = u.copy(), r
-        self._noted(u, cost)
-        return r
+        found = self._cost(u, self._box, self._work)
+        self._at = u.copy(), self._work.r.copy()
+        self._noted(u, found)
+        return self._at[1]
 
     def jacobian(self, u: Array) -> Array:
         """Return the residuals' derivatives by the coordinates of the unit box, shape (residual_count, parameters).
@@ -125,12 +117,12 @@ class Counted:
         if not np.array_equal(u, self._at[0]):
             self.residuals(u)
         self._afford(self.size)
-        out = np.empty((self._r.size, self.size))
-        self._kernel.jacobian(u, self._at[1], *self._box, self._x, self._moved, self._r, out)
+        out = np.empty((self._work.r.size, self.size))
+        self._jacobian(u, self._at[1], self._box, self._work, out)
         return out
 
     def result(self, *, agreed: bool) -> Result:
-        """Return the best point; ``agreed`` if the search ended by its own rule."""
+        """Return the best point; ``agreed`` tells that the search ended by its own rule."""
         agreed = agreed or self._converged
         history = np.array(self._history)
         return ended(self._problem, self.best, self.lowest, self.evaluations, history, agreed, self._target)

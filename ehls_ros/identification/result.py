@@ -1,0 +1,72 @@
+"""The result of an identification, and what ``identification.json`` holds of it."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from ehls_ros.arrays import Array
+from ehls_ros.estimate import Estimate
+from ehls_ros.identification.elements import MODEL
+from ehls_ros.identification.joint import JointFit
+from ehls_ros.identification.motion import Motion
+from ehls_ros.identification.presliding import Branch, Node
+from ehls_ros.identification.static import StaticFit
+from ehls_ros.physics.rig import Rig
+
+
+class Identification(NamedTuple):
+    """Result of an identification.
+
+    Attributes:
+        rig: the rig with the identified coefficients.
+        estimates: the coefficients that the data tell, by their names in the rig file, those of an element with its number.
+        correlations: correlations of the estimates, shape (n, n), in their order.
+        not_identifiable: names of coefficients that the data do not tell, or not apart.
+        remarks: sentences about the limits of the result.
+        static: the static fit; None without steady sliding.
+        branch: the mean branch of the hysteresis loop; None without reversals in presliding, or friction elements.
+        nodes: nodes of the branch.
+        criteria: Bayesian information criterion by number of elements.
+        fit: the joint fit.
+        motions: the recordings in blocks.
+        method: the optimiser of the static fit.
+        wall_s: wall time [s].
+    """
+
+    rig: Rig
+    estimates: Mapping[str, Estimate]
+    correlations: Array
+    not_identifiable: tuple[str, ...]
+    remarks: tuple[str, ...]
+    static: StaticFit | None
+    branch: Branch | None
+    nodes: tuple[Node, ...]
+    criteria: Mapping[int, float]
+    fit: JointFit
+    motions: tuple[Motion, ...]
+    method: str
+    wall_s: float
+
+    @property
+    def elements(self) -> int:
+        """Number of friction elements; 0 for a friction model without elements."""
+        return len(self.rig.friction.element_stiffness) if self.rig.friction_model == MODEL else 0
+
+
+def to_json(found: Identification) -> dict[str, Any]:
+    """Return what ``identification.json`` holds."""
+    return {
+        "parameters": {name: estimate._asdict() for name, estimate in found.estimates.items()},
+        "correlations": {"names": list(found.estimates), "matrix": found.correlations.tolist()},
+        "not_identifiable": list(found.not_identifiable),
+        "remarks": list(found.remarks),
+        "elements": found.elements,
+        "criteria": {str(number): value for number, value in found.criteria.items()},
+        "method": found.method,
+        "cost": found.fit.cost,
+        "noise_n": {
+            motion.name: noise if math.isfinite(noise) else None
+            for motion, noise in zip(found.motions, found.fit.noise, strict=True)
+        },
+        "wall_s": found.wall_s,
+    }
