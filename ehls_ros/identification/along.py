@@ -1,20 +1,15 @@
 """A friction model run along a recorded motion, as its observer runs it along a measured one."""
 
-import hashlib
-import inspect
 import math
 from collections.abc import Callable
-from functools import cache
-from pathlib import Path
-from types import ModuleType
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.observers.rig_model import DRIVING
 from ehls_ros.identification.motion import Motion
-from ehls_ros.physics.composition import kernel_module
+from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.friction.base import FrictionModel, sign
 from ehls_ros.physics.integration import WORK_ROWS, integrator
@@ -39,10 +34,16 @@ class Contact(NamedTuple):
     work: Array
 
 
-def runner(model: FrictionModel) -> Callable[..., None]:
-    """Build the compiled run of one friction model along a motion."""
-    level, rates, force, event, switch = model.level, model.rates, model.force, model.event, model.switch
-    relaxation_rate = kernel(model.relaxation_rate)
+class Run(NamedTuple):
+    """The compiled run of one friction model along a motion."""
+
+    run: Callable[..., None]
+
+
+def build(friction: FrictionModel) -> Run:
+    """Build the run of one friction model along a motion."""
+    level, rates, force, event, switch = friction.level, friction.rates, friction.force, friction.event, friction.switch
+    relaxation_rate = kernel(friction.relaxation_rate)
 
     @kernel
     def evaluate(t: float, y: Array, mode: Array, c: Line, rate: Array) -> float:
@@ -93,25 +94,14 @@ def runner(model: FrictionModel) -> Callable[..., None]:
                 total += force(0.0, 0.0, level(v, friction), contact.forces, contact.mode, friction)
             out[i] = total / parts
 
-    return run
+    return Run(run)
 
 
-@cache
-def _compiled(model: str) -> Any:
+def compiled_run(model: str) -> Callable[..., None]:
     """Compile (or load) the run of a friction model."""
-    # The model may lie outside the package; a change of it, or of this file, makes another module.
-    used = [Path(inspect.getfile(cast(ModuleType, FRICTION_MODELS.load(model)))), Path(__file__)]
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in used)).hexdigest()[:16]
-    glue = [
-        "from numba import njit",
-        "from ehls_ros.identification import along",
-        "from ehls_ros.physics.friction import FRICTION_MODELS",
-        f"run = along.runner(FRICTION_MODELS.load({model!r}))  # {digest}",
-        "@njit(cache=True, error_model='numpy')",
-        "def entry(*arguments):",
-        "    run(*arguments)",
-    ]
-    return kernel_module("\n".join(glue) + "\n").entry
+    arguments = "velocity, fresh, period, friction, contact, out"
+    run: Callable[..., None] = compiled(build, {"run": arguments}, {"friction": FRICTION_MODELS.load(model)}).run
+    return run
 
 
 def force_along(motion: Motion, model: str, friction: Any) -> Array:
@@ -125,5 +115,5 @@ def force_along(motion: Motion, model: str, friction: Any) -> Array:
     out = np.empty(len(motion.velocity))
     elements = FRICTION_MODELS.load(model).states(friction)
     contact = Contact(np.zeros(elements), np.zeros(elements), np.empty((WORK_ROWS, elements)))
-    _compiled(model)(motion.velocity, motion.fresh, motion.period, friction, contact, out)
+    compiled_run(model)(motion.velocity, motion.fresh, motion.period, friction, contact, out)
     return out
