@@ -1,6 +1,7 @@
 """The generated reference contains everything the code declares."""
 
 import importlib
+from collections import defaultdict
 from collections.abc import Iterator
 from types import ModuleType
 
@@ -24,7 +25,10 @@ def reference() -> Iterator[ModuleType]:
 
 def test_every_member_of_every_family_has_its_parameters(reference: ModuleType) -> None:
     page = reference.parameters_page().replace("\\|", "|")
-    sections = {text.partition("\n")[0]: text for text in page.split("\n### ")[1:]}
+    sections = defaultdict[str, str](str)
+    for text in page.split("\n### ")[1:]:
+        # Members of two families may have one name.
+        sections[text.partition("\n")[0]] += text
     for family in reference.FAMILIES.values():
         for name in family.names():
             for declared in declarations(family.load(name).Parameters):

@@ -160,7 +160,7 @@ def test_the_controller_has_its_own_rig_and_the_plant_the_other(make_spec, rig_m
     believed["limits"] = {**rig_mapping["limits"], "spool": 2e-3}
     believed["friction"] = {**rig_mapping["friction"], "viscous_coefficient": 8000.0}
     spec = make_spec(controller_rig=believed, disturbance=FD2, duration=1.0)
-    assert ClosedLoop(spec)._model == model_of(spec.controller_rig, 1e-3)
+    assert ClosedLoop(spec)._control.model == model_of(spec.controller_rig, 1e-3)
     assert model_of(spec.controller_rig, 1e-3).plant.piston_area == pytest.approx(2.86e-3)
     assert simulator_of(spec).rig == simulator_of(make_spec()).rig
     run = run_in_process(spec)

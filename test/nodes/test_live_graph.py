@@ -93,7 +93,7 @@ def the_estimator_may_go_and_come_back(running, participant, diagnostics, graph,
     graph.stop("friction_estimator_node")
     participant.until(lambda: running[-1].friction_fallback)
     goes_on(participant, running)
-    participant.until(lambda: any("Stribeck" in status.message for array in diagnostics for status in array.status))
+    participant.until(lambda: any("steady sliding" in status.message for array in diagnostics for status in array.status))
     graph.start("friction_estimator_node", spec=spec)
     participant.until(lambda: not running[-1].friction_fallback)
     goes_on(participant, running)

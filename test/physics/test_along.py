@@ -66,7 +66,7 @@ def test_the_flow_is_that_of_the_orifice(make_rig):
 def test_elements_that_stick_are_springs(make_rig):
     rig = make_rig()
     velocity = 1e-6 * np.arange(SAMPLES)
-    nothing = Begun(np.zeros(SAMPLES), np.zeros(SAMPLES))
+    nothing = Begun(np.zeros(SAMPLES), np.zeros(SAMPLES), 1.0)
     force = along("friction", rig, still(velocity=velocity), (nothing,), steps=1)[:, 0]
     way = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]))]) * PERIOD
     expected = sum(rig.friction.element_stiffness) * way + rig.friction.viscous_coefficient * velocity
@@ -77,7 +77,7 @@ def test_a_static_model_at_rest_holds_what_is_applied(make_rig):
     rig = make_rig(friction={"model": "stribeck"}, plant={"gravity": 0.0})
     # It moves, stops, and is pushed less than it holds.
     velocity = np.where(np.arange(SAMPLES) < 20, 1e-3, 0.0)
-    nothing = Begun(np.zeros(SAMPLES), np.zeros(SAMPLES))
+    nothing = Begun(np.zeros(SAMPLES), np.zeros(SAMPLES), 1.0)
     motion = still(velocity=velocity, pressure=np.full(SAMPLES, 1e5))
     force = along("friction", rig, motion, (nothing,), steps=1)[:, 0]
     assert force[5] > rig.friction.coulomb_force
@@ -87,6 +87,6 @@ def test_a_static_model_at_rest_holds_what_is_applied(make_rig):
 @pytest.mark.parametrize("balance", [300.0, -5e4])
 def test_a_start_balances_the_other_forces_as_far_as_it_can(make_rig, balance):
     rig = make_rig()
-    begun = Begun(np.zeros(SAMPLES), np.full(SAMPLES, balance))
+    begun = Begun(np.zeros(SAMPLES), np.full(SAMPLES, balance), 1.0)
     force = along("friction", rig, still(), (begun,), steps=1)[0, 0]
     assert force == pytest.approx(max(balance, -rig.friction.static_force))
