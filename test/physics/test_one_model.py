@@ -43,7 +43,7 @@ from ehls_ros.physics.rig import EffectUse
 from ehls_ros.physics.simulator import earlier_commands
 from ehls_ros.schema import declarations
 
-STEP, SAMPLES = 4e-6, 20_001
+STEP, SAMPLES = 2.5e-6, 20_001
 WARM = 320.0
 TIME = STEP * np.arange(SAMPLES)
 ALL = effects_with(*HOOKS)
@@ -57,7 +57,7 @@ EXACT = 1e-9
 LOCATED = 2e-7
 """The same of the force balance once the load has started, stopped or turned within a sample. The Stribeck level jumps there,
 by as much as an effect makes it differ by direction, 200 N; the model along the recording has a straight line, so that slipping
-elements follow a wrong level for a sample: C 200 N/s(v) 4 µs = 2 mN of 10 kN."""
+elements follow a wrong level for a sample: C 200 N/s(v) 2.5 µs = 1 mN of 10 kN."""
 
 
 def build(friction, elements, states, chains):
