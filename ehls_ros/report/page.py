@@ -267,7 +267,7 @@ def write_page(path: Path, title: str, subtitle: str, blocks: Iterable[str]) -> 
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy" content="{_POLICY}">
 <title>{escape(title)}</title>
-<style>{_STYLE.replace("FONT", FONT)}</style>
+<style>{_beside("page.css").replace("FONT", FONT)}</style>
 </head>
 <body>
 <main>
@@ -276,7 +276,7 @@ def write_page(path: Path, title: str, subtitle: str, blocks: Iterable[str]) -> 
 {chr(10).join(blocks)}
 </main>
 <script>{get_plotlyjs()}</script>
-<script>{_SCRIPT}</script>
+<script>{_beside("page.js")}</script>
 </body>
 </html>
 """,
@@ -284,94 +284,11 @@ def write_page(path: Path, title: str, subtitle: str, blocks: Iterable[str]) -> 
     )
 
 
+def _beside(name: str) -> str:
+    """Return the text of a file beside this one."""
+    return Path(__file__).with_name(name).read_text(encoding="utf-8")
+
+
 _HINT = "Drag across a figure to zoom in; all figures over time follow. Double-click to go back."
 
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
-
-_STYLE = """
-:root { color-scheme: light; }
-body { margin: 0; background: #f4f5f6; color: #1a1a1a; font: 14px/1.45 FONT; }
-main { max-width: 1300px; margin: 0 auto; padding: 20px 24px 48px; }
-h1 { font-size: 24px; line-height: 1.25; margin: 0; overflow-wrap: anywhere; }
-.subtitle { margin: 2px 0 14px; color: #555; overflow-wrap: anywhere; }
-.verdict { margin: 0 0 14px; padding: 12px 16px; font-size: 16px; background: #fff; border-left: 6px solid; }
-.verdict.good { border-color: #009E73; }
-.verdict.look { border-color: #D55E00; }
-.verdict.open { border-color: #767676; }
-.facts { display: grid; grid-template-columns: repeat(auto-fill, minmax(195px, 1fr)); margin: 0 0 14px; padding: 0;
-         background: #fff; border: 1px solid #dcdcdc; overflow: hidden; }
-.facts div { padding: 7px 12px; margin: 0 -1px -1px 0; border: solid #dcdcdc; border-width: 0 1px 1px 0; }
-.facts dt { color: #555; font-size: 12px; }
-.facts dd { margin: 0; font-size: 15px; font-weight: 600; overflow-wrap: anywhere; }
-.figures { display: grid; grid-template-columns: repeat(var(--columns), minmax(0, 1fr)); gap: 12px; margin: 0 0 12px; }
-section { background: #fff; border: 1px solid #dcdcdc; padding: 10px 10px 4px; break-inside: avoid; min-width: 0; }
-.figures > section:last-child:nth-child(odd) { grid-column: 1 / -1; }
-section header { padding: 0 190px 0 8px; }
-section .modebar-container { top: -26px !important; }
-section h2 { display: inline; font-size: 15px; margin: 0 10px 0 0; }
-section header p { display: inline; color: #555; font-size: 12.5px; }
-.part { font-size: 18px; line-height: 1.3; margin: 30px 0 8px; break-after: avoid; }
-.part + p { margin-top: 0; }
-main > p:not(.verdict) { max-width: 110ch; }
-.contents { margin: 0 0 14px; font-size: 13px; }
-.contents a { display: inline-block; margin-right: 16px; color: #0072B2; text-decoration: none; }
-.contents a:hover { text-decoration: underline; }
-.hint { margin: 0 0 8px; color: #555; }
-.left-out { margin: 0 0 3px; color: #555; font-size: 13px; }
-.left-out + details { margin-top: 12px; }
-table { border-collapse: collapse; background: #fff; margin: 0 0 14px; font-variant-numeric: tabular-nums; }
-th, td { border: 1px solid #dcdcdc; padding: 4px 10px; text-align: right; }
-tbody th, thead th:first-child { text-align: left; }
-thead th { background: #f4f5f6; }
-td { white-space: nowrap; }
-td.prose { white-space: normal; }
-td.prose, thead th.prose { text-align: left; }
-td, tbody th { padding: 4px 8px; }
-td small, th small { display: block; color: #4a4a4a; font-weight: normal; }
-.wide { overflow-x: auto; }
-details { background: #fff; border: 1px solid #dcdcdc; padding: 10px 16px; margin-bottom: 12px; }
-summary { cursor: pointer; font-weight: 600; }
-pre { margin: 10px 0 4px; font-size: 12.5px; white-space: pre-wrap; overflow-wrap: anywhere; }
-@page { size: A4 landscape; margin: 8mm; }
-@media print {
-  body { background: #fff; }
-  main { max-width: none; padding: 0 24px; }
-  .hint, .modebar-container { display: none; }
-  section header { padding-right: 8px; }
-}
-"""
-
-_SCRIPT = """
-const figures = [...document.querySelectorAll('.figure')];
-const options = {
-  responsive: true,
-  displaylogo: false,
-  modeBarButtons: [['toImage'], ['zoom2d', 'pan2d'], ['zoomIn2d', 'zoomOut2d', 'autoScale2d', 'resetScale2d']],
-  toImageButtonOptions: {format: 'svg'},
-};
-for (const figure of figures) {
-  const {data, layout} = JSON.parse(figure.nextElementSibling.textContent);
-  Plotly.newPlot(figure, data, layout, options);
-}
-
-// A zoom in time of one figure is a zoom of all.
-const overTime = figures.filter(figure => figure.classList.contains('over-time'));
-const wholeRun = overTime.length ? [...overTime[0].layout.xaxis.range] : [];
-let following = false;
-for (const source of overTime) {
-  source.on('plotly_relayout', async change => {
-    if (following || !Object.keys(change).some(key => key.startsWith('xaxis.'))) return;
-    following = true;
-    const range = change['xaxis.autorange'] ? wholeRun : [...source.layout.xaxis.range];
-    const others = change['xaxis.autorange'] ? overTime : overTime.filter(figure => figure !== source);
-    await Promise.all(others.map(figure => Plotly.relayout(figure, {'xaxis.range': [...range]})));
-    following = false;
-  });
-}
-
-// Figures keep their width on the screen, so the complete page is scaled to the width of the paper.
-const main = document.querySelector('main');
-const paperWidth = 1060;
-addEventListener('beforeprint', () => { main.style.zoom = paperWidth / main.offsetWidth; });
-addEventListener('afterprint', () => { main.style.zoom = ''; });
-"""
