@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.record import (
     COMMAND,
     FORCE,
@@ -35,18 +36,6 @@ from ehls_ros.physics.plant import TEMPERATURE as OIL
 from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, Simulator
 from ehls_ros.trajectory import Trajectory
-
-LONGEST = 20.0
-"""Longest time that is simulated [s]."""
-
-START = 0.01
-"""Time at the start over which the initial state is averaged [s]."""
-
-MOVED = 10.0
-"""Size of a signal, in that of its noise, above which it is compared."""
-
-BEYOND = 1.0
-"""How far beyond the stroke, in strokes, a run is given up."""
 
 
 class Followed(NamedTuple):
@@ -83,7 +72,9 @@ class FreeRun(NamedTuple):
     remarks: tuple[str, ...]
 
 
-def free_run(trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recording", seconds: float = LONGEST) -> FreeRun:
+def free_run(
+    trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recording", seconds: float = rules.FREE_RUN
+) -> FreeRun:
     """Simulate a recording's beginning with the model as it was given and with the extended one.
 
     Args:
@@ -124,7 +115,7 @@ def free_run(trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recor
 
 
 def _moves(record: Record, signal: str) -> bool:
-    return signal != TEMPERATURE and float(np.std(record.signals[signal])) > MOVED * record.noise[signal]
+    return signal != TEMPERATURE and float(np.std(record.signals[signal])) > rules.MOVED * record.noise[signal]
 
 
 def _followed(record: Record, signal: str, before: Array, after: Array | None) -> Followed:
@@ -148,7 +139,7 @@ def _run(record: Record, rig: Rig) -> Array:
     servo, servo_speed = record.values(SERVO_POSITION), record.values(SERVO_VELOCITY)
     oil = record.signals.get(TEMPERATURE, np.full(len(record.time), OIL_TEMPERATURE))
     low, high = rig.limits.position
-    room = BEYOND * (high - low)
+    room = rules.BEYOND_STROKE * (high - low)
     out = np.full((len(record.time), len(SENSED)), np.nan)
     none = np.zeros(len(SENSED))
     for k in range(len(record.time)):
@@ -166,7 +157,7 @@ def _first(record: Record, sensor: str, sensors: Mapping[str, Sensor]) -> float:
     signal = RECORDED_AS[sensor]
     if signal not in record:
         return 0.0
-    samples = max(1, round(START / record.period))
+    samples = max(1, round(rules.FREE_START / record.period))
     known = record.signals[signal][:samples][record.good[signal][:samples]]
     description = sensors.get(sensor, Sensor())
     return (float(np.mean(known)) - description.bias) / description.gain if known.size else 0.0
@@ -184,7 +175,7 @@ def _start(simulator: Simulator, record: Record) -> None:
     if VELOCITY in record:
         y[V] = _first(record, "velocity", sensors)
     else:
-        samples = max(3, round(START / record.period))
+        samples = max(3, round(rules.FREE_START / record.period))
         y[V] = float(np.polyfit(record.time[:samples] - record.time[0], record.signals[POSITION][:samples], 1)[0])
     driving = plant.piston_area * pressure - plant.spring_stiffness * y[X] - plant.moving_mass * plant.gravity
     held = driving - record.values(LOAD)[0] - (plant.viscous_damping + friction.viscous_coefficient) * y[V]

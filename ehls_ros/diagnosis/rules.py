@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from typing import Annotated, Literal, NamedTuple, get_args, get_type_hints
 
-Step = Literal["record", "evidence", "hypotheses", "fit", "starts", "search", "verdict"]
+Step = Literal["record", "stages", "evidence", "hypotheses", "fit", "starts", "search", "verdict", "free run"]
 STEPS: tuple[Step, ...] = get_args(Step)
 
 CHOSEN = "chosen"
@@ -114,6 +114,66 @@ RESOLUTION_MISFIT: Annotated[
         "record", "1", "Largest distance of a difference from a multiple of the smallest step for that step to be a resolution."
     ),
 ] = 1e-3
+
+# --- stages ----------------------------------------------------------------------------------
+
+WINDOW: Annotated[float, Rule("stages", "s", "Length of the windows of the balances.")] = 0.04
+
+LEAST_WINDOW: Annotated[int, Rule("stages", "1", "Fewest samples in a window of a balance.")] = 8
+
+SPOOL_WINDOW: Annotated[float, Rule("stages", "s", "Length of the windows over which spool and sensors are averaged.")] = 0.008
+
+VELOCITY_FIT: Annotated[float, Rule("stages", "s", "Length of the local fit that velocities are taken from.")] = 0.011
+
+SPOOL_SETTLING: Annotated[float, Rule("stages", "s", "Time left out of the spool's residual after a gap in the command.")] = (
+    0.08
+)
+
+SLOWEST: Annotated[
+    float,
+    Rule(
+        "stages",
+        "1",
+        "Sampling period relative to the valve's time constant above which commands between two samples would be missed.",
+    ),
+] = 0.25
+
+SLOWEST_TURN: Annotated[
+    float, Rule("stages", "s", "Sampling period above which the piston, and its friction, turns between two samples.")
+] = 2.6e-3
+
+SETTLING: Annotated[
+    float, Rule("stages", "s", "Time left out at the start of a stretch, where the state of the friction model is not known.")
+] = 0.3
+
+END_SETTLING: Annotated[float, Rule("stages", "s", "Time left out at the end of a recording.")] = 0.06
+
+MEMORY_STEP: Annotated[float, Rule("stages", "s", "Longest integration step of an effect's own states.")] = 5e-4
+
+FRICTION_STEP: Annotated[float, Rule("stages", "s", "Longest integration step of a friction model.")] = 1e-3
+
+FASTEST_SHARE: Annotated[
+    float, Rule("stages", "1", "Quantile of the speed for which a stiff friction model is integrated.")
+] = 0.999
+
+RELAXED: Annotated[float, Rule("stages", "1", "Relaxation times of a friction model per integration step, at most.")] = 1.5
+
+MOST_STEPS: Annotated[int, Rule("stages", "1", "Most integration steps of a friction model per sample.")] = 40
+
+SHORTEST_STEP: Annotated[
+    float, Rule("stages", "s", "Shortest integration step of a separate load; what diverges at that step is no rig.")
+] = 1e-4
+
+LOAD_STEP: Annotated[float, Rule("stages", "s", "Longest integration step of a separate load.")] = 2.5e-4
+
+GUIDED_STEP: Annotated[
+    float,
+    Rule(
+        "stages", "1", "Integration step of a separate load relative to the guide's time constant of the lighter mass, at most."
+    ),
+] = 0.6
+
+KEPT_RUNS: Annotated[int, Rule("stages", "1", "Runs of each part of the model that are kept for reuse.")] = 3
 
 # --- evidence ----------------------------------------------------------------------------------
 
@@ -522,3 +582,18 @@ DEPENDS: Annotated[
 DEPENDS_BESIDE: Annotated[
     float, Rule("verdict", "1", "Fraction of what the strongest signal explains that another must reach to be named beside it.")
 ] = 0.4
+
+# --- free run --------------------------------------------------------------------------------
+
+FREE_RUN: Annotated[float, Rule("free run", "s", "Longest time simulated without the measured states.")] = 20.0
+
+FREE_START: Annotated[float, Rule("free run", "s", "Time over which the initial state of a free run is averaged.")] = 0.01
+
+MOVED: Annotated[
+    float,
+    Rule("free run", "1", "Standard deviation of a signal relative to its noise above which a free run is compared with it."),
+] = 10.0
+
+BEYOND_STROKE: Annotated[
+    float, Rule("free run", "1", "Distance beyond the stroke, relative to the stroke, at which a free run is stopped.")
+] = 1.0

@@ -21,6 +21,7 @@ from scipy.ndimage import shift
 from scipy.signal import savgol_coeffs
 
 from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.record import (
     COMMAND,
     FORCE,
@@ -65,53 +66,12 @@ UNITS: Mapping[Channel, str] = {
     "spool": "m", "volume": "m³/s", "supply": "Pa", "force": "N", "cell": "N", "velocity": "m/s",
 }  # fmt: skip
 
-WINDOW = 0.04
-"""Length of the windows of the balances [s]."""
+GUIDE = 2.0 * math.pi / rules.WINDOW
+"""Rate at which a piston separated from the load is drawn to its measured position [rad/s].
 
-LEAST_WINDOW = 8
-"""Samples a balance's window has at least."""
-
-SPOOL_WINDOW = 0.008
-"""Length of the windows over which spool and sensors are averaged [s]."""
-
-FIT = 0.011
-"""Length of the local fit that velocities are taken from [s]."""
-
-SPOOL_SETTLING = 0.08
-"""What is left out of the spool's residual after a gap in the command [s]."""
-
-SLOWEST = 0.25
-"""Sampling period, in the valve's lag, from which on commands between two samples would be missed."""
-
-SLOWEST_TURN = 2.6e-3
-"""Sampling period from which on the piston turns, and its friction with it, between two samples [s]."""
-
-SETTLING = 0.3
-"""What is left out at the beginning of a stretch, where the model's memory is not known [s]."""
-
-MEMORY_STEP = 5e-4
-"""Integration step where an effect has states of its own [s]."""
-
-FRICTION_STEP = 1e-3
-"""Longest integration step of a friction model [s]."""
-
-PASSED, RELAXED, MOST_STEPS = 0.999, 1.5, 40
-"""Fraction of the samples whose speed a stiff friction model is integrated for; how far it relaxes in a step; and the most
-integration steps in a sample."""
-
-GUIDE = 2.0 * math.pi / WINDOW
-"""How fast a piston parted from the load is drawn to where it was measured [rad/s].
-
-As fast as the balances tell anything. Set there outright, it would hand the position sensor's noise times a contact's
-stiffness on to the load; the pressure knows what it hands on far better.
+The balances resolve nothing faster. A piston set to its measured position outright would pass the position sensor's noise,
+times the stiffness of a contact, on to the load; the pressure tells that force far better.
 """
-
-SHORTEST_STEP = 1e-4
-"""Step below which none is taken for a lighter one: what then diverges is no rig's [s]."""
-
-LOAD_STEP, GUIDED_STEP = 2.5e-4, 0.6
-"""Longest integration step where load and piston are parted [s]; and as a fraction of the time in which the lighter one is
-guided."""
 
 SENSED = {
     "position": POSITION,
@@ -123,9 +83,6 @@ SENSED = {
     "oil_temperature": TEMPERATURE,
 }
 """The recording's signals by the sensors' names in a rig file."""
-
-KEPT = 3
-"""Results kept of each part."""
 
 
 class Setup(NamedTuple):
@@ -315,7 +272,7 @@ class Comparison:
     def _memory_steps(self, part: str, rig: EffectiveRig) -> int:
         """Return the steps in a sample that the effects' own states ask for; 0 where there are none."""
         states = sum(getattr(EFFECTS.load(use.name), "STATES", 0) for use in _used(part, rig))
-        return max(1, math.ceil(self.record.period / MEMORY_STEP)) if states else 0
+        return max(1, math.ceil(self.record.period / rules.MEMORY_STEP)) if states else 0
 
     def _run(self, part: str, rig: EffectiveRig, motion: Motion) -> Array:
         out = self._out(part)
@@ -324,7 +281,9 @@ class Comparison:
 
     def _run_friction(self, rig: EffectiveRig, motion: Motion) -> Array:
         out, period = self._out("friction"), self.record.period
-        steps = max(1, self._memory_steps("friction", rig), math.ceil(period / FRICTION_STEP), self._stiff_steps(rig, motion))
+        steps = max(
+            1, self._memory_steps("friction", rig), math.ceil(period / rules.FRICTION_STEP), self._stiff_steps(rig, motion)
+        )
         slow = getattr(rig.friction, "stribeck_velocity", math.inf)
         begun = Begun(np.ascontiguousarray(self.extra_force(rig)[:, 0]), self._balance(rig, motion), slow)
         kernel = part_kernel("friction", rig.friction_model, rig_elements(rig))
@@ -334,8 +293,8 @@ class Comparison:
     def _run_load(self, rig: EffectiveRig, motion: Motion) -> Array:
         out, piston = self._out("load"), rig.piston_mass()
         lighter = min(piston, rig.plant.moving_mass)
-        longest = min(LOAD_STEP, GUIDED_STEP * lighter / (piston + rig.plant.moving_mass) / (2.0 * GUIDE))
-        longest = max(longest, SHORTEST_STEP)
+        longest = min(rules.LOAD_STEP, rules.GUIDED_STEP * lighter / (piston + rig.plant.moving_mass) / (2.0 * GUIDE))
+        longest = max(longest, rules.SHORTEST_STEP)
         steps = max(math.ceil(self.record.period / longest), self._stiff_steps(rig, motion))
         effects, parting = PARTS["load"].effects, tuple(use for use in rig.effects if use.piston_share > 0.0)
         others = rig._replace(effects=tuple(use for use in rig.effects if use not in parting))
@@ -346,9 +305,9 @@ class Comparison:
 
     def _stiff_steps(self, rig: EffectiveRig, motion: Motion) -> int:
         """Return the steps in a sample that the friction model's relaxation asks for."""
-        speed = float(np.quantile(np.abs(motion.velocity), PASSED))
+        speed = float(np.quantile(np.abs(motion.velocity), rules.FASTEST_SHARE))
         fastest = rig.friction_law.relaxation_rate(rig.friction, speed)
-        return min(MOST_STEPS, max(1, math.ceil(fastest * self.record.period / RELAXED)))
+        return min(rules.MOST_STEPS, max(1, math.ceil(fastest * self.record.period / rules.RELAXED)))
 
     def _balance(self, rig: EffectiveRig, motion: Motion) -> Array:
         """Return the friction that the other forces ask for, from smoothed motion [N]."""
@@ -438,7 +397,7 @@ class Comparison:
         kept = self._kept.setdefault(what, {})
         if key not in kept:
             value = compute()
-            while len(kept) >= KEPT:
+            while len(kept) >= rules.KEPT_RUNS:
                 kept.pop(next(iter(kept)), None)
             kept[key] = value
         return kept[key]
@@ -459,13 +418,13 @@ def _beam(rig: EffectiveRig) -> tuple[float, ...]:
 def setup(record: Record, rig: Rig) -> Setup:
     """Tell what of the model can be laid beside a recording."""
     period = record.period
-    samples = max(LEAST_WINDOW, round(WINDOW / period))
-    average = smooth_window(max(3, round(SPOOL_WINDOW / period)), period, hop=2)
+    samples = max(rules.LEAST_WINDOW, round(rules.WINDOW / period))
+    average = smooth_window(max(3, round(rules.SPOOL_WINDOW / period)), period, hop=2)
     moving = POSITION in record or VELOCITY in record
     pressure = PRESSURE in record or FORCE in record
     spool = SPOOL in record or COMMAND in record
     channels: list[Channel] = []
-    if SPOOL in record and COMMAND in record and period * rig.plant.valve_bandwidth <= SLOWEST:
+    if SPOOL in record and COMMAND in record and period * rig.plant.valve_bandwidth <= rules.SLOWEST:
         channels.append("spool")
     if moving and pressure and spool:
         channels.append("volume")
@@ -473,13 +432,13 @@ def setup(record: Record, rig: Rig) -> Setup:
             channels.append("supply")
     # Without a position, what the spring pulls is not known.
     known = POSITION in record or (moving and rig.plant.spring_stiffness == 0.0)
-    if pressure and known and period <= SLOWEST_TURN:
+    if pressure and known and period <= rules.SLOWEST_TURN:
         channels.append("force")
     if PRESSURE in record and FORCE in record:
         channels.append("cell")
     if POSITION in record and VELOCITY in record:
         channels.append("velocity")
-    fit = max(5, 2 * round(FIT / period / 2) + 1)
+    fit = max(5, 2 * round(rules.VELOCITY_FIT / period / 2) + 1)
     measured = False
     if VELOCITY in record and POSITION in record:
         slope = savgol_coeffs(fit, 3, deriv=1, delta=period)
@@ -510,12 +469,12 @@ def usable(comparison: Comparison, channel: Channel) -> Mask:
     if channel == "spool" and COMMAND in record:
         # After a gap in the command, the simulated spool finds back with the valve's own lag.
         wrong = (~record.good[COMMAND]).astype(np.float64)
-        good &= np.convolve(wrong, np.ones(1 + round(SPOOL_SETTLING / record.period)))[: len(wrong)] < 0.5
+        good &= np.convolve(wrong, np.ones(1 + round(rules.SPOOL_SETTLING / record.period)))[: len(wrong)] < 0.5
     window = used.window_of(channel)
-    settling = round(SETTLING / record.period)
+    settling = round(rules.SETTLING / record.period)
     late = np.ones(len(good), dtype=np.bool_)
     for begin in np.flatnonzero(record.fresh):
         late[begin : begin + settling] = False
         late[max(begin - window.weights.size, 0) : begin] = False
-    late[-max(1, round(0.06 / record.period)) :] = False
+    late[-max(1, round(rules.END_SETTLING / record.period)) :] = False
     return window.mean((good & late).astype(np.float64)) > 1.0 - 1e-9
