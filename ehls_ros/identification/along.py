@@ -2,28 +2,22 @@
 
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.control.observers.rig_model import DRIVING
+from ehls_ros.control.observers.rig_model import Motion as Straight
+from ehls_ros.control.observers.rig_model import driven
 from ehls_ros.identification.motion import Motion
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.friction import FRICTION_MODELS
-from ehls_ros.physics.friction.base import FrictionModel, sign
-from ehls_ros.physics.integration import WORK_ROWS, integrator
+from ehls_ros.physics.friction.base import FrictionModel
+from ehls_ros.physics.integration import WORK_ROWS
 
 MOST_PARTS = 60
 """Most parts into which a block is divided."""
-
-
-class Line(NamedTuple):
-    """Velocity in a part of a block: a straight line in time."""
-
-    friction: Any
-    velocity: float
-    acceleration: float
 
 
 class Contact(NamedTuple):
@@ -42,22 +36,8 @@ class Run(NamedTuple):
 
 def build(friction: FrictionModel) -> Run:
     """Build the run of one friction model along a motion."""
-    level, rates, force, event, switch = friction.level, friction.rates, friction.force, friction.event, friction.switch
+    level, force, advance = friction.level, friction.force, driven(friction)
     relaxation_rate = kernel(friction.relaxation_rate)
-
-    @kernel
-    def evaluate(t: float, y: Array, mode: Array, c: Line, rate: Array) -> float:
-        v = c.velocity + c.acceleration * t
-        s = level(v, c.friction)
-        rates(v, s, y, mode, c.friction, rate)
-        return event(v, DRIVING * sign(v), s, y, mode, c.friction)
-
-    @kernel
-    def change(t: float, y: Array, mode: Array, c: Line) -> None:
-        v = c.velocity + c.acceleration * t
-        switch(v, DRIVING * sign(v), level(v, c.friction), y, mode, c.friction)
-
-    advance = integrator(evaluate, change)
 
     @kernel
     def run(velocity: Array, fresh: Any, period: float, friction: Any, contact: Contact, out: Array) -> None:
@@ -87,8 +67,8 @@ def build(friction: FrictionModel) -> Run:
                 at = (part + 0.5) / parts - 0.5
                 v = velocity[i] + at * (velocity[i] - before if at < 0.0 else after - velocity[i])
                 if part > 0 or not fresh[i]:
-                    line = Line(friction, last, (v - last) / step)
-                    advance(0.0, contact.forces, contact.mode, line, step, 1, contact.work)
+                    straight = Straight(friction, last, (v - last) / step)
+                    advance(0.0, contact.forces, contact.mode, straight, step, 1, contact.work)
                 last = v
                 # At v = 0 the viscous term is zero.
                 total += force(0.0, 0.0, level(v, friction), contact.forces, contact.mode, friction)
@@ -97,6 +77,7 @@ def build(friction: FrictionModel) -> Run:
     return Run(run)
 
 
+@cache
 def compiled_run(model: str) -> Callable[..., None]:
     """Compile (or load) the run of a friction model."""
     arguments = "velocity, fresh, period, friction, contact, out"

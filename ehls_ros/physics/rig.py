@@ -176,7 +176,7 @@ def _friction_from_mapping(data: Mapping[str, Any], where: str) -> tuple[str, An
     law = FRICTION_MODELS.load(model, f"{where}: model")
     own = law.Parameters._fields
     foreign = {key: value for key, value in data.items() if key not in own and key != "model"}
-    known = _keys_of(FRICTION_MODELS.names()) if foreign else {}
+    known = _keys_of(tuple(FRICTION_MODELS.usable())) if foreign else {}
     for key in foreign:
         if key not in known:
             expected = f"one of {', '.join(own)}; or, of other models, {', '.join(k for k in known if k not in own)}"

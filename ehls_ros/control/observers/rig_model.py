@@ -38,10 +38,14 @@ def state(model: FrictionModel, friction: Any) -> ObserverState:
     return empty_state(model.states(friction))
 
 
-def updater(model: FrictionModel) -> Callable[..., None]:
-    """Build the update of one friction model."""
-    level, rates, force, event, switch = model.level, model.rates, model.force, model.event, model.switch
-    begin, relaxation_rate = model.begin, kernel(model.relaxation_rate)
+def driven(model: FrictionModel) -> Callable[..., int]:
+    """Build the integrator of a friction model's forces under a measured motion.
+
+    Returns:
+        ``advance`` of :func:`~ehls_ros.physics.integration.integrator`; its ``c`` is a :class:`Motion`, with t = 0 at its first
+        measurement.
+    """
+    level, rates, event, switch = model.level, model.rates, model.event, model.switch
 
     @kernel
     def evaluate(t: float, y: Array, mode: Array, c: Motion, rate: Array) -> float:
@@ -55,7 +59,13 @@ def updater(model: FrictionModel) -> Callable[..., None]:
         v = c.velocity + c.acceleration * t
         switch(v, DRIVING * sign(v), level(v, c.friction), y, mode, c.friction)
 
-    advance = integrator(evaluate, change)
+    return integrator(evaluate, change)
+
+
+def updater(model: FrictionModel) -> Callable[..., None]:
+    """Build the update of one friction model."""
+    level, force, begin, advance = model.level, model.force, model.begin, driven(model)
+    relaxation_rate = kernel(model.relaxation_rate)
 
     @kernel
     def update(velocity: float, period: float, friction: Any, p: Parameters, state: ObserverState) -> None:
