@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from ehls_ros.arrays import kernel
+from ehls_ros.arrays import in_python, kernel
 
 
 @kernel
@@ -29,7 +29,7 @@ def pressure_error_bound(k: float, g: float, h: float, b: float) -> float:
     Returns:
         Bound of |e3| [MPa]; infinite when k h <= 2 b, where no error can balance |s| = b/h.
     """
-    bound: float = pressure_error_bound_kernel.py_func(k, g, h, b)
+    bound: float = in_python(pressure_error_bound_kernel)(k, g, h, b)
     return bound
 
 

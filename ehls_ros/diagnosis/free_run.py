@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehls_ros.arrays import Array
+from ehls_ros.arrays import Array, in_python
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.record import (
     COMMAND,
@@ -29,7 +29,6 @@ from ehls_ros.diagnosis.record import (
 )
 from ehls_ros.diagnosis.stages import SENSED as RECORDED_AS
 from ehls_ros.errors import BadInput
-from ehls_ros.physics.friction.base import in_python
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.plant import FRICTION, PL, XV, V, X
 from ehls_ros.physics.plant import TEMPERATURE as OIL

@@ -41,7 +41,6 @@ from ehls_ros.physics.along import PARTS, part_kernel
 from ehls_ros.physics.along.base import Along, Motion
 from ehls_ros.physics.along.friction import Begun
 from ehls_ros.physics.along.load import Piston
-from ehls_ros.physics.composition import rig_elements
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig
@@ -276,7 +275,7 @@ class Comparison:
 
     def _run(self, part: str, rig: EffectiveRig, motion: Motion) -> Array:
         out = self._out(part)
-        part_kernel(part).run(self._along(part, rig, motion, self._memory_steps(part, rig)), out)
+        part_kernel(part, rig).run(self._along(part, rig, motion, self._memory_steps(part, rig)), out)
         return out
 
     def _run_friction(self, rig: EffectiveRig, motion: Motion) -> Array:
@@ -286,8 +285,7 @@ class Comparison:
         )
         slow = getattr(rig.friction, "stribeck_velocity", math.inf)
         begun = Begun(np.ascontiguousarray(self.extra_force(rig)[:, 0]), self._balance(rig, motion), slow)
-        kernel = part_kernel("friction", rig.friction_model, rig_elements(rig))
-        kernel.run(self._along("friction", rig, motion, steps), begun, out)
+        part_kernel("friction", rig).run(self._along("friction", rig, motion, steps), begun, out)
         return out
 
     def _run_load(self, rig: EffectiveRig, motion: Motion) -> Array:
@@ -299,8 +297,7 @@ class Comparison:
         effects, parting = PARTS["load"].effects, tuple(use for use in rig.effects if use.piston_share > 0.0)
         others = rig._replace(effects=tuple(use for use in rig.effects if use not in parting))
         aside = Piston(effects.parameters(parting), effects.piston_state(parting[0].name), piston, GUIDE)
-        kernel = part_kernel("load", rig.friction_model, rig_elements(rig))
-        kernel.run(self._along("load", others, motion, steps), aside, out)
+        part_kernel("load", rig).run(self._along("load", others, motion, steps), aside, out)
         return out
 
     def _stiff_steps(self, rig: EffectiveRig, motion: Motion) -> int:

@@ -174,10 +174,15 @@ def _cases(size: float) -> tuple[_Case, ...]:
     )
 
 
-def _run(case: _Case, plant: Rig, believed: Rig) -> Steady:
-    """Run one case; a failure is part of the result."""
+def runs(before: Rig, extended: Rig) -> tuple[Spec, ...]:
+    """Return a run of each controller on the extended plant, for what compiles them beforehand."""
+    case = _cases(1.0)[0]
+    return tuple(_spec(case, extended, rig.effective().without_effects()) for rig in (before, extended))
+
+
+def _spec(case: _Case, plant: Rig, believed: Rig) -> Spec:
     observer = default_observer(believed)
-    spec = Spec(
+    return Spec(
         settings=Settings(title=case.title, duration=DURATION, initial_position=home_of(plant)),
         rig=plant,
         controller_rig=believed,
@@ -186,8 +191,12 @@ def _run(case: _Case, plant: Rig, believed: Rig) -> Steady:
         controller=Use("fasmc", CONTROLLERS.load("fasmc").Parameters()),
         compensation=Use(observer, OBSERVERS.load(observer).Parameters()),
     )
+
+
+def _run(case: _Case, plant: Rig, believed: Rig) -> Steady:
+    """Run one case; a failure is part of the result."""
     try:
-        run = run_in_process(spec)
+        run = run_in_process(_spec(case, plant, believed))
     except (BadInput, ArithmeticError, ValueError) as error:
         return Steady(None, None, f"cannot be run ({error}); look at the rig's coefficients")
     except Implausible as error:

@@ -7,6 +7,7 @@ import os
 import platform
 import sys
 from collections.abc import Callable, Iterator
+from types import ModuleType
 from typing import Any, NamedTuple, cast
 
 import numba
@@ -30,7 +31,7 @@ from ehls_ros.physics.plant import TEMPERATURE, Chains
 from ehls_ros.physics.plausibility import implausible
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import POSITION, VELOCITY
-from ehls_ros.physics.simulator import Moving, Simulator, Standing
+from ehls_ros.physics.simulator import Moving, Simulator, Standing, parts_of
 from ehls_ros.physics.simulator import build as build_plant
 from ehls_ros.recording.topics import CONTROLLER_STATUS, DISTURBANCE, LOADER_STATE, REFERENCE_TOPICS
 from ehls_ros.trajectory import Trajectory
@@ -116,6 +117,15 @@ def build(friction: Any, elements: int, states: int, chains: Chains, law: Any, o
     return _Loop(run)
 
 
+def loop_kernel(spec: Spec) -> ModuleType:
+    """Return the compiled loop of a spec's plant, observer and controller."""
+    parts = parts_of(spec.loader_rig())
+    law, observer = CONTROLLERS.load(spec.controller.name), OBSERVERS.load(spec.compensation.name)
+    members = {**parts.members, "law": law, "observer": observer, "believed": spec.controller_rig.friction_law}
+    arguments = "first, standing, moving, control, given, record"
+    return compiled(build, {"run": arguments}, members, parts.numbers, parts.effects)
+
+
 def sampled(use: Use, period: float) -> SampledReference:
     """Return a reference ready to be asked by cycle; ``period`` in s."""
     return SampledReference(REFERENCES.load(use.name), use.parameters, period)
@@ -199,11 +209,9 @@ class ClosedLoop:
         self._spec = spec
         period = spec.settings.control_period
         self._simulator = simulator_of(spec)
-        parts, believed = self._simulator.parts, spec.controller_rig
+        believed = spec.controller_rig
         law, observer = CONTROLLERS.load(spec.controller.name), OBSERVERS.load(spec.compensation.name)
-        members = {**parts.members, "law": law, "observer": observer, "believed": believed.friction_law}
-        arguments = "first, standing, moving, control, given, record"
-        self._run_compiled = compiled(build, {"run": arguments}, members, parts.numbers, parts.effects).run
+        self._run_compiled = loop_kernel(spec).run
         self._control = Control(
             friction=believed.friction,
             compensation=spec.compensation.parameters,
@@ -215,6 +223,7 @@ class ClosedLoop:
         )
         self.columns = Columns.of(self._control.observed.estimate.size)
         self.dense = 0
+        self._run(0, np.empty((0, self.columns.status.stop)), np.empty((0, 3)), np.empty((0, ROW)), np.random.default_rng())
 
     def blocks(self) -> Iterator[Block]:
         """Run the experiment.

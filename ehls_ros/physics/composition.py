@@ -32,9 +32,12 @@ from ehls_ros.arrays import Array
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS
 from ehls_ros.physics.friction import FRICTION_MODELS
-from ehls_ros.physics.kernel_cache import PREFIX, kept, make_private, sealed
+from ehls_ros.physics.kernel_cache import PREFIX, is_sealed, kept, make_private, sealed
 from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig
 from ehls_ros.sources import import_line, sources_digest
+
+COMPILED = ("physics", "control", "arrays.py", "inlining.py")
+"""Sources that machine code is made from."""
 
 
 def kernel_module(source: str) -> ModuleType:
@@ -51,7 +54,13 @@ def kernel_module(source: str) -> ModuleType:
         BadInput: the cache folder is not the user's alone.
     """
     # Everything machine code is made from.
-    made_from = (sys.version, numba.__version__, np.__version__, sources_digest("physics", "control", "arrays.py"), source)
+    made_from = (
+        sys.version,
+        numba.__version__,
+        np.__version__,
+        sources_digest(*COMPILED),
+        source,
+    )
     name = PREFIX + hashlib.sha256(" ".join(made_from).encode()).hexdigest()[:16]
     if name in sys.modules:
         return sys.modules[name]
@@ -68,8 +77,18 @@ def kernel_module(source: str) -> ModuleType:
             if code.parent != path.parent:
                 # Numba was told to keep it elsewhere.
                 make_private(code)
-            _compile_in_turn(entry, path.with_name(f"{name}.{entry.py_func.__name__}.seal"), code)
+            _compile_in_turn(entry, _seal(module, entry), code)
     return module
+
+
+def _seal(module: ModuleType, entry: Any) -> Path:
+    return Path(str(module.__file__)).with_name(f"{module.__name__}.{entry.py_func.__name__}.seal")
+
+
+def is_kept(module: ModuleType) -> bool:
+    """Tell whether the machine code of every entry of a compiled module is kept."""
+    own = (entry for entry in vars(module).values() if isinstance(entry, Dispatcher))
+    return all(is_sealed(_seal(module, entry)) for entry in own if entry.py_func.__module__ == module.__name__)
 
 
 class _Generated(ExecutionLoader):
@@ -225,7 +244,7 @@ def compiled(
     for entry, arguments in entries.items():
         lines += [
             f"{entry}_built = built.{entry}",
-            f'@njit(cache=True, error_model="numpy", nogil={threads})',
+            f'@njit(cache=True, error_model="numpy", nogil={threads}, no_cfunc_wrapper=True)',
             f"def {entry}({arguments}):",
             f"    return {entry}_built({arguments})",
         ]

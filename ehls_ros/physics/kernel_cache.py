@@ -141,6 +141,14 @@ def sealed(seal: Path, code: Path, pattern: str) -> Iterator[None]:
                 file.write(left)
 
 
+def is_sealed(seal: Path) -> bool:
+    """Tell whether machine code was left behind under a seal."""
+    try:
+        return seal.stat().st_size > 0
+    except OSError:
+        return False
+
+
 def _digest(code: Path, pattern: str) -> bytes:
     """Return a digest of all files with their names; nothing where there is none."""
     files = sorted(code.glob(pattern))

@@ -5,10 +5,11 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any, NamedTuple, get_type_hints
 
+from ehls_ros.arrays import in_python
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
-from ehls_ros.physics.friction.base import FrictionModel, in_python
+from ehls_ros.physics.friction.base import FrictionModel
 from ehls_ros.physics.parameters import Limits, Plant, Sensor
 from ehls_ros.schema import parse
 

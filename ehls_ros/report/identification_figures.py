@@ -6,14 +6,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ehls_ros.arrays import Array
+from ehls_ros.arrays import Array, in_python
 from ehls_ros.identification.balance import linear_columns
 from ehls_ros.identification.joint import JointFit
 from ehls_ros.identification.motion import Motion
 from ehls_ros.identification.result import Identification
 from ehls_ros.identification.static import StaticFit
 from ehls_ros.identification.stribeck import StaticFriction, steady_force
-from ehls_ros.physics.friction.base import in_python
 from ehls_ros.report.identification_findings import as_shown, elements_remark
 from ehls_ros.report.page import LeftOut, Panel, number
 from ehls_ros.report.plot import (

@@ -3,10 +3,10 @@ import math
 import numpy as np
 import pytest
 
+from ehls_ros.arrays import in_python
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.physics.friction import FRICTION_MODELS
-from ehls_ros.physics.friction.base import in_python
 from ehls_ros.physics.plant import FRICTION, V
 from ehls_ros.physics.rig import rig_from_mapping
 from ehls_ros.physics.simulator import Simulator

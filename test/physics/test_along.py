@@ -9,7 +9,6 @@ from rig_runs import PERIOD
 from ehls_ros.physics.along import PARTS, part_kernel
 from ehls_ros.physics.along.base import Along, Motion
 from ehls_ros.physics.along.friction import Begun
-from ehls_ros.physics.composition import rig_elements
 
 SAMPLES = 50
 TIME = PERIOD * np.arange(SAMPLES)
@@ -27,7 +26,7 @@ def along(part, rig, motion, given=(), steps=0, history=0, fresh=(0,)):
     effects = kind.effects.parameters(rig.effects)
     a = Along(motion, begins, PERIOD, steps, history, effective.plant, effective.friction, effects)
     out = np.empty((SAMPLES, kind.columns))
-    part_kernel(part, *((rig.friction_model, rig_elements(rig)) if kind.rubs else ())).run(a, *given, out)
+    part_kernel(part, effective).run(a, *given, out)
     return out
 
 

@@ -7,8 +7,8 @@ import pytest
 from reference_solver import Constants
 from scipy.integrate import solve_ivp
 
+from ehls_ros.arrays import in_python
 from ehls_ros.physics.friction import FRICTION_MODELS
-from ehls_ros.physics.friction.base import in_python
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.schema import declarations
 

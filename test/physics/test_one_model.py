@@ -143,7 +143,7 @@ def motion(given, out):
 
 def along(part, rig, measured, given=(), every=1):
     """Run a part along every so many samples of a recording; return its columns."""
-    effective, elements = rig.effective(), rig_elements(rig)
+    effective = rig.effective()
     effects, history = PARTS[part].effects, earlier_commands(rig, STEP) if part == "spool" else 0
     measured = Motion(*(np.ascontiguousarray(values[::every]) for values in measured))
     samples = len(measured.time)
@@ -155,8 +155,7 @@ def along(part, rig, measured, given=(), every=1):
     if part == "load":
         piston = Piston(effects.parameters(parting), effects.piston_state(parting[0].name), effective.piston_mass(), 157.0)
         given = (piston,)
-    model = (rig.friction_model, elements) if PARTS[part].rubs else ()
-    part_kernel(part, *model).run(a, *given, out)
+    part_kernel(part, effective).run(a, *given, out)
     return out
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from ehls_ros.arrays import Array
+from ehls_ros.arrays import Array, in_python
 from ehls_ros.control.controllers.base import saturate
 from ehls_ros.control.disturbances.base import DISPLACEMENT, ROW, VELOCITY
 from ehls_ros.control.references.base import SampledReference
@@ -72,7 +72,7 @@ class PositionServo:
         drop = plant.supply_pressure - math.copysign(1.0, velocity) * y[PL]
         root = math.sqrt(max(drop, 0.01 * plant.supply_pressure) / plant.oil_density)
         spool = plant.piston_area * velocity / (plant.discharge_coefficient * plant.valve_area_gradient * root)
-        limited: float = saturate.py_func(spool / plant.valve_gain, self._rig.limits.spool)
+        limited: float = in_python(saturate)(spool / plant.valve_gain, self._rig.limits.spool)
         return limited
 
     def _now(self) -> Array:

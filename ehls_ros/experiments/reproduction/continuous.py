@@ -9,15 +9,16 @@ from functools import partial
 
 import numpy as np
 
+from ehls_ros.arrays import in_python
 from ehls_ros.control.bounds import pressure_error_bound, reaching_rate, reaching_time_bound, remaining_s, sliding_time
 from ehls_ros.control.controllers import base, fasmc
 from ehls_ros.experiments.loop import ClosedLoop
 from ehls_ros.experiments.reproduction import paper
 from ehls_ros.experiments.reproduction.cases import Change, case
 from ehls_ros.experiments.reproduction.paper import Cell
-from ehls_ros.experiments.reproduction.pool import Task
 from ehls_ros.experiments.reproduction.results import ContinuousRun
 from ehls_ros.experiments.spec import Spec
+from ehls_ros.parallel import Task
 
 STEP = 4e-6
 """Period of control and integration [s]; the robust rate times it is 0.35."""
@@ -37,7 +38,7 @@ def tasks() -> list[Task]:
 def paper_quantities(spec: Spec) -> dict[str, float]:
     """Return e1 [MPa/mm], m0 [t] and the reaching rate [1/s] of a FASMC spec, in the law's units."""
     p = spec.controller.parameters
-    plant = fasmc.paper_units.py_func(spec.controller_rig.plant)
+    plant = in_python(fasmc.paper_units)(spec.controller_rig.plant)
     e1 = 4.0 * plant.bulk_modulus / plant.total_volume * plant.piston_area
     return {"e1": e1, "m0": plant.moving_mass, "rate": reaching_rate(p.h, p.b, p.xi, e1, p.delta_f, plant.moving_mass)}
 

@@ -10,8 +10,8 @@ from ehls_ros.experiments.metrics import Metrics
 from ehls_ros.experiments.reproduction import paper
 from ehls_ros.experiments.reproduction.cases import Change, evaluated, paper_rig
 from ehls_ros.experiments.reproduction.paper import Cell
-from ehls_ros.experiments.reproduction.pool import Task
 from ehls_ros.experiments.reproduction.results import DriftRun
+from ehls_ros.parallel import Task
 
 DURATION = 20.0
 """Time over which the friction drifts [s]."""

@@ -7,8 +7,8 @@ import numpy as np
 
 from ehls_ros.experiments.reproduction import paper
 from ehls_ros.experiments.reproduction.cases import Change, largest_error, paper_rig
-from ehls_ros.experiments.reproduction.pool import Task
 from ehls_ros.experiments.reproduction.results import CoefficientOff, Draws, Place, Robustness
+from ehls_ros.parallel import Task
 from ehls_ros.physics.friction.gms import Parameters as Friction
 
 CELLS = tuple(cell for cell in paper.CELLS if cell.controller == paper.FASMC_2)

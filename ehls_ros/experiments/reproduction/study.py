@@ -22,7 +22,6 @@ from ehls_ros.experiments.reproduction import (
 )
 from ehls_ros.experiments.reproduction.cases import AS_PUBLISHED, DIVERGED, Change, case, paper_rig, run
 from ehls_ros.experiments.reproduction.paper import CELLS, Cell
-from ehls_ros.experiments.reproduction.pool import Progress, Task, run_tasks
 from ehls_ros.experiments.reproduction.results import (
     Beyond,
     CellResult,
@@ -33,6 +32,7 @@ from ehls_ros.experiments.reproduction.results import (
     Theory,
     TriedWidth,
 )
+from ehls_ros.parallel import Progress, Task, run_tasks
 from ehls_ros.trajectory import Trajectory
 
 QUICK = ("constant", "sine")

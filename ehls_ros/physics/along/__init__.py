@@ -22,9 +22,15 @@ from functools import cache
 from types import ModuleType
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ehls_ros.physics.along import flow, force, friction, load, spool
-from ehls_ros.physics.composition import Effects, compiled, effects_with
+from ehls_ros.physics.along.base import Along, Motion
+from ehls_ros.physics.along.friction import Begun
+from ehls_ros.physics.along.load import Piston
+from ehls_ros.physics.composition import Effects, compiled, effects_with, rig_elements
 from ehls_ros.physics.friction import FRICTION_MODELS
+from ehls_ros.physics.rig import EffectiveRig
 
 
 class Part(NamedTuple):
@@ -62,18 +68,26 @@ PARTS = {
 """The parts by name."""
 
 
-@cache
-def part_kernel(name: str, model: str = "", elements: int = 0) -> ModuleType:
-    """Return the compiled functions of a part.
+def part_kernel(name: str, rig: EffectiveRig) -> ModuleType:
+    """Return the compiled functions of a part of :data:`PARTS`, with the rig's friction model where it runs one."""
+    return _kernel(name, rig.friction_model, rig_elements(rig)) if PARTS[name].rubs else _kernel(name, "", 0)
 
-    Args:
-        name: of :data:`PARTS`.
-        model: name of the friction model, where it runs one.
-        elements: number of this model's forces.
-    """
+
+@cache
+def _kernel(name: str, model: str, elements: int) -> ModuleType:
     part = PARTS[name]
     numbers = {"states": part.effects.states}
     if not part.rubs:
         return compiled(part.build, part.entries, numbers=numbers, effects=part.effects, threads=True)
     members, numbers = {"friction": FRICTION_MODELS.load(model)}, {"elements": elements, **numbers}
     return compiled(part.build, part.entries, members, numbers, part.effects, threads=True)
+
+
+def compile_part(name: str, rig: EffectiveRig) -> None:
+    """Compile a part, or load it: run it along two samples at rest."""
+    part, rest = PARTS[name], np.zeros(2)
+    none = part.effects.parameters(())
+    motion = Motion(np.array([0.0, 1.0]), *(rest for _ in Motion._fields[1:]))
+    a = Along(motion, np.array([True, False]), 1.0, 0, 0, rig.plant, rig.friction, none)
+    beside = {"friction": (Begun(rest, rest, 1.0),), "load": (Piston(none, 0, 1.0, 1.0),)}
+    part_kernel(name, rig).run(a, *beside.get(name, ()), np.empty((2, part.columns)))

@@ -4,9 +4,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
-from ehls_ros.arrays import Array, lean
+from ehls_ros.arrays import Array, kernel, lean
 from ehls_ros.physics.composition import Switched
 from ehls_ros.physics.integration import WORK_ROWS, integrator
 from ehls_ros.physics.parameters import Plant
@@ -102,11 +101,7 @@ class Scratch(NamedTuple):
     work: Array
 
 
-allocates = njit(error_model="numpy", forceinline=True)
-"""Compile what allocates arrays, once a run; what it calls for each sample does not."""
-
-
-@allocates
+@kernel
 def scratch(size: int, modes: int, history: int) -> Scratch:
     """Return what a run changes, all zero, for a state of a size, a number of modes and one of earlier commands."""
     w, work = np.zeros(INPUTS + history), np.empty((WORK_ROWS, size))
@@ -203,7 +198,7 @@ def sampled(states: int, chains: Chains, write: Callable[[Relations], Callable[.
                 lead(k, a, slope)
                 remember(t, y, s.mode, Imposed(c, slope), a.period / a.steps, a.steps, s.work)
 
-    @allocates
+    @kernel
     def run(a: Along, out: Array) -> None:
         go(a, scratch(FRICTION + states, 0, a.history), out)
 

@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ehls_ros.arrays import Array, lean
-from ehls_ros.physics.along.base import Along, Imposed, Scratch, allocates, lead, memory, scratch, take
+from ehls_ros.arrays import Array, kernel, lean
+from ehls_ros.physics.along.base import Along, Imposed, Scratch, lead, memory, scratch, take
 from ehls_ros.physics.integration import integrator
 from ehls_ros.physics.plant import FRICTION, Chains, Coefficients, U, V, balance_with, relations
 
@@ -140,7 +140,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Rubbing:
                 advance(0.0, forces, mode, met, step, 1, own.work)
                 level, applied = level_then, applied_then
 
-    @allocates
+    @kernel
     def run(a: Along, begun: Begun, out: Array) -> None:
         go(a, begun, scratch(FRICTION + states, 0, a.history), scratch(elements, elements, 0), out)
 

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehls_ros.arrays import Array, lean
-from ehls_ros.physics.along.base import Along, Scratch, allocates, lead, scratch, take
+from ehls_ros.arrays import Array, kernel, lean
+from ehls_ros.physics.along.base import Along, Scratch, lead, scratch, take
 from ehls_ros.physics.composition import Switched
 from ehls_ros.physics.integration import integrator
 from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, U, V, X, balance_with, relations
@@ -152,7 +152,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Parted:
             out[k, 3] = others - piston.mass * a.plant.gravity
             advance(t, y, mode, c, a.period / a.steps, a.steps, s.work)
 
-    @allocates
+    @kernel
     def run(a: Along, piston: Piston, out: Array) -> None:
         go(a, piston, scratch(end + states, elements, a.history), np.zeros(FRICTION), out)
 

@@ -3,8 +3,8 @@
 import math
 from typing import Any, NamedTuple
 
-from ehls_ros.arrays import Array, lean
-from ehls_ros.physics.along.base import Along, Imposed, Sampled, Scratch, allocates, lead, never, scratch, take
+from ehls_ros.arrays import Array, kernel, lean
+from ehls_ros.physics.along.base import Along, Imposed, Sampled, Scratch, lead, never, scratch, take
 from ehls_ros.physics.integration import integrator
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, V, X, mover, relations
@@ -69,7 +69,7 @@ def build(states: int, chains: Chains) -> Sampled:
             else:
                 move_exact(t, y, s.mode, c, a.period, 1, s.work)
 
-    @allocates
+    @kernel
     def run(a: Along, out: Array) -> None:
         go(a, scratch(FRICTION + states, 0, a.history), out)
 

@@ -87,11 +87,6 @@ class FrictionModel(Protocol):
         """Write the forces that hold a balance into ``F`` [N]."""
 
 
-def in_python(compiled: Any) -> Any:
-    """Return a compiled function of a model as plain Python: a single call is not worth a compilation."""
-    return compiled.py_func
-
-
 @kernel
 def stribeck_level(v: float, p: Any) -> float:
     """Return the Stribeck curve s(v) of equation (7) [N]."""
