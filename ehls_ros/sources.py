@@ -37,17 +37,20 @@ def module_digest(module: ModuleType) -> str:
 
 
 def import_line(member: object, name: str) -> str:
-    """Return the line by which generated source text imports a family's member.
+    """Return the line by which generated source text imports a module, or a function at the top level of one.
 
     The line ends with the digest of the member's sources, so that text made from other sources is other text.
 
     Args:
-        member: the module, as :meth:`ehls_ros.families.Family.load` returns it.
+        member: a module, as :meth:`ehls_ros.families.Family.load` returns it, or a function.
         name: what the text calls it.
     """
-    if not isinstance(member, ModuleType):
-        raise TypeError(f"{member!r} is not a module")
-    return f"import {member.__name__} as {name}  # {module_digest(member)[:16]}"
+    if isinstance(member, ModuleType):
+        return f"import {member.__name__} as {name}  # {module_digest(member)[:16]}"
+    home, own = getattr(member, "__module__", None), getattr(member, "__name__", None)
+    if home is None or own is None or getattr(sys.modules[home], own, None) is not member:
+        raise TypeError(f"{member!r} is neither a module nor a function at the top level of one")
+    return f"from {home} import {own} as {name}  # {module_digest(sys.modules[home])[:16]}"
 
 
 def _digest_of(files: Iterable[Path]) -> str:

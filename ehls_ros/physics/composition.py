@@ -36,7 +36,7 @@ from ehls_ros.physics.kernel_cache import PREFIX, is_sealed, kept, make_private,
 from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig
 from ehls_ros.sources import import_line, sources_digest
 
-COMPILED = ("physics", "control", "arrays.py", "inlining.py")
+COMPILED = ("physics", "control", "identification", "arrays.py", "inlining.py")
 """Sources that machine code is made from."""
 
 
@@ -54,13 +54,7 @@ def kernel_module(source: str) -> ModuleType:
         BadInput: the cache folder is not the user's alone.
     """
     # Everything machine code is made from.
-    made_from = (
-        sys.version,
-        numba.__version__,
-        np.__version__,
-        sources_digest(*COMPILED),
-        source,
-    )
+    made_from = (sys.version, numba.__version__, np.__version__, sources_digest(*COMPILED), source)
     name = PREFIX + hashlib.sha256(" ".join(made_from).encode()).hexdigest()[:16]
     if name in sys.modules:
         return sys.modules[name]
@@ -71,14 +65,19 @@ def kernel_module(source: str) -> ModuleType:
     module = module_from_spec(spec)
     sys.modules[name] = module
     spec.loader.exec_module(module)
-    for entry in vars(module).values():
-        if isinstance(entry, Dispatcher) and entry.py_func.__module__ == name and entry.stats.cache_path is not None:
-            code = Path(entry.stats.cache_path)
-            if code.parent != path.parent:
-                # Numba was told to keep it elsewhere.
-                make_private(code)
-            _compile_in_turn(entry, _seal(module, entry), code)
+    for entry in _entries(module):
+        code = Path(entry.stats.cache_path)
+        if code.parent != path.parent:
+            # Numba was told to keep it elsewhere.
+            make_private(code)
+        _compile_in_turn(entry, _seal(module, entry), code)
     return module
+
+
+def _entries(module: ModuleType) -> list[Any]:
+    """Return a compiled module's entries: its own functions whose machine code is kept."""
+    functions = [value for value in vars(module).values() if isinstance(value, Dispatcher)]
+    return [f for f in functions if f.py_func.__module__ == module.__name__ and f.stats.cache_path is not None]
 
 
 def _seal(module: ModuleType, entry: Any) -> Path:
@@ -87,8 +86,7 @@ def _seal(module: ModuleType, entry: Any) -> Path:
 
 def is_kept(module: ModuleType) -> bool:
     """Tell whether the machine code of every entry of a compiled module is kept."""
-    own = (entry for entry in vars(module).values() if isinstance(entry, Dispatcher))
-    return all(is_sealed(_seal(module, entry)) for entry in own if entry.py_func.__module__ == module.__name__)
+    return all(is_sealed(_seal(module, entry)) for entry in _entries(module))
 
 
 class _Generated(ExecutionLoader):
@@ -218,7 +216,7 @@ def compiled(
             effects, ``chains`` (:class:`~ehls_ros.physics.plant.Chains`); it returns an object with a compiled function for
             each entry.
         entries: names of those functions, each with its arguments as text.
-        members: modules by keyword, such as a friction model's file.
+        members: modules by keyword, such as a friction model's file, and functions at the top level of one.
         numbers: integers by keyword.
         effects: the effects to chain.
         threads: whether the entries let other threads run.
@@ -234,7 +232,7 @@ def compiled(
         "from numba import njit",
         "from ehls_ros.arrays import lean",
         "from ehls_ros.physics.plant import Chains",
-        _import(module, "builder"),
+        import_line(module, "builder"),
         *(_import(member, keyword) for keyword, member in members.items()),
         *([] if effects is None else _chains(effects)),
     ]

@@ -3,13 +3,10 @@
 All optimisers search the unit box; u there stands for ``lower + u (upper - lower)``.
 """
 
-import hashlib
-import inspect
 import math
 import sys
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +15,7 @@ from numba import extending, njit
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.errors import BadInput
 from ehls_ros.identification.optimisers.base import Problem
-from ehls_ros.physics.composition import kernel_module
+from ehls_ros.physics import composition
 
 STEP = 2.0**-26
 """Step of differences in the unit box: the root of a double's resolution."""
@@ -151,21 +148,20 @@ def compiled(search: Callable[[Any], Any], problem: Problem) -> Any:
     module = sys.modules.get(residuals.__module__)
     if module is None or module.__file__ is None or getattr(module, name, None) is not residuals:
         raise BadInput(f"residuals {name} cannot be imported", where, "a function at the top level of a module's file")
-    return _compiled(search, module.__name__, name, module.__file__)
+    return _compiled(search, residuals)
+
+
+class _Search(NamedTuple):
+    """A compiled search."""
+
+    run: Callable[..., Any]
 
 
 @cache
-def _compiled(search: Callable[[Any], Any], module: str, name: str, file: str) -> Any:
-    # Residuals and search may lie outside the package; a change of theirs, or of what they use, makes another module.
-    used = {*Path(__file__).parents[1].rglob("*.py"), Path(file), Path(inspect.getfile(search))}
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(used))).hexdigest()[:16]
-    glue = [
-        "from numba import njit",
-        f"from {module} import {name} as residuals  # {digest}",
-        f"from {search.__module__} import {search.__name__} as search",
-        "run = search(residuals)",
-        "@njit(cache=True, error_model='numpy')",
-        "def entry(*arguments):",
-        "    return run(*arguments)",
-    ]
-    return kernel_module("\n".join(glue) + "\n").entry
+def _compiled(search: Callable[[Any], Any], residuals: Any) -> Any:
+    return composition.compiled(_build, {"run": "*arguments"}, {"search": search, "residuals": residuals}).run
+
+
+def _build(search: Callable[[Any], Any], residuals: Any) -> _Search:
+    """Build a search of some residuals."""
+    return _Search(search(residuals))

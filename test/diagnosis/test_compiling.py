@@ -1,0 +1,91 @@
+"""Kernels compiled side by side before they are run."""
+
+from functools import partial
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import pytest
+
+from ehls_ros.arrays import kernel
+from ehls_ros.diagnosis.record import prepare
+from ehls_ros.diagnosis.stages import Comparison, setup
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.compiling import Job, compile_side_by_side, of_consequences, of_diagnosis
+from ehls_ros.experiments.controller_benefit import controller_benefit
+from ehls_ros.physics.along import PARTS, compile_part, part_kernel
+from ehls_ros.physics.composition import compiled, is_kept
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.rig import EffectUse
+from ehls_ros.trajectory import Trajectory
+
+
+def using(rig, name, **parameters):
+    return rig._replace(effects=(*rig.effects, EffectUse(name, EFFECTS.load(name).Parameters(**parameters))))
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_a_part_is_compiled_for_the_arguments_a_diagnosis_gives_it(part, rig, recorded):
+    r = recorded({}, "rich", duration=2.0, seed=1)
+    record = prepare(Trajectory(r.time, r.columns), rig, "case")
+    parted = using(rig, "hinge_backlash", load_gap=1e-3) if part == "load" else rig
+    effective = parted.effective()
+    compile_part(part, effective)
+    run = part_kernel(part, effective).run
+    before = list(run.signatures)
+    comparison = Comparison(record, setup(record, rig))
+    method = {"spool": "simulated_spool", "flow": "flow_terms", "force": "extra_force"}.get(part, part)
+    getattr(comparison, method)(effective)
+    assert before
+    assert run.signatures == before
+    assert is_kept(part_kernel(part, effective))
+
+
+def test_only_what_is_not_kept_is_compiled_and_only_then_the_user_is_told(rig):
+    said = []
+    kept = [Job(job.kernel, refused) for job in of_diagnosis(rig)]
+    for part in PARTS:
+        compile_part(part, rig.effective())
+    compile_side_by_side(kept, lambda *step: said.append(step))
+    assert said == []
+    fresh = compiled(built_of_nothing, {"run": "x"})
+    compile_side_by_side([Job(lambda: fresh, partial(int))], lambda *step: said.append(step))
+    assert said == [(0, 1), (1, 1)]
+    assert not is_kept(fresh)
+    assert fresh.run(2.0) == 2.0
+    assert is_kept(fresh)
+
+
+def test_what_follows_a_diagnosis_runs_what_was_compiled_for_it(rig):
+    diagnosis = SimpleNamespace(verdict="effect", rig=rig, extended=using(rig, "mass_shift", factor=1.5))
+    jobs = of_consequences(diagnosis)
+    for job in jobs:
+        job.compile()
+        assert is_kept(job.kernel())
+    before = [signatures(job.kernel()) for job in jobs]
+    assert all(before)
+    controller_benefit(diagnosis.rig, diagnosis.extended)
+    assert [signatures(job.kernel()) for job in jobs] == before
+    assert [job.kernel() for job in of_consequences(SimpleNamespace(verdict="consistent", rig=rig, extended=rig))] == [
+        jobs[-1].kernel()
+    ]
+
+
+def signatures(module):
+    return {name: entry.signatures for name, entry in vars(module).items() if hasattr(entry, "signatures") and entry.signatures}
+
+
+class Built(NamedTuple):
+    run: Any
+
+
+@kernel
+def same(x):
+    return x
+
+
+def built_of_nothing():
+    return Built(same)
+
+
+def refused():
+    raise BadInput("it was compiled", "here", "leave it")
