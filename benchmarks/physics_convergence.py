@@ -20,7 +20,7 @@ from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.spec import Spec, load_spec, spec_from_mapping, spec_to_mapping
 from ehls_ros.physics.rig import Rig, rig_from_mapping
-from ehls_ros.physics.simulator import DEFAULT_STEP, Simulator, plant_kernel
+from ehls_ros.physics.simulator import DEFAULT_STEP, Simulator, parts_of, plant_kernel
 
 ROOT = Path(__file__).resolve().parent.parent
 PERIOD = 1e-3
@@ -54,7 +54,8 @@ def open_loop(plant: Rig, motion: Motion, step: float, duration: float, located:
     """Return the load pressure at each cycle of an open-loop motion."""
     simulator = Simulator(plant, PERIOD, step)
     if not located:
-        parts = simulator.parts._replace(numbers={**simulator.parts.numbers, "most_events": 0})
+        parts = parts_of(plant)
+        parts = parts._replace(numbers={**parts.numbers, "most_events": 0})
         simulator._advance = plant_kernel(parts).advance  # noqa: SLF001
     pressures = []
     spool, disturbance = 2.0 * np.pi * motion.spool_frequency, 2.0 * np.pi * motion.disturbance_frequency

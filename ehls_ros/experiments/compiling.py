@@ -14,7 +14,7 @@ from ehls_ros.diagnosis.result import Diagnosis
 from ehls_ros.experiments.controller_benefit import runs
 from ehls_ros.experiments.loop import ClosedLoop, loop_kernel
 from ehls_ros.experiments.spec import Spec
-from ehls_ros.parallel import Progress, Task, run_tasks
+from ehls_ros.parallel import Progress, Task, Workers
 from ehls_ros.physics.along import PARTS, compile_part, part_kernel
 from ehls_ros.physics.composition import is_kept
 from ehls_ros.physics.rig import Rig
@@ -49,14 +49,15 @@ def of_consequences(diagnosis: Diagnosis) -> list[Job]:
         return [_plant(given)]
     loops = {loop_kernel(spec): spec for spec in runs(given, extended)}
     jobs = [Job(partial(loop_kernel, spec), partial(_loop, spec)) for spec in loops.values()]
-    return [*jobs, _plant(extended), _plant(given)]
+    return [*jobs, _plant(given), _plant(extended)]
 
 
-def compile_side_by_side(jobs: Iterable[Job], progress: Progress) -> None:
+def compile_side_by_side(jobs: Iterable[Job], workers: Workers, progress: Progress) -> None:
     """Compile those of some kernels that are not kept yet.
 
     Args:
         jobs: the kernels.
+        workers: the processes to compile in.
         progress: called with the number compiled and their total number; not called where all are kept.
     """
     tasks = [job.compile for job in jobs if not is_kept(job.kernel())]
@@ -64,7 +65,7 @@ def compile_side_by_side(jobs: Iterable[Job], progress: Progress) -> None:
         progress(0, len(tasks))
         # Without the help of other processes, a kernel is compiled where it is run.
         with suppress(BrokenProcessPool):
-            run_tasks(tasks, progress=progress)
+            workers.run(tasks, progress)
 
 
 def _plant(rig: Rig) -> Job:

@@ -5,6 +5,7 @@ Nothing here changes the verdict. Whatever fails becomes a remark, and the diagn
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import NamedTuple, TypeVar
 
 from ehls_ros.diagnosis.free_run import FreeRun, free_run
@@ -14,6 +15,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.compiling import COMPILING, compile_side_by_side, of_consequences
 from ehls_ros.experiments.controller_benefit import ControllerBenefit, controller_benefit
 from ehls_ros.experiments.next_experiment import NextExperiment, Proposal, next_experiment
+from ehls_ros.parallel import Workers
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.trajectory import Trajectory
@@ -72,7 +74,12 @@ NOTHING = Consequences(None, None, None)
 
 
 def consequences(
-    diagnosis: Diagnosis, trajectory: Trajectory, name: str, *, progress: Progress = lambda step, fraction: None
+    diagnosis: Diagnosis,
+    trajectory: Trajectory,
+    name: str,
+    *,
+    workers: Workers | None = None,
+    progress: Progress = lambda step, fraction: None,
 ) -> Consequences:
     """Compute what follows from a diagnosis.
 
@@ -80,6 +87,7 @@ def consequences(
         diagnosis: the diagnosis.
         trajectory: the recording it was made from.
         name: what the recording is called in errors.
+        workers: processes to compile in; by default each kernel is compiled where it is run.
         progress: called with the current step and the fraction that is done.
 
     Returns:
@@ -88,8 +96,8 @@ def consequences(
     remarks: list[str] = []
     run = controller = proposal = None
     if diagnosis.verdict != "insufficient":
-        # What cannot be compiled cannot be run either, and says so there.
-        _tried("kernels", [], lambda: compile_side_by_side(of_consequences(diagnosis), lambda *_: progress(COMPILING, 0.0)))
+        if workers is not None:
+            _compiled(diagnosis, workers, progress)
         progress("simulating a free run", 0.0)
         run = _tried("free run", remarks, lambda: free_run(trajectory, diagnosis.rig, diagnosis.extended, name))
     if diagnosis.verdict == "effect":
@@ -112,6 +120,12 @@ def consequences(
                 ),
             )
     return Consequences(run, controller, proposal, tuple(remarks))
+
+
+def _compiled(diagnosis: Diagnosis, workers: Workers, progress: Progress) -> None:
+    # What cannot be compiled cannot be run either, and says so there.
+    with suppress(Exception):
+        compile_side_by_side(of_consequences(diagnosis), workers, lambda *_: progress(COMPILING, 0.0))
 
 
 def _tried(what: str, remarks: list[str], make: Callable[[], Made]) -> Made | None:

@@ -27,12 +27,11 @@ from ehls_ros.control.references.base import SampledReference
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.spec import Spec, Use, check_spec, spec_to_mapping
 from ehls_ros.physics.composition import compiled
-from ehls_ros.physics.plant import TEMPERATURE, Chains
+from ehls_ros.physics.plant import TEMPERATURE
 from ehls_ros.physics.plausibility import implausible
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import POSITION, VELOCITY
-from ehls_ros.physics.simulator import Moving, Simulator, Standing, parts_of
-from ehls_ros.physics.simulator import build as build_plant
+from ehls_ros.physics.simulator import Moving, Simulated, Simulator, Standing, at_rest, parts_of, plant_kernel
 from ehls_ros.recording.topics import CONTROLLER_STATUS, DISTURBANCE, LOADER_STATE, REFERENCE_TOPICS
 from ehls_ros.trajectory import Trajectory
 
@@ -82,9 +81,8 @@ class _Loop(NamedTuple):
     run: Callable[..., int]
 
 
-def build(friction: Any, elements: int, states: int, chains: Chains, law: Any, observer: Any, believed: Any) -> _Loop:
-    """Build plant, observer and controller as one compiled function; the first arguments are those of the simulator's."""
-    plant = build_plant(friction, elements, states, chains)
+def build(plant: Any, law: Any, observer: Any, believed: Any) -> _Loop:
+    """Build the loop of a compiled plant, a controller, and an observer that believes in a friction model."""
     sense, hold, advance, update, step = plant.sense, plant.hold, plant.advance, observer.updater(believed), law.step
 
     @kernel
@@ -119,11 +117,13 @@ def build(friction: Any, elements: int, states: int, chains: Chains, law: Any, o
 
 def loop_kernel(spec: Spec) -> ModuleType:
     """Return the compiled loop of a spec's plant, observer and controller."""
-    parts = parts_of(spec.loader_rig())
-    law, observer = CONTROLLERS.load(spec.controller.name), OBSERVERS.load(spec.compensation.name)
-    members = {**parts.members, "law": law, "observer": observer, "believed": spec.controller_rig.friction_law}
-    arguments = "first, standing, moving, control, given, record"
-    return compiled(build, {"run": arguments}, members, parts.numbers, parts.effects)
+    members = {
+        "plant": plant_kernel(parts_of(spec.loader_rig())),
+        "law": CONTROLLERS.load(spec.controller.name),
+        "observer": OBSERVERS.load(spec.compensation.name),
+        "believed": spec.controller_rig.friction_law,
+    }
+    return compiled(build, {"run": "first, standing, moving, control, given, record"}, members)
 
 
 def sampled(use: Use, period: float) -> SampledReference:
@@ -131,17 +131,27 @@ def sampled(use: Use, period: float) -> SampledReference:
     return SampledReference(REFERENCES.load(use.name), use.parameters, period)
 
 
+def plant_of(spec: Spec) -> Simulated:
+    """Return a spec's plant, at rest."""
+    return at_rest(spec.loader_rig(), *_timing(spec), **_start(spec))
+
+
 def simulator_of(spec: Spec) -> Simulator:
     """Return a spec's plant, ready to be stepped."""
+    return Simulator(spec.loader_rig(), *_timing(spec), **_start(spec))
+
+
+def _timing(spec: Spec) -> tuple[float, float]:
+    return spec.settings.control_period, spec.settings.integration_step
+
+
+def _start(spec: Spec) -> dict[str, float]:
     settings = spec.settings
-    return Simulator(
-        spec.loader_rig(),
-        settings.control_period,
-        settings.integration_step,
-        settings.initial_position,
-        settings.oil_temperature,
-        settings.oil_warming,
-    )
+    return {
+        "position": settings.initial_position,
+        "temperature": settings.oil_temperature,
+        "warming": settings.oil_warming,
+    }
 
 
 class Block(NamedTuple):
@@ -208,7 +218,7 @@ class ClosedLoop:
             check_spec(spec, spec.settings.title)
         self._spec = spec
         period = spec.settings.control_period
-        self._simulator = simulator_of(spec)
+        self._plant = plant_of(spec)
         believed = spec.controller_rig
         law, observer = CONTROLLERS.load(spec.controller.name), OBSERVERS.load(spec.compensation.name)
         self._run_compiled = loop_kernel(spec).run
@@ -258,7 +268,7 @@ class ClosedLoop:
                     following = disturbing.following(first + i, record[i, POSITION], record[i, VELOCITY])
             # A sensor may hide what the rig itself comes to.
             lost = implausible(record[:, : self.columns.command + 1], spec.rig.limits)
-            hidden = implausible(self._simulator.truth[np.newaxis], spec.rig.limits)
+            hidden = implausible(self._plant.moving.truth[np.newaxis], spec.rig.limits)
             if lost is None and hidden is not None:
                 lost = hidden._replace(row=count - 1)
             end = count if lost is None else lost.row + 1
@@ -269,9 +279,8 @@ class ClosedLoop:
                 )
 
     def _run(self, first: int, record: Array, reference: Array, disturbance: Array, random: Generator) -> None:
-        simulator = self._simulator
         given = Given(random.standard_normal((len(record), len(SENSED))), reference, disturbance)
-        self.dense += self._run_compiled(first, simulator.standing, simulator.moving, self._control, given, record)
+        self.dense += self._run_compiled(first, self._plant.standing, self._plant.moving, self._control, given, record)
 
 
 def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = None, *, check: bool = True) -> Trajectory:

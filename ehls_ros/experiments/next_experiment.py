@@ -41,7 +41,7 @@ from ehls_ros.control.observers import ANY_MODEL, rig_model
 from ehls_ros.control.observers.base import ObserverState
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import CATALOGUE, catalogue_spec, reach
-from ehls_ros.experiments.loop import sampled, simulator_of
+from ehls_ros.experiments.loop import plant_of, sampled
 from ehls_ros.experiments.separation import (
     BLOCK,
     MEMORY,
@@ -60,7 +60,7 @@ from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.plant import TEMPERATURE, X
 from ehls_ros.physics.rig import SENSED, Rig, rig_to_mapping
 from ehls_ros.physics.sensors import FORCE, LOAD_PRESSURE, POSITION, SPOOL, VELOCITY
-from ehls_ros.physics.simulator import Moving, Simulator, Standing, plant_kernel
+from ehls_ros.physics.simulator import Moving, Simulated, Standing, plant_kernel
 
 LEAST_SIGMA = 5.0
 """Separation below which an experiment is not proposed."""
@@ -201,7 +201,7 @@ class _Experiment:
         return self._run(rig, _ALONG, given).record
 
     def _run(self, rig: Rig, source: int, given: Array) -> _Run:
-        simulator = simulator_of(self.spec._replace(rig=rig.quiet()))
+        plant = plant_of(self.spec._replace(rig=rig.quiet()))
         design, chosen = self.spec.controller_rig, self.spec.controller
         force_tuning = chosen.parameters if chosen.name == "fasmc" else fasmc.Parameters()
         position_tuning = chosen.parameters if chosen.name == "pid" else pid.Parameters()
@@ -218,15 +218,15 @@ class _Experiment:
         )
         rows = _Rows(self.reference, self.load, given, self.period / MEMORY)
         record = np.empty((self.spec.cycles, len(SENSED) + 1))
-        bench = _bench(simulator, design.friction_model)
-        saturated = bench(source, simulator.standing, simulator.moving, control, rows, record)
+        bench = _bench(plant, design.friction_model)
+        saturated = bench(source, plant.standing, plant.moving, control, rows, record)
         return _Run(record, saturated / self.spec.cycles)
 
 
-def _bench(simulator: Simulator, believed: str) -> Callable[..., int]:
+def _bench(plant: Simulated, believed: str) -> Callable[..., int]:
     """Return the compiled bench of a plant and the controller's friction model; it calls kernels compiled before."""
     modules = {
-        "plant": plant_kernel(simulator.parts),
+        "plant": plant_kernel(plant.parts),
         "force_law": controller_kernel("fasmc"),
         "position_law": controller_kernel("pid"),
         "observer": observer_kernel(ANY_MODEL, believed),

@@ -167,12 +167,73 @@ def earlier_commands(rig: Rig | EffectiveRig, period: float) -> int:
     return math.ceil(reach / period)
 
 
+class Simulated(NamedTuple):
+    """A rig as a compiled plant takes it.
+
+    Attributes:
+        rig: the effective rig.
+        parts: what its plant is compiled of.
+        standing: what stands during the run.
+        moving: what the run changes.
+    """
+
+    rig: EffectiveRig
+    parts: PlantParts
+    standing: Standing
+    moving: Moving
+
+
+def at_rest(
+    rig: Rig,
+    period: float = 1e-3,
+    step: float = DEFAULT_STEP,
+    position: float = 0.0,
+    temperature: float = OIL_TEMPERATURE,
+    warming: float = 0.0,
+) -> Simulated:
+    """Return a rig that rests without pressure.
+
+    Args:
+        rig: rig to simulate.
+        period: control period [s].
+        step: largest integration step [s]; the period is cut into equal steps no longer.
+        position: initial piston position [m].
+        temperature: initial oil temperature [K].
+        warming: rate at which the oil warms [K/s].
+    """
+    effective = rig.effective()
+    parts = parts_of(rig)
+    steps = max(1, math.ceil(period / step - 1e-9))
+    elements, states = parts.numbers["elements"], parts.numbers["states"]
+    standing = Standing(
+        effective.plant,
+        effective.friction,
+        parts.effects.parameters(effective.effects),
+        float(period),
+        period / steps,
+        steps,
+        float(warming),
+    )
+    y = np.zeros(FRICTION + elements + states)
+    moving = Moving(
+        y=y,
+        mode=np.zeros(1 + elements),
+        inputs=np.zeros(INPUTS + earlier_commands(effective, period)),
+        work=np.empty((WORK_ROWS, y.size)),
+        sensors=sensors.prepare(effective.sensors, period),
+        truth=np.zeros(len(SENSED)),
+        measured=np.zeros(len(SENSED)),
+    )
+    moving.y[X], moving.mode[0] = position, 1.0
+    moving.inputs[PERIOD], moving.inputs[TEMPERATURE] = period, temperature
+    return Simulated(effective, parts, standing, moving)
+
+
 class Simulator:
     """One simulated rig, advanced a control period at a time.
 
     Attributes:
         rig: the effective rig.
-        parts: what its plant is compiled of.
         standing: what stands during the run.
         moving: what the run changes.
         period: control period [s].
@@ -183,67 +244,26 @@ class Simulator:
         cycle: number of control periods done.
     """
 
-    def __init__(
-        self,
-        rig: Rig,
-        period: float = 1e-3,
-        step: float = DEFAULT_STEP,
-        position: float = 0.0,
-        temperature: float = OIL_TEMPERATURE,
-        warming: float = 0.0,
-    ) -> None:
+    def __init__(self, rig: Rig, period: float = 1e-3, step: float = DEFAULT_STEP, **start: float) -> None:
         """Prepare and compile (or load) the kernel; the rig rests without pressure.
 
         Args:
             rig: rig to simulate.
             period: control period [s].
             step: largest integration step [s]; the period is cut into equal steps no longer.
-            position: initial piston position [m].
-            temperature: initial oil temperature [K].
-            warming: rate at which the oil warms [K/s].
+            **start: ``position``, ``temperature`` and ``warming`` of :func:`at_rest`.
         """
-        self.rig = rig.effective()
-        self.parts = parts_of(rig)
-        plant = plant_kernel(self.parts)
+        self.rig, parts, self.standing, self.moving = at_rest(rig, period, step, **start)
+        plant = plant_kernel(parts)
         self._advance, self._sense, self._hold = plant.advance, plant.sense, plant.hold
-        steps = max(1, math.ceil(period / step - 1e-9))
-        self.standing = Standing(
-            self.rig.plant,
-            self.rig.friction,
-            self.parts.effects.parameters(rig.effects),
-            float(period),
-            period / steps,
-            steps,
-            float(warming),
-        )
-        elements, states = self.parts.numbers["elements"], self.parts.numbers["states"]
-        y = np.zeros(FRICTION + elements + states)
-        self.moving = Moving(
-            y=y,
-            mode=np.zeros(1 + elements),
-            inputs=np.zeros(INPUTS + earlier_commands(rig, period)),
-            work=np.empty((WORK_ROWS, y.size)),
-            sensors=sensors.prepare(self.rig.sensors, period),
-            truth=np.zeros(len(SENSED)),
-            measured=np.zeros(len(SENSED)),
-        )
         self.period = self.standing.period
-        self.y, self.mode, self.inputs, self.truth = y, self.moving.mode, self.moving.inputs, self.moving.truth
-        self.inputs[PERIOD] = period
+        self.y, self.mode, self.inputs, self.truth = self.moving.y, self.moving.mode, self.moving.inputs, self.moving.truth
         self.cycle = 0
-        self._warm_up()
-        self.y[X] = position
-        self.mode[0] = 1.0
-        self.inputs[TEMPERATURE] = temperature
-
-    def _warm_up(self) -> None:
-        """Compile now what would otherwise compile in the first cycle."""
-        self.measure(np.zeros(len(SENSED)))
-        self._hold(self.inputs, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        self.mode[0] = 1.0
-        self._advance(self.cycle, self.standing._replace(steps=0), self.moving)
-        self.y[:] = 0.0
-        self.mode[:] = 0.0
+        # What would otherwise compile in the first cycle.
+        trial = at_rest(rig, period, step).moving
+        self._sense(0, self.standing, trial, np.zeros(len(SENSED)))
+        self._hold(trial.inputs, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self._advance(0, self.standing._replace(steps=0), trial)
 
     def measure(self, noise: Array) -> Array:
         """Read the sensors at the present cycle.

@@ -12,6 +12,7 @@ from ehls_ros.diagnosis.stages import Comparison, setup
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.compiling import Job, compile_side_by_side, of_consequences, of_diagnosis
 from ehls_ros.experiments.controller_benefit import controller_benefit
+from ehls_ros.parallel import Workers
 from ehls_ros.physics.along import PARTS, compile_part, part_kernel
 from ehls_ros.physics.composition import compiled, is_kept
 from ehls_ros.physics.effects import EFFECTS
@@ -42,13 +43,13 @@ def test_a_part_is_compiled_for_the_arguments_a_diagnosis_gives_it(part, rig, re
 
 def test_only_what_is_not_kept_is_compiled_and_only_then_the_user_is_told(rig):
     said = []
-    kept = [Job(job.kernel, refused) for job in of_diagnosis(rig)]
+    kept = [Job(job.kernel, partial(refused)) for job in of_diagnosis(rig)]
     for part in PARTS:
         compile_part(part, rig.effective())
-    compile_side_by_side(kept, lambda *step: said.append(step))
+    compile_side_by_side(kept, Workers(1), lambda *step: said.append(step))
     assert said == []
     fresh = compiled(built_of_nothing, {"run": "x"})
-    compile_side_by_side([Job(lambda: fresh, partial(int))], lambda *step: said.append(step))
+    compile_side_by_side([Job(lambda: fresh, partial(int))], Workers(1), lambda *step: said.append(step))
     assert said == [(0, 1), (1, 1)]
     assert not is_kept(fresh)
     assert fresh.run(2.0) == 2.0

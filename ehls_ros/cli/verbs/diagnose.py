@@ -25,6 +25,7 @@ from ehls_ros.experiments.consequences import Consequences, consequences
 from ehls_ros.experiments.diagnosis_document import diagnosis_document
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.spec import load_rig
+from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.columns import read_columns
 from ehls_ros.recording.load import load
@@ -70,11 +71,11 @@ def run(options: Namespace) -> int:
     columns = read_columns(options.columns) if options.columns else None
     folder = writable(options.out, RESULT)
     name = data.name or str(data)
-    with progress_bar("diagnosing") as bar:
+    with Workers() as workers, progress_bar("diagnosing") as bar:
         bar(0, BAR, "reading")
         bag = data / "bag"
         trajectory = load(bag if bag.is_dir() else data, columns)
-        compile_side_by_side(of_diagnosis(rig), lambda done, total: bar(done, total, COMPILING))
+        compile_side_by_side(of_diagnosis(rig), workers, lambda done, total: bar(done, total, COMPILING))
         found = diagnose(
             trajectory,
             rig,
@@ -87,6 +88,7 @@ def run(options: Namespace) -> int:
             found,
             trajectory,
             name,
+            workers=workers,
             progress=lambda doing, done: bar(round(BAR * (CORE + (1.0 - CORE) * done)), BAR, doing),
         )
         wall = time.perf_counter() - began
