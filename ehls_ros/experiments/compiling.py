@@ -16,7 +16,7 @@ from ehls_ros.experiments.loop import ClosedLoop, loop_kernel
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.parallel import Progress, Task, run_tasks
 from ehls_ros.physics.along import PARTS, compile_part, part_kernel
-from ehls_ros.physics.composition import is_kept
+from ehls_ros.physics.composition import is_compiled
 from ehls_ros.physics.rig import Rig
 from ehls_ros.physics.simulator import Simulator, parts_of, plant_kernel
 
@@ -59,7 +59,7 @@ def compile_side_by_side(jobs: Iterable[Job], progress: Progress) -> None:
         jobs: the kernels.
         progress: called with the number compiled and their total number; not called where all are kept.
     """
-    tasks = [job.compile for job in jobs if not is_kept(job.kernel())]
+    tasks = [job.compile for job in jobs if not is_compiled(job.kernel())]
     if tasks:
         progress(0, len(tasks))
         # Without the help of other processes, a kernel is compiled where it is run.

@@ -31,7 +31,7 @@ from ehls_ros.physics.plant import TEMPERATURE, Chains
 from ehls_ros.physics.plausibility import implausible
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import POSITION, VELOCITY
-from ehls_ros.physics.simulator import Moving, Simulator, Standing, parts_of
+from ehls_ros.physics.simulator import Constants, Simulator, State, parts_of
 from ehls_ros.physics.simulator import build as build_plant
 from ehls_ros.recording.topics import CONTROLLER_STATUS, DISTURBANCE, LOADER_STATE, REFERENCE_TOPICS
 from ehls_ros.trajectory import Trajectory
@@ -88,13 +88,13 @@ def build(friction: Any, elements: int, states: int, chains: Chains, law: Any, o
     sense, hold, advance, update, step = plant.sense, plant.hold, plant.advance, observer.updater(believed), law.step
 
     @kernel
-    def run(first: int, standing: Standing, moving: Moving, control: Control, given: Given, record: Array) -> int:
+    def run(first: int, constants: Constants, state: State, control: Control, given: Given, record: Array) -> int:
         dense = 0
-        measured, estimate, status = moving.measured, control.observed.estimate, control.status
+        measured, estimate, status = state.measured, control.observed.estimate, control.status
         for i in range(record.shape[0]):
             k = first + i
-            sense(k, standing, moving, given.noise[i])
-            update(measured[VELOCITY], standing.period, control.friction, control.compensation, control.observed)
+            sense(k, constants, state, given.noise[i])
+            update(measured[VELOCITY], constants.period, control.friction, control.compensation, control.observed)
             u = step(measured, given.reference[i], estimate, control.tuning, control.model, control.memory, status)
             column = 0
             for value in measured:
@@ -109,9 +109,9 @@ def build(friction: Any, elements: int, states: int, chains: Chains, law: Any, o
                 record[i, column] = value
                 column += 1
             force, force_rate, displacement, velocity = given.disturbance[i]
-            hold(moving.inputs, k * standing.period, u, force, force_rate, displacement, velocity)
-            dense += advance(k, standing, moving)
-            moving.inputs[TEMPERATURE] += standing.warming * standing.period
+            hold(state.inputs, k * constants.period, u, force, force_rate, displacement, velocity)
+            dense += advance(k, constants, state)
+            state.inputs[TEMPERATURE] += constants.warming * constants.period
         return dense
 
     return _Loop(run)
@@ -122,7 +122,7 @@ def loop_kernel(spec: Spec) -> ModuleType:
     parts = parts_of(spec.loader_rig())
     law, observer = CONTROLLERS.load(spec.controller.name), OBSERVERS.load(spec.compensation.name)
     members = {**parts.members, "law": law, "observer": observer, "believed": spec.controller_rig.friction_law}
-    arguments = "first, standing, moving, control, given, record"
+    arguments = "first, constants, state, control, given, record"
     return compiled(build, {"run": arguments}, members, parts.numbers, parts.effects)
 
 
@@ -271,7 +271,7 @@ class ClosedLoop:
     def _run(self, first: int, record: Array, reference: Array, disturbance: Array, random: Generator) -> None:
         simulator = self._simulator
         given = Given(random.standard_normal((len(record), len(SENSED))), reference, disturbance)
-        self.dense += self._run_compiled(first, simulator.standing, simulator.moving, self._control, given, record)
+        self.dense += self._run_compiled(first, simulator.constants, simulator.state, self._control, given, record)
 
 
 def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = None, *, check: bool = True) -> Trajectory:

@@ -1,4 +1,4 @@
-"""Beam load: everything but friction that acts on the piston, equation (3)."""
+"""Beam load: the forces of equation (3) without friction."""
 
 from ehls_ros.arrays import kernel
 from ehls_ros.physics.parameters import Plant
@@ -15,11 +15,11 @@ def applied_force(
         velocity: piston velocity [m/s].
         load_pressure: pL [Pa].
         disturbance: disturbance force fd [N].
-        extra: what effects add [N].
+        extra: force of the effects [N].
         plant: the rig's coefficients.
 
     Returns:
-        Force along +x [N]. Gravity keeps the sign of (3): it pulls along -x for a positive ``gravity``.
+        Force along +x [N]. As in (3), a positive ``gravity`` acts along -x.
     """
     return (
         plant.piston_area * load_pressure

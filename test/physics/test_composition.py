@@ -191,7 +191,7 @@ def test_a_folder_that_others_could_write_is_emptied_with_a_reason(folder):
     folder.chmod(0o770)
     answer, complaint = in_another_process(source)
     assert answer == ["92.0", "1"]
-    assert complaint == f"{folder}: others could write it; its kernels are compiled anew\n"
+    assert complaint == f"{folder}: others could write it; its kernels are compiled again\n"
     assert folder.stat().st_mode & 0o777 == 0o700
     assert in_another_process(source) == (["92.0", "0"], "")
 
