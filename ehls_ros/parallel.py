@@ -7,7 +7,7 @@ from multiprocessing import get_context
 from typing import Any
 
 Task = Callable[[], Any]
-"""A partial of a module's function, which can be sent to another process."""
+"""A function at the top level of a module or a partial of one, which can be sent to another process."""
 
 Progress = Callable[[int, int], None]
 

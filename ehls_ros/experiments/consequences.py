@@ -11,7 +11,7 @@ from ehls_ros.diagnosis.free_run import FreeRun, free_run
 from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival
 from ehls_ros.diagnosis.stages import SENSED as RECORDED_AS
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.compiling import COMPILING, compile_side_by_side, of_consequences
+from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, consequences_jobs
 from ehls_ros.experiments.controller_benefit import ControllerBenefit, controller_benefit
 from ehls_ros.experiments.next_experiment import NextExperiment, Proposal, next_experiment
 from ehls_ros.physics.effects import EFFECTS
@@ -89,7 +89,7 @@ def consequences(
     run = controller = proposal = None
     if diagnosis.verdict != "insufficient":
         # What cannot be compiled cannot be run either, and says so there.
-        _tried("kernels", [], lambda: compile_side_by_side(of_consequences(diagnosis), lambda *_: progress(COMPILING, 0.0)))
+        _tried("kernels", [], lambda: compile_in_parallel(consequences_jobs(diagnosis), lambda *_: progress(COMPILING, 0.0)))
         progress("simulating a free run", 0.0)
         run = _tried("free run", remarks, lambda: free_run(trajectory, diagnosis.rig, diagnosis.extended, name))
     if diagnosis.verdict == "effect":

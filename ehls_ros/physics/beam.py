@@ -1,4 +1,4 @@
-"""Beam load: the forces of equation (3) without friction."""
+"""Beam load: forces of equation (3) without friction, and masses."""
 
 from ehls_ros.arrays import kernel
 from ehls_ros.physics.parameters import Plant
@@ -29,3 +29,14 @@ def applied_force(
         - disturbance
         + extra
     )  # (3)
+
+
+@kernel
+def piston_mass(share: float, plant: Plant) -> float:
+    """Return the mass of a piston separate from the load [kg].
+
+    Args:
+        share: fraction of the total moving mass that is the piston's.
+        plant: the rig's coefficients; their moving mass is the load's alone.
+    """
+    return plant.moving_mass * share / (1.0 - share)

@@ -192,6 +192,41 @@ def balance_with(friction: Any, chains: Chains) -> Callable[..., tuple[float, fl
     return balance
 
 
+def motion(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., float], Callable[..., None]]:
+    """Build the equation of motion of the moving mass, with friction.
+
+    Args:
+        friction: module of the friction model.
+        elements: number of its forces.
+        chains: hooks of the effects.
+
+    Returns:
+        Compiled ``evaluate(extra, t, y, z, mode, c, rate)``, which writes the rates of position, velocity and friction forces
+        and returns the friction model's event function, and ``switch(extra, t, y, z, mode, c)``, which changes the modes and
+        the velocity at its event. ``extra`` is the force beyond (3) [N], ``mode`` the friction model's modes.
+    """
+    end = FRICTION + elements
+    friction_rates, friction_force = friction.rates, friction.force
+    friction_event, friction_switch = friction.event, friction.switch
+    balance = balance_with(friction, chains)
+
+    @lean
+    def evaluate(extra: float, t: float, y: Array, z: Array, mode: Array, c: Coefficients, rate: Array) -> float:
+        level, applied = balance(extra, t, y, z, c)
+        resisting = friction_force(y[V], applied, level, y[FRICTION:end], mode, c.friction)
+        rate[X] = y[V]
+        rate[V] = (applied - resisting) / c.plant.moving_mass  # (3)
+        friction_rates(y[V], level, y[FRICTION:end], mode, c.friction, rate[FRICTION:end])  # (6), (8)
+        return friction_event(y[V], applied, level, y[FRICTION:end], mode, c.friction)
+
+    @lean
+    def switch(extra: float, t: float, y: Array, z: Array, mode: Array, c: Coefficients) -> None:
+        level, applied = balance(extra, t, y, z, c)
+        y[V] = friction_switch(y[V], applied, level, y[FRICTION:end], mode, c.friction)
+
+    return evaluate, switch
+
+
 def system(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., float], Callable[..., None]]:
     """Build the simulator's plant.
 
@@ -204,10 +239,8 @@ def system(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., 
         ``evaluate`` and ``switch`` for :mod:`ehls_ros.physics.integration`.
     """
     end = FRICTION + elements
-    friction_rates, friction_force = friction.rates, friction.force
-    friction_event, friction_switch = friction.event, friction.switch
     effective_opening, volume, spool, extra, effect_rates = relations(chains)
-    balance = balance_with(friction, chains)
+    move, reverse = motion(friction, elements, chains)
     piston_velocity = chains.piston_velocity
 
     @lean
@@ -218,20 +251,13 @@ def system(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., 
             Event function: positive once the opening has changed sign or a friction mode has to change.
         """
         plant, z = c.plant, y[end:]
-        level, applied = balance(extra(t, y, z, c), t, y, z, c)
-        resisting = friction_force(y[V], applied, level, y[FRICTION:end], mode[1:], c.friction)
         orifice = effective_opening(t, y, z, c)
         flow, leak, modulus, _ = volume(orifice, mode[0], t, y, z, c)
-
-        rate[X] = y[V]
-        rate[V] = (applied - resisting) / plant.moving_mass  # (3)
         piston = piston_velocity(y[V], t, y, c.inputs, z, c.effects, plant)
         rate[PL] = load_pressure_rate(flow, piston, y[PL], leak, modulus, plant)  # (2)
         rate[XV] = spool(t, y, z, c)  # (4)
-        friction_rates(y[V], level, y[FRICTION:end], mode[1:], c.friction, rate[FRICTION:end])  # (6), (8)
+        changed = move(extra(t, y, z, c), t, y, z, mode[1:], c, rate)  # (3), (6), (8)
         effect_rates(t, y, z, c, rate[end:])
-
-        changed = friction_event(y[V], applied, level, y[FRICTION:end], mode[1:], c.friction)
         return max(-mode[0] * orifice, changed)
 
     @lean
@@ -240,8 +266,7 @@ def system(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., 
         z = y[end:]
         if -mode[0] * effective_opening(t, y, z, c) > 0.0:
             mode[0] = -mode[0]
-        level, applied = balance(extra(t, y, z, c), t, y, z, c)
-        y[V] = friction_switch(y[V], applied, level, y[FRICTION:end], mode[1:], c.friction)
+        reverse(extra(t, y, z, c), t, y, z, mode[1:], c)
 
     return evaluate, switch
 

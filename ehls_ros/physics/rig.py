@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, get_type_hints
 
 from ehls_ros.arrays import in_python
 from ehls_ros.errors import BadInput
+from ehls_ros.physics.beam import piston_mass
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.friction.base import FrictionModel
@@ -110,7 +111,7 @@ class EffectiveRig(NamedTuple):
     def piston_mass(self) -> float:
         """Return the mass of a piston separate from the load; 0 if they are one body [kg]."""
         share = max((use.piston_share for use in self.effects), default=0.0)
-        return self.plant.moving_mass * share / (1.0 - share)
+        return in_python(piston_mass)(share, self.plant)
 
     def without_effects(self) -> Rig:
         """Return the rig with these parameters and no effects, as a controller knows it."""

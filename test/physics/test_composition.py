@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept."""
+"""The cache of compiled kernels."""
 
 import importlib.util
 import os
@@ -12,7 +12,7 @@ import pytest
 from ehls_ros import sources
 from ehls_ros.errors import BadInput
 from ehls_ros.physics import kernel_cache
-from ehls_ros.physics.composition import kernel_module
+from ehls_ros.physics.composition import KERNEL_SOURCES, kernel_module
 from ehls_ros.physics.simulator import parts_of, plant_kernel
 
 SOURCE = '''"""A kernel of a test."""
@@ -69,9 +69,10 @@ def test_the_cache_folder_is_the_users(monkeypatch, tmp_path):
 
 
 def test_changed_package_sources_make_another_module(folder, tmp_path, monkeypatch):
-    for part in ("physics", "control"):
-        (tmp_path / "package" / part).mkdir(parents=True)
-    (tmp_path / "package" / "arrays.py").touch()
+    for part in KERNEL_SOURCES:
+        place = tmp_path / "package" / part
+        place.parent.mkdir(exist_ok=True)
+        place.touch() if place.suffix else place.mkdir()
     law = tmp_path / "package" / "physics" / "law.py"
     monkeypatch.setattr(sources, "PACKAGE", tmp_path / "package")
     names = []

@@ -109,7 +109,7 @@ def scratch(size: int, modes: int, history: int) -> Scratch:
 
 
 @lean
-def load_sample(k: int, a: ModelRun, y: Array, w: Array) -> None:
+def set_sample(k: int, a: ModelRun, y: Array, w: Array) -> None:
     """Set the measured states and the inputs to those of a sample.
 
     Args:
@@ -186,10 +186,10 @@ def sampled(states: int, chains: Chains, write: Callable[[Relations], Callable[.
     advance, write_row = effect_integrator(equations, states), write(equations)
 
     @lean
-    def go(a: ModelRun, s: Scratch, out: Array) -> None:
+    def run_samples(a: ModelRun, s: Scratch, out: Array) -> None:
         y, w, slope = s.y, s.w, s.slope
         for k in range(a.motion.time.size):
-            load_sample(k, a, y, w)
+            set_sample(k, a, y, w)
             if a.fresh[k]:
                 y[FRICTION:] = 0.0
             t, c = a.motion.time[k], Coefficients(a.plant, a.friction, w, a.effects, w[U])
@@ -200,6 +200,6 @@ def sampled(states: int, chains: Chains, write: Callable[[Relations], Callable[.
 
     @kernel
     def run(a: ModelRun, out: Array) -> None:
-        go(a, scratch(FRICTION + states, 0, a.history), out)
+        run_samples(a, scratch(FRICTION + states, 0, a.history), out)
 
     return CompiledPart(run)

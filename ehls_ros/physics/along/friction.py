@@ -11,8 +11,8 @@ from ehls_ros.physics.along.base import (
     ModelRun,
     Scratch,
     effect_integrator,
-    load_sample,
     scratch,
+    set_sample,
     write_slopes,
 )
 from ehls_ros.physics.integration import integrator
@@ -40,7 +40,7 @@ class FrictionInputs(NamedTuple):
     velocity_scale: float
 
 
-class Contact(NamedTuple):
+class Interval(NamedTuple):
     """Inputs of a friction model during one step, all linear in the time since its start.
 
     Attributes:
@@ -62,7 +62,7 @@ class Contact(NamedTuple):
     applied_rate: float
 
 
-def contact(friction: Any, elements: int) -> Callable[..., int]:
+def friction_integrator(friction: Any, elements: int) -> Callable[..., int]:
     """Build the integrator of a friction model's forces.
 
     Args:
@@ -70,19 +70,19 @@ def contact(friction: Any, elements: int) -> Callable[..., int]:
         elements: number of its forces.
 
     Returns:
-        ``advance`` of :func:`~ehls_ros.physics.integration.integrator`, with the forces as state and a :class:`Contact` as
+        ``advance`` of :func:`~ehls_ros.physics.integration.integrator`, with the forces as state and an :class:`Interval` as
         ``c``.
     """
     rates, event, change = friction.rates, friction.event, friction.switch
 
     @lean
-    def evaluate(t: float, y: Array, mode: Array, c: Contact, rate: Array) -> float:
+    def evaluate(t: float, y: Array, mode: Array, c: Interval, rate: Array) -> float:
         v, level = c.velocity + c.acceleration * t, c.level + c.level_rate * t
         rates(v, level, y, mode, c.friction, rate)  # (6), (8)
         return event(v, c.applied + c.applied_rate * t, level, y, mode, c.friction)
 
     @lean
-    def switch(t: float, y: Array, mode: Array, c: Contact) -> None:
+    def switch(t: float, y: Array, mode: Array, c: Interval) -> None:
         v, level = c.velocity + c.acceleration * t, c.level + c.level_rate * t
         change(v, c.applied + c.applied_rate * t, level, y, mode, c.friction)
 
@@ -99,14 +99,14 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Compiled
         chains: hooks of the effects.
     """
     balance, advance_effects = balance_with(friction, chains), effect_integrator(relations(chains), states)
-    advance, force, change, begin = contact(friction, elements), friction.force, friction.switch, friction.begin
+    advance, force, change, begin = friction_integrator(friction, elements), friction.force, friction.switch, friction.begin
 
     @lean
-    def go(a: ModelRun, inputs: FrictionInputs, measured: Scratch, own: Scratch, out: Array) -> None:
+    def run_samples(a: ModelRun, inputs: FrictionInputs, measured: Scratch, own: Scratch, out: Array) -> None:
         y, w, slope, forces, mode = measured.y, measured.w, measured.slope, own.y, own.mode
         last = a.motion.time.size - 1
         level, applied = 0.0, 0.0
-        load_sample(0, a, y, w)
+        set_sample(0, a, y, w)
         for k in range(last + 1):
             t, z = a.motion.time[k], y[FRICTION:]
             if a.fresh[k]:
@@ -135,7 +135,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Compiled
                 if states:
                     advance_effects(then - step, y, measured.mode, Imposed(c, slope), step, 1, measured.work)
                 if n == steps:
-                    load_sample(k + 1, a, y, w)
+                    set_sample(k + 1, a, y, w)
                 elif not states:
                     for i in range(FRICTION):
                         y[i] += step * slope[i]
@@ -143,12 +143,12 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Compiled
                 c = Coefficients(a.plant, a.friction, w, a.effects, w[U])
                 level_then, applied_then = balance(extra, then, y, z, c)
                 level_rate, applied_rate = (level_then - level) / step, (applied_then - applied) / step
-                segment = Contact(a.friction, v, slope[V], level, level_rate, applied, applied_rate)
-                advance(0.0, forces, mode, segment, step, 1, own.work)
+                interval = Interval(a.friction, v, slope[V], level, level_rate, applied, applied_rate)
+                advance(0.0, forces, mode, interval, step, 1, own.work)
                 level, applied = level_then, applied_then
 
     @kernel
     def run(a: ModelRun, inputs: FrictionInputs, out: Array) -> None:
-        go(a, inputs, scratch(FRICTION + states, 0, a.history), scratch(elements, elements, 0), out)
+        run_samples(a, inputs, scratch(FRICTION + states, 0, a.history), scratch(elements, elements, 0), out)
 
     return CompiledPart(run)

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel, lean
-from ehls_ros.physics.along.base import CompiledPart, ModelRun, Scratch, load_sample, scratch, write_slopes
+from ehls_ros.physics.along.base import CompiledPart, ModelRun, Scratch, scratch, set_sample, write_slopes
 from ehls_ros.physics.composition import Switched
 from ehls_ros.physics.integration import integrator
-from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, U, V, X, balance_with, relations
+from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, U, V, X, balance_with, motion, relations
 
 MOST_EVENTS = 4
 """Most events located within a step; further ones of a chattering contact are stepped over."""
@@ -70,7 +70,8 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Compiled
     end = FRICTION + elements
     equations, joint_chain = relations(chains), chains.joint_force
     extra, effect_rates, balance = equations.extra, equations.effect_rates, balance_with(friction, chains)
-    rates, force, event, change, begin = friction.rates, friction.force, friction.event, friction.switch, friction.begin
+    move, reverse = motion(friction, elements, chains)
+    force, begin = friction.force, friction.begin
 
     @lean
     def joint_force(t: float, y: Array, c: Interval) -> float:
@@ -82,12 +83,8 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Compiled
     def evaluate(t: float, y: Array, mode: Array, c: Interval, rate: Array) -> float:
         z, given, piston, plant = y[end:], c.coefficients, c.piston, c.coefficients.plant
         from_joint = joint_force(t, y, c)
-        level, applied = balance(extra(t, y, z, given) + from_joint, t, y, z, given)
-        resisting = force(y[V], applied, level, y[FRICTION:end], mode, given.friction)
-        rate[X] = y[V]
-        rate[V] = (applied - resisting) / plant.moving_mass  # (3)
+        changed = move(extra(t, y, z, given) + from_joint, t, y, z, mode, given, rate)  # (3), (6), (8)
         rate[PL], rate[XV] = c.slope[PL], c.slope[XV]
-        rates(y[V], level, y[FRICTION:end], mode, given.friction, rate[FRICTION:end])  # (6), (8)
         effect_rates(t, y, z, given, rate[end:])
         i, since = end + piston.state, t - c.start
         velocity_error = c.velocity + since * c.slope[V] - y[i + 1]
@@ -96,13 +93,12 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Compiled
         tracking_force = tracking * (piston.mass + plant.moving_mass)
         rate[i] = y[i + 1] - y[V]
         rate[i + 1] = (tracking_force - from_joint) / piston.mass - plant.gravity
-        return event(y[V], applied, level, y[FRICTION:end], mode, given.friction)
+        return changed
 
     @lean
     def switch(t: float, y: Array, mode: Array, c: Interval) -> None:
         z, given = y[end:], c.coefficients
-        level, applied = balance(extra(t, y, z, given) + joint_force(t, y, c), t, y, z, given)
-        y[V] = change(y[V], applied, level, y[FRICTION:end], mode, given.friction)
+        reverse(extra(t, y, z, given) + joint_force(t, y, c), t, y, z, mode, given)
 
     advance = integrator(evaluate, switch, size=end + states, most_events=MOST_EVENTS, order=2)
 
@@ -129,10 +125,10 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Compiled
         piston_force(0.5 * (low + high), t, y, c)
 
     @lean
-    def go(a: ModelRun, piston: Piston, s: Scratch, sample: Array, out: Array) -> None:
+    def run_samples(a: ModelRun, piston: Piston, s: Scratch, sample: Array, out: Array) -> None:
         y, mode, w, slope, m = s.y, s.mode, s.w, s.slope, a.motion
         for k in range(m.time.size):
-            load_sample(k, a, sample, w)
+            set_sample(k, a, sample, w)
             write_slopes(k, a, slope)
             t = m.time[k]
             given = Coefficients(a.plant, a.friction, w, a.effects, w[U])
@@ -156,6 +152,6 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Compiled
 
     @kernel
     def run(a: ModelRun, piston: Piston, out: Array) -> None:
-        go(a, piston, scratch(end + states, elements, a.history), np.zeros(FRICTION), out)
+        run_samples(a, piston, scratch(end + states, elements, a.history), np.zeros(FRICTION), out)
 
     return CompiledPart(run)

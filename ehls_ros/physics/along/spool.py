@@ -4,7 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 from ehls_ros.arrays import Array, kernel, lean
-from ehls_ros.physics.along.base import CompiledPart, Imposed, ModelRun, Scratch, load_sample, no_switch, scratch, write_slopes
+from ehls_ros.physics.along.base import CompiledPart, Imposed, ModelRun, Scratch, no_switch, scratch, set_sample, write_slopes
 from ehls_ros.physics.integration import integrator
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, V, X, cycle_stepper, relations
@@ -55,11 +55,11 @@ def build(states: int, chains: Chains) -> CompiledPart:
     step_numerically, step_exactly = cycle_stepper(stepped, chains, FRICTION), cycle_stepper(exact, chains, FRICTION)
 
     @lean
-    def go(a: ModelRun, s: Scratch, out: Array) -> None:
+    def run_samples(a: ModelRun, s: Scratch, out: Array) -> None:
         y, w, slope = s.y, s.w, s.slope
         for k in range(a.motion.time.size):
             reached = y[XV]
-            load_sample(k, a, y, w)
+            set_sample(k, a, y, w)
             if a.fresh[k]:
                 y[FRICTION:] = 0.0
             else:
@@ -74,6 +74,6 @@ def build(states: int, chains: Chains) -> CompiledPart:
 
     @kernel
     def run(a: ModelRun, out: Array) -> None:
-        go(a, scratch(FRICTION + states, 0, a.history), out)
+        run_samples(a, scratch(FRICTION + states, 0, a.history), out)
 
     return CompiledPart(run)

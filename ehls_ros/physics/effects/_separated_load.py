@@ -3,6 +3,7 @@
 import math
 
 from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.beam import piston_mass
 from ehls_ros.physics.effects._play import ramp
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL
@@ -28,12 +29,6 @@ def contact(stretch: float, rate: float, gap: float, rounding: float, stiffness:
     if ahead + behind <= 0.0:
         return 0.0
     return stiffness * (ahead - behind) + damping * contact_fraction * rate
-
-
-@kernel
-def piston_mass(share: float, plant: Plant) -> float:
-    """Return the piston's mass, from its share of the moving mass; ``plant`` has the load's part only [kg]."""
-    return plant.moving_mass * share / (1.0 - share)
 
 
 @kernel
