@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
-from numba import njit
+from numba import config, njit
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
@@ -73,6 +73,8 @@ class Inlined(CPUDispatcher):
     @cached_property
     def _from_python(self) -> Any:
         inlined = self
+        if config.DISABLE_JIT:  # type: ignore[attr-defined]  # set when numba reads the environment
+            return self.py_func
 
         @njit(error_model=self.targetoptions["error_model"])
         def call(*args: Any) -> Any:

@@ -41,9 +41,9 @@ def inliers(values: Array) -> Mask:
         usual = max(usual, float(np.quantile(moved, 0.25)))
     smooth = median_filter(gapless, SIDE, mode="nearest")
     before, after = _sides(smooth)
-    beside = np.minimum(np.abs(gapless - before), np.abs(gapless - after))
+    one_sided = np.minimum(np.abs(gapless - before), np.abs(gapless - after))
     nearby = np.maximum(*_sides(median_filter(np.abs(np.diff(smooth, prepend=smooth[:1])), SIDE, mode="nearest")))
-    good: Mask = finite & ((off <= OUTLIER * usual) | (beside <= OUTLIER * np.maximum(usual, nearby)))
+    good: Mask = finite & ((off <= OUTLIER * usual) | (one_sided <= OUTLIER * np.maximum(usual, nearby)))
     return good
 
 

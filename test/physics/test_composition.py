@@ -68,13 +68,19 @@ def test_the_cache_folder_is_the_users(monkeypatch, tmp_path):
     assert kernel_cache.cache_folder() == tmp_path / "ehls_ros"
 
 
-def test_changed_package_sources_make_another_module(folder, tmp_path, monkeypatch):
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A package in which the sources of kernels are empty."""
+    made = tmp_path / "package"
+    made.mkdir()
     for part in KERNEL_SOURCES:
-        place = tmp_path / "package" / part
-        place.parent.mkdir(exist_ok=True)
-        place.touch() if place.suffix else place.mkdir()
-    law = tmp_path / "package" / "physics" / "law.py"
-    monkeypatch.setattr(sources, "PACKAGE", tmp_path / "package")
+        (made / part).touch() if part.endswith(".py") else (made / part).mkdir()
+    monkeypatch.setattr(sources, "PACKAGE", made)
+    return made
+
+
+def test_changed_package_sources_make_another_module(folder, package):
+    law = package / "physics" / "law.py"
     names = []
     try:
         for text in ("a = 1", "a = 2", "a = 1"):
@@ -87,11 +93,7 @@ def test_changed_package_sources_make_another_module(folder, tmp_path, monkeypat
     assert names[0] == names[2]
 
 
-def test_changed_compile_flags_make_another_module(folder, tmp_path, monkeypatch):
-    package = tmp_path / "package"
-    for part in ("physics", "control"):
-        (package / part).mkdir(parents=True)
-    monkeypatch.setattr(sources, "PACKAGE", package)
+def test_changed_compile_flags_make_another_module(folder, package):
     names = set()
     try:
         for flags in ("", "fastmath=True"):

@@ -161,7 +161,7 @@ def along(part, rig, measured, given=(), every=1):
 
 
 def _nothing(every):
-    """Return the inputs of a part that has none beside the recording."""
+    """Return the inputs of a part that has none besides the recording."""
     return ()
 
 

@@ -27,7 +27,7 @@ TINY = 1e-300
 
 
 class FrictionInputs(NamedTuple):
-    """Inputs of the part beside the recording.
+    """Inputs of the part besides the recording.
 
     Attributes:
         extra: force of the effects beyond (3), shape (n,) [N].

@@ -20,7 +20,7 @@ class Parameters(NamedTuple):
 
     first: Annotated[float, quantity("m^5/(N s)", "leakage of the chamber that drives +x", minimum=0.0, maximum=1e-9)] = 0.0
     second: Annotated[float, quantity("m^5/(N s)", "leakage of the chamber that drives -x", minimum=0.0, maximum=1e-9)] = 0.0
-    each: Annotated[float, quantity("m^5/(N s)", "leakage of each of both chambers", minimum=0.0, maximum=1e-9)] = 0.0
+    each: Annotated[float, quantity("m^5/(N s)", "leakage of each chamber, equal for both", minimum=0.0, maximum=1e-9)] = 0.0
 
 
 @kernel

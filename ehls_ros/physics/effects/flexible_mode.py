@@ -114,7 +114,7 @@ def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A mass besides the rig file's, or included in it, or the load behind a beam: without its friction, or with it."""
+    """A mass in addition to the rig file's, a part of it, or the load behind a beam, without or with its friction."""
     free = {"mass": (), "frequency": (5.0, 10.0, 20.0, 40.0, Peak(1), Peak(2)), "damping": (0.05,) * 6}
     half = 0.5 * rig.plant.moving_mass
     behind = {"mass": (half, half, half), "frequency": (10.0, 20.0, 40.0), "damping": (0.05, 0.05, 0.05)}
