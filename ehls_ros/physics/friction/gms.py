@@ -50,7 +50,7 @@ def check(p: Parameters, where: str) -> None:
     """Raise BadInput if the lists of the elements do not match, or Coulomb exceeds static friction."""
     if not p.element_stiffness or len(p.element_stiffness) != len(p.element_weight):
         what = f"{len(p.element_stiffness)} element_stiffness and {len(p.element_weight)} element_weight"
-        raise BadInput(what, where, "lists of the same length, at least 1")
+        raise BadInput(what, where, "lists of the same length, with at least one element")
     for key, values in (("element_stiffness", p.element_stiffness), ("element_weight", p.element_weight)):
         if not all(0.0 < value < math.inf for value in values):
             raise BadInput(f"{key} is {list(values)}", where, "finite numbers above 0")
