@@ -249,7 +249,7 @@ _METHOD = (
     " so that a more flexible model wins only if it predicts. A cause is named if its gain exceeds chance, its parameter is"
     f" significantly different from neutral, and at most {100.0 * (1.0 - CLOSED):.0f} % of the error beyond the noise remains;"
     " the best alternatives are kept beside it. Where more remains, it is counted as noise and the causes are assessed again"
-    " beside it: those that still matter are named, the verdict is 'partial'. Where none does, it is 'unknown'. The signals that"
-    " predict what remains are named."
+    " beside it: those that still matter are named, the verdict is 'partial'. Where none does, it is 'unknown'. The signals"
+    " that predict what remains are named."
 )
 """How the verdict is reached."""
