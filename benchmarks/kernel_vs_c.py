@@ -22,7 +22,7 @@ import yaml
 from ehls_ros.arrays import Array
 from ehls_ros.physics.plant import FD, FD_RATE, START, U
 from ehls_ros.physics.rig import Rig, rig_from_mapping
-from ehls_ros.physics.simulator import DEFAULT_STEP, Moving, Simulator, Standing
+from ehls_ros.physics.simulator import DEFAULT_STEP, Constants, Simulator, State
 
 HERE = Path(__file__).resolve().parent
 RIG = HERE.parent / "config" / "rig_paper.yaml"
@@ -66,21 +66,21 @@ class NumbaKernel:
         advance = simulator._advance  # noqa: SLF001
         self.y, self.mode, self.inputs = simulator.y, simulator.mode, simulator.inputs
         # A period of 1 s: what counts as cycles for the kernel is then time.
-        self._standing, self._moving = simulator.standing._replace(period=1.0), simulator.moving
+        self._constants, self._state = simulator.constants._replace(period=1.0), simulator.state
 
         @numba.njit(error_model="numpy")
-        def run(standing: Standing, moving: Moving, commands: Array) -> int:
-            inputs, dense = moving.inputs, 0
+        def run(constants: Constants, state: State, commands: Array) -> int:
+            inputs, dense = state.inputs, 0
             for k in range(len(commands)):
                 inputs[U], inputs[FD], inputs[FD_RATE], inputs[START] = commands[k]
-                dense += advance(inputs[START], standing, moving)
+                dense += advance(inputs[START], constants, state)
             return dense
 
         self._run = run
 
     def run(self, motion: Motion) -> int:
         """Run a motion from the present state."""
-        dense: int = self._run(self._standing._replace(steps=motion.steps), self._moving, motion.inputs)
+        dense: int = self._run(self._constants._replace(steps=motion.steps), self._state, motion.inputs)
         return dense
 
 

@@ -149,8 +149,8 @@ def bristle_grows(step: float, velocity: float) -> bool:
     plant = plant._replace(plant=plant.plant._replace(moving_mass=1e15, gravity=0.0, leakage_coefficient=0.0))
     simulator = Simulator(plant, PERIOD, step)
     simulator.y[1] = velocity
-    standing = simulator.standing._replace(step=step, steps=round(2.0 / step))
-    simulator._advance(0, standing, simulator.moving)  # noqa: SLF001
+    constants = simulator.constants._replace(step=step, steps=round(2.0 / step))
+    simulator._advance(0, constants, simulator.state)  # noqa: SLF001
     force = float(simulator.y[4])
     return not abs(force - plant.friction.coulomb_force) < 1.0
 

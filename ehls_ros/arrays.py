@@ -14,21 +14,21 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def kernel(function: _Function) -> _Function:
-    """Compile a per-sample function and inline it into the compiled function that calls it.
+    """Compile a per-sample function and inline it into its compiled callers.
 
-    :mod:`ehls_ros.physics.composition` makes the entry points that are called from Python.
+    :mod:`ehls_ros.physics.composition` generates the functions that are called from Python.
     """
     return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy"}))
 
 
 def lean(function: _Function) -> _Function:
-    """Compile as :func:`kernel` does a function that passes views of arrays on and allocates none.
+    """Compile like :func:`kernel`, but without reference counting of arrays; the function must not allocate any.
 
-    Counting who holds each view, as numba does elsewhere, would cost ten times what the function does.
+    For a function that passes many array views, counting their references would cost ten times the work itself.
     """
     return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy", "_nrt": False}))
 
 
 def in_python(compiled: _Function) -> _Function:
-    """Return a compiled function as plain Python: a single call is not worth a compilation."""
+    """Return the Python function behind a compiled one, as a single call is not worth compiling."""
     return cast(_Function, cast(Any, compiled).py_func)

@@ -7,8 +7,8 @@ class Estimate(NamedTuple):
     """An estimated coefficient.
 
     Attributes:
-        value: its value.
-        std: its standard error.
+        value: estimated value.
+        std: standard error.
         unit: unit of both.
     """
 

@@ -1,6 +1,6 @@
-"""Families of interchangeable parts: one file each, known by its file name.
+"""Families of interchangeable modules, one file each, known by the file's name.
 
-A member is a file in the family's folder, or a module that another distribution offers through an entry point::
+A member is a file in the family's folder, or a module that another distribution provides through an entry point::
 
     [project.entry-points."ehls_ros.controllers"]
     proportional = "acme_ehls.proportional"
@@ -24,7 +24,7 @@ Member = TypeVar("Member")
 
 @cache
 def offered(group: str) -> EntryPoints:
-    """Return the entry points of a group, read once per process: reading all installed distributions takes 20 ms."""
+    """Return the entry points of a group; cached, as reading all installed distributions takes 20 ms."""
     return entry_points(group=group)
 
 
@@ -34,13 +34,13 @@ class Family(Generic[Member]):
     ``Member`` is the Protocol that each module satisfies.
 
     Attributes:
-        package: dotted name of the package that holds the project's own members.
-        noun: what one member is called in errors, such as ``effect``.
-        group: group of entry points through which other distributions add members; the project's own names take precedence.
+        package: dotted name of the package with the project's own members.
+        noun: what errors call a member, such as ``effect``.
+        group: group of entry points for members of other distributions; the project's own names take precedence.
     """
 
     def __init__(self, package: str, noun: str, protocol: type) -> None:
-        """Name the package, what one member is called, and the Protocol that says what a member's file provides."""
+        """Set the package, the noun for a member, and the Protocol that a member's file satisfies."""
         self.package = package
         self.noun = noun
         self.group = f"ehls_ros.{noun.lower().replace(' ', '_')}s"
@@ -55,13 +55,13 @@ class Family(Generic[Member]):
         """Import a member.
 
         Args:
-            name: file name without ``.py``, or the entry point's name, as a configuration gives it.
+            name: file name without ``.py``, or name of the entry point.
             where: file and section, for the error.
 
         Raises:
-            BadInput: there is no such member, or it cannot be used.
+            BadInput: there is no such member, or it is unusable.
         """
-        # Listing the folder takes longer than most of what a member is asked for.
+        # Listing the folder takes longer than most uses of a member.
         if isinstance(name, str) and name in self._loaded:
             return self._loaded[name]
         if isinstance(name, str) and name in self._own():
@@ -70,12 +70,12 @@ class Family(Generic[Member]):
             member = self._from_elsewhere(name, where)
         if missing := [attribute for attribute in self._required() if not hasattr(member, attribute)]:
             what = f"{self.noun} {name!r} has no {', '.join(missing)}"
-            raise BadInput(what, where, f"what {self.package}.base asks for in {member.__file__}")
+            raise BadInput(what, where, f"everything that {self.package}.base requires, in {member.__file__}")
         self._loaded[name] = cast(Member, member)
         return self._loaded[name]
 
     def usable(self) -> dict[str, Member]:
-        """Return all members that can be loaded, by name; one that is broken does not keep the others from being used."""
+        """Return all members that can be loaded, by name; broken ones are skipped."""
         members = {}
         for name in self.names():
             with suppress(BadInput):
@@ -98,7 +98,7 @@ class Family(Generic[Member]):
         [point] = points
         try:
             member = point.load()
-        except Exception as error:  # noqa: BLE001 - another's module may fail in any way
+        except Exception as error:  # noqa: BLE001 - a foreign module may fail in any way
             what = f"{self.noun} {name!r} of {_origin(point)} cannot be imported ({type(error).__name__}: {error})"
             raise BadInput(what, where, f"{point.value} importable") from None
         if not isinstance(member, ModuleType):
@@ -106,7 +106,7 @@ class Family(Generic[Member]):
         return member
 
     def _required(self) -> list[str]:
-        """Return the names of what every member's file provides."""
+        """Return the names that every member's file must define."""
         classes = [vars(c) for c in self._protocol.__mro__ if getattr(c, "_is_protocol", False)]
         declared = {name for own in classes for name in own.get("__annotations__", {})}
         functions = {name for own in classes for name, value in own.items() if isfunction(value)}
@@ -114,5 +114,5 @@ class Family(Generic[Member]):
 
 
 def _origin(point: EntryPoint) -> str:
-    """Return the distribution that offers an entry point."""
+    """Return the distribution that provides an entry point."""
     return point.dist.name if point.dist else point.value

@@ -1,23 +1,23 @@
-"""Compiled functions that exist only inside others.
+"""Compiled functions that exist only inlined in others.
 
-Numba optimises every function it compiles, makes machine code of it and wraps it for calls from Python, each time with all
-that it calls. For a function that is inlined wherever it is called, all of that is thrown away. Here such a function stays
-intermediate code, and the function that is called from Python is optimised once, as a whole: the same machine code to the
-bit, in half the time.
+Numba optimises each function it compiles together with all its callees, generates machine code, and wraps it for calls from
+Python. For a function that is always inlined, this work is wasted. Here such a function stays intermediate code, and only the
+function called from Python is optimised, once and as a whole. The machine code is the same to the bit and takes half the time
+to compile.
 """
 
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
-from numba import njit
+from numba import config, njit
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 
 
 class _IntermediateCode(CPUCodeLibrary):
-    """A function and what it calls, neither optimised nor made into machine code."""
+    """A function and its callees as intermediate code, neither optimised nor translated to machine code."""
 
     def _optimize_final_module(self) -> None:
         pass
@@ -28,20 +28,20 @@ class _IntermediateCode(CPUCodeLibrary):
 
 
 class _Inliner(Compiler):
-    """Numba's compiler, to intermediate code."""
+    """Numba's compiler, stopped at intermediate code."""
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:
         target = self.state.targetctx
-        # Numba finds the code to inline by the function made of it; where there is none, any object will do.
+        # Numba looks up the code to inline by its executable function; there is none, so any object will do.
         target.get_executable = lambda library, description, environment: object()
         self.state.library = _IntermediateCode(target.codegen(), func.__qualname__)
         return super().compile_extra(func)
 
 
 class Inlined(CPUDispatcher):
-    """A function to call from compiled code.
+    """A function for compiled callers.
 
-    A call from Python works too, for tests and debugging: it compiles a function that calls this one.
+    It can be called from Python too, for tests and debugging; this compiles a function that calls it.
     """
 
     def __init__(
@@ -51,19 +51,19 @@ class Inlined(CPUDispatcher):
         targetoptions: dict[str, Any] | None = None,
         pipeline_class: type[Compiler] = _Inliner,
     ) -> None:
-        """Take a Python function.
+        """Prepare a Python function for compilation.
 
         Args:
             py_func: the function.
-            locals: types of its local variables, where they cannot be inferred.
+            locals: types of local variables that cannot be inferred.
             targetoptions: options of :func:`numba.njit`.
-            pipeline_class: numba's compiler.
+            pipeline_class: the compiler.
         """
         options = {"nopython": True, "forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         super().__init__(py_func, locals or {}, options | (targetoptions or {}), pipeline_class)
 
     def add_overload(self, cres: Any) -> None:
-        """Keep what was compiled; the base class would also have it called from Python."""
+        """Store a compiled signature; the base class would also make it callable from Python."""
         self.overloads[tuple(cres.signature.args)] = cres
 
     def __call__(self, *args: Any) -> Any:
@@ -73,6 +73,8 @@ class Inlined(CPUDispatcher):
     @cached_property
     def _from_python(self) -> Any:
         inlined = self
+        if config.DISABLE_JIT:  # type: ignore[attr-defined]  # set when numba reads the environment
+            return self.py_func
 
         @njit(error_model=self.targetoptions["error_model"])
         def call(*args: Any) -> Any:

@@ -18,7 +18,7 @@ class Workers:
     """Processes that run tasks; they start with the first tasks and end with the ``with`` block."""
 
     def __init__(self, count: int | None = None) -> None:
-        """Choose the number of processes; None: one per processor. With 1 the tasks run in this process."""
+        """Set the number of processes; None: one per processor. With 1, the tasks run in this process."""
         self._count = count or len(os.sched_getaffinity(0))
         self._pool: ProcessPoolExecutor | None = None
 
@@ -49,8 +49,8 @@ class Workers:
                     progress(index + 1, len(tasks))
             return results
         if self._pool is None:
-            # A process forked from this one could inherit a lock held by the thread that draws the progress. The server
-            # has no threads, and imports what the tasks need once for all of them.
+            # A process forked from this one could inherit a lock held by the thread that draws the progress. The fork
+            # server has no threads, and imports the tasks' modules once for all processes.
             context = get_context("forkserver")
             context.set_forkserver_preload(sorted({task.func.__module__ for task in tasks}))
             self._pool = ProcessPoolExecutor(self._count, mp_context=context)
@@ -63,7 +63,7 @@ class Workers:
 
 
 def run_tasks(tasks: Sequence[Task], workers: int | None = None, progress: Progress | None = None) -> list[Any]:
-    """Run tasks in processes of their own, as :meth:`Workers.run` does, and end these.
+    """Run tasks in new processes, see :meth:`Workers.run`.
 
     Args:
         tasks: the tasks.

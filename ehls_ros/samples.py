@@ -1,4 +1,4 @@
-"""Properties of a single sampled signal: noise, outliers."""
+"""Noise and outliers of a sampled signal."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,16 +7,17 @@ from scipy.ndimage import median_filter
 from ehls_ros.arrays import Array
 
 NEIGHBOURS, SIDE = 11, 5
-"""Samples around a sample, and on either side of it, with which it is compared to detect an outlier."""
+"""Width of the windows around a sample and on either side of it, for outlier detection [samples]."""
 
 OUTLIER = 6.0
-"""Deviation from the neighbours above which a sample is an outlier, in standard deviations."""
+"""Deviation from the neighbours above which a sample is an outlier, in standard deviations of the signal's noise."""
 
 GAUSS = 1.4826
-"""Standard deviation of a normal distribution per median absolute deviation."""
+"""Ratio of standard deviation to median absolute deviation of a normal distribution."""
 
 KEPT, KEPT_VARIANCE = 0.98, 0.874
-"""Fraction of the smallest differences used to estimate noise, and the fraction of a normal distribution's variance in them."""
+"""Fraction of the differences, the smallest ones, used to estimate noise; and their fraction of a normal distribution's
+variance."""
 
 Mask = NDArray[np.bool_]
 
@@ -28,21 +29,21 @@ def filled(values: Array) -> Array:
 
 
 def inliers(values: Array) -> Mask:
-    """Return which samples are finite and agree with their neighbours; in fast motion, with those of one side."""
+    """Return which samples are finite and agree with their neighbours on both sides or, in fast motion, on one side."""
     finite = np.isfinite(values)
     gapless = filled(values)
     off = np.abs(gapless - median_filter(gapless, NEIGHBOURS, mode="nearest"))
     steps = np.abs(np.diff(gapless))
     usual = max(GAUSS * float(np.median(off)), float(np.median(steps)), 1e-12 * float(np.max(np.abs(gapless))))
-    # If the signal hardly moves relative to its resolution, the median is zero: use the non-zero deviations.
+    # If the signal hardly moves relative to its resolution, the median is zero; use the non-zero deviations.
     moved = off[off > 0.0]
     if moved.size:
         usual = max(usual, float(np.quantile(moved, 0.25)))
     smooth = median_filter(gapless, SIDE, mode="nearest")
     before, after = _sides(smooth)
-    beside = np.minimum(np.abs(gapless - before), np.abs(gapless - after))
+    one_sided = np.minimum(np.abs(gapless - before), np.abs(gapless - after))
     nearby = np.maximum(*_sides(median_filter(np.abs(np.diff(smooth, prepend=smooth[:1])), SIDE, mode="nearest")))
-    good: Mask = finite & ((off <= OUTLIER * usual) | (beside <= OUTLIER * np.maximum(usual, nearby)))
+    good: Mask = finite & ((off <= OUTLIER * usual) | (one_sided <= OUTLIER * np.maximum(usual, nearby)))
     return good
 
 
@@ -55,8 +56,8 @@ def _sides(medians: Array) -> tuple[Array, Array]:
 def noise(values: Array) -> float:
     """Return the standard deviation of white noise from the third differences, which vanish for a smooth signal.
 
-    Most differences of a quantised signal at rest are zero, so the mean square is used rather than the median, without
-    the largest differences.
+    The mean square without the largest differences is used rather than the median, which is zero for a quantised signal at
+    rest.
     """
     differences = np.abs(np.diff(values, 3))
     if not differences.size:

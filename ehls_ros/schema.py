@@ -1,8 +1,7 @@
-"""Parameters: declared once with unit, range and help, checked by pydantic.
+"""Parameters: declared once with unit, range and help, and checked by pydantic.
 
-A parameter set is a ``NamedTuple`` whose fields are annotated with :func:`quantity`. Compiled kernels accept a named
-tuple directly. YAML checks, ROS descriptors, command-line help and the tables of the documentation are derived from
-the annotations.
+A parameter set is a ``NamedTuple`` whose fields are annotated with :func:`quantity`. Compiled kernels accept it directly.
+YAML checks, ROS descriptors, command-line help and the tables in the documentation are derived from the annotations.
 """
 
 from collections.abc import Hashable, Iterator, Mapping
@@ -48,12 +47,12 @@ def quantity(
 
 
 def text(description: str, unit: str = "") -> Any:
-    """Declare a non-numeric field, such as a name or a list, with one sentence of help and the unit of its entries."""
+    """Declare a field other than a number, such as a name or a list, with one sentence of help and the unit of its entries."""
     return Field(description=description, json_schema_extra={"unit": unit})
 
 
 class Declaration(NamedTuple):
-    """Declaration of one parameter."""
+    """Declaration of one parameter; the bounds include exclusive ones."""
 
     name: str
     kind: Any
@@ -118,7 +117,7 @@ def _adapter(parameters: Any) -> TypeAdapter[Any]:
 
 
 def _prepared(parameters: type, data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the data for the validator: lists as tuples, whole floats as ints where an int is declared."""
+    """Return the data for the validator: lists as tuples, and whole floats as ints for fields declared as int."""
     integers = {declared.name for declared in declarations(parameters) if declared.kind is int}
     return {
         key: int(value) if key in integers and isinstance(value, float) and value.is_integer() else _frozen(value)
@@ -135,9 +134,9 @@ def _as_written(value: Any) -> Any:
 
 
 def bad_input(error: ValidationError, where: str, parameters: type) -> BadInput:
-    """Turn pydantic's first error into one line."""
+    """Return pydantic's first error as one line."""
     first = error.errors(include_url=False)[0]
-    # Drop positions within a list: the list's key is enough.
+    # The key of a list is enough, without the index.
     location = tuple(part for part in first["loc"] if isinstance(part, str))
     key = ".".join(location)
     explained = _help(parameters, location)
@@ -157,7 +156,7 @@ def bad_input(error: ValidationError, where: str, parameters: type) -> BadInput:
 
 
 def _advice(kind: str, value: Any) -> str:
-    """Return how YAML may have misread the user's value."""
+    """Return a hint at how YAML may have misread the user's value."""
     match kind, value:
         case "float_type" | "int_type", bool():
             return " (in YAML, yes, on, no and off mean true and false)"

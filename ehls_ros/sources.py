@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).resolve().parent
 
 @cache
 def sources_digest(*parts: str) -> str:
-    """Return a digest of the names and contents of all source files in some parts of the package.
+    """Return a digest of the names and contents of all source files in parts of the package.
 
     Args:
         parts: names of subpackages, and of single files such as ``arrays.py``.
@@ -26,8 +26,8 @@ def sources_digest(*parts: str) -> str:
 def module_digest(module: ModuleType) -> str:
     """Return a digest of the sources of a family's member.
 
-    They are its file; for a member from another distribution they include the other files of that distribution's package,
-    which it may import.
+    These are its file and, for a member from another distribution, all files of that distribution's package, which it may
+    import.
     """
     file = Path(inspect.getfile(module))
     top = sys.modules[module.__name__.partition(".")[0]]
@@ -37,13 +37,13 @@ def module_digest(module: ModuleType) -> str:
 
 
 def import_line(member: object, name: str) -> str:
-    """Return the line by which generated source text imports a module, or a function at the top level of one.
+    """Return the line with which generated source text imports a module, or a function at the top level of one.
 
-    The line ends with the digest of the member's sources, so that text made from other sources is other text.
+    The line ends with the digest of the member's sources, so that a change of the sources changes the text.
 
     Args:
-        member: a module, as :meth:`ehls_ros.families.Family.load` returns it, or a function.
-        name: what the text calls it.
+        member: a module, such as a family's member, or a function.
+        name: its name in the text.
     """
     if isinstance(member, ModuleType):
         return f"import {member.__name__} as {name}  # {module_digest(member)[:16]}"
@@ -56,7 +56,7 @@ def import_line(member: object, name: str) -> str:
 def _digest_of(files: Iterable[Path]) -> str:
     digest = hashlib.sha256()
     for path in files:
-        # Wherever they lie, the same sources have the same digest.
+        # Names relative to the package, so that the digest does not depend on the install location.
         digest.update(str(path.relative_to(PACKAGE) if path.is_relative_to(PACKAGE) else path.name).encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""One experiment as arrays: the common form of simulations, bags and CSV files, and the input of every analysis."""
+"""One experiment as arrays: the common form of simulations, bags and CSV files, and the input of all analyses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ MEASURED: dict[str, Signal] = {
     "disturbance_force_n": Signal("disturbance force fd", "N"),
     "oil_temperature_k": Signal("oil temperature", "K"),
 }
-"""Measured signals of the data contract: finite or missing."""
+"""Measured signals of the data contract; a value is finite or missing."""
 
 SIGNALS: dict[str, Signal] = {
     **MEASURED,
@@ -80,7 +80,7 @@ class Trajectory:
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the shapes against each other.
+        """Check names and lengths of the signals.
 
         Raises:
             ValueError: a signal has an unknown name, or its length differs from that of the time base.

@@ -38,8 +38,8 @@ from ehls_ros.diagnosis.record import (
 )
 from ehls_ros.diagnosis.windows import Window, smooth_window
 from ehls_ros.physics.along import PARTS, part_kernel
-from ehls_ros.physics.along.base import Along, Motion
-from ehls_ros.physics.along.friction import Begun
+from ehls_ros.physics.along.base import ModelRun, Motion
+from ehls_ros.physics.along.friction import FrictionInputs
 from ehls_ros.physics.along.load import Piston
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Sensor
@@ -250,7 +250,7 @@ class Comparison:
         return terms
 
     def load(self, rig: EffectiveRig) -> Array:
-        """Return position [m] and velocity [m/s] of a load parted from the piston, friction and all other forces [N]."""
+        """Return position [m] and velocity [m/s] of a load separate from the piston, friction and all other forces [N]."""
         key = (self.relevant_parts(rig, "load"), rig.friction, rig.friction_model, rig.plant)
         terms: Array = self._keep("load", key, lambda: self._run_load(rig, self.motion(rig)))
         return terms
@@ -260,10 +260,10 @@ class Comparison:
         used, sensors = _used(part, rig), tuple(sorted(rig.sensors.items()))
         return (used, rig.plant if used or part in ("flow", "spool") else None, sensors)
 
-    def _along(self, part: str, rig: EffectiveRig, motion: Motion, steps: int) -> Along:
+    def _along(self, part: str, rig: EffectiveRig, motion: Motion, steps: int) -> ModelRun:
         record, history = self.record, earlier_commands(rig, self.record.period) if part == "spool" else 0
         effects = PARTS[part].effects.parameters(rig.effects)
-        return Along(motion, record.fresh, record.period, steps, history, rig.plant, rig.friction, effects)
+        return ModelRun(motion, record.fresh, record.period, steps, history, rig.plant, rig.friction, effects)
 
     def _out(self, part: str) -> Array:
         return np.empty((len(self.record.time), PARTS[part].columns))
@@ -283,9 +283,9 @@ class Comparison:
         steps = max(
             1, self._memory_steps("friction", rig), math.ceil(period / rules.FRICTION_STEP), self._stiff_steps(rig, motion)
         )
-        slow = getattr(rig.friction, "stribeck_velocity", math.inf)
-        begun = Begun(np.ascontiguousarray(self.extra_force(rig)[:, 0]), self._balance(rig, motion), slow)
-        part_kernel("friction", rig).run(self._along("friction", rig, motion, steps), begun, out)
+        scale = getattr(rig.friction, "stribeck_velocity", math.inf)
+        inputs = FrictionInputs(np.ascontiguousarray(self.extra_force(rig)[:, 0]), self._balance(rig, motion), scale)
+        part_kernel("friction", rig).run(self._along("friction", rig, motion, steps), inputs, out)
         return out
 
     def _run_load(self, rig: EffectiveRig, motion: Motion) -> Array:
@@ -294,10 +294,10 @@ class Comparison:
         longest = min(rules.LOAD_STEP, rules.GUIDED_STEP * lighter / (piston + rig.plant.moving_mass) / (2.0 * GUIDE))
         longest = max(longest, rules.SHORTEST_STEP)
         steps = max(math.ceil(self.record.period / longest), self._stiff_steps(rig, motion))
-        effects, parting = PARTS["load"].effects, tuple(use for use in rig.effects if use.piston_share > 0.0)
-        others = rig._replace(effects=tuple(use for use in rig.effects if use not in parting))
-        aside = Piston(effects.parameters(parting), effects.piston_state(parting[0].name), piston, GUIDE)
-        part_kernel("load", rig).run(self._along("load", others, motion, steps), aside, out)
+        effects, joint = PARTS["load"].effects, tuple(use for use in rig.effects if use.piston_share > 0.0)
+        others = rig._replace(effects=tuple(use for use in rig.effects if use not in joint))
+        side = Piston(effects.parameters(joint), effects.piston_state(joint[0].name), piston, GUIDE)
+        part_kernel("load", rig).run(self._along("load", others, motion, steps), side, out)
         return out
 
     def _stiff_steps(self, rig: EffectiveRig, motion: Motion) -> int:

@@ -1,6 +1,6 @@
-"""Compiling what a diagnosis will run, on all processors, before it is run.
+"""Compiling the kernels of a diagnosis on all processors before it runs.
 
-A kernel is compiled once for a version of this package; later runs load it.
+A kernel is compiled once per version of this package; later runs load it.
 """
 
 from collections.abc import Callable, Iterable
@@ -16,34 +16,34 @@ from ehls_ros.experiments.loop import ClosedLoop, loop_kernel
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.parallel import Progress, Task, Workers
 from ehls_ros.physics.along import PARTS, compile_part, part_kernel
-from ehls_ros.physics.composition import is_kept
+from ehls_ros.physics.composition import is_compiled
 from ehls_ros.physics.rig import Rig
 from ehls_ros.physics.simulator import Simulator, parts_of, plant_kernel
 
 COMPILING = "compiling, once for this version"
-"""What a user is told meanwhile."""
+"""Progress message."""
 
 
 class Job(NamedTuple):
     """A kernel to compile.
 
     Attributes:
-        kernel: returns its module.
-        compile: compiles it, in a process of its own.
+        kernel: function that returns its module.
+        compile: task that compiles it in another process.
     """
 
     kernel: Callable[[], ModuleType]
     compile: Task
 
 
-def of_diagnosis(rig: Rig) -> list[Job]:
-    """Return the kernels of a diagnosis of a rig; the longest to compile come first."""
+def diagnosis_jobs(rig: Rig) -> list[Job]:
+    """Return the kernels of a rig's diagnosis; those that take longest to compile come first."""
     effective = rig.effective()
     return [Job(partial(part_kernel, name, effective), partial(compile_part, name, effective)) for name in reversed(PARTS)]
 
 
-def of_consequences(diagnosis: Diagnosis) -> list[Job]:
-    """Return the kernels of what follows from a diagnosis."""
+def consequences_jobs(diagnosis: Diagnosis) -> list[Job]:
+    """Return the kernels of the experiments that follow a diagnosis."""
     given, extended = diagnosis.rig, diagnosis.extended
     if not diagnosis.names_causes:
         return [_plant(given)]
@@ -52,18 +52,18 @@ def of_consequences(diagnosis: Diagnosis) -> list[Job]:
     return [*jobs, _plant(given), _plant(extended)]
 
 
-def compile_side_by_side(jobs: Iterable[Job], workers: Workers, progress: Progress) -> None:
-    """Compile those of some kernels that are not kept yet.
+def compile_in_parallel(jobs: Iterable[Job], workers: Workers, progress: Progress) -> None:
+    """Compile those kernels that are not in the cache.
 
     Args:
         jobs: the kernels.
         workers: the processes to compile in.
-        progress: called with the number compiled and their total number; not called where all are kept.
+        progress: called with the number compiled and the total number; not called if all are in the cache.
     """
-    tasks = [job.compile for job in jobs if not is_kept(job.kernel())]
+    tasks = [job.compile for job in jobs if not is_compiled(job.kernel())]
     if tasks:
         progress(0, len(tasks))
-        # Without the help of other processes, a kernel is compiled where it is run.
+        # If the processes fail, a kernel is compiled when it is first run.
         with suppress(BrokenProcessPool):
             workers.run(tasks, progress)
 

@@ -12,7 +12,7 @@ from ehls_ros.diagnosis.free_run import FreeRun, free_run
 from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival
 from ehls_ros.diagnosis.stages import SENSED as RECORDED_AS
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.compiling import COMPILING, compile_side_by_side, of_consequences
+from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, consequences_jobs
 from ehls_ros.experiments.controller_benefit import ControllerBenefit, controller_benefit
 from ehls_ros.experiments.next_experiment import NextExperiment, Proposal, next_experiment
 from ehls_ros.parallel import Workers
@@ -125,7 +125,7 @@ def consequences(
 def _compiled(diagnosis: Diagnosis, workers: Workers, progress: Progress) -> None:
     # What cannot be compiled cannot be run either, and says so there.
     with suppress(Exception):
-        compile_side_by_side(of_consequences(diagnosis), workers, lambda *_: progress(COMPILING, 0.0))
+        compile_in_parallel(consequences_jobs(diagnosis), workers, lambda *_: progress(COMPILING, 0.0))
 
 
 def _tried(what: str, remarks: list[str], make: Callable[[], Made]) -> Made | None:

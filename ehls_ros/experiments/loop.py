@@ -31,7 +31,7 @@ from ehls_ros.physics.plant import TEMPERATURE
 from ehls_ros.physics.plausibility import implausible
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import POSITION, VELOCITY
-from ehls_ros.physics.simulator import Moving, Simulated, Simulator, Standing, at_rest, parts_of, plant_kernel
+from ehls_ros.physics.simulator import Constants, Simulated, Simulator, State, at_rest, parts_of, plant_kernel
 from ehls_ros.recording.topics import CONTROLLER_STATUS, DISTURBANCE, LOADER_STATE, REFERENCE_TOPICS
 from ehls_ros.trajectory import Trajectory
 
@@ -86,13 +86,13 @@ def build(plant: Any, law: Any, observer: Any, believed: Any) -> _Loop:
     sense, hold, advance, update, step = plant.sense, plant.hold, plant.advance, observer.updater(believed), law.step
 
     @kernel
-    def run(first: int, standing: Standing, moving: Moving, control: Control, given: Given, record: Array) -> int:
+    def run(first: int, constants: Constants, state: State, control: Control, given: Given, record: Array) -> int:
         dense = 0
-        measured, estimate, status = moving.measured, control.observed.estimate, control.status
+        measured, estimate, status = state.measured, control.observed.estimate, control.status
         for i in range(record.shape[0]):
             k = first + i
-            sense(k, standing, moving, given.noise[i])
-            update(measured[VELOCITY], standing.period, control.friction, control.compensation, control.observed)
+            sense(k, constants, state, given.noise[i])
+            update(measured[VELOCITY], constants.period, control.friction, control.compensation, control.observed)
             u = step(measured, given.reference[i], estimate, control.tuning, control.model, control.memory, status)
             column = 0
             for value in measured:
@@ -107,9 +107,9 @@ def build(plant: Any, law: Any, observer: Any, believed: Any) -> _Loop:
                 record[i, column] = value
                 column += 1
             force, force_rate, displacement, velocity = given.disturbance[i]
-            hold(moving.inputs, k * standing.period, u, force, force_rate, displacement, velocity)
-            dense += advance(k, standing, moving)
-            moving.inputs[TEMPERATURE] += standing.warming * standing.period
+            hold(state.inputs, k * constants.period, u, force, force_rate, displacement, velocity)
+            dense += advance(k, constants, state)
+            state.inputs[TEMPERATURE] += constants.warming * constants.period
         return dense
 
     return _Loop(run)
@@ -123,7 +123,7 @@ def loop_kernel(spec: Spec) -> ModuleType:
         "observer": OBSERVERS.load(spec.compensation.name),
         "believed": spec.controller_rig.friction_law,
     }
-    return compiled(build, {"run": "first, standing, moving, control, given, record"}, members)
+    return compiled(build, {"run": "first, constants, state, control, given, record"}, members)
 
 
 def sampled(use: Use, period: float) -> SampledReference:
@@ -268,7 +268,7 @@ class ClosedLoop:
                     following = disturbing.following(first + i, record[i, POSITION], record[i, VELOCITY])
             # A sensor may hide what the rig itself comes to.
             lost = implausible(record[:, : self.columns.command + 1], spec.rig.limits)
-            hidden = implausible(self._plant.moving.truth[np.newaxis], spec.rig.limits)
+            hidden = implausible(self._plant.state.truth[np.newaxis], spec.rig.limits)
             if lost is None and hidden is not None:
                 lost = hidden._replace(row=count - 1)
             end = count if lost is None else lost.row + 1
@@ -280,7 +280,7 @@ class ClosedLoop:
 
     def _run(self, first: int, record: Array, reference: Array, disturbance: Array, random: Generator) -> None:
         given = Given(random.standard_normal((len(record), len(SENSED))), reference, disturbance)
-        self.dense += self._run_compiled(first, self._plant.standing, self._plant.moving, self._control, given, record)
+        self.dense += self._run_compiled(first, self._plant.constants, self._plant.state, self._control, given, record)
 
 
 def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = None, *, check: bool = True) -> Trajectory:

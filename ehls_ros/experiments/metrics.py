@@ -8,7 +8,7 @@ import numpy as np
 
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.parameters import Limits
-from ehls_ros.physics.plausibility import FLAGGED, SHOWN, beyond
+from ehls_ros.physics.plausibility import LIMIT_UNITS, WARNING_FACTOR, beyond
 from ehls_ros.recording.topics import LOADER_STATE
 from ehls_ros.schema import parse
 from ehls_ros.trajectory import Trajectory, steady_error
@@ -122,9 +122,9 @@ def _warnings(run: Trajectory, late: Any) -> Iterator[str]:
     if "saturated" in run and (share := float(np.mean(run["saturated"][late] > 0.5))) >= MOSTLY:
         yield f"the valve command is at its limit for {100.0 * share:.0f} % of the last half: the rig can give no more"
     limits = _limits(run.metadata)
-    for name in SHOWN if limits is not None else ():
+    for name in LIMIT_UNITS if limits is not None else ():
         signal = LOADER_STATE.signals[name]
-        if signal in run and limits is not None and (out := beyond(run[signal], limits, name, FLAGGED)) is not None:
+        if signal in run and limits is not None and (out := beyond(run[signal], limits, name, WARNING_FACTOR)) is not None:
             yield f"the rig leaves its limits: {out.what} (at {run.time_s[out.row]:.3g} s); a real rig would have been stopped"
 
 

@@ -60,7 +60,7 @@ from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.plant import TEMPERATURE, X
 from ehls_ros.physics.rig import SENSED, Rig, rig_to_mapping
 from ehls_ros.physics.sensors import FORCE, LOAD_PRESSURE, POSITION, SPOOL, VELOCITY
-from ehls_ros.physics.simulator import Moving, Simulated, Standing, plant_kernel
+from ehls_ros.physics.simulator import Constants, Simulated, State, plant_kernel
 
 LEAST_SIGMA = 5.0
 """Separation below which an experiment is not proposed."""
@@ -143,14 +143,14 @@ def build(plant: Any, force_law: Any, position_law: Any, observer: Any) -> _Benc
     force_step, position_step, update = force_law.step, position_law.step, observer.update
 
     @kernel
-    def run(source: int, standing: Standing, moving: Moving, control: _Control, rows: _Rows, out: Array) -> int:
-        saturated, noise = 0, np.zeros(moving.measured.size)
-        measured, estimate, status = moving.measured, control.observed.estimate, control.status
+    def run(source: int, constants: Constants, state: State, control: _Control, rows: _Rows, out: Array) -> int:
+        saturated, noise = 0, np.zeros(state.measured.size)
+        measured, estimate, status = state.measured, control.observed.estimate, control.status
         last = measured.size
         for k in range(out.shape[0]):
-            sense(k, standing, moving, noise)
+            sense(k, constants, state, noise)
             if source == _FORCE_LAW:
-                update(measured[VELOCITY], standing.period, control.friction, control.compensation, control.observed)
+                update(measured[VELOCITY], constants.period, control.friction, control.compensation, control.observed)
                 tuning, memory = control.force_tuning, control.force_memory
                 u = force_step(measured, rows.reference[k], estimate, tuning, control.model, memory, status)
             elif source == _POSITION_LAW:
@@ -158,14 +158,14 @@ def build(plant: Any, force_law: Any, position_law: Any, observer: Any) -> _Benc
                 u = position_step(measured, rows.reference[k], estimate, held, control.model, kept, status)
             else:
                 u = rows.record[k, last]
-                moving.y[X] += rows.pull * (rows.record[k, POSITION] - measured[POSITION])
+                state.y[X] += rows.pull * (rows.record[k, POSITION] - measured[POSITION])
             saturated += abs(u) >= control.model.spool_limit
             out[k, :last] = measured
             out[k, last] = u
             force, force_rate, displacement, velocity = rows.load[k]
-            hold(moving.inputs, k * standing.period, u, force, force_rate, displacement, velocity)
-            advance(k, standing, moving)
-            moving.inputs[TEMPERATURE] += standing.warming * standing.period
+            hold(state.inputs, k * constants.period, u, force, force_rate, displacement, velocity)
+            advance(k, constants, state)
+            state.inputs[TEMPERATURE] += constants.warming * constants.period
         return saturated
 
     return _Bench(run)
@@ -219,7 +219,7 @@ class _Experiment:
         rows = _Rows(self.reference, self.load, given, self.period / MEMORY)
         record = np.empty((self.spec.cycles, len(SENSED) + 1))
         bench = _bench(plant, design.friction_model)
-        saturated = bench(source, plant.standing, plant.moving, control, rows, record)
+        saturated = bench(source, plant.constants, plant.state, control, rows, record)
         return _Run(record, saturated / self.spec.cycles)
 
 
@@ -231,7 +231,7 @@ def _bench(plant: Simulated, believed: str) -> Callable[..., int]:
         "position_law": controller_kernel("pid"),
         "observer": observer_kernel(ANY_MODEL, believed),
     }
-    bench: Callable[..., int] = compiled(build, {"run": "source, standing, moving, control, rows, out"}, modules).run
+    bench: Callable[..., int] = compiled(build, {"run": "source, constants, state, control, rows, out"}, modules).run
     return bench
 
 

@@ -15,7 +15,7 @@ from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput
-from ehls_ros.physics.plausibility import FLAGGED, check_ranges, check_rig, check_signal, check_step
+from ehls_ros.physics.plausibility import WARNING_FACTOR, check_ranges, check_rig, check_signal, check_step
 from ehls_ros.physics.rig import Rig, effects_from_list, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP
 from ehls_ros.recording import limits
@@ -181,7 +181,7 @@ def check_spec(spec: Spec, where: str) -> None:
     steps = max(1, math.ceil(period / settings.integration_step - 1e-9))
     check_step(spec.loader_rig(), period / steps, f"{where}: rig")
     low, high = rig.limits.position
-    if abs(settings.initial_position - 0.5 * (low + high)) > FLAGGED * 0.5 * (high - low):
+    if abs(settings.initial_position - 0.5 * (low + high)) > WARNING_FACTOR * 0.5 * (high - low):
         expected = f"{low:g} to {high:g} m, limits.position of the rig"
         raise BadInput(f"initial_position is {settings.initial_position:g} m", where, expected)
     # Spread evenly, and synchronous with no frequency.

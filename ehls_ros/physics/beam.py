@@ -1,4 +1,4 @@
-"""Beam load: everything but friction that acts on the piston, equation (3)."""
+"""Beam load: forces of equation (3) without friction, and masses."""
 
 from ehls_ros.arrays import kernel
 from ehls_ros.physics.parameters import Plant
@@ -15,11 +15,11 @@ def applied_force(
         velocity: piston velocity [m/s].
         load_pressure: pL [Pa].
         disturbance: disturbance force fd [N].
-        extra: what effects add [N].
+        extra: force of the effects [N].
         plant: the rig's coefficients.
 
     Returns:
-        Force along +x [N]. Gravity keeps the sign of (3): it pulls along -x for a positive ``gravity``.
+        Force along +x [N]. As in (3), a positive ``gravity`` acts along -x.
     """
     return (
         plant.piston_area * load_pressure
@@ -29,3 +29,14 @@ def applied_force(
         - disturbance
         + extra
     )  # (3)
+
+
+@kernel
+def piston_mass(share: float, plant: Plant) -> float:
+    """Return the mass of a piston separate from the load [kg].
+
+    Args:
+        share: fraction of the total moving mass that is the piston's.
+        plant: the rig's coefficients; their moving mass is the load's alone.
+    """
+    return plant.moving_mass * share / (1.0 - share)

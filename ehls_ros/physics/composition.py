@@ -1,15 +1,13 @@
-"""Putting chosen parts together and compiling them, and keeping the machine code between processes.
+"""Composing kernels from chosen parts, compiling them, and caching the machine code between processes.
 
-Numba caches machine code by source file, not by the functions handed to it. So the parts chosen are
-written down as a small module that imports them, chains the hooks of the effects, hands all to an ordinary
-function of the package that builds compiled functions of them, and has an entry for each. This file is the
-only place where such text is written. The module lies in the user's cache folder under a name made of its
-own text and of the package's sources: any change of either makes a new module, and cached machine code is
-never stale.
+Numba caches machine code per source file and does not distinguish functions passed as arguments. So a small module is
+generated for each choice of parts: it imports them, chains the hooks of the effects, calls a builder of the package, and
+has one entry function for each function built. This file is the only one that generates source text. The module is stored
+in the user's cache folder; its name is a digest of its text and the package's sources, so machine code is never stale.
 
-A chain of effects is *fixed*, the effects of one rig in its order, their parameters in a row as ``p``; or
-*switched*, many effects in the order of their names, each behind a flag, with :class:`Switched` as ``p``:
-another choice of effects then costs no compilation.
+A chain of effects is either *fixed*: the effects of one rig in their order, with all parameters in one array as ``p``; or
+*switched*: many effects in the order of their names, each behind a flag, with :class:`Switched` as ``p``, so that another
+choice of effects needs no compilation.
 """
 
 import hashlib
@@ -32,33 +30,33 @@ from ehls_ros.arrays import Array
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS
 from ehls_ros.physics.friction import FRICTION_MODELS
-from ehls_ros.physics.kernel_cache import PREFIX, is_sealed, kept, make_private, sealed
+from ehls_ros.physics.kernel_cache import PREFIX, is_sealed, make_private, sealed, store_source
 from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig
 from ehls_ros.sources import import_line, sources_digest
 
-COMPILED = ("physics", "control", "identification", "arrays.py", "inlining.py")
-"""Sources that machine code is made from."""
+KERNEL_SOURCES = ("physics", "control", "identification", "arrays.py", "inlining.py")
+"""Sources that kernels are compiled from."""
 
 
 def kernel_module(source: str) -> ModuleType:
-    """Import a generated module, writing it first where it is new.
+    """Import a generated module; a new one is stored first.
 
     Args:
-        source: text of the module; its compiled entry functions say ``cache=True``.
+        source: text of the module; its compiled entry functions have ``cache=True``.
 
     Returns:
-        The module. Its entry functions compile at their first call ever, and load at later ones. Of several processes
-        that call one for the first time at once, one compiles and the others wait and load.
+        The module. Its entry functions are compiled once; later processes load the machine code. If several processes need
+        the same function at once, one compiles it while the others wait.
 
     Raises:
-        BadInput: the cache folder is not the user's alone.
+        BadInput: others can write the cache folder.
     """
-    # Everything machine code is made from.
-    made_from = (sys.version, numba.__version__, np.__version__, sources_digest(*COMPILED), source)
+    # Everything the machine code depends on.
+    made_from = (sys.version, numba.__version__, np.__version__, sources_digest(*KERNEL_SOURCES), source)
     name = PREFIX + hashlib.sha256(" ".join(made_from).encode()).hexdigest()[:16]
     if name in sys.modules:
         return sys.modules[name]
-    path = kept(name, source)
+    path = store_source(name, source)
     spec = spec_from_file_location(name, path, loader=_Generated(source, path))
     if spec is None or spec.loader is None:
         raise ImportError(f"{path} cannot be imported as a kernel module")
@@ -68,14 +66,14 @@ def kernel_module(source: str) -> ModuleType:
     for entry in _entries(module):
         code = Path(entry.stats.cache_path)
         if code.parent != path.parent:
-            # Numba was told to keep it elsewhere.
+            # Numba is configured to cache elsewhere.
             make_private(code)
         _compile_in_turn(entry, _seal(module, entry), code)
     return module
 
 
 def _entries(module: ModuleType) -> list[Any]:
-    """Return a compiled module's entries: its own functions whose machine code is kept."""
+    """Return the entry functions of a generated module, if their machine code is cached."""
     functions = [value for value in vars(module).values() if isinstance(value, Dispatcher)]
     return [f for f in functions if f.py_func.__module__ == module.__name__ and f.stats.cache_path is not None]
 
@@ -84,13 +82,13 @@ def _seal(module: ModuleType, entry: Any) -> Path:
     return Path(str(module.__file__)).with_name(f"{module.__name__}.{entry.py_func.__name__}.seal")
 
 
-def is_kept(module: ModuleType) -> bool:
-    """Tell whether the machine code of every entry of a compiled module is kept."""
+def is_compiled(module: ModuleType) -> bool:
+    """Return whether the machine code of every entry function of a module is in the cache."""
     return all(is_sealed(_seal(module, entry)) for entry in _entries(module))
 
 
 class _Generated(ExecutionLoader):
-    """Runs a module's text from memory: the file may be another by the time it is read."""
+    """Runs a module's text from memory, since the file may have been replaced by the time it is read."""
 
     def __init__(self, source: str, path: Path) -> None:
         self._source = source
@@ -107,27 +105,27 @@ class _Generated(ExecutionLoader):
 
 
 def _compile_in_turn(entry: Any, seal: Path, code: Path) -> None:
-    """Let a compiled function compile in one process at a time; who waited finds it done and loads it."""
+    """Let one process at a time compile an entry function; the others then load the result."""
     compile_or_load = entry.compile
 
     def in_turn(signature: Any) -> Any:
-        # Numba's own lock first: a thread that holds it may want the file for a kernel inside the one it compiles.
+        # Numba's lock first, to avoid a deadlock: its holder may need the file lock of a kernel it calls.
         with global_compiler_lock, sealed(seal, code, f"{seal.stem}-*"):
             try:
                 return compile_or_load(signature)
             except OSError:
-                # The disk is full: it is compiled by now, and only cannot be kept.
+                # The disk is full: the function is compiled but cannot be cached.
                 return compile_or_load(signature)
 
     entry.compile = in_turn
 
 
 class Switched(NamedTuple):
-    """Effects as switched chains take them.
+    """Parameters of switched chains.
 
     Attributes:
-        on: a flag for each of the chains' effects, shape (effects,).
-        values: the parameters of all of them in a row.
+        on: a flag for each effect, shape (effects,).
+        values: the parameters of all effects, one after another, shape (parameters,).
     """
 
     on: NDArray[np.int8]
@@ -135,11 +133,11 @@ class Switched(NamedTuple):
 
 
 class Effects(NamedTuple):
-    """The effects of some chains.
+    """A choice of effects to chain.
 
     Attributes:
-        names: in the order in which they act.
-        switched: whether each is behind a flag.
+        names: names in the order in which the effects act.
+        switched: whether each effect is behind a flag.
     """
 
     names: tuple[str, ...] = ()
@@ -147,20 +145,20 @@ class Effects(NamedTuple):
 
     @property
     def states(self) -> int:
-        """Number of states that these effects have of their own."""
+        """Number of the effects' own states."""
         return sum(_states(name) for name in self.names)
 
     def first_state(self, name: str) -> int:
-        """Return where an effect's own states begin among those of all."""
+        """Return the index of an effect's first own state."""
         return sum(_states(before) for before in self.names[: self.names.index(name)])
 
     def piston_state(self, name: str) -> int:
-        """Return where all states hold how far the piston is ahead of the load, for an effect that parts them."""
+        """Return the index of the displacement of the piston relative to the load, for an effect that separates them."""
         effect: Any = EFFECTS.load(name)
         return self.first_state(name) + int(effect.PISTON)
 
     def parameters(self, uses: Iterable[EffectUse]) -> Any:
-        """Lay out the parameters of effects in use, ``p`` of the chains; of an effect used twice, flags know the last."""
+        """Return ``p`` of the chains for effects in use; of an effect used twice, switched chains take the last."""
         if not self.switched:
             used = [use for use in uses if use.name in self.names]
             return np.array([value for use in used for value in use.parameters], dtype=np.float64)
@@ -180,18 +178,18 @@ def _states(name: str) -> int:
 
 @cache
 def effects_with(*hooks: str) -> Effects:
-    """Return all effects of the family that have one of some hooks, switched."""
+    """Return all effects of the family that have at least one of the given hooks, switched."""
     names = (n for n in EFFECTS.names() if any(hasattr(EFFECTS.load(n), hook) for hook in hooks))
     return Effects(tuple(names), switched=True)
 
 
 def effects_of(rig: Rig | EffectiveRig) -> Effects:
-    """Return a rig's effects that have hooks, fixed."""
+    """Return a rig's effects with hooks, as a fixed chain."""
     return Effects(tuple(use.name for use in effects_in_kernel(rig)))
 
 
 def effects_in_kernel(rig: Rig | EffectiveRig) -> tuple[EffectUse, ...]:
-    """Return a rig's effects that have hooks."""
+    """Return a rig's effects with hooks; the others only shift parameters."""
     return tuple(use for use in rig.effects if any(hasattr(EFFECTS.load(use.name), hook) for hook in HOOKS))
 
 
@@ -209,20 +207,19 @@ def compiled(
     *,
     threads: bool = False,
 ) -> ModuleType:
-    """Compile (or load) what a function builds of chosen parts.
+    """Compile or load what a builder makes of chosen parts.
 
     Args:
-        build: builder at the top level of a module. It is called with keywords: the members, the numbers and, with
-            effects, ``chains`` (:class:`~ehls_ros.physics.plant.Chains`); it returns an object with a compiled function for
-            each entry.
-        entries: names of those functions, each with its arguments as text.
-        members: modules by keyword, such as a friction model's file, and functions at the top level of one.
+        build: builder at the top level of a module. Its keyword arguments are the members, the numbers and, with effects,
+            ``chains`` (:class:`~ehls_ros.physics.plant.Chains`). It returns an object with a compiled function per entry.
+        entries: arguments of each entry function as text, by name.
+        members: modules by keyword, such as a friction model, and functions at the top level of one.
         numbers: integers by keyword.
         effects: the effects to chain.
-        threads: whether the entries let other threads run.
+        threads: whether the entry functions release the interpreter lock.
 
     Returns:
-        A module with the entries, callable from Python and from compiled code.
+        A module with the entry functions, callable from Python and from compiled code.
     """
     members, numbers = members or {}, numbers or {}
     module = sys.modules[build.__module__]
@@ -250,15 +247,15 @@ def compiled(
 
 
 def _import(member: Any, name: str) -> str:
-    """Return the line that imports a part; another compiled module is told by its own name."""
+    """Return the line that imports a part; a generated module needs no digest, as its name is one."""
     return f"import {member.__name__} as {name}" if member.__name__.startswith(PREFIX) else import_line(member, name)
 
 
 def _chains(effects: Effects) -> list[str]:
-    """Return the lines that chain the hooks of some effects."""
+    """Return the lines that chain the hooks of the effects."""
     lines, rates, jumps, states, first = list[str](), list[str](), list[str](), 0, 0
-    chains: dict[str, list[str]] = {hook: [] for hook in (*HOOKS, "handed_on")}
-    remembers = 0
+    chains: dict[str, list[str]] = {hook: [] for hook in (*HOOKS, "joint_force")}
+    needed = 0
     for index, name in enumerate(effects.names):
         effect = EFFECTS.load(name)
         own, count = _states(name), len(effect.Parameters._fields)
@@ -273,12 +270,12 @@ def _chains(effects: Effects) -> list[str]:
             if hasattr(effect, hook):
                 chains[hook] += [*flag, f"{indent}value = effect_{index}.{hook}(value, {view})"]
         if hasattr(effect, "PISTON"):
-            chains["handed_on"] += [*flag, f"{indent}value = effect_{index}.force(value, {view})"]
+            chains["joint_force"] += [*flag, f"{indent}value = effect_{index}.force(value, {view})"]
         if hasattr(effect, "jump"):
             jumps += [*flag, f"{indent}value = min(value, effect_{index}.jump(t, w, {parameters}))"]
         if own:
             rates += [*flag, f"{indent}effect_{index}.derivatives(value, {view}, dz[{states}:{states + own}])"]
-            remembers = len(rates)
+            needed = len(rates)
         if hasattr(effect, "command"):
             rates += [*flag, f"{indent}value = effect_{index}.command(value, {view})"]
         states += own
@@ -287,7 +284,7 @@ def _chains(effects: Effects) -> list[str]:
     for hook, calls in chains.items():
         lines += ["@lean", f"def {hook}(value, t, y, w, z, p, plant):", *calls, "    return value"]
     lines += ["@lean", "def jump(t, w, p):", "    value = inf", *jumps, "    return value"]
-    lines += ["@lean", "def rates(value, t, y, w, z, p, plant, dz):", *at_rest, *rates[:remembers], "    return"]
-    late = () if jumps else ("received", "jump")
-    keywords = (f"{name}={None if name in late else name}" for name in (*chains, "jump", "rates"))
+    lines += ["@lean", "def rates(value, t, y, w, z, p, plant, dz):", *at_rest, *rates[:needed], "    return"]
+    unused = () if jumps else ("received", "jump")
+    keywords = (f"{name}={None if name in unused else name}" for name in (*chains, "jump", "rates"))
     return [*lines, f"chains = Chains({', '.join(keywords)})"]

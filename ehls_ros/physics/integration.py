@@ -1,15 +1,13 @@
-"""Fixed-step integration of switching systems: Runge-Kutta of order 4 or 2, with events located.
+"""Fixed-step integration of hybrid systems: Runge-Kutta of order 4 or 2 with event location.
 
-A system is two compiled functions over a time ``t``, a state ``y``, modes ``mode`` and whatever else
-it needs in ``c``:
+A system is two compiled functions of time ``t``, state ``y``, modes ``mode`` and coefficients ``c``:
 
-* ``evaluate(t, y, mode, c, rate)`` writes dy/dt, smooth as long as the modes stand, and returns the event
-  function: positive once a mode has to change, and continuous before;
-* ``switch(t, y, mode, c)`` changes the modes (and, in an impact, the state) there.
+* ``evaluate(t, y, mode, c, rate)`` writes dy/dt, which is smooth while the modes are constant, and returns the event
+  function: continuous up to an event, and positive once a mode has to change;
+* ``switch(t, y, mode, c)`` changes the modes (and, at an impact, the state) at the event.
 
-A step that would end past an event is shortened to end on it, so that a discontinuity never lies inside
-a step and the order of the method holds through stick and slip. The evaluation that looks for an event at
-the end of a step is the first stage of the next.
+A step that would pass an event is shortened to end on it. No step contains a discontinuity, so the order of the method
+holds through stick and slip. The evaluation that checks for an event at the end of a step is the first stage of the next.
 """
 
 from collections.abc import Callable
@@ -20,13 +18,13 @@ from numba import njit
 from ehls_ros.arrays import Array, lean
 
 WORK_ROWS = 6
-"""Rows of scratch that an integrator needs, each as long as the state."""
+"""Rows of an integrator's workspace, each as long as the state."""
 
 MOST_EVENTS = 16
-"""Events located within one step; a system that switches more often is stepped over them."""
+"""Most events located within one step; further ones are stepped over."""
 
 EVENT_TOLERANCE = 1e-9
-"""How well an event is located, as a fraction of the step."""
+"""Tolerance of an event's time, as a fraction of the step."""
 
 MOST_ITERATIONS = 64
 """Enough to halve a step down to the tolerance at every second iteration."""
@@ -42,11 +40,11 @@ def integrator(
     """Build the compiled integrator of one system.
 
     Args:
-        evaluate: of the system.
-        switch: of the system.
-        size: length of the state where it is known beforehand: the compiler then unrolls the loops over it; 0: any.
-        most_events: how many events to locate within a step; with 0, modes change at the ends of steps only.
-        order: 4, the classical method; or 2, the midpoint rule, at half the cost a step.
+        evaluate: rates and event function of the system.
+        switch: mode changes of the system.
+        size: length of the state if known, so that the compiler unrolls the loops over it; 0: any length.
+        most_events: most events located within a step; with 0, modes change only at the ends of steps.
+        order: 4, the classical method; or 2, the midpoint rule, at half the cost per step.
 
     Returns:
         ``advance(t, y, mode, c, step, steps, work)``, see below.
@@ -54,7 +52,7 @@ def integrator(
 
     @lean
     def runge_kutta(t: float, y: Array, mode: Array, c: Any, step: float, work: Array) -> None:
-        """Take one classical Runge-Kutta step from ``y``, its rates in ``work[2]``, and leave the result in ``work[0]``."""
+        """Take one classical Runge-Kutta step from ``y``, with its rates in ``work[2]``; the result is in ``work[0]``."""
         n = size or y.size
         end, stage, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4], work[5]
         for i in range(n):
@@ -71,7 +69,7 @@ def integrator(
 
     @lean
     def midpoint(t: float, y: Array, mode: Array, c: Any, step: float, work: Array) -> None:
-        """Take one step of the midpoint rule; arguments as of the classical method."""
+        """Take one step of the midpoint rule; same arguments as ``runge_kutta``."""
         n = size or y.size
         end, stage, k1, k2 = work[0], work[1], work[2], work[3]
         for i in range(n):
@@ -80,27 +78,27 @@ def integrator(
         for i in range(n):
             end[i] = y[i] + step * k2[i]
 
-    advanced = runge_kutta if order == 4 else midpoint
+    take_step = runge_kutta if order == 4 else midpoint
 
-    # Rare and long: kept out of the loop it is called from.
+    # Rarely called and long, so not inlined into the loop.
     @njit(error_model="numpy")
     def locate(t: float, y: Array, mode: Array, c: Any, step: float, after: float, work: Array) -> float:
         """Find where in a step the event function crosses zero.
 
-        Regula falsi in the Illinois variant; where it does not halve the bracket, as where the event function has
-        been flat, a bisection follows.
+        This is regula falsi in the Illinois variant. An iteration that does not halve the bracket, as with a flat event
+        function, is followed by a bisection.
 
         Args:
             t: time at the start of the step [s].
-            y: state there.
+            y: state at the start of the step.
             mode: modes during the step.
             c: coefficients of the system.
-            step: length of the step [s]; the event lies inside.
-            after: the event function at its end, positive.
-            work: scratch; ``work[0]`` holds the state at the event when it returns.
+            step: length of the step [s], which contains the event.
+            after: event function at the end of the step, positive.
+            work: workspace; on return ``work[0]`` holds the state at the event.
 
         Returns:
-            Time from ``t`` to just behind the event [s].
+            Time from ``t`` to just after the event [s].
         """
         before = min(evaluate(t, y, mode, c, work[2]), 0.0)
         low, high = 0.0, step
@@ -114,10 +112,10 @@ def integrator(
             elif halve:
                 middle = low + 0.5 * width
             else:
-                # Half a tolerance behind the estimate, so that both ends of the bracket close in.
+                # Half a tolerance past the estimate, so that both ends of the bracket close in.
                 middle = high - after * width / (after - before) + 0.5 * tolerance
                 middle = min(max(middle, low + 0.25 * tolerance), high - 0.25 * tolerance)
-            advanced(t, y, mode, c, middle, work)
+            take_step(t, y, mode, c, middle, work)
             if found:
                 break
             value = evaluate(t + middle, work[0], mode, c, work[1])
@@ -138,15 +136,15 @@ def integrator(
 
         Args:
             t: time at the start [s].
-            y: state, advanced in place.
-            mode: modes, changed in place.
+            y: state, updated in place.
+            mode: modes, updated in place.
             c: coefficients of the system.
             step: length of a step [s].
             steps: number of steps.
-            work: scratch of shape (:data:`WORK_ROWS`, y.size).
+            work: workspace, shape (:data:`WORK_ROWS`, y.size).
 
         Returns:
-            Number of steps in which events came too densely to be located; 0 is the rule.
+            Number of steps with more events than were located, normally 0.
         """
         dense = 0
         # Inputs may have jumped since the last call.
@@ -159,7 +157,7 @@ def integrator(
                 if changed and evaluate(now, y, mode, c, work[2]) > 0.0:
                     switch(now, y, mode, c)
                     evaluate(now, y, mode, c, work[2])
-                advanced(now, y, mode, c, remaining, work)
+                take_step(now, y, mode, c, remaining, work)
                 taken = remaining
                 after = evaluate(now + remaining, work[0], mode, c, work[2])
                 changed = after > 0.0

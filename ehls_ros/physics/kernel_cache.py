@@ -1,8 +1,8 @@
-"""The folder that keeps compiled kernels between processes, and why what lies in it may be run.
+"""The cache folder of compiled kernels, and why its contents are safe to run.
 
-Machine code lies there as pickles, and a pickle runs whatever it says. So the folder is the user's alone; the text of a
-kernel is run from memory, its file being there for numba to find the machine code by; and machine code is loaded only as
-it was left after compiling. What is damaged is compiled anew.
+Machine code is cached as pickles, and loading a pickle can run any code. So only the user can write the folder; a kernel's
+text is run from memory, and its file only lets numba find the machine code; and machine code is loaded only if it is
+unchanged since it was compiled. What is damaged is compiled again.
 """
 
 import fcntl
@@ -21,10 +21,10 @@ from typing import BinaryIO
 from ehls_ros.errors import BadInput
 
 PREFIX = "ehls_kernel_"
-"""What the names of kernels begin with."""
+"""Prefix of the names of kernels."""
 
 CODE = "__pycache__"
-"""Where numba keeps machine code, beside the kernels."""
+"""Subfolder in which numba caches machine code."""
 
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
@@ -32,7 +32,7 @@ OWN_FOLDER = "a folder that only you can write: remove this one, or set EHLS_CAC
 
 
 def cache_folder() -> Path:
-    """Return where generated kernels lie: ``$EHLS_CACHE_DIR``, or ``ehls_ros`` in the user's cache folder."""
+    """Return the folder of generated kernels: ``$EHLS_CACHE_DIR``, or ``ehls_ros`` in the user's cache folder."""
     chosen = os.environ.get("EHLS_CACHE_DIR")
     if chosen:
         return Path(chosen)
@@ -40,19 +40,19 @@ def cache_folder() -> Path:
 
 
 def make_private(folder: Path) -> None:
-    """Make a folder for kernels that nobody else can write; one that others could write is emptied first.
+    """Create a folder for kernels that only the user can write; one that others could write is emptied first.
 
     Args:
-        folder: the folder, made with mode 700 where it is missing.
+        folder: the folder; if missing, it is created with mode 700.
 
     Raises:
-        BadInput: it belongs to somebody else, or others may write it and it holds more than kernels.
-        OSError: it cannot be made.
+        BadInput: it belongs to another user, or others may write it and it holds more than kernels.
+        OSError: it cannot be created.
     """
     folder.mkdir(0o700, parents=True, exist_ok=True)
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        # Of several processes that start at once, one empties it.
+        # If several processes start at once, only one empties it.
         fcntl.flock(handle, fcntl.LOCK_EX)
         status = os.fstat(handle)
         if status.st_uid != os.geteuid():
@@ -64,7 +64,7 @@ def make_private(folder: Path) -> None:
 
 
 def _take_over(folder: Path) -> None:
-    """Shut others out and throw away what they may have put there."""
+    """Revoke others' write permission and delete what they may have put there."""
     strangers = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith((PREFIX, CODE, "tmp")))
     if strangers:
         what = f"others may write the folder of compiled kernels, which holds '{strangers[0]}' too"
@@ -72,21 +72,21 @@ def _take_over(folder: Path) -> None:
     folder.chmod(0o700)
     for entry in folder.iterdir():
         shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
-    logging.getLogger(__name__).warning("%s: others could write it; its kernels are compiled anew", folder)
+    logging.getLogger(__name__).warning("%s: others could write it; its kernels are compiled again", folder)
 
 
-def kept(name: str, source: str) -> Path:
-    """Put a kernel's text into the cache folder unless it is there word for word.
+def store_source(name: str, source: str) -> Path:
+    """Write a kernel's text to the cache folder unless it is already there.
 
     Args:
         name: name of the kernel's module.
         source: its text.
 
     Returns:
-        The file. It is in a temporary folder where the cache folder cannot be written.
+        The file, in a temporary folder if the cache folder cannot be written.
 
     Raises:
-        BadInput: the cache folder is not the user's alone.
+        BadInput: others can write the cache folder.
     """
     try:
         make_private(cache_folder())
@@ -108,7 +108,7 @@ def _written(folder: Path, name: str, source: str) -> Path:
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(text)
-        # Several nodes may start at once: each writes its own file, the last rename wins with the same text.
+        # Several nodes may start at once: each writes its own file, and all rename the same text.
         Path(scratch).replace(path)
     except OSError:
         Path(scratch).unlink(missing_ok=True)
@@ -118,13 +118,13 @@ def _written(folder: Path, name: str, source: str) -> Path:
 
 @contextmanager
 def sealed(seal: Path, code: Path, pattern: str) -> Iterator[None]:
-    """Hand over machine code to load or replace: to one process at a time, and only as the last one left it.
+    """Lock machine code for loading or compiling, and delete it first if it has changed since the last use.
 
     Args:
-        seal: file with the digest of the machine code, which is also what processes lock. The lock is the system's: it
-            goes with the process that holds it, however that ends.
+        seal: file with the digest of the machine code, which is also the lock file. The operating system releases the lock
+            when its process ends, however it ends.
         code: folder of the machine code.
-        pattern: its files there.
+        pattern: glob pattern of its files.
     """
     with _locked(seal) as file:
         found = file.read() if file else b""
@@ -133,7 +133,7 @@ def sealed(seal: Path, code: Path, pattern: str) -> Iterator[None]:
                 damaged.unlink()
         yield
         left = _digest(code, pattern)
-        # On a full disk the seal fits nothing, and the code is compiled anew.
+        # On a full disk the seal matches nothing, and the code is compiled again.
         with suppress(OSError):
             if file and left != found:
                 file.seek(0)
@@ -142,7 +142,7 @@ def sealed(seal: Path, code: Path, pattern: str) -> Iterator[None]:
 
 
 def is_sealed(seal: Path) -> bool:
-    """Tell whether machine code was left behind under a seal."""
+    """Return whether a seal covers any machine code."""
     try:
         return seal.stat().st_size > 0
     except OSError:
@@ -150,7 +150,7 @@ def is_sealed(seal: Path) -> bool:
 
 
 def _digest(code: Path, pattern: str) -> bytes:
-    """Return a digest of all files with their names; nothing where there is none."""
+    """Return a digest of all matching files and their names; empty if there are none."""
     files = sorted(code.glob(pattern))
     text = "".join(f"{file.name} {hashlib.sha256(file.read_bytes()).hexdigest()}\n" for file in files)
     return hashlib.sha256(text.encode()).hexdigest().encode() if files else b""
@@ -158,7 +158,7 @@ def _digest(code: Path, pattern: str) -> bytes:
 
 @contextmanager
 def _locked(file: Path) -> Iterator[BinaryIO | None]:
-    """Keep other processes out; where no file can be made, compiling twice does no harm."""
+    """Lock out other processes; if no lock file can be created, compiling twice does no harm."""
     try:
         handle = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError:

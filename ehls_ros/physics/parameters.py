@@ -22,24 +22,22 @@ class Plant(NamedTuple):
     viscous_damping: Annotated[float, quantity("N s/m", "viscous damping of the friction loading device, B0", minimum=0.0)]
     valve_bandwidth: Annotated[float, quantity("rad/s", "bandwidth of the servo valve, omega_v", above=0.0)]
     valve_gain: Annotated[float, quantity("1", "spool displacement per spool command, Kv", above=0.0)]
-    gravity: Annotated[
-        float, quantity("m/s^2", "gravity along -x as (3) has it; negative turns it round", minimum=-20.0, maximum=20.0)
-    ]
+    gravity: Annotated[float, quantity("m/s^2", "gravity along -x as in (3); negative: along +x", minimum=-20.0, maximum=20.0)]
 
 
 class Sensor(NamedTuple):
-    """One sensor's imperfections; the defaults are those of a perfect one."""
+    """Imperfections of one sensor; by default it is perfect."""
 
     noise_std: Annotated[float, quantity("signal", "standard deviation of white noise per sample", minimum=0.0)] = 0.0
     resolution: Annotated[float, quantity("signal", "step of the converter; 0: none", minimum=0.0)] = 0.0
-    gain: Annotated[float, quantity("1", "reading per true value", above=0.0)] = 1.0
+    gain: Annotated[float, quantity("1", "gain, reading over true value", above=0.0)] = 1.0
     bias: Annotated[float, quantity("signal", "constant offset")] = 0.0
     bandwidth: Annotated[float, quantity("rad/s", "first-order bandwidth; 0: no lag", minimum=0.0)] = 0.0
     delay: Annotated[float, quantity("s", "pure delay", minimum=0.0, maximum=1.0)] = 0.0
 
 
 class Limits(NamedTuple):
-    """What the rig may not exceed."""
+    """Limits of the rig."""
 
     spool: Annotated[float, quantity("m", "largest spool command", above=0.0)]
     force: Annotated[float, quantity("N", "largest driving force", above=0.0)]

@@ -1,8 +1,8 @@
-"""Whether a rig's numbers make sense together, and whether a run's results are possible.
+"""Plausibility of a rig's parameters and of a run's results.
 
-Numbers that are each allowed may still describe no rig: a pressure in bar instead of pascals, an area in mm², a mass too small
-for the integration step to resolve its motion under friction. :data:`RANGES`, :data:`RELATIONS` and :func:`rates` check a rig's
-numbers before a run; :data:`FLAGGED` and :data:`ENDS` say how far a run may leave the rig's limits.
+Parameters that are each in range may still describe no real rig: a pressure in bar instead of pascals, an area in mm², a mass
+too small for the integration step. :data:`RANGES`, :data:`RELATIONS` and :func:`rates` check a rig before a run;
+:data:`WARNING_FACTOR` and :data:`ABORT_FACTOR` say how far a run may exceed the rig's limits.
 """
 
 import math
@@ -19,14 +19,14 @@ from ehls_ros.physics.parameters import Limits
 from ehls_ros.physics.rig import SENSED, Rig, check_friction_effects
 from ehls_ros.schema import declarations
 
-FLAGGED = 1.05
-"""Multiple of the rig's limits above which a run is said to leave them. The paper's piston leaves its stroke by 1.4 %."""
+WARNING_FACTOR = 1.05
+"""Multiple of a rig's limit above which a run is reported to exceed it. The paper's piston exceeds its stroke by 1.4 %."""
 
-ENDS = 10.0
-"""Multiple of the rig's limits above which readings are impossible and a run ends; impacts of the servo's beam reach 2.4."""
+ABORT_FACTOR = 10.0
+"""Multiple of a rig's limit above which a reading is impossible and the run ends; impacts of the servo's beam reach 2.4."""
 
-RESOLVED = 2.0
-"""Largest product of integration step and a rate of the plant; the Runge-Kutta scheme is stable up to 2.8."""
+MAX_STEP_RATE = 2.0
+"""Largest product of integration step and natural rate; the Runge-Kutta scheme is stable up to 2.8."""
 
 UNITS: dict[str, tuple[tuple[str, float], ...]] = {
     "Pa": (("bar", 1e5), ("MPa", 1e6)),
@@ -40,7 +40,7 @@ UNITS: dict[str, tuple[tuple[str, float], ...]] = {
     "N/m": (("N/mm", 1e3),),
     "rad/s": (("kHz", 2e3 * math.pi),),
 }
-"""Units that may have been written instead, and their size in the SI unit."""
+"""Units that may have been used by mistake, and their size in the SI unit."""
 
 RANGES: dict[tuple[str, str], tuple[float, float]] = {
     ("plant", "supply_pressure"): (1e5, 2e8),
@@ -63,14 +63,14 @@ RANGES: dict[tuple[str, str], tuple[float, float]] = {
     ("limits", "spool"): (1e-7, 1.0),
     ("limits", "velocity"): (1e-4, 100.0),
 }
-"""Ranges of hydraulic rigs, with a margin on both sides; zero where the equations allow it."""
+"""Ranges that include all hydraulic rigs with a margin; zero is included if the equations allow it."""
 
 
 class Relation(NamedTuple):
-    """A quantity derived from several numbers of a rig.
+    """A quantity derived from several parameters of a rig.
 
     Attributes:
-        value: computes it.
+        value: function that computes it.
         low: smallest plausible value.
         high: largest plausible value.
         what: its name, with the keys it depends on.
@@ -105,35 +105,35 @@ RELATIONS = (
         lambda rig: rig.limits.force / largest_force(rig),
         0.01,
         100.0,
-        "limits.force over what plant.supply_pressure gives on plant.piston_area",
+        "limits.force relative to plant.supply_pressure times plant.piston_area",
         "N, Pa and m^2; 1 mm^2 is 1e-6 m^2, 1 kN is 1e3 N, 1 bar is 1e5 Pa",
     ),
     Relation(
         lambda rig: rig.friction_level(0.0) / largest_force(rig),
         0.0,
         1.0,
-        "break-away, friction.static_force or coulomb_force, over what plant.supply_pressure gives on plant.piston_area",
+        "break-away force, friction.static_force or coulomb_force, relative to plant.supply_pressure times plant.piston_area",
         "a friction in N that the cylinder can overcome",
     ),
     Relation(
         lambda rig: rig.plant.moving_mass * abs(rig.plant.gravity) / largest_force(rig),
         0.0,
         1.0,
-        "weight of plant.moving_mass over what plant.supply_pressure gives on plant.piston_area",
+        "weight of plant.moving_mass relative to plant.supply_pressure times plant.piston_area",
         "a mass in kg that the cylinder can hold",
     ),
     Relation(
         _stroke,
         1e-4,
         100.0,
-        "stroke in m between the two of limits.position",
+        "stroke in m between the bounds of limits.position",
         "m; 1 mm is 1e-3 m",
     ),
     Relation(
         lambda rig: rig.friction_law.break_away(rig.friction) / _stroke(rig),
         0.0,
         0.1,
-        "travel to break-away, friction force over its stiffness in presliding, over the stroke",
+        "travel to break-away, friction force over presliding stiffness, as a fraction of the stroke",
         "a stiffness in N/m; 1 N/mm is 1e3 N/m",
     ),
     Relation(
@@ -151,7 +151,7 @@ RELATIONS = (
         "m; 1 mm is 1e-3 m",
     ),
 )
-"""Relations between a rig's numbers."""
+"""Relations between a rig's parameters."""
 
 SCALES: dict[str, Callable[[Rig], float]] = {
     "position": _stroke,
@@ -162,21 +162,21 @@ SCALES: dict[str, Callable[[Rig], float]] = {
     "supply_pressure": lambda rig: rig.plant.supply_pressure,
     "oil_temperature": lambda rig: 450.0,
 }
-"""Largest value of each signal; no imperfection of its sensor may be larger."""
+"""Largest value of each signal; noise, resolution and bias of its sensor may not be larger."""
 
 GAINS = (0.01, 100.0)
-"""Smallest and largest reading per true value."""
+"""Smallest and largest plausible gain of a sensor."""
 
 
 def check_rig(rig: Rig, where: str) -> None:
-    """Check that a rig's numbers are plausible.
+    """Check that a rig's parameters are plausible.
 
     Args:
-        rig: a rig whose numbers are each allowed.
+        rig: a rig whose parameters are each in range.
         where: the file, for errors.
 
     Raises:
-        BadInput: the first number, or relation of several, that is not plausible; or an effect with nothing to act on.
+        BadInput: the first implausible parameter or relation, or an effect with nothing to act on.
     """
     for section in ("plant", "friction", "limits"):
         check_ranges(getattr(rig, section), section, f"{where}: {section}")
@@ -191,15 +191,15 @@ def check_rig(rig: Rig, where: str) -> None:
         for key in ("noise_std", "resolution", "bias"):
             value = getattr(sensor, key)
             if abs(value) > largest:
-                expected = f"at most {largest:g}, as much as there is to read, in SI units"
+                expected = f"at most {largest:g}, the largest value of the signal, in SI units"
                 raise BadInput(f"{key} is {value:g}", f"{where}: sensors: {signal}", expected)
         if not GAINS[0] <= sensor.gain <= GAINS[1]:
-            expected = f"{GAINS[0]:g} to {GAINS[1]:g}, with a reading in SI units"
+            expected = f"{GAINS[0]:g} to {GAINS[1]:g}, with readings in SI units"
             raise BadInput(f"gain is {sensor.gain:g}", f"{where}: sensors: {signal}", expected)
 
 
 def check_ranges(parameters: Any, section: str, where: str) -> None:
-    """Check numbers against :data:`RANGES`.
+    """Check parameters against :data:`RANGES`.
 
     Args:
         parameters: a section of a rig, or other parameters whose fields have the same names and meaning.
@@ -207,7 +207,7 @@ def check_ranges(parameters: Any, section: str, where: str) -> None:
         where: file and section, for errors.
 
     Raises:
-        BadInput: the first such number.
+        BadInput: the first parameter out of range.
     """
     for key, value in parameters._asdict().items():
         if (section, key) not in RANGES:
@@ -221,7 +221,7 @@ def check_ranges(parameters: Any, section: str, where: str) -> None:
 
 
 def _likely(value: float, unit: str, low: float, high: float) -> str:
-    """Return which other unit may have been meant; empty where none fits."""
+    """Return which other unit may have been meant; empty if none fits."""
     meant = [
         f"{value:g} {name} is {value * factor:g} {unit}"
         for name, factor in UNITS.get(unit, ())
@@ -240,52 +240,52 @@ class Rate(NamedTuple):
 
     Attributes:
         what: the part.
-        rate: time constant's inverse, or natural frequency [1/s].
-        of: the keys it depends on, with values and units.
+        rate: inverse time constant or natural frequency [1/s].
+        basis: the keys it depends on, with values and units.
     """
 
     what: str
     rate: float
-    of: str
+    basis: str
 
 
 def rates(rig: Rig) -> Iterator[Rate]:
     """Yield the natural rate of each part of a plant.
 
     Args:
-        rig: the rig with its effects; a stiffness or damping of an effect counts as if it always acted.
+        rig: the rig with its effects; stiffness and damping of an effect count as if they always acted.
 
     Yields:
-        The parts. Springs and dampers act on the smallest of the masses.
+        The rates; springs and dampers act on the smaller of piston and load.
     """
     effective = rig.effective()
     p, f, law, limits = effective.plant, effective.friction, effective.friction_law, effective.limits
     piston = effective.piston_mass()
     mass = min(p.moving_mass, piston) if piston > 0.0 else p.moving_mass
     oil = 4.0 * p.bulk_modulus / p.total_volume
-    said = _said(p) | _said(f)
-    of_mass = f"on {mass:g} kg"
-    springs = ", ".join(said[key] for key, unit in units_of(type(f)).items() if unit == "N/m")
-    # The flow is limited by the piston's largest velocity; the spool's limit may allow far more.
+    shown = _described(p) | _described(f)
+    on_mass = f"on {mass:g} kg"
+    springs = ", ".join(shown[key] for key, unit in units_of(type(f)).items() if unit == "N/m")
+    # The piston's largest velocity limits the flow; the spool's limit may allow far more.
     gradient = p.discharge_coefficient * p.valve_area_gradient * math.sqrt(p.supply_pressure / p.oil_density)
     flow = min(gradient * p.valve_gain * limits.spool, p.piston_area * limits.velocity)
-    yield Rate("valve", p.valve_bandwidth, said["valve_bandwidth"])
-    column = f"{said['bulk_modulus']}, {said['piston_area']}, {said['total_volume']} {of_mass}"
+    yield Rate("valve", p.valve_bandwidth, shown["valve_bandwidth"])
+    column = f"{shown['bulk_modulus']}, {shown['piston_area']}, {shown['total_volume']} {on_mass}"
     yield Rate("oil column", math.sqrt(oil * p.piston_area**2 / mass), column)
-    leaking = f"{said['leakage_coefficient']}, {said['bulk_modulus']}, {said['total_volume']}"
+    leaking = f"{shown['leakage_coefficient']}, {shown['bulk_modulus']}, {shown['total_volume']}"
     yield Rate("leakage", oil * p.leakage_coefficient, leaking)
-    orifice = f"{said['supply_pressure']}, {said['bulk_modulus']}, {said['total_volume']}, flow {flow:g} m^3/s"
+    orifice = f"{shown['supply_pressure']}, {shown['bulk_modulus']}, {shown['total_volume']}, flow {flow:g} m^3/s"
     yield Rate("valve's flow", 0.5 * oil * flow / p.supply_pressure, orifice)
     if math.isfinite(stiffness := law.stiffness(f)):
-        yield Rate("presliding friction", math.sqrt(stiffness / mass), f"{springs} {of_mass}")
+        yield Rate("presliding friction", math.sqrt(stiffness / mass), f"{springs} {on_mass}")
     damping = p.viscous_damping + f.viscous_coefficient
-    yield Rate("damping", damping / mass, f"{said['viscous_damping']}, {said['viscous_coefficient']} {of_mass}")
-    yield Rate("spring", math.sqrt(p.spring_stiffness / mass), f"{said['spring_stiffness']} {of_mass}")
-    slipping = ", ".join(said[key] for key in f._fields if key != "viscous_coefficient")
+    yield Rate("damping", damping / mass, f"{shown['viscous_damping']}, {shown['viscous_coefficient']} {on_mass}")
+    yield Rate("spring", math.sqrt(p.spring_stiffness / mass), f"{shown['spring_stiffness']} {on_mass}")
+    slipping = ", ".join(shown[key] for key in f._fields if key != "viscous_coefficient")
     relaxation = law.relaxation_rate(f, limits.velocity)
     yield Rate("slipping friction", relaxation, f"{slipping} at {limits.velocity:g} m/s")
     for use in effects_in_kernel(rig):
-        of_unit: dict[str, Callable[[float], float]] = {
+        rate_by_unit: dict[str, Callable[[float], float]] = {
             "N/m": lambda value: math.sqrt(abs(value) / mass),
             "N s/m": lambda value: abs(value) / mass,
             "rad/s": lambda value: value,
@@ -293,19 +293,19 @@ def rates(rig: Rig) -> Iterator[Rate]:
         }
         for key, unit in units_of(EFFECTS.load(use.name).Parameters).items():
             value = getattr(use.parameters, key)
-            if unit in of_unit:
-                yield Rate(f"effect {use.name}", of_unit[unit](value), f"{key} {value:g} {unit} {of_mass}")
+            if unit in rate_by_unit:
+                yield Rate(f"effect {use.name}", rate_by_unit[unit](value), f"{key} {value:g} {unit} {on_mass}")
 
 
-def _said(parameters: Any) -> dict[str, str]:
-    """Return each field as a message has it: name, value or values, unit."""
+def _described(parameters: Any) -> dict[str, str]:
+    """Return each field as text for messages: name, value or values, unit."""
 
-    def shown(value: float | tuple[float, ...]) -> str:
+    def formatted(value: float | tuple[float, ...]) -> str:
         return ", ".join(f"{one:g}" for one in value) if isinstance(value, tuple) else f"{value:g}"
 
     units = units_of(type(parameters))
     return {
-        key: f"{key} {shown(value)}{'' if units[key] == '1' else f' {units[key]}'}"
+        key: f"{key} {formatted(value)}{'' if units[key] == '1' else f' {units[key]}'}"
         for key, value in parameters._asdict().items()
     }
 
@@ -319,38 +319,38 @@ def check_step(rig: Rig, step: float, where: str) -> None:
         where: the file, for errors.
 
     Raises:
-        BadInput: the fastest part, if it is too fast.
+        BadInput: the fastest part is too fast for the step.
     """
     fastest = max(rates(rig), key=lambda part: part.rate)
-    if step * fastest.rate > RESOLVED:
-        what = f"the rate of the {fastest.what}, {fastest.rate:.3g} 1/s, is too fast for steps of {step:g} s ({fastest.of})"
-        needed = RESOLVED / fastest.rate
-        raise BadInput(what, where, f"integration_step of at most {needed:.2g} s, or other numbers: each is in SI units")
+    if step * fastest.rate > MAX_STEP_RATE:
+        what = f"the rate of the {fastest.what}, {fastest.rate:.3g} 1/s, is too fast for steps of {step:g} s ({fastest.basis})"
+        needed = MAX_STEP_RATE / fastest.rate
+        raise BadInput(what, where, f"integration_step of at most {needed:.2g} s, or other parameters, all in SI units")
 
 
-REACH: dict[tuple[str, str], tuple[Callable[[Rig], tuple[float, float]], float, str]] = {
+SIGNAL_RANGES: dict[tuple[str, str], tuple[Callable[[Rig], tuple[float, float]], float, str]] = {
     ("reference", "force"): (
         lambda rig: (-largest_force(rig), largest_force(rig)),
         2.0,
-        "what plant.supply_pressure gives on plant.piston_area; is it in N?",
+        "plant.supply_pressure times plant.piston_area; is it in N?",
     ),
     ("reference", "position"): (lambda rig: rig.limits.position, 2.0, "limits.position; is it in m?"),
     ("disturbance", "force"): (
         lambda rig: (-largest_force(rig), largest_force(rig)),
         10.0,
-        "what plant.supply_pressure gives on plant.piston_area; is it in N?",
+        "plant.supply_pressure times plant.piston_area; is it in N?",
     ),
     ("disturbance", "position"): (lambda rig: rig.limits.position, 2.0, "limits.position; is it in m?"),
 }
-"""By role and kind of a signal: the rig's range, the largest plausible multiple of it about its middle, and its name. A signal
-between range and multiple is run with a warning."""
+"""By role and kind of a signal: function for the rig's range, largest plausible multiple of the range about its middle, and the
+range in words. A signal beyond the range but within the multiple only causes a warning."""
 
 
 def check_signal(rows: Array, part: str, kind: str, rig: Rig, period: float, where: str) -> None:
-    """Check that a rig can follow or bear a signal, and that the control period resolves it.
+    """Check that a reference or disturbance suits the rig and is resolved by the control period.
 
     Args:
-        rows: value and first derivative of the signal, among others, at times of the experiment, shape (n, 2 or more).
+        rows: value, first derivative and possibly more of the signal during the experiment, shape (n, 2 or more).
         part: ``reference`` or ``disturbance``.
         kind: ``force`` or ``position``.
         rig: the rig.
@@ -358,13 +358,13 @@ def check_signal(rows: Array, part: str, kind: str, rig: Rig, period: float, whe
         where: the file and section, for errors.
 
     Raises:
-        BadInput: it is not finite, too large, or too fast.
+        BadInput: the signal is not finite, too large or too fast.
     """
-    unit = SHOWN[kind]
+    unit = LIMIT_UNITS[kind]
     value, rate = rows[:, 0], rows[:, 1]
     if not np.all(np.isfinite(rows)):
-        raise BadInput(f"the {part} is not finite all the time", where, "parameters that give finite numbers")
-    bounds, factor, of = REACH[part, kind]
+        raise BadInput(f"the {part} is not always finite", where, "parameters that give finite numbers")
+    bounds, factor, of = SIGNAL_RANGES[part, kind]
     low, high = bounds(rig)
     away = np.abs(value - 0.5 * (low + high))
     farthest = float(value[np.argmax(away)])
@@ -373,92 +373,95 @@ def check_signal(rows: Array, part: str, kind: str, rig: Rig, period: float, whe
         raise BadInput(f"the {part} reaches {farthest:g} {unit}", where, expected)
     change, span = float(np.abs(rate).max()) * period, 0.5 * float(np.ptp(value))
     if change > math.pi * span and change > 0.0 and span > 0.0:
-        expected = "a lower frequency or a shorter control_period: two cycles and more a period"
-        raise BadInput(f"the {part} changes at {change / period:g} {unit}/s over cycles of {period:g} s", where, expected)
+        expected = "a lower frequency or a shorter control_period, for at least two cycles per period of the signal"
+        raise BadInput(
+            f"the {part} changes at {change / period:g} {unit}/s, too fast for cycles of {period:g} s", where, expected
+        )
 
 
-class Beyond(NamedTuple):
+class Exceedance(NamedTuple):
     """A reading beyond its limit.
 
     Attributes:
-        row: which reading.
-        what: signal, value and limit in words.
+        row: index of the reading.
+        what: signal, value and limit as text.
     """
 
     row: int
     what: str
 
 
-SHOWN = {"position": "m", "velocity": "m/s", "load_pressure": "Pa", "force": "N"}
-"""Signals that have limits, with their units."""
+LIMIT_UNITS = {"position": "m", "velocity": "m/s", "load_pressure": "Pa", "force": "N"}
+"""Units of the signals that have limits."""
 
 
 def within(limits: Limits, signal: str) -> tuple[float, float]:
-    """Return smallest and largest value a rig's limits allow a signal of :data:`SHOWN`."""
+    """Return the limits of a signal of :data:`LIMIT_UNITS`, smallest and largest value."""
     limit = getattr(limits, signal)
     return (limit[0], limit[1]) if signal == "position" else (-limit, limit)
 
 
 def excess(values: Array, limits: Limits, signal: str) -> Array:
-    """Return the distance of readings from the middle between a rig's limits, as a fraction of the distance to a limit.
+    """Return the distance of readings from the middle of the permitted range, relative to half the range.
 
     Args:
-        values: readings.
-        limits: the rig's.
-        signal: one of :data:`SHOWN`.
+        values: readings, any shape.
+        limits: the rig's limits.
+        signal: one of :data:`LIMIT_UNITS`.
     """
     low, high = within(limits, signal)
     with np.errstate(invalid="ignore", over="ignore"):
         return np.abs(values - 0.5 * (low + high)) / (0.5 * (high - low))
 
 
-def beyond(values: Array, limits: Limits, signal: str, factor: float) -> Beyond | None:
-    """Return the reading farthest outside a rig's limits, if it is outside their multiple; gaps are skipped.
+def beyond(values: Array, limits: Limits, signal: str, factor: float) -> Exceedance | None:
+    """Return the reading farthest beyond a rig's limits, or None if all are within a multiple of them; NaN is skipped.
 
     Args:
         values: readings, shape (n,).
-        limits: the rig's.
-        signal: one of :data:`SHOWN`.
-        factor: multiple of the distance from the middle to a limit.
+        limits: the rig's limits.
+        signal: one of :data:`LIMIT_UNITS`.
+        factor: multiple of half the permitted range.
     """
     away = np.nan_to_num(excess(values, limits, signal), nan=0.0, posinf=math.inf)
     row = int(np.argmax(away))
     if not away[row] > factor:
         return None
-    return Beyond(row, _beside_limit(float(values[row]), limits, signal))
+    return Exceedance(row, _compared_to_limit(float(values[row]), limits, signal))
 
 
-def _beside_limit(value: float, limits: Limits, signal: str) -> str:
+def _compared_to_limit(value: float, limits: Limits, signal: str) -> str:
     low, high = within(limits, signal)
     limit = low if value < 0.5 * (low + high) else high
-    return f"{signal.replace('_', ' ')} {value:.4g} {SHOWN[signal]}, where the rig's limit is {limit:g} {SHOWN[signal]}"
+    unit = LIMIT_UNITS[signal]
+    return f"{signal.replace('_', ' ')} {value:.4g} {unit}, where the rig's limit is {limit:g} {unit}"
 
 
 ADVICE = (
-    "a smaller integration_step if it is the step; else look at the units of rig, reference and disturbance, and at the "
-    "controller's parameters"
+    "try a smaller integration_step; otherwise check the units of rig, reference and disturbance, and the controller's "
+    "parameters"
 )
-"""What to do where a state has diverged."""
+"""What to do after a state has diverged."""
 
 
-def implausible(readings: Array, limits: Limits) -> Beyond | None:
-    """Return the first impossible reading of a run: not finite, or :data:`ENDS` times beyond its limits.
+def implausible(readings: Array, limits: Limits) -> Exceedance | None:
+    """Return the first impossible reading of a run: not finite, or :data:`ABORT_FACTOR` times beyond its limits.
 
     Args:
         readings: in the order of ``SENSED``, shape (n, signals); further columns are checked for finite numbers only.
-        limits: the rig's.
+        limits: the rig's limits.
 
     Returns:
-        Its row, and what is wrong, with advice; of several signals the one farthest out. None if all are possible.
+        Its row and what is wrong, with advice; of several signals the one farthest out. None if all are possible.
     """
-    columns = {signal: readings[:, SENSED.index(signal)] for signal in SHOWN}
+    columns = {signal: readings[:, SENSED.index(signal)] for signal in LIMIT_UNITS}
     away = np.max([excess(values, limits, signal) for signal, values in columns.items()], axis=0)
-    found = np.flatnonzero(~np.isfinite(readings).all(axis=1) | (away > ENDS))
+    found = np.flatnonzero(~np.isfinite(readings).all(axis=1) | (away > ABORT_FACTOR))
     if not found.size:
         return None
     row = int(found[0])
     if not np.isfinite(readings[row]).all():
-        return Beyond(row, f"the rig's state is no longer finite; {ADVICE}")
+        return Exceedance(row, f"the rig's state is no longer finite; {ADVICE}")
     farthest = max(columns, key=lambda signal: float(excess(columns[signal][row], limits, signal)))
-    beside = _beside_limit(float(columns[farthest][row]), limits, farthest)
-    return Beyond(row, f"the rig's state cannot be true: {beside}; {ADVICE}")
+    compared = _compared_to_limit(float(columns[farthest][row]), limits, farthest)
+    return Exceedance(row, f"the rig's state is impossible: {compared}; {ADVICE}")

@@ -1,4 +1,4 @@
-"""The one description of a rig that simulator, controller, identification and diagnosis share."""
+"""The rig description shared by simulator, controller, identification and diagnosis."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, get_type_hints
 
 from ehls_ros.arrays import in_python
 from ehls_ros.errors import BadInput
+from ehls_ros.physics.beam import piston_mass
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.friction.base import FrictionModel
@@ -15,32 +16,32 @@ from ehls_ros.schema import parse
 
 
 class EffectUse(NamedTuple):
-    """An effect switched on, with its parameters."""
+    """An active effect with its parameters."""
 
     name: str
     parameters: Any
 
     @property
     def piston_share(self) -> float:
-        """Fraction of the moving mass that this effect leaves with the piston, parted from the load; 0 where it parts none."""
+        """Fraction of the moving mass that stays with the piston; 0 unless this effect separates piston and load."""
         share = getattr(EFFECTS.load(self.name), "piston_share", None)
         return 0.0 if share is None else float(share(self.parameters))
 
 
 SENSED = ("position", "velocity", "load_pressure", "spool_position", "force", "supply_pressure", "oil_temperature")
-"""The signals of a loader_state, in its order."""
+"""The signals of a loader_state, in order."""
 
 
 class Rig(NamedTuple):
     """A complete rig.
 
     Attributes:
-        plant: hydraulics, valve and beam load.
+        plant: coefficients of hydraulics, valve and beam load.
         friction_model: name of the friction model.
         friction: its ``Parameters``.
-        effects: what the paper's model does not have; empty for the paper's rig.
-        sensors: imperfections by signal.
-        limits: what the rig may not exceed.
+        effects: effects beyond the paper's model; empty for the paper's rig.
+        sensors: sensors by signal; a missing one is perfect.
+        limits: limits of the rig.
         other_friction: keys of the rig file that belong to other friction models, kept for a change of model.
     """
 
@@ -54,14 +55,14 @@ class Rig(NamedTuple):
 
     @property
     def friction_law(self) -> FrictionModel:
-        """The file of the friction model."""
+        """The module of the friction model."""
         return FRICTION_MODELS.load(self.friction_model)
 
     def friction_level(self, velocity: float) -> float:
-        """Return the friction of steady sliding without its viscous part [N], effects not included.
+        """Return the friction of steady sliding without its viscous part and without effects [N].
 
         Args:
-            velocity: [m/s]; at 0 it is the force at break-away, at infinity the Coulomb friction.
+            velocity: velocity [m/s]; 0 gives the break-away force, infinity the Coulomb friction.
         """
         return float(in_python(self.friction_law.level)(velocity, self.friction))
 
@@ -75,20 +76,20 @@ class Rig(NamedTuple):
         return EffectiveRig(*rig[:-1])
 
     def quiet(self) -> "Rig":
-        """Return the rig with sensors without noise and rounding."""
+        """Return the rig with sensors free of noise and quantisation."""
         quiet = {signal: sensor._replace(noise_std=0.0, resolution=0.0) for signal, sensor in self.sensors.items()}
         return self._replace(sensors=quiet)
 
     def with_effects(self, more: tuple[EffectUse, ...]) -> "Rig":
-        """Return the rig with further effects switched on after its own."""
+        """Return the rig with further effects after its own."""
         return self._replace(effects=self.effects + more)
 
 
 class EffectiveRig(NamedTuple):
-    """A rig whose parameters have the shifts of its effects applied: what the equations take.
+    """A rig with the shifts of its effects applied to its parameters, as the equations need it.
 
-    Made by :meth:`Rig.effective`, and of another type than a :class:`Rig`, so that no shift is applied twice. ``effects``
-    are the rig's, whose hooks still act.
+    It comes from :meth:`Rig.effective`. Its type differs from :class:`Rig` so that no shift is applied twice. The hooks of
+    ``effects`` still act.
     """
 
     plant: Plant
@@ -100,31 +101,31 @@ class EffectiveRig(NamedTuple):
 
     @property
     def friction_law(self) -> FrictionModel:
-        """The file of the friction model."""
+        """The module of the friction model."""
         return FRICTION_MODELS.load(self.friction_model)
 
     def friction_level(self, velocity: float) -> float:
-        """Return the friction of steady sliding [N], as :meth:`Rig.friction_level` does."""
+        """Return the friction of steady sliding [N], see :meth:`Rig.friction_level`."""
         return float(in_python(self.friction_law.level)(velocity, self.friction))
 
     def piston_mass(self) -> float:
-        """Return the mass that moves with the piston and not with the load; 0 where they are one [kg]."""
+        """Return the mass of a piston separate from the load; 0 if they are one body [kg]."""
         share = max((use.piston_share for use in self.effects), default=0.0)
-        return self.plant.moving_mass * share / (1.0 - share)
+        return in_python(piston_mass)(share, self.plant)
 
     def without_effects(self) -> Rig:
-        """Return a rig with these parameters and no effects, as a controller knows it."""
+        """Return the rig with these parameters and no effects, as a controller knows it."""
         return Rig(*self)._replace(effects=())
 
 
 SECTIONS = ("plant", "friction", "effects", "sensors", "limits")
 
 DEFAULT_FRICTION = "gms"
-"""The friction model of a rig file that names none."""
+"""The default friction model of a rig file."""
 
 
 def rig_from_mapping(data: Any, where: str) -> Rig:
-    """Check a rig file's content and build the rig.
+    """Build a rig from the content of a rig file.
 
     Args:
         data: the parsed file, with the sections of :data:`SECTIONS`.
@@ -167,8 +168,8 @@ def rig_from_mapping(data: Any, where: str) -> Rig:
 def _friction_from_mapping(data: Mapping[str, Any], where: str) -> tuple[str, Any, dict[str, Any]]:
     """Check the friction section.
 
-    Every key must be one of some friction model, and every value in its range. The keys of the rig's own model are its
-    ``Parameters``; one that is missing is derived from the others where the model can. The others are kept.
+    Every key must belong to some friction model, with a value in its range. Missing keys of the rig's own model are derived
+    from those of other models if possible. The keys of other models are kept.
 
     Returns:
         Name of the model, its parameters, the other models' keys.
@@ -189,14 +190,14 @@ def _friction_from_mapping(data: Mapping[str, Any], where: str) -> tuple[str, An
 
 
 def _derived(law: FrictionModel, others: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of a model that follow from those of other models."""
+    """Return those keys of a model that follow from other models' keys."""
     derived: Callable[[Mapping[str, Any]], dict[str, Any]] | None = getattr(law, "derived", None)
     return {} if derived is None else derived(others)
 
 
 @cache
 def _keys_of(models: tuple[str, ...]) -> dict[str, Any]:
-    """Return the keys of some friction models, each as a parameter set of its own."""
+    """Return the keys of friction models, each as a parameter set of its own."""
     hints: dict[str, Any] = {}
     for name in models:
         hints |= get_type_hints(FRICTION_MODELS.load(name).Parameters, include_extras=True)
@@ -204,14 +205,14 @@ def _keys_of(models: tuple[str, ...]) -> dict[str, Any]:
 
 
 def check_friction_effects(rig: Rig, where: str) -> None:
-    """Look for effects that do not fit a rig's friction model.
+    """Check that a rig's effects suit its friction model.
 
     Args:
         rig: the rig.
         where: file and section of the effects, for errors.
 
     Raises:
-        BadInput: an effect shifts coefficients that the model does not have, or to values that contradict each other.
+        BadInput: the model has none of the coefficients that an effect shifts, or the shifted values contradict each other.
     """
     for use in rig.effects:
         shifted = getattr(EFFECTS.load(use.name), "SHIFTS", ())
@@ -222,13 +223,13 @@ def check_friction_effects(rig: Rig, where: str) -> None:
 
 
 def _models_with(keys: tuple[str, ...]) -> list[str]:
-    """Return the friction models that have one of some keys."""
+    """Return the friction models that have at least one of the keys."""
     names = FRICTION_MODELS.names()
     return [name for name in names if set(keys) & set(FRICTION_MODELS.load(name).Parameters._fields)]
 
 
 def effects_from_list(data: Any, where: str) -> tuple[EffectUse, ...]:
-    """Check a list of effects, each a mapping with its ``name`` and its parameters.
+    """Build effects from a list of mappings, each with a ``name`` and parameters.
 
     Raises:
         BadInput: an effect is unknown or one of its parameters is wrong.
@@ -243,8 +244,8 @@ def effects_from_list(data: Any, where: str) -> tuple[EffectUse, ...]:
         effect = EFFECTS.load(entry["name"], place)
         values = {key: value for key, value in entry.items() if key != "name"}
         uses.append(EffectUse(entry["name"], parse(effect.Parameters, values, f"{place}: {entry['name']}")))
-    if len(parting := [use.name for use in uses if use.piston_share > 0.0]) > 1:
-        raise BadInput(f"{' and '.join(parting)} both part the load from the piston", where, "at most one that does")
+    if len(joints := [use.name for use in uses if use.piston_share > 0.0]) > 1:
+        raise BadInput(f"{' and '.join(joints)} both separate the load from the piston", where, "at most one that does")
     return tuple(uses)
 
 
@@ -260,9 +261,9 @@ def _sensors_from_mapping(data: Any, where: str) -> dict[str, Sensor]:
 
 
 def rig_to_mapping(rig: Rig) -> dict[str, Any]:
-    """Return the mapping that a rig file holds; :func:`rig_from_mapping` turns it back.
+    """Return the content of a rig file, the inverse of :func:`rig_from_mapping`.
 
-    Coefficients of friction that follow from others are left out.
+    Friction coefficients that are derived from others are left out.
     """
 
     def plain(parameters: Any) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What the rig's sensors make of the truth: lag, delay, gain, bias, noise, resolution, in this order."""
+"""Sensor models: lag, delay, gain, bias, noise and resolution, applied in this order."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -11,16 +11,16 @@ from ehls_ros.physics.plant import PL, XV, V, X
 from ehls_ros.physics.rig import SENSED
 
 POSITION, VELOCITY, LOAD_PRESSURE, SPOOL, FORCE, SUPPLY_PRESSURE, OIL_TEMPERATURE = range(len(SENSED))
-"""Where a measurement holds each signal, in the order of a loader_state."""
+"""Index of each signal in a measurement, in the order of a loader_state."""
 
 
 class SensorState(NamedTuple):
-    """Sensors prepared for the kernel; one row a signal of :data:`SENSED`.
+    """Parameters and state of the sensors, one row per signal of :data:`SENSED`.
 
     Attributes:
         table: columns smoothing factor of the lag, delay [cycles], gain, bias, noise_std, resolution.
         lagged: output of the first-order lag.
-        past: ring buffer of lagged values, shape (signals, cycles of the longest delay + 2).
+        past: ring buffer of ``lagged``, shape (signals, cycles of the longest delay + 2).
     """
 
     table: Array
@@ -29,14 +29,14 @@ class SensorState(NamedTuple):
 
 
 def prepare(sensors: Mapping[str, Sensor], period: float) -> SensorState:
-    """Lay out sensors for :func:`measure`.
+    """Prepare sensors for :func:`measure`.
 
     Args:
-        sensors: imperfect sensors by signal; a signal left out is perfect.
+        sensors: sensors by signal; a missing one is perfect.
         period: sampling period [s].
 
     Returns:
-        Their state, before the first sample.
+        Their state before the first sample.
     """
     table = np.zeros((len(SENSED), 6))
     for row, signal in enumerate(SENSED):
@@ -49,14 +49,14 @@ def prepare(sensors: Mapping[str, Sensor], period: float) -> SensorState:
 
 @kernel
 def true_signals(y: Array, temperature: float, supply: float, plant: Plant, truth: Array) -> None:
-    """Write the true values of what the sensors read.
+    """Write the true values of the sensed signals.
 
     Args:
-        y: the plant's state.
+        y: state of the plant.
         temperature: oil temperature [K].
         supply: supply pressure at the valve [Pa].
         plant: the rig's coefficients.
-        truth: where the values go, shape (signals,).
+        truth: output, shape (signals,).
     """
     truth[POSITION] = y[X]
     truth[VELOCITY] = y[V]
@@ -72,11 +72,11 @@ def measure(cycle: int, truth: Array, noise: Array, state: SensorState, measured
     """Sample every sensor once.
 
     Args:
-        cycle: number of the sample, counted up from 0; sample 0 fills lag and delay with the truth.
+        cycle: index of the sample; sample 0 initialises lag and delay with the true values.
         truth: true values, shape (signals,).
         noise: standard normal numbers, shape (signals,).
         state: from :func:`prepare`, updated in place.
-        measured: where the readings go, shape (signals,).
+        measured: output, shape (signals,).
     """
     columns = state.past.shape[1]
     for row in range(truth.size):
@@ -87,10 +87,10 @@ def measure(cycle: int, truth: Array, noise: Array, state: SensorState, measured
         state.lagged[row] += smoothing * (truth[row] - state.lagged[row])
         state.past[row, cycle % columns] = state.lagged[row]
         whole = int(delay)
-        part = delay - whole
+        fraction = delay - whole
         newer = state.past[row, (cycle - whole) % columns]
         older = state.past[row, (cycle - whole - 1) % columns]
-        value = gain * (newer + part * (older - newer)) + bias + deviation * noise[row]
+        value = gain * (newer + fraction * (older - newer)) + bias + deviation * noise[row]
         if resolution > 0.0:
             value = np.round(value / resolution) * resolution
         measured[row] = value

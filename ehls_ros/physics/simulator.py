@@ -1,4 +1,4 @@
-"""A rig that can be stepped: plant kernel, state, inputs and sensors together."""
+"""The simulated rig: plant, sensors and their state, advanced one control period at a time."""
 
 import math
 from collections.abc import Callable
@@ -14,7 +14,19 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.integration import MOST_EVENTS, WORK_ROWS, integrator
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.plant import FRICTION, INPUTS, PERIOD, TEMPERATURE, Chains, Coefficients, V, X, hold, mover, system
+from ehls_ros.physics.plant import (
+    FRICTION,
+    INPUTS,
+    PERIOD,
+    TEMPERATURE,
+    Chains,
+    Coefficients,
+    V,
+    X,
+    cycle_stepper,
+    hold,
+    system,
+)
 from ehls_ros.physics.plausibility import implausible
 from ehls_ros.physics.rig import SENSED, EffectiveRig, Rig
 
@@ -22,20 +34,20 @@ DEFAULT_STEP = 1e-4
 """Integration step [s]; benchmarks/physics_convergence.py shows why."""
 
 OIL_TEMPERATURE = 313.15
-"""Oil temperature where nothing is said [K]."""
+"""Default oil temperature [K]."""
 
 
-class Standing(NamedTuple):
-    """What stands during a run.
+class Constants(NamedTuple):
+    """Constants of a run.
 
     Attributes:
-        plant: of the effective rig.
-        friction: of the effective rig.
+        plant: the effective rig's coefficients.
+        friction: the effective rig's friction parameters.
         effects: ``p`` of the effects' chains.
         period: control period [s].
         step: integration step [s].
-        steps: integration steps a period.
-        warming: rate at which the oil warms [K/s].
+        steps: integration steps per period.
+        warming: rate of the oil temperature [K/s].
     """
 
     plant: Plant
@@ -47,17 +59,17 @@ class Standing(NamedTuple):
     warming: float
 
 
-class Moving(NamedTuple):
-    """What a run changes, in place.
+class State(NamedTuple):
+    """State of a run, updated in place; :mod:`ehls_ros.physics.plant` defines ``y``, ``mode`` and ``inputs``.
 
     Attributes:
-        y: state as :mod:`ehls_ros.physics.plant` lays it out.
-        mode: modes as there.
-        inputs: inputs as there.
-        work: scratch of the integrator.
-        sensors: what the sensors remember.
-        truth: what they last measured, shape (signals,).
-        measured: what they made of it, shape (signals,).
+        y: state of the plant.
+        mode: its modes.
+        inputs: its inputs.
+        work: workspace of the integrator.
+        sensors: state of the sensors.
+        truth: true values at the last sample, shape (signals,).
+        measured: readings at the last sample, shape (signals,).
     """
 
     y: Array
@@ -73,12 +85,12 @@ class Compiled(NamedTuple):
     """A plant's compiled functions.
 
     Attributes:
-        evaluate: of :func:`~ehls_ros.physics.plant.system`.
-        switch: likewise.
-        advance: ``advance(cycle, standing, moving)`` goes on by a control period under the inputs held; returns the number of
-            steps in which events came too densely to be located.
-        sense: ``sense(cycle, standing, moving, noise)`` reads the sensors into ``moving.measured``.
-        hold: of :mod:`ehls_ros.physics.plant`.
+        evaluate: from :func:`~ehls_ros.physics.plant.system`.
+        switch: from :func:`~ehls_ros.physics.plant.system`.
+        advance: ``advance(cycle, constants, state)`` integrates over one control period with the inputs held; returns the
+            number of steps with more events than could be located.
+        sense: ``sense(cycle, constants, state, noise)`` writes the sensor readings to ``state.measured``.
+        hold: from :mod:`ehls_ros.physics.plant`.
     """
 
     evaluate: Callable[..., float]
@@ -89,14 +101,14 @@ class Compiled(NamedTuple):
 
 
 def build(friction: Any, elements: int, states: int, chains: Chains, most_events: int = MOST_EVENTS) -> Compiled:
-    """Build a plant of chosen parts.
+    """Build a plant from a friction model and effects.
 
     Args:
-        friction: the friction model's file.
+        friction: module of the friction model.
         elements: number of its forces.
         states: number of the effects' own states.
-        chains: the effects.
-        most_events: of :func:`~ehls_ros.physics.integration.integrator`.
+        chains: hooks of the effects.
+        most_events: see :func:`~ehls_ros.physics.integration.integrator`.
     """
     end = FRICTION + elements
     evaluate, switch = system(friction, elements, chains)
@@ -104,40 +116,40 @@ def build(friction: Any, elements: int, states: int, chains: Chains, most_events
     supply_pressure, piston_position, piston_velocity = chains.supply_pressure, chains.piston_position, chains.piston_velocity
 
     @lean
-    def under(t: float, y: Array, mode: Array, c: Any, command: float, step: float, steps: int, work: Array) -> int:
+    def run_held(t: float, y: Array, mode: Array, c: Any, command: float, step: float, steps: int, work: Array) -> int:
         return run(t, y, mode, Coefficients(c.plant, c.friction, c.inputs, c.effects, command), step, steps, work)
 
-    move = mover(under, chains, end)
+    step_cycle = cycle_stepper(run_held, chains, end)
 
     @lean
-    def advance(cycle: int, standing: Standing, moving: Moving) -> int:
-        c = Coefficients(standing.plant, standing.friction, moving.inputs, standing.effects, 0.0)
-        t = cycle * standing.period
-        return move(t, moving.y, moving.mode, c, standing.step, standing.steps, moving.work)
+    def advance(cycle: int, constants: Constants, state: State) -> int:
+        c = Coefficients(constants.plant, constants.friction, state.inputs, constants.effects, 0.0)
+        t = cycle * constants.period
+        return step_cycle(t, state.y, state.mode, c, constants.step, constants.steps, state.work)
 
     @lean
-    def sense(cycle: int, standing: Standing, moving: Moving, noise: Array) -> None:
-        t, plant, p = cycle * standing.period, standing.plant, standing.effects
-        y, w, truth, z = moving.y, moving.inputs, moving.truth, moving.y[end:]
+    def sense(cycle: int, constants: Constants, state: State, noise: Array) -> None:
+        t, plant, p = cycle * constants.period, constants.plant, constants.effects
+        y, w, truth, z = state.y, state.inputs, state.truth, state.y[end:]
         supply = supply_pressure(plant.supply_pressure, t, y, w, z, p, plant)
         sensors.true_signals(y, w[TEMPERATURE], supply, plant, truth)
         truth[sensors.POSITION] = piston_position(y[X], t, y, w, z, p, plant)
         truth[sensors.VELOCITY] = piston_velocity(y[V], t, y, w, z, p, plant)
-        sensors.measure(cycle, truth, noise, moving.sensors, moving.measured)
+        sensors.measure(cycle, truth, noise, state.sensors, state.measured)
 
     return Compiled(evaluate, switch, advance, sense, hold)
 
 
 ENTRIES = {
-    "advance": "cycle, standing, moving",
-    "sense": "cycle, standing, moving, noise",
+    "advance": "cycle, constants, state",
+    "sense": "cycle, constants, state, noise",
     "hold": "w, start, command, force, force_rate, displacement, velocity",
 }
-"""Entries of a compiled plant, with their arguments."""
+"""Functions of a compiled plant that Python calls, with their arguments."""
 
 
 class PlantParts(NamedTuple):
-    """What a plant is compiled of: keywords of :func:`~ehls_ros.physics.composition.compiled`."""
+    """What a plant is compiled from: keyword arguments of :func:`~ehls_ros.physics.composition.compiled`."""
 
     members: dict[str, Any]
     numbers: dict[str, int]
@@ -145,19 +157,19 @@ class PlantParts(NamedTuple):
 
 
 def parts_of(rig: Rig | EffectiveRig) -> PlantParts:
-    """Return what a rig's plant is compiled of."""
+    """Return what a rig's plant is compiled from."""
     effects = effects_of(rig)
     model = FRICTION_MODELS.load(rig.friction_model)
     return PlantParts({"friction": model}, {"elements": rig_elements(rig), "states": effects.states}, effects)
 
 
 def plant_kernel(parts: PlantParts) -> ModuleType:
-    """Return a compiled plant, with the entries of :class:`Compiled` that :data:`ENTRIES` names."""
+    """Return a compiled plant: a module with those functions of :class:`Compiled` that :data:`ENTRIES` names."""
     return compiled(build, ENTRIES, **parts._asdict())
 
 
 def earlier_commands(rig: Rig | EffectiveRig, period: float) -> int:
-    """Return how many commands sent before the present one the rig's effects look back on.
+    """Return the number of past commands that the rig's effects need.
 
     Args:
         rig: the rig.
@@ -168,19 +180,19 @@ def earlier_commands(rig: Rig | EffectiveRig, period: float) -> int:
 
 
 class Simulated(NamedTuple):
-    """A rig as a compiled plant takes it.
+    """A rig prepared for its compiled plant.
 
     Attributes:
         rig: the effective rig.
-        parts: what its plant is compiled of.
-        standing: what stands during the run.
-        moving: what the run changes.
+        parts: what its plant is compiled from.
+        constants: constants of the run.
+        state: state of the run.
     """
 
     rig: EffectiveRig
     parts: PlantParts
-    standing: Standing
-    moving: Moving
+    constants: Constants
+    state: State
 
 
 def at_rest(
@@ -191,21 +203,21 @@ def at_rest(
     temperature: float = OIL_TEMPERATURE,
     warming: float = 0.0,
 ) -> Simulated:
-    """Return a rig that rests without pressure.
+    """Return a rig at rest with zero load pressure.
 
     Args:
         rig: rig to simulate.
         period: control period [s].
-        step: largest integration step [s]; the period is cut into equal steps no longer.
+        step: largest integration step [s]; the period is divided into equal steps.
         position: initial piston position [m].
         temperature: initial oil temperature [K].
-        warming: rate at which the oil warms [K/s].
+        warming: rate of the oil temperature [K/s].
     """
     effective = rig.effective()
     parts = parts_of(rig)
     steps = max(1, math.ceil(period / step - 1e-9))
     elements, states = parts.numbers["elements"], parts.numbers["states"]
-    standing = Standing(
+    constants = Constants(
         effective.plant,
         effective.friction,
         parts.effects.parameters(effective.effects),
@@ -215,7 +227,7 @@ def at_rest(
         float(warming),
     )
     y = np.zeros(FRICTION + elements + states)
-    moving = Moving(
+    state = State(
         y=y,
         mode=np.zeros(1 + elements),
         inputs=np.zeros(INPUTS + earlier_commands(effective, period)),
@@ -224,79 +236,79 @@ def at_rest(
         truth=np.zeros(len(SENSED)),
         measured=np.zeros(len(SENSED)),
     )
-    moving.y[X], moving.mode[0] = position, 1.0
-    moving.inputs[PERIOD], moving.inputs[TEMPERATURE] = period, temperature
-    return Simulated(effective, parts, standing, moving)
+    state.y[X], state.mode[0] = position, 1.0
+    state.inputs[PERIOD], state.inputs[TEMPERATURE] = period, temperature
+    return Simulated(effective, parts, constants, state)
 
 
 class Simulator:
-    """One simulated rig, advanced a control period at a time.
+    """One simulated rig, advanced one control period at a time.
 
     Attributes:
         rig: the effective rig.
-        standing: what stands during the run.
-        moving: what the run changes.
+        constants: constants of the run.
+        state: state of the run.
         period: control period [s].
-        y: state as :mod:`ehls_ros.physics.plant` lays it out.
-        mode: modes as there.
-        inputs: inputs as there.
-        truth: what the sensors last measured, in the order of ``SENSED``.
-        cycle: number of control periods done.
+        y: state of the plant, see :mod:`ehls_ros.physics.plant`.
+        mode: its modes.
+        inputs: its inputs.
+        truth: true values at the last sample, in the order of ``SENSED``.
+        cycle: number of control periods completed.
     """
 
     def __init__(self, rig: Rig, period: float = 1e-3, step: float = DEFAULT_STEP, **start: float) -> None:
-        """Prepare and compile (or load) the kernel; the rig rests without pressure.
+        """Compile or load the kernel and start at rest with zero load pressure.
 
         Args:
             rig: rig to simulate.
             period: control period [s].
-            step: largest integration step [s]; the period is cut into equal steps no longer.
+            step: largest integration step [s]; the period is divided into equal steps.
             **start: ``position``, ``temperature`` and ``warming`` of :func:`at_rest`.
         """
-        self.rig, parts, self.standing, self.moving = at_rest(rig, period, step, **start)
+        self.rig, parts, self.constants, self.state = at_rest(rig, period, step, **start)
         plant = plant_kernel(parts)
         self._advance, self._sense, self._hold = plant.advance, plant.sense, plant.hold
-        self.period = self.standing.period
-        self.y, self.mode, self.inputs, self.truth = self.moving.y, self.moving.mode, self.moving.inputs, self.moving.truth
+        self.period = self.constants.period
+        self.y, self.mode, self.inputs, self.truth = self.state.y, self.state.mode, self.state.inputs, self.state.truth
         self.cycle = 0
-        # What would otherwise compile in the first cycle.
-        trial = at_rest(rig, period, step).moving
-        self._sense(0, self.standing, trial, np.zeros(len(SENSED)))
+        # Compile now rather than in the first cycle.
+        trial = at_rest(rig, period, step).state
+        self._sense(0, self.constants, trial, np.zeros(len(SENSED)))
         self._hold(trial.inputs, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        self._advance(0, self.standing._replace(steps=0), trial)
+        self._advance(0, self.constants._replace(steps=0), trial)
 
     def measure(self, noise: Array) -> Array:
-        """Read the sensors at the present cycle.
+        """Read the sensors.
 
         Args:
             noise: standard normal numbers, shape (signals,).
 
         Returns:
-            The readings in the order of ``SENSED``; the same array every time.
+            The readings in the order of ``SENSED``; every call reuses the same array.
         """
-        self._sense(self.cycle, self.standing, self.moving, noise)
-        return self.moving.measured
+        self._sense(self.cycle, self.constants, self.state, noise)
+        return self.state.measured
 
     def trouble(self) -> str:
-        """Return what cannot be true of the rig as it was last measured, with advice; empty if nothing."""
+        """Return what is impossible in the true values last sampled, with advice; empty if nothing is."""
         found = implausible(self.truth[np.newaxis], self.rig.limits)
         return "" if found is None else f"{found.what} (at {self.cycle * self.period:g} s)"
 
     def advance(self, command: float, force: float, force_rate: float, displacement: float, velocity: float) -> int:
-        """Go on by one control period.
+        """Integrate over one control period.
 
         Args:
-            command: spool command, held [m].
-            force: disturbance force now [N].
-            force_rate: and its rate [N/s].
-            displacement: displacement of the position servo now [m].
-            velocity: and its velocity [m/s].
+            command: spool command, held over the period [m].
+            force: disturbance force at the start of the period [N].
+            force_rate: its rate [N/s].
+            displacement: displacement of the position servo at the start of the period [m].
+            velocity: its velocity [m/s].
 
         Returns:
-            Number of integration steps in which events came too densely to be located.
+            Number of integration steps with more events than could be located.
         """
         self._hold(self.inputs, self.cycle * self.period, command, force, force_rate, displacement, velocity)
-        dense: int = self._advance(self.cycle, self.standing, self.moving)
-        self.inputs[TEMPERATURE] += self.standing.warming * self.period
+        dense: int = self._advance(self.cycle, self.constants, self.state)
+        self.inputs[TEMPERATURE] += self.constants.warming * self.period
         self.cycle += 1
         return dense

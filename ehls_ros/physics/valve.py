@@ -12,8 +12,8 @@ def load_flow(opening: float, direction: float, load_pressure: float, supply_pre
 
     Args:
         opening: effective spool displacement [m].
-        direction: 1 or -1, the side the spool is open to; at a zero crossing it belongs to the step's mode.
-        load_pressure: pL [Pa]; beyond the supply pressure the flow turns round.
+        direction: sign of the opening, 1 or -1, from the mode; it is constant within a step.
+        load_pressure: pL [Pa]; beyond the supply pressure the flow reverses.
         supply_pressure: ps [Pa].
         plant: the rig's coefficients.
 

@@ -10,11 +10,11 @@ from ehls_ros.arrays import kernel
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import Comparison, setup
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.compiling import Job, compile_side_by_side, of_consequences, of_diagnosis
+from ehls_ros.experiments.compiling import Job, compile_in_parallel, consequences_jobs, diagnosis_jobs
 from ehls_ros.experiments.controller_benefit import controller_benefit
 from ehls_ros.parallel import Workers
 from ehls_ros.physics.along import PARTS, compile_part, part_kernel
-from ehls_ros.physics.composition import compiled, is_kept
+from ehls_ros.physics.composition import compiled, is_compiled
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import EffectUse
 from ehls_ros.trajectory import Trajectory
@@ -38,35 +38,35 @@ def test_a_part_is_compiled_for_the_arguments_a_diagnosis_gives_it(part, rig, re
     getattr(comparison, method)(effective)
     assert before
     assert run.signatures == before
-    assert is_kept(part_kernel(part, effective))
+    assert is_compiled(part_kernel(part, effective))
 
 
 def test_only_what_is_not_kept_is_compiled_and_only_then_the_user_is_told(rig):
     said = []
-    kept = [Job(job.kernel, partial(refused)) for job in of_diagnosis(rig)]
+    kept = [Job(job.kernel, partial(refused)) for job in diagnosis_jobs(rig)]
     for part in PARTS:
         compile_part(part, rig.effective())
-    compile_side_by_side(kept, Workers(1), lambda *step: said.append(step))
+    compile_in_parallel(kept, Workers(1), lambda *step: said.append(step))
     assert said == []
     fresh = compiled(built_of_nothing, {"run": "x"})
-    compile_side_by_side([Job(lambda: fresh, partial(int))], Workers(1), lambda *step: said.append(step))
+    compile_in_parallel([Job(lambda: fresh, partial(int))], Workers(1), lambda *step: said.append(step))
     assert said == [(0, 1), (1, 1)]
-    assert not is_kept(fresh)
+    assert not is_compiled(fresh)
     assert fresh.run(2.0) == 2.0
-    assert is_kept(fresh)
+    assert is_compiled(fresh)
 
 
 def test_what_follows_a_diagnosis_runs_what_was_compiled_for_it(rig):
     diagnosis = SimpleNamespace(names_causes=True, rig=rig, extended=using(rig, "mass_shift", factor=1.5))
-    jobs = of_consequences(diagnosis)
+    jobs = consequences_jobs(diagnosis)
     for job in jobs:
         job.compile()
-        assert is_kept(job.kernel())
+        assert is_compiled(job.kernel())
     before = [signatures(job.kernel()) for job in jobs]
     assert all(before)
     controller_benefit(diagnosis.rig, diagnosis.extended)
     assert [signatures(job.kernel()) for job in jobs] == before
-    assert [job.kernel() for job in of_consequences(SimpleNamespace(names_causes=False, rig=rig, extended=rig))] == [
+    assert [job.kernel() for job in consequences_jobs(SimpleNamespace(names_causes=False, rig=rig, extended=rig))] == [
         jobs[-1].kernel()
     ]
 

@@ -13,7 +13,7 @@ from ehls_ros.cli.main import main
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import Implausible, run_in_process
 from ehls_ros.experiments.metrics import evaluate
-from ehls_ros.physics.plausibility import FLAGGED, SHOWN, within
+from ehls_ros.physics.plausibility import LIMIT_UNITS, WARNING_FACTOR, within
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.topics import LOADER_STATE
 
@@ -103,9 +103,9 @@ FURTHER = (
     Extreme("rig.sensors.velocity.bandwidth", 1e15, SOUND),
     # effects at the ends of their ranges
     Extreme("effects.constant_load.force", 1e6, ENDED, ("load pressure", "the rig's limit", "units")),
-    Extreme("effects.end_stop.upper", -10.0, ENDED, ("cannot be true", "integration_step")),
-    Extreme("effects.viscous_asymmetry.asymmetry", -1e6, ENDED, ("cannot be true",)),
-    Extreme("effects.spring_hardening.cubic", -1e12, ENDED, ("cannot be true",)),
+    Extreme("effects.end_stop.upper", -10.0, ENDED, ("is impossible", "integration_step")),
+    Extreme("effects.viscous_asymmetry.asymmetry", -1e6, ENDED, ("is impossible",)),
+    Extreme("effects.spring_hardening.cubic", -1e12, ENDED, ("is impossible",)),
     Extreme("effects.mass_shift.factor", 50.0, TOLD, ("the rig leaves its limits: position",)),
     Extreme("effects.command_delay.delay", 0.05, TOLD, ("the force does not follow its reference",)),
     Extreme("effects.valve_null_bias.opening", 0.01, TOLD, ("the force does not follow its reference",)),
@@ -115,7 +115,7 @@ SERVO = (
     Extreme("disturbance.supply_pressure", 210.0, REFUSED, ("disturbance", "210 bar is 2.1e+07 Pa")),
     Extreme("disturbance.moving_mass", 1e-12, REFUSED, ("disturbance", "moving_mass")),
     Extreme("disturbance.signal.amplitude", 50.0, REFUSED, ("the disturbance reaches", "in m?")),
-    Extreme("disturbance.stiffness", 1e8, ENDED, ("cannot be true", "integration_step")),
+    Extreme("disturbance.stiffness", 1e8, ENDED, ("is impossible", "integration_step")),
 )
 EFFECTS = (
     "constant_load", "end_stop", "viscous_asymmetry", "spring_hardening", "mass_shift", "command_delay", "valve_null_bias",
@@ -177,10 +177,10 @@ def becomes(make_spec: Any, sections: dict[str, Any]) -> tuple[str, str]:
     if metrics.warnings:
         return TOLD, "; ".join(metrics.warnings)
     limits = make_spec(**sections).rig.limits
-    for name in SHOWN:
+    for name in LIMIT_UNITS:
         low, high = within(limits, name)
         away = np.abs(run[LOADER_STATE.signals[name]] - 0.5 * (low + high))
-        assert np.all(away <= FLAGGED * 0.5 * (high - low)), name
+        assert np.all(away <= WARNING_FACTOR * 0.5 * (high - low)), name
     assert math.isfinite(metrics.max_error_n)
     return SOUND, ""
 

@@ -231,4 +231,4 @@ def test_tasks_come_back_in_order_from_one_process_and_from_two():
 
 def test_a_users_mistake_travels_out_of_a_process():
     with pytest.raises(BadInput, match=r"rig\.yaml: plant: moving_mass is -70; expected more than 0"):
-        run_tasks([refuse, refuse], 2)
+        run_tasks([partial(refuse), partial(refuse)], 2)

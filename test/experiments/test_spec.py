@@ -59,7 +59,7 @@ RIG_ERRORS = [
     (("pump",), {}, "rig.yaml", "'pump' is unknown", "plant"),
     (("friction", "model"), "coulomb", "rig.yaml: friction: model", "'coulomb'", "gms"),
     (("friction", "coulomb_force"), 900.0, "rig.yaml: friction", "coulomb_force is 900", "865.4"),
-    (("friction", "element_weight"), [0.5, 0.5], "rig.yaml: friction", "2 element_weight", "equally many"),
+    (("friction", "element_weight"), [0.5, 0.5], "rig.yaml: friction", "2 element_weight", "same length"),
     (("friction", "element_weight"), [0.5, 0.5, 0.5], "rig.yaml: friction", "1.5", "sum of 1"),
     (("friction", "element_weight"), [1.5, -0.25, -0.25], "rig.yaml: friction", "-0.25", "above 0"),
     (("friction", "element_stiffness"), "stiff", "rig.yaml: friction", "'stiff'", "tuple"),

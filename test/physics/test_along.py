@@ -7,8 +7,8 @@ import pytest
 from rig_runs import PERIOD
 
 from ehls_ros.physics.along import PARTS, part_kernel
-from ehls_ros.physics.along.base import Along, Motion
-from ehls_ros.physics.along.friction import Begun
+from ehls_ros.physics.along.base import ModelRun, Motion
+from ehls_ros.physics.along.friction import FrictionInputs
 
 SAMPLES = 50
 TIME = PERIOD * np.arange(SAMPLES)
@@ -24,7 +24,7 @@ def along(part, rig, motion, given=(), steps=0, history=0, fresh=(0,)):
     effective, kind = rig.effective(), PARTS[part]
     begins = np.isin(np.arange(SAMPLES), fresh)
     effects = kind.effects.parameters(rig.effects)
-    a = Along(motion, begins, PERIOD, steps, history, effective.plant, effective.friction, effects)
+    a = ModelRun(motion, begins, PERIOD, steps, history, effective.plant, effective.friction, effects)
     out = np.empty((SAMPLES, kind.columns))
     part_kernel(part, effective).run(a, *given, out)
     return out
@@ -65,7 +65,7 @@ def test_the_flow_is_that_of_the_orifice(make_rig):
 def test_elements_that_stick_are_springs(make_rig):
     rig = make_rig()
     velocity = 1e-6 * np.arange(SAMPLES)
-    nothing = Begun(np.zeros(SAMPLES), np.zeros(SAMPLES), 1.0)
+    nothing = FrictionInputs(np.zeros(SAMPLES), np.zeros(SAMPLES), 1.0)
     force = along("friction", rig, still(velocity=velocity), (nothing,), steps=1)[:, 0]
     way = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]))]) * PERIOD
     expected = sum(rig.friction.element_stiffness) * way + rig.friction.viscous_coefficient * velocity
@@ -76,7 +76,7 @@ def test_a_static_model_at_rest_holds_what_is_applied(make_rig):
     rig = make_rig(friction={"model": "stribeck"}, plant={"gravity": 0.0})
     # It moves, stops, and is pushed less than it holds.
     velocity = np.where(np.arange(SAMPLES) < 20, 1e-3, 0.0)
-    nothing = Begun(np.zeros(SAMPLES), np.zeros(SAMPLES), 1.0)
+    nothing = FrictionInputs(np.zeros(SAMPLES), np.zeros(SAMPLES), 1.0)
     motion = still(velocity=velocity, pressure=np.full(SAMPLES, 1e5))
     force = along("friction", rig, motion, (nothing,), steps=1)[:, 0]
     assert force[5] > rig.friction.coulomb_force
@@ -86,6 +86,6 @@ def test_a_static_model_at_rest_holds_what_is_applied(make_rig):
 @pytest.mark.parametrize("balance", [300.0, -5e4])
 def test_a_start_balances_the_other_forces_as_far_as_it_can(make_rig, balance):
     rig = make_rig()
-    begun = Begun(np.zeros(SAMPLES), np.full(SAMPLES, balance), 1.0)
-    force = along("friction", rig, still(), (begun,), steps=1)[0, 0]
+    inputs = FrictionInputs(np.zeros(SAMPLES), np.full(SAMPLES, balance), 1.0)
+    force = along("friction", rig, still(), (inputs,), steps=1)[0, 0]
     assert force == pytest.approx(max(balance, -rig.friction.static_force))

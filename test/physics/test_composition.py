@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept."""
+"""The cache of compiled kernels."""
 
 import importlib.util
 import os
@@ -12,7 +12,7 @@ import pytest
 from ehls_ros import sources
 from ehls_ros.errors import BadInput
 from ehls_ros.physics import kernel_cache
-from ehls_ros.physics.composition import kernel_module
+from ehls_ros.physics.composition import KERNEL_SOURCES, kernel_module
 from ehls_ros.physics.simulator import parts_of, plant_kernel
 
 SOURCE = '''"""A kernel of a test."""
@@ -68,12 +68,19 @@ def test_the_cache_folder_is_the_users(monkeypatch, tmp_path):
     assert kernel_cache.cache_folder() == tmp_path / "ehls_ros"
 
 
-def test_changed_package_sources_make_another_module(folder, tmp_path, monkeypatch):
-    for part in ("physics", "control"):
-        (tmp_path / "package" / part).mkdir(parents=True)
-    (tmp_path / "package" / "arrays.py").touch()
-    law = tmp_path / "package" / "physics" / "law.py"
-    monkeypatch.setattr(sources, "PACKAGE", tmp_path / "package")
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A package in which the sources of kernels are empty."""
+    made = tmp_path / "package"
+    made.mkdir()
+    for part in KERNEL_SOURCES:
+        (made / part).touch() if part.endswith(".py") else (made / part).mkdir()
+    monkeypatch.setattr(sources, "PACKAGE", made)
+    return made
+
+
+def test_changed_package_sources_make_another_module(folder, package):
+    law = package / "physics" / "law.py"
     names = []
     try:
         for text in ("a = 1", "a = 2", "a = 1"):
@@ -86,11 +93,7 @@ def test_changed_package_sources_make_another_module(folder, tmp_path, monkeypat
     assert names[0] == names[2]
 
 
-def test_changed_compile_flags_make_another_module(folder, tmp_path, monkeypatch):
-    package = tmp_path / "package"
-    for part in ("physics", "control"):
-        (package / part).mkdir(parents=True)
-    monkeypatch.setattr(sources, "PACKAGE", package)
+def test_changed_compile_flags_make_another_module(folder, package):
     names = set()
     try:
         for flags in ("", "fastmath=True"):
@@ -191,7 +194,7 @@ def test_a_folder_that_others_could_write_is_emptied_with_a_reason(folder):
     folder.chmod(0o770)
     answer, complaint = in_another_process(source)
     assert answer == ["92.0", "1"]
-    assert complaint == f"{folder}: others could write it; its kernels are compiled anew\n"
+    assert complaint == f"{folder}: others could write it; its kernels are compiled again\n"
     assert folder.stat().st_mode & 0o777 == 0o700
     assert in_another_process(source) == (["92.0", "0"], "")
 

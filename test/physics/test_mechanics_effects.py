@@ -156,7 +156,7 @@ def test_a_loose_load_flies_through_the_play_and_is_thrown_back_by_the_piston(lo
     simulator = loose({"hinge_backlash": hinge}, 1e-4)
     simulator.y[V] = 0.1
     states = run(simulator, np.zeros((400, 3)))
-    # The hinge's own states follow the flexible mode's two: where the spring was dragged to, then the piston.
+    # The hinge's own states follow the flexible mode's two: the held far side, then the piston.
     ahead, piston = states[:, OWN + 3], states[:, OWN + 4]
     np.testing.assert_allclose(0.7 * states[:, V] + 0.3 * piston, 0.07, rtol=1e-9)
     # 1 mm at 0.1 m/s; then half a swing of both on the faces' spring.
@@ -173,7 +173,7 @@ def test_sensors_see_the_piston_and_not_the_load(loose):
     assert read[:2].tolist() == pytest.approx([0.013, -0.1])
 
 
-def test_a_rig_has_one_place_where_the_load_is_parted_from_the_piston(make_rig):
+def test_at_most_one_effect_of_a_rig_separates_the_load_from_the_piston(make_rig):
     with pytest.raises(BadInput, match="hinge_backlash and flexible_mode"):
         make_rig(effects=[{"name": "hinge_backlash", "load_gap": 1e-3}, {"name": "flexible_mode", "piston_share": 0.2}])
     shut = make_rig(effects=[{"name": "hinge_backlash", "load_gap": 1e-3}, {"name": "flexible_mode", "mass": 5.0}])

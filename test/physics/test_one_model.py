@@ -1,9 +1,9 @@
-"""One model: run along the simulator's own noise-free recording, it leaves nothing in any stage.
+"""One model: run along the simulator's own noise-free recording, it leaves no residual in any stage.
 
-For every effect with every friction model, none of them listed here. Between two samples the measured states go straight,
-which is wrong by (ω h)²/8 of a signal: so the recording has a sample every few microseconds, all of it one compiled call.
-What that error adds up to where forces are integrated, k h²/12 times the change of the acceleration, is taken out by a run
-along every other sample, which has four times as much of it. One switched plant a friction model serves all effects.
+Every effect is tested with every friction model; none is listed here. Between samples the measured states are linear, an
+error of (ω h)²/8 of a signal, so the recording has a sample every few microseconds. Where forces are integrated, the error
+accumulates to k h²/12 times the change of the acceleration; a run along every other sample has four times that error, so
+extrapolation removes it. One switched plant per friction model serves all effects.
 """
 
 from functools import partial
@@ -15,8 +15,8 @@ from numba import njit
 
 from ehls_ros.arrays import lean
 from ehls_ros.physics.along import PARTS, part_kernel
-from ehls_ros.physics.along.base import Along, Motion
-from ehls_ros.physics.along.friction import Begun
+from ehls_ros.physics.along.base import ModelRun, Motion
+from ehls_ros.physics.along.friction import FrictionInputs
 from ehls_ros.physics.along.load import Piston
 from ehls_ros.physics.composition import compiled, effects_with, rig_elements
 from ehls_ros.physics.effects import EFFECTS
@@ -34,8 +34,8 @@ from ehls_ros.physics.plant import (
     V,
     X,
     balance_with,
+    cycle_stepper,
     hold,
-    mover,
     relations,
     system,
 )
@@ -61,14 +61,15 @@ elements follow a wrong level for a sample: C 200 N/s(v) 2.5 µs = 1 mN of 10 kN
 
 
 def build(friction, elements, states, chains):
-    """Build a simulator that writes down what no sensor tells, too."""
+    """Build a simulator that also records what no sensor measures."""
     end = FRICTION + elements
     evaluate_inlined, switch_inlined = system(friction, elements, chains)
     equations = relations(chains)
-    extra, opened, volume, balance = equations.extra, equations.opened, equations.volume, balance_with(friction, chains)
+    extra, volume, balance = equations.extra, equations.volume, balance_with(friction, chains)
+    effective_opening = equations.effective_opening
     piston_position, piston_velocity, force = chains.piston_position, chains.piston_velocity, friction.force
 
-    # All effects in each stage of each step: called, they are compiled once.
+    # Called rather than inlined, so that the many effects are compiled once.
     @njit(error_model="numpy", _nrt=False)
     def evaluate(t, y, mode, c, rate):
         return evaluate_inlined(t, y, mode, c, rate)
@@ -80,10 +81,10 @@ def build(friction, elements, states, chains):
     run = integrator(evaluate, switch, size=end + states)
 
     @lean
-    def under(t, y, mode, c, command, step, steps, work):
+    def run_held(t, y, mode, c, command, step, steps, work):
         return run(t, y, mode, Coefficients(c.plant, c.friction, c.inputs, c.effects, command), step, steps, work)
 
-    move = mover(under, chains, end)
+    step_cycle = cycle_stepper(run_held, chains, end)
 
     @lean
     def record(c, given, period, y, mode, work, piston, out):
@@ -97,7 +98,7 @@ def build(friction, elements, states, chains):
                 switch(t, y, mode, c)
                 evaluate(t, y, mode, c, work[2])
             level, applied = balance(extra(t, y, z, c), t, y, z, c)
-            flow, leak, _, supply = volume(opened(t, y, z, c), mode[0], t, y, z, c)
+            flow, leak, _, supply = volume(effective_opening(t, y, z, c), mode[0], t, y, z, c)
             out[k, XP] = piston_position(y[X], t, y, w, z, c.effects, c.plant)
             out[k, VP] = piston_velocity(y[V], t, y, w, z, c.effects, c.plant)
             out[k, P], out[k, S], out[k, A], out[k, PR] = y[PL], y[XV], work[2, V], work[2, PL]
@@ -105,7 +106,7 @@ def build(friction, elements, states, chains):
             out[k, AP] = work[2, end + piston + 1] if piston >= 0 else work[2, V]
             out[k, FF] = force(y[V], applied, level, y[FRICTION:end], mode[1:], c.friction)
             out[k, QL], out[k, LEAK], out[k, SUPPLY] = flow, leak + c.plant.leakage_coefficient * y[PL], supply
-            dense += move(t, y, mode, c, period, 1, work)
+            dense += step_cycle(t, y, mode, c, period, 1, work)
         return dense
 
     return SimpleNamespace(record=record)
@@ -127,10 +128,10 @@ def simulated(rig):
     )
     y, mode = np.zeros(FRICTION + elements + ALL.states), np.zeros(1 + elements)
     mode[0] = 1.0
-    parting = [use.name for use in rig.effects if use.piston_share > 0.0]
+    joint = [use.name for use in rig.effects if use.piston_share > 0.0]
     out = np.zeros((SAMPLES, 12))
     c = Coefficients(effective.plant, effective.friction, w, ALL.parameters(rig.effects), 0.0)
-    piston = ALL.piston_state(parting[0]) if parting else -1
+    piston = ALL.piston_state(joint[0]) if joint else -1
     dense = module.record(c, given, STEP, y, mode, np.empty((WORK_ROWS, y.size)), piston, out)
     assert np.all(np.isfinite(out))
     return given, out, dense
@@ -147,20 +148,20 @@ def along(part, rig, measured, given=(), every=1):
     effects, history = PARTS[part].effects, earlier_commands(rig, STEP) if part == "spool" else 0
     measured = Motion(*(np.ascontiguousarray(values[::every]) for values in measured))
     samples = len(measured.time)
-    parting = tuple(use for use in rig.effects if use.piston_share > 0.0) if part == "load" else ()
-    own = effects.parameters(tuple(use for use in rig.effects if use not in parting))
+    joint = tuple(use for use in rig.effects if use.piston_share > 0.0) if part == "load" else ()
+    own = effects.parameters(tuple(use for use in rig.effects if use not in joint))
     fresh = np.arange(samples) == 0
-    a = Along(measured, fresh, every * STEP, 1, history, effective.plant, effective.friction, own)
+    a = ModelRun(measured, fresh, every * STEP, 1, history, effective.plant, effective.friction, own)
     out = np.empty((samples, PARTS[part].columns))
     if part == "load":
-        piston = Piston(effects.parameters(parting), effects.piston_state(parting[0].name), effective.piston_mass(), 157.0)
+        piston = Piston(effects.parameters(joint), effects.piston_state(joint[0].name), effective.piston_mass(), 157.0)
         given = (piston,)
     part_kernel(part, effective).run(a, *given, out)
     return out
 
 
 def _nothing(every):
-    """Return what a part takes of others where it takes nothing."""
+    """Return the inputs of a part that has none besides the recording."""
     return ()
 
 
@@ -211,9 +212,9 @@ def test_the_simulators_own_recording_leaves_nothing(name, model, make_rig, plai
     if not uses:
         pytest.skip(f"{model} has no coefficient that {name} shifts")
     for use in uses:
-        parted = use.piston_share > 0.0
-        # What nobody measures of a parted load, its place at the start, is known where nothing pulls.
-        rig = make_rig(friction={"model": model}, plant={"gravity": 0.0} if parted else {}).with_effects((use,))
+        separated = use.piston_share > 0.0
+        # The initial position of a separate load is not measured; without gravity it is known.
+        rig = make_rig(friction={"model": model}, plant={"gravity": 0.0} if separated else {}).with_effects((use,))
         given, out, dense = simulated(rig)
         measured, effective = motion(given, out), rig.effective()
         plant = effective.plant
@@ -230,14 +231,15 @@ def test_the_simulators_own_recording_leaves_nothing(name, model, make_rig, plai
             continue
         given, out = given[::2], out[::2]
         pushed, weight = plant.piston_area * out[:, P], plant.moving_mass * plant.gravity
-        if parted:
+        if separated:
             _, _, friction, others = extrapolated("load", rig, measured).T
             left = plant.moving_mass * out[:, A] + effective.piston_mass() * out[:, AP] + friction - others  # (3)
         else:
-            slow = getattr(effective.friction, "stribeck_velocity", np.inf)
-            begun = partial(_begun, along("force", rig, measured)[:, 0], slow)
+            scale = getattr(effective.friction, "stribeck_velocity", np.inf)
+            friction_inputs = partial(_friction_inputs, along("force", rig, measured)[:, 0], scale)
             force, friction = (
-                extrapolated(part, rig, measured, b)[:, 0] for part, b in (("force", _nothing), ("friction", begun))
+                extrapolated(part, rig, measured, inputs)[:, 0]
+                for part, inputs in (("force", _nothing), ("friction", friction_inputs))
             )
             held = plant.viscous_damping * out[:, VP] + plant.spring_stiffness * out[:, XP] + weight + given[:, 1]
             left = plant.moving_mass * out[:, A] + held + friction - pushed - force  # (3)
@@ -248,7 +250,7 @@ def test_the_simulators_own_recording_leaves_nothing(name, model, make_rig, plai
         assert worst(left, pushed, friction) < LOCATED
 
 
-def _begun(force, slow, every):
-    """Return what a run of the friction takes: the effects' force, and no friction at the start."""
+def _friction_inputs(force, scale, every):
+    """Return the inputs of the friction part: the effects' force, and no friction at the start."""
     extra = np.ascontiguousarray(force[::every])
-    return (Begun(extra, np.zeros(len(extra)), slow),)
+    return (FrictionInputs(extra, np.zeros(len(extra)), scale),)

@@ -129,10 +129,10 @@ def test_energy_is_balanced(sampled_motion):
 
 def test_period_is_cut_into_equal_steps_no_longer_than_asked(make_rig):
     rig = make_rig()
-    assert Simulator(rig, 1e-3, 1e-4).standing.steps == 10
+    assert Simulator(rig, 1e-3, 1e-4).constants.steps == 10
     uneven = Simulator(rig, 1e-3, 3e-4)
-    assert (uneven.standing.steps, uneven.standing.step) == (4, 2.5e-4)
-    assert Simulator(rig, 1e-3, 1.0).standing.steps == 1
+    assert (uneven.constants.steps, uneven.constants.step) == (4, 2.5e-4)
+    assert Simulator(rig, 1e-3, 1.0).constants.steps == 1
 
 
 def test_disturbance_goes_on_at_its_rate_within_a_cycle(make_rig):

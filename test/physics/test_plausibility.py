@@ -1,4 +1,4 @@
-"""What a rig's numbers imply: rates the step has to resolve, relations that have to hold, states that cannot be true."""
+"""What a rig's numbers imply: rates the step has to resolve, relations that have to hold, impossible states."""
 
 import math
 from pathlib import Path
@@ -12,9 +12,9 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.parameters import Limits, Plant
 from ehls_ros.physics.plausibility import (
-    ENDS,
+    ABORT_FACTOR,
+    MAX_STEP_RATE,
     RANGES,
-    RESOLVED,
     beyond,
     check_rig,
     check_signal,
@@ -67,12 +67,12 @@ def test_the_papers_rates_are_what_its_numbers_give(make_rig):
     assert found["spring"] == pytest.approx(math.sqrt(4e4 / 70.0))
 
 
-def test_a_load_parted_from_the_piston_leaves_the_stiffness_to_the_lighter_of_both(make_rig):
-    parted = {"name": "hinge_backlash", "load_gap": 1e-3, "piston_share": 0.1, "stiffness": 1e8}
-    found = {part.of: part.rate for part in rates(make_rig(effects=[parted]))}
-    [of] = [of for of in found if of.startswith("stiffness")]
-    assert "on 7 kg" in of
-    assert found[of] == pytest.approx(math.sqrt(1e8 / 7.0))
+def test_the_stiffness_between_piston_and_load_acts_on_the_lighter_of_both(make_rig):
+    hinge = {"name": "hinge_backlash", "load_gap": 1e-3, "piston_share": 0.1, "stiffness": 1e8}
+    found = {part.basis: part.rate for part in rates(make_rig(effects=[hinge]))}
+    [basis] = [basis for basis in found if basis.startswith("stiffness")]
+    assert "on 7 kg" in basis
+    assert found[basis] == pytest.approx(math.sqrt(1e8 / 7.0))
 
 
 @pytest.mark.parametrize(
@@ -94,8 +94,8 @@ def test_a_part_too_fast_is_named_with_the_step_it_needs(make_rig, plant, fricti
     assert f"the rate of the {part}," in caught.value.what
     assert named in caught.value.what
     fastest = max(part.rate for part in rates(rig))
-    assert f"integration_step of at most {RESOLVED / fastest:.2g} s" in caught.value.expected
-    check_step(rig, 0.99 * RESOLVED / fastest, "rig.yaml")
+    assert f"integration_step of at most {MAX_STEP_RATE / fastest:.2g} s" in caught.value.expected
+    check_step(rig, 0.99 * MAX_STEP_RATE / fastest, "rig.yaml")
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.6])
@@ -105,7 +105,7 @@ def test_the_step_asked_for_is_where_the_scheme_begins_to_fail(make_rig, factor)
         plant={"bulk_modulus": 1e-6, "leakage_coefficient": 0.0, "gravity": 0.0, "spring_stiffness": 0.0, "moving_mass": 1.0},
         friction={"coulomb_force": 1e-6, "static_force": 1e-6, "element_stiffness": [1e-6] * 3, "attraction_rate": 1e-9},
     )
-    step = factor * RESOLVED / 7325.0
+    step = factor * MAX_STEP_RATE / 7325.0
     simulator = Simulator(rig, period=step, step=step)
     simulator.y[1] = 1.0
     for _ in range(50):
@@ -143,10 +143,10 @@ def test_the_rates_of_friction_are_those_of_its_model(make_rig, model):
     law, friction = rig.friction_law, rig.friction
     found = {part.what: part for part in rates(rig)}
     assert found["slipping friction"].rate == law.relaxation_rate(friction, rig.limits.velocity)
-    assert "coulomb_force 640.8 N" in found["slipping friction"].of
+    assert "coulomb_force 640.8 N" in found["slipping friction"].basis
     assert ("presliding friction" in found) == math.isfinite(law.stiffness(friction))
     if "presliding friction" in found:
-        assert "stiffness" in found["presliding friction"].of
+        assert "stiffness" in found["presliding friction"].basis
         assert found["presliding friction"].rate == pytest.approx(math.sqrt(2.265e6 / 70.0))
 
 
@@ -169,7 +169,7 @@ def row(**values):
         ({"position": 2.5, "velocity": 1e9}, "velocity 1e+09 m/s"),
     ],
 )
-def test_a_state_that_cannot_be_true_is_named_with_advice(values, words):
+def test_an_impossible_state_is_named_with_advice(values, words):
     found = implausible(row(**values), LIMITS)
     assert found is not None
     assert found.row == 1
@@ -177,8 +177,8 @@ def test_a_state_that_cannot_be_true_is_named_with_advice(values, words):
     assert "integration_step" in found.what
 
 
-def test_a_state_just_within_ten_times_the_limits_can_be(make_rig):
-    near = row(force=0.999 * ENDS * 1.82e4, load_pressure=-0.999 * ENDS * 7e6, velocity=19.9, position=2.0)
+def test_a_state_just_within_ten_times_the_limits_is_possible(make_rig):
+    near = row(force=0.999 * ABORT_FACTOR * 1.82e4, load_pressure=-0.999 * ABORT_FACTOR * 7e6, velocity=19.9, position=2.0)
     assert implausible(near, LIMITS) is None
     assert beyond(near[:, 4], LIMITS, "force", 1.05) is not None
 

@@ -35,7 +35,7 @@ def test_the_paper_rig_survives_writing_and_reading(rig_data):
         ("plant", "gravity", 981.0, ["981", "20", "m/s^2"]),
         ("friction", "stribeck_exponent", 0.0, ["0.0", "greater than 0"]),
         ("friction", "element_weight", [0.5, 0.3, 0.3], ["1.1", "sum of 1"]),
-        ("friction", "element_weight", [0.5, 0.5], ["3 element_stiffness", "2 element_weight", "equally many"]),
+        ("friction", "element_weight", [0.5, 0.5], ["3 element_stiffness", "2 element_weight", "same length"]),
         ("friction", "element_weight", [1.5, -0.25, -0.25], ["-0.25", "above 0"]),
         ("friction", "element_weight", [float("nan"), 0.5, 0.5], ["nan", "finite number"]),
         ("friction", "element_stiffness", [float("inf"), 1.0, 1.0], ["inf", "finite number"]),

@@ -75,7 +75,7 @@ def test_friction_falls_while_the_oil_warms(make_free_rig, spool):
             # The elements lag behind the curve by s/C = 0.36 to 0.42 s, at 4 N/s.
             behind = math.copysign(4.0 * (640.8 - 4.0 * kelvin) / 1650.0, v)
             assert force == pytest.approx(friction(v, -4.0 * kelvin, -60.0 * kelvin) + behind, abs=0.1)
-    simulator.standing = simulator.standing._replace(warming=0.0)
+    simulator.constants = simulator.constants._replace(warming=0.0)
     v, force = steady(simulator, spool)
     assert force == pytest.approx(friction(v, -40.0, -600.0), rel=1e-7)
 

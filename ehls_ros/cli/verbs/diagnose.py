@@ -20,7 +20,7 @@ from ehls_ros.cli.progress import progress_bar
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.compiling import COMPILING, compile_side_by_side, of_diagnosis
+from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
 from ehls_ros.experiments.consequences import Consequences, consequences
 from ehls_ros.experiments.diagnosis_document import diagnosis_document
 from ehls_ros.experiments.json_document import json_document
@@ -75,7 +75,7 @@ def run(options: Namespace) -> int:
         bar(0, BAR, "reading")
         bag = data / "bag"
         trajectory = load(bag if bag.is_dir() else data, columns)
-        compile_side_by_side(of_diagnosis(rig), workers, lambda done, total: bar(done, total, COMPILING))
+        compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: bar(done, total, COMPILING))
         found = diagnose(
             trajectory,
             rig,

@@ -1,4 +1,4 @@
-"""What the parts of the model share along a recording."""
+"""What the parts of the model along a recording share."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -33,19 +33,19 @@ from ehls_ros.samples import Mask
 
 
 class Motion(NamedTuple):
-    """What was measured, or is taken for it, each of shape (n,).
+    """Recorded signals or their substitutes, each of shape (n,).
 
     Attributes:
-        time: of the samples [s].
-        position: of the piston [m].
-        velocity: of the piston [m/s].
+        time: sample times [s].
+        position: piston position [m].
+        velocity: piston velocity [m/s].
         pressure: load pressure [Pa].
         spool: spool displacement [m].
-        command: spool command, held from its sample on [m].
+        command: spool command, held until the next sample [m].
         disturbance: disturbance force [N].
         servo_position: displacement of the position servo [m].
         servo_velocity: its velocity [m/s].
-        temperature: of the oil [K].
+        temperature: oil temperature [K].
     """
 
     time: Array
@@ -60,18 +60,18 @@ class Motion(NamedTuple):
     temperature: Array
 
 
-class Along(NamedTuple):
-    """A recording and the model to run along it; nothing of it changes.
+class ModelRun(NamedTuple):
+    """A recording and the model to run along it, all constant.
 
     Attributes:
         motion: the recording.
-        fresh: samples at which a stretch begins, of whose past nothing is known, shape (n,).
-        period: time between two samples [s].
-        steps: integration steps a sample; 0 where nothing has to be integrated.
-        history: number of earlier commands the effects look back on.
-        plant: of the effective rig.
-        friction: of the effective rig.
-        effects: those of the part.
+        fresh: first samples of contiguous stretches, where the states are initialised, shape (n,).
+        period: sampling period [s].
+        steps: integration steps per sample; 0 if there is nothing to integrate.
+        history: number of past commands that the effects need.
+        plant: the effective rig's coefficients.
+        friction: the effective rig's friction parameters.
+        effects: effects on the part.
     """
 
     motion: Motion
@@ -92,7 +92,7 @@ class Imposed(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What a run changes: a state, modes, inputs, rates of the measured states, and scratch of an integrator."""
+    """Working arrays of a run: state, modes, inputs, rates of the measured states, and workspace of the integrator."""
 
     y: Array
     mode: Array
@@ -103,20 +103,20 @@ class Scratch(NamedTuple):
 
 @kernel
 def scratch(size: int, modes: int, history: int) -> Scratch:
-    """Return what a run changes, all zero, for a state of a size, a number of modes and one of earlier commands."""
+    """Return working arrays for a number of states, modes and past commands; all but the workspace are zero."""
     w, work = np.zeros(INPUTS + history), np.empty((WORK_ROWS, size))
     return Scratch(np.zeros(size), np.zeros(modes), w, np.zeros(FRICTION), work)
 
 
 @lean
-def take(k: int, a: Along, y: Array, w: Array) -> None:
-    """Take a sample.
+def set_sample(k: int, a: ModelRun, y: Array, w: Array) -> None:
+    """Set the measured states and the inputs to those of a sample.
 
     Args:
-        k: its number.
+        k: index of the sample.
         a: the run.
-        y: state; its measured part is set.
-        w: inputs, which hold until the next sample.
+        y: state; its first four entries are set.
+        w: inputs, all set.
     """
     m, after = a.motion, min(k + 1, a.motion.time.size - 1)
     y[X], y[V], y[PL], y[XV] = m.position[k], m.velocity[k], m.pressure[k], m.spool[k]
@@ -128,8 +128,8 @@ def take(k: int, a: Along, y: Array, w: Array) -> None:
 
 
 @lean
-def lead(k: int, a: Along, slope: Array) -> None:
-    """Write the rates of the measured states from a sample to the next, shape (4,); zero after the last."""
+def write_slopes(k: int, a: ModelRun, slope: Array) -> None:
+    """Write the rates of the measured states from sample ``k`` to the next, shape (4,); zero at the last sample."""
     m, after, rate = a.motion, min(k + 1, a.motion.time.size - 1), 1.0 / a.period
     slope[X] = (m.position[after] - m.position[k]) * rate
     slope[V] = (m.velocity[after] - m.velocity[k]) * rate
@@ -138,22 +138,22 @@ def lead(k: int, a: Along, slope: Array) -> None:
 
 
 @lean
-def never(t: float, y: Array, mode: Array, c: Imposed) -> None:
-    """Switch nothing: the system has no modes."""
+def no_switch(t: float, y: Array, mode: Array, c: Imposed) -> None:
+    """Do nothing: the system has no modes."""
 
 
-def memory(equations: Relations, states: int) -> Callable[..., int]:
-    """Build the integrator of the effects' own states, the measured states straight on.
+def effect_integrator(equations: Relations, states: int) -> Callable[..., int]:
+    """Build the integrator of the effects' own states; the measured states change linearly.
 
     Args:
-        equations: the relations.
+        equations: the equations of the plant.
         states: number of the effects' own states.
 
     Returns:
-        ``advance`` of :func:`~ehls_ros.physics.integration.integrator`, for a state of the four measured ones and the
-        effects' own, with :class:`Imposed` as ``c``.
+        ``advance`` of :func:`~ehls_ros.physics.integration.integrator` for the four measured states followed by the effects'
+        own, with :class:`Imposed` as ``c``.
     """
-    rates = equations.memory
+    rates = equations.effect_rates
 
     @lean
     def evaluate(t: float, y: Array, mode: Array, c: Imposed, rate: Array) -> float:
@@ -162,44 +162,44 @@ def memory(equations: Relations, states: int) -> Callable[..., int]:
         rates(t, y, y[FRICTION:], c.coefficients, rate[FRICTION:])
         return -1.0
 
-    return integrator(evaluate, never, size=FRICTION + states)
+    return integrator(evaluate, no_switch, size=FRICTION + states)
 
 
-class Sampled(NamedTuple):
-    """A part that follows from each sample and what effects remember."""
+class CompiledPart(NamedTuple):
+    """The compiled ``run`` of a part; its last argument is the output, shape (n, columns)."""
 
     run: Callable[..., None]
 
 
-def sampled(states: int, chains: Chains, write: Callable[[Relations], Callable[..., None]]) -> Sampled:
-    """Build a part that has no states but the effects' own.
+def sampled(states: int, chains: Chains, write: Callable[[Relations], Callable[..., None]]) -> CompiledPart:
+    """Build a part whose only states are the effects' own.
 
     Args:
-        states: number of these.
-        chains: the effects.
-        write: returns, for the relations, a compiled ``write(t, y, z, c, row)`` of one sample's values.
+        states: number of the effects' own states.
+        chains: hooks of the effects.
+        write: returns, for given relations, a compiled ``write(t, y, z, c, row)`` that writes one sample's values.
 
     Returns:
-        Its ``run(a, out)``, which fills ``out``, shape (n, columns).
+        The part, with ``run(a, out)``.
     """
     equations = relations(chains)
-    remember, fill = memory(equations, states), write(equations)
+    advance, write_row = effect_integrator(equations, states), write(equations)
 
     @lean
-    def go(a: Along, s: Scratch, out: Array) -> None:
+    def run_samples(a: ModelRun, s: Scratch, out: Array) -> None:
         y, w, slope = s.y, s.w, s.slope
         for k in range(a.motion.time.size):
-            take(k, a, y, w)
+            set_sample(k, a, y, w)
             if a.fresh[k]:
                 y[FRICTION:] = 0.0
             t, c = a.motion.time[k], Coefficients(a.plant, a.friction, w, a.effects, w[U])
-            fill(t, y, y[FRICTION:], c, out[k])
+            write_row(t, y, y[FRICTION:], c, out[k])
             if a.steps:
-                lead(k, a, slope)
-                remember(t, y, s.mode, Imposed(c, slope), a.period / a.steps, a.steps, s.work)
+                write_slopes(k, a, slope)
+                advance(t, y, s.mode, Imposed(c, slope), a.period / a.steps, a.steps, s.work)
 
     @kernel
-    def run(a: Along, out: Array) -> None:
-        go(a, scratch(FRICTION + states, 0, a.history), out)
+    def run(a: ModelRun, out: Array) -> None:
+        run_samples(a, scratch(FRICTION + states, 0, a.history), out)
 
-    return Sampled(run)
+    return CompiledPart(run)

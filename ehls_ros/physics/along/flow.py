@@ -3,24 +3,24 @@
 from collections.abc import Callable
 
 from ehls_ros.arrays import Array, lean
-from ehls_ros.physics.along.base import Sampled, sampled
+from ehls_ros.physics.along.base import CompiledPart, sampled
 from ehls_ros.physics.plant import PL, Chains, Coefficients, Relations
 
 
-def build(states: int, chains: Chains) -> Sampled:
-    """Build the part; see :func:`~ehls_ros.physics.along.base.sampled`.
+def build(states: int, chains: Chains) -> CompiledPart:
+    """Build the part, see :func:`~ehls_ros.physics.along.base.sampled`.
 
-    Its columns: load flow [m^3/s], leakage in all [m^3/s], bulk modulus [Pa], supply pressure [Pa].
+    Its columns are load flow [m^3/s], total leakage [m^3/s], bulk modulus [Pa] and supply pressure [Pa].
     """
-    return sampled(states, chains, _written)
+    return sampled(states, chains, _writer)
 
 
-def _written(equations: Relations) -> Callable[..., None]:
-    opened, volume = equations.opened, equations.volume
+def _writer(equations: Relations) -> Callable[..., None]:
+    effective_opening, volume = equations.effective_opening, equations.volume
 
     @lean
     def write(t: float, y: Array, z: Array, c: Coefficients, row: Array) -> None:
-        opening = opened(t, y, z, c)
+        opening = effective_opening(t, y, z, c)
         flow, leak, modulus, supply = volume(opening, 1.0 if opening >= 0.0 else -1.0, t, y, z, c)
         row[0], row[1], row[2], row[3] = flow, c.plant.leakage_coefficient * y[PL] + leak, modulus, supply
 

@@ -1,18 +1,18 @@
-"""The force of effects beyond (3) along a recording."""
+"""The force of the effects beyond (3) along a recording."""
 
 from collections.abc import Callable
 
 from ehls_ros.arrays import Array, lean
-from ehls_ros.physics.along.base import Sampled, sampled
+from ehls_ros.physics.along.base import CompiledPart, sampled
 from ehls_ros.physics.plant import Chains, Coefficients, Relations
 
 
-def build(states: int, chains: Chains) -> Sampled:
-    """Build the part; see :func:`~ehls_ros.physics.along.base.sampled`. Its one column is the force along +x [N]."""
-    return sampled(states, chains, _written)
+def build(states: int, chains: Chains) -> CompiledPart:
+    """Build the part, see :func:`~ehls_ros.physics.along.base.sampled`; its column is the force along +x [N]."""
+    return sampled(states, chains, _writer)
 
 
-def _written(equations: Relations) -> Callable[..., None]:
+def _writer(equations: Relations) -> Callable[..., None]:
     extra = equations.extra
 
     @lean

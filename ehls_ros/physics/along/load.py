@@ -1,53 +1,53 @@
-"""A load parted from the piston, simulated from the load pressure.
+"""A load separated from the piston by play or elasticity, simulated from the load pressure.
 
-Its motion is not measured. Piston and load move by the simulator's own equations under the recorded pressure, and the piston
-is drawn to where it was measured.
+The load's motion is not measured. Piston and load follow the simulator's own equations under the recorded pressure, and the
+piston tracks its measured position.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel, lean
-from ehls_ros.physics.along.base import Along, Scratch, lead, scratch, take
+from ehls_ros.physics.along.base import CompiledPart, ModelRun, Scratch, scratch, set_sample, write_slopes
 from ehls_ros.physics.composition import Switched
 from ehls_ros.physics.integration import integrator
-from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, U, V, X, balance_with, relations
+from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, U, V, X, balance_with, motion, relations
 
 MOST_EVENTS = 4
-"""Events located within a step; a contact that chatters more densely is stepped over."""
+"""Most events located within a step; further ones of a chattering contact are stepped over."""
 
 NARROWEST, WIDEST, HALVINGS = 1e-6, 1.0, 40
-"""Where the load is looked for around the piston when a stretch begins [m], and how often the interval is halved."""
+"""Search for the load's initial position: smallest and largest distance from the piston [m]; number of bisections."""
 
 
 class Piston(NamedTuple):
-    """The piston's side of what parts it from the load.
+    """The piston and its joint to the load.
 
     Attributes:
-        parting: the effect that parts them, alone; :class:`~ehls_ros.physics.along.base.Along` has the others.
-        state: where the effects' own states hold how far the piston is ahead of the load; its velocity is the next.
-        mass: of the piston [kg].
-        guide: how fast it is drawn to where it was measured [rad/s].
+        joint: the effect between piston and load, alone; :class:`~ehls_ros.physics.along.base.ModelRun` has the others.
+        state: index among the effects' own states of the displacement of the piston relative to the load; the piston's
+            velocity is the next.
+        mass: mass of the piston [kg].
+        tracking_rate: natural frequency at which it tracks its measured position, critically damped [rad/s].
     """
 
-    parting: Switched
+    joint: Switched
     state: int
     mass: float
-    guide: float
+    tracking_rate: float
 
 
-class Guided(NamedTuple):
-    """What the equations take between two samples.
+class Interval(NamedTuple):
+    """Coefficients of the equations between two samples.
 
     Attributes:
-        coefficients: of the simulator's equations.
+        coefficients: coefficients of the simulator's equations.
         slope: rates of the measured states, shape (4,).
-        start: time of the sample [s].
-        position: of the piston as measured there [m].
-        velocity: likewise [m/s].
-        piston: its side.
+        start: time of the first sample [s].
+        position: measured piston position at that time [m].
+        velocity: measured piston velocity at that time [m/s].
+        piston: the piston and its joint.
     """
 
     coefficients: Coefficients
@@ -58,83 +58,81 @@ class Guided(NamedTuple):
     piston: Piston
 
 
-class Parted(NamedTuple):
-    """The compiled part: ``run(a, piston, out)`` writes the columns that :mod:`ehls_ros.physics.along` lists."""
+def build(friction: Any, elements: int, states: int, chains: Chains) -> CompiledPart:
+    """Build the part; its ``run(a, piston, out)`` writes the columns listed in :mod:`ehls_ros.physics.along`.
 
-    run: Callable[..., None]
-
-
-def build(friction: Any, elements: int, states: int, chains: Chains) -> Parted:
-    """Build the part for a friction model's file, its number of forces, and the effects with their number of states."""
+    Args:
+        friction: module of the friction model.
+        elements: number of its forces.
+        states: number of the effects' own states.
+        chains: hooks of the effects.
+    """
     end = FRICTION + elements
-    equations, handed_on = relations(chains), chains.handed_on
-    extra, memory, balance = equations.extra, equations.memory, balance_with(friction, chains)
-    rates, force, event, change, begin = friction.rates, friction.force, friction.event, friction.switch, friction.begin
+    equations, joint_chain = relations(chains), chains.joint_force
+    extra, effect_rates, balance = equations.extra, equations.effect_rates, balance_with(friction, chains)
+    move, reverse = motion(friction, elements, chains)
+    force, begin = friction.force, friction.begin
 
     @lean
-    def handed(t: float, y: Array, c: Guided) -> float:
-        """Return the force on the load by the piston, less the pressure's and the piston's weight [N]."""
+    def joint_force(t: float, y: Array, c: Interval) -> float:
+        """Return the joint's force on the load minus the pressure force and the piston's weight [N]."""
         given = c.coefficients
-        return handed_on(0.0, t, y, given.inputs, y[end:], c.piston.parting, given.plant)
+        return joint_chain(0.0, t, y, given.inputs, y[end:], c.piston.joint, given.plant)
 
     @lean
-    def evaluate(t: float, y: Array, mode: Array, c: Guided, rate: Array) -> float:
+    def evaluate(t: float, y: Array, mode: Array, c: Interval, rate: Array) -> float:
         z, given, piston, plant = y[end:], c.coefficients, c.piston, c.coefficients.plant
-        pushed = handed(t, y, c)
-        level, applied = balance(extra(t, y, z, given) + pushed, t, y, z, given)
-        resisting = force(y[V], applied, level, y[FRICTION:end], mode, given.friction)
-        rate[X] = y[V]
-        rate[V] = (applied - resisting) / plant.moving_mass  # (3)
+        from_joint = joint_force(t, y, c)
+        changed = move(extra(t, y, z, given) + from_joint, t, y, z, mode, given, rate)  # (3), (6), (8)
         rate[PL], rate[XV] = c.slope[PL], c.slope[XV]
-        rates(y[V], level, y[FRICTION:end], mode, given.friction, rate[FRICTION:end])  # (6), (8)
-        memory(t, y, z, given, rate[end:])
-        place, ahead = end + piston.state, t - c.start
-        slower = c.velocity + ahead * c.slope[V] - y[place + 1]
-        behind = c.position + ahead * c.slope[X] - (y[X] + y[place])
-        drawn = piston.guide * (2.0 * slower + piston.guide * behind) * (piston.mass + plant.moving_mass)
-        rate[place] = y[place + 1] - y[V]
-        rate[place + 1] = (drawn - pushed) / piston.mass - plant.gravity
-        return event(y[V], applied, level, y[FRICTION:end], mode, given.friction)
+        effect_rates(t, y, z, given, rate[end:])
+        i, since = end + piston.state, t - c.start
+        velocity_error = c.velocity + since * c.slope[V] - y[i + 1]
+        position_error = c.position + since * c.slope[X] - (y[X] + y[i])
+        tracking = piston.tracking_rate * (2.0 * velocity_error + piston.tracking_rate * position_error)
+        tracking_force = tracking * (piston.mass + plant.moving_mass)
+        rate[i] = y[i + 1] - y[V]
+        rate[i + 1] = (tracking_force - from_joint) / piston.mass - plant.gravity
+        return changed
 
     @lean
-    def switch(t: float, y: Array, mode: Array, c: Guided) -> None:
+    def switch(t: float, y: Array, mode: Array, c: Interval) -> None:
         z, given = y[end:], c.coefficients
-        level, applied = balance(extra(t, y, z, given) + handed(t, y, c), t, y, z, given)
-        y[V] = change(y[V], applied, level, y[FRICTION:end], mode, given.friction)
+        reverse(extra(t, y, z, given) + joint_force(t, y, c), t, y, z, mode, given)
 
     advance = integrator(evaluate, switch, size=end + states, most_events=MOST_EVENTS, order=2)
 
     @lean
-    def surplus(ahead: float, t: float, y: Array, c: Guided) -> float:
-        """Return the force on a piston that is ahead of the load by so much, both at its velocity [N]."""
-        place = end + c.piston.state
-        y[X], y[place], y[place + 1] = c.position - ahead, ahead, c.velocity
-        return -handed(t, y, c) - c.piston.mass * c.coefficients.plant.gravity
+    def piston_force(ahead: float, t: float, y: Array, c: Interval) -> float:
+        """Return the force on a piston ``ahead`` [m] of the load, without relative velocity; sets the state so [N]."""
+        i = end + c.piston.state
+        y[X], y[i], y[i + 1] = c.position - ahead, ahead, c.velocity
+        return -joint_force(t, y, c) - c.piston.mass * c.coefficients.plant.gravity
 
     @lean
-    def settle(t: float, y: Array, c: Guided) -> None:
-        """Lay the load where the piston hands on what the pressure pushes it with."""
+    def settle(t: float, y: Array, c: Interval) -> None:
+        """Place the load so that the joint transmits the pressure force, by bisection."""
         wide = NARROWEST
-        while wide < WIDEST and not (surplus(-wide, t, y, c) > 0.0 > surplus(wide, t, y, c)):
+        while wide < WIDEST and not (piston_force(-wide, t, y, c) > 0.0 > piston_force(wide, t, y, c)):
             wide *= 4.0
         low, high = -wide, wide
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            if surplus(middle, t, y, c) < 0.0:
+            if piston_force(middle, t, y, c) < 0.0:
                 high = middle
             else:
                 low = middle
-        surplus(0.5 * (low + high), t, y, c)
+        piston_force(0.5 * (low + high), t, y, c)
 
     @lean
-    def go(a: Along, piston: Piston, s: Scratch, sample: Array, out: Array) -> None:
+    def run_samples(a: ModelRun, piston: Piston, s: Scratch, sample: Array, out: Array) -> None:
         y, mode, w, slope, m = s.y, s.mode, s.w, s.slope, a.motion
         for k in range(m.time.size):
-            take(k, a, sample, w)
-            lead(k, a, slope)
+            set_sample(k, a, sample, w)
+            write_slopes(k, a, slope)
             t = m.time[k]
             given = Coefficients(a.plant, a.friction, w, a.effects, w[U])
-            c = Guided(given, slope, t, sample[X], sample[V], piston)
+            c = Interval(given, slope, t, sample[X], sample[V], piston)
             y[PL], y[XV] = sample[PL], sample[XV]
             if a.fresh[k]:
                 y[V] = sample[V]
@@ -142,18 +140,18 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Parted:
                 mode[:] = 0.0
                 settle(t, y, c)
             level, others = balance(extra(t, y, y[end:], given), t, y, y[end:], given)
-            applied = others + handed(t, y, c)
+            applied = others + joint_force(t, y, c)
             if a.fresh[k]:
                 inertia = a.friction.viscous_coefficient * y[V] + a.plant.moving_mass * slope[V]
                 begin(applied - inertia, level, a.friction, y[FRICTION:end])
             out[k, 0], out[k, 1] = y[X], y[V]
             out[k, 2] = force(y[V], applied, level, y[FRICTION:end], mode, a.friction)
-            # In the sum of both balances the force between them drops out.
+            # The joint's force cancels in the sum of both balances.
             out[k, 3] = others - piston.mass * a.plant.gravity
             advance(t, y, mode, c, a.period / a.steps, a.steps, s.work)
 
     @kernel
-    def run(a: Along, piston: Piston, out: Array) -> None:
-        go(a, piston, scratch(end + states, elements, a.history), np.zeros(FRICTION), out)
+    def run(a: ModelRun, piston: Piston, out: Array) -> None:
+        run_samples(a, piston, scratch(end + states, elements, a.history), np.zeros(FRICTION), out)
 
-    return Parted(run)
+    return CompiledPart(run)

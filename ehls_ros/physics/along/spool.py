@@ -4,14 +4,14 @@ import math
 from typing import Any, NamedTuple
 
 from ehls_ros.arrays import Array, kernel, lean
-from ehls_ros.physics.along.base import Along, Imposed, Sampled, Scratch, lead, never, scratch, take
+from ehls_ros.physics.along.base import CompiledPart, Imposed, ModelRun, Scratch, no_switch, scratch, set_sample, write_slopes
 from ehls_ros.physics.integration import integrator
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, V, X, mover, relations
+from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, V, X, cycle_stepper, relations
 
 
-class _Following(NamedTuple):
-    """What stands between two samples; see :class:`~ehls_ros.physics.along.base.Along`."""
+class _Interval(NamedTuple):
+    """Constants between two samples, see :class:`~ehls_ros.physics.along.base.ModelRun`."""
 
     plant: Plant
     friction: Any
@@ -20,57 +20,60 @@ class _Following(NamedTuple):
     slope: Array
 
 
-def build(states: int, chains: Chains) -> Sampled:
-    """Build the part.
+def build(states: int, chains: Chains) -> CompiledPart:
+    """Build the part; its ``run(a, out)`` writes the spool displacement [m].
 
-    Its ``run(a, out)`` writes the spool displacement [m], shape (n, 1). Without ``a.steps``, where no effect remembers
-    anything, commands stand still between their jumps and (4) is followed exactly.
+    With ``a.steps`` = 0, for effects without states, commands are constant between jumps and (4) is solved exactly.
+
+    Args:
+        states: number of the effects' own states.
+        chains: hooks of the effects.
     """
     equations, command = relations(chains), chains.command
-    rates, spool = equations.memory, equations.spool
+    effect_rates, spool = equations.effect_rates, equations.spool
 
     @lean
     def evaluate(t: float, y: Array, mode: Array, c: Imposed, rate: Array) -> float:
         rate[X], rate[V], rate[PL] = c.slope[X], c.slope[V], c.slope[PL]
         rate[XV] = spool(t, y, y[FRICTION:], c.coefficients)  # (4)
-        rates(t, y, y[FRICTION:], c.coefficients, rate[FRICTION:])
+        effect_rates(t, y, y[FRICTION:], c.coefficients, rate[FRICTION:])
         return -1.0
 
-    integrate = integrator(evaluate, never, size=FRICTION + states)
+    integrate = integrator(evaluate, no_switch, size=FRICTION + states)
 
     @lean
-    def stepped(t: float, y: Array, mode: Array, c: _Following, arrived: float, step: float, steps: int, work: Array) -> int:
+    def stepped(t: float, y: Array, mode: Array, c: _Interval, arrived: float, step: float, steps: int, work: Array) -> int:
         given = Imposed(Coefficients(c.plant, c.friction, c.inputs, c.effects, arrived), c.slope)
         return integrate(t, y, mode, given, step, steps, work)
 
     @lean
-    def exact(t: float, y: Array, mode: Array, c: _Following, arrived: float, step: float, steps: int, work: Array) -> int:
+    def exact(t: float, y: Array, mode: Array, c: _Interval, arrived: float, step: float, steps: int, work: Array) -> int:
         held = c.plant.valve_gain * command(arrived, t, y, c.inputs, y[FRICTION:], c.effects, c.plant)
         y[XV] = held + (y[XV] - held) * math.exp(-c.plant.valve_bandwidth * step * steps)  # (4)
         return 0
 
-    move_stepped, move_exact = mover(stepped, chains, FRICTION), mover(exact, chains, FRICTION)
+    step_numerically, step_exactly = cycle_stepper(stepped, chains, FRICTION), cycle_stepper(exact, chains, FRICTION)
 
     @lean
-    def go(a: Along, s: Scratch, out: Array) -> None:
+    def run_samples(a: ModelRun, s: Scratch, out: Array) -> None:
         y, w, slope = s.y, s.w, s.slope
         for k in range(a.motion.time.size):
             reached = y[XV]
-            take(k, a, y, w)
+            set_sample(k, a, y, w)
             if a.fresh[k]:
                 y[FRICTION:] = 0.0
             else:
                 y[XV] = reached
             out[k, 0] = y[XV]
-            t, c = a.motion.time[k], _Following(a.plant, a.friction, w, a.effects, slope)
+            t, c = a.motion.time[k], _Interval(a.plant, a.friction, w, a.effects, slope)
             if a.steps:
-                lead(k, a, slope)
-                move_stepped(t, y, s.mode, c, a.period / a.steps, a.steps, s.work)
+                write_slopes(k, a, slope)
+                step_numerically(t, y, s.mode, c, a.period / a.steps, a.steps, s.work)
             else:
-                move_exact(t, y, s.mode, c, a.period, 1, s.work)
+                step_exactly(t, y, s.mode, c, a.period, 1, s.work)
 
     @kernel
-    def run(a: Along, out: Array) -> None:
-        go(a, scratch(FRICTION + states, 0, a.history), out)
+    def run(a: ModelRun, out: Array) -> None:
+        run_samples(a, scratch(FRICTION + states, 0, a.history), out)
 
-    return Sampled(run)
+    return CompiledPart(run)

@@ -1,4 +1,4 @@
-"""Coefficients of a rig's friction model, of which an effect shifts those it finds."""
+"""Shifts of the coefficients that a rig's friction model has."""
 
 from typing import Any
 
@@ -6,10 +6,10 @@ from ehls_ros.physics.rig import Rig
 
 
 def has(rig: Rig, *keys: str) -> bool:
-    """Tell whether a rig's friction model has one of some coefficients."""
+    """Return whether a rig's friction model has at least one of the coefficients."""
     return bool(set(keys) & set(rig.friction._fields))
 
 
 def shifted(rig: Rig, **values: Any) -> Rig:
-    """Return a rig with other values of those of some coefficients that its friction model has."""
+    """Return a rig with new values of coefficients; those that its friction model does not have are ignored."""
     return rig._replace(friction=rig.friction._replace(**{key: value for key, value in values.items() if has(rig, key)}))

@@ -1,12 +1,12 @@
-"""The Stribeck level and its floor."""
+"""The Stribeck level and its lower bound."""
 
 from ehls_ros.arrays import kernel
 
-LEAST = 1.0
-"""A Stribeck curve at zero would leave a slipping element nothing to go to [N]."""
+MIN_LEVEL = 1.0
+"""Lower bound of the Stribeck level [N]; the friction models divide by the level."""
 
 
 @kernel
-def raised(level: float, by: float) -> float:
-    """Return a Stribeck level moved, at or above :data:`LEAST` [N]."""
-    return max(level + by, LEAST)
+def shifted_level(level: float, offset: float) -> float:
+    """Return a Stribeck level plus an offset, at least :data:`MIN_LEVEL` [N]."""
+    return max(level + offset, MIN_LEVEL)

@@ -1,52 +1,50 @@
-"""What an effect's file provides.
+"""What the file of an effect provides.
 
-Always: ``GROUP``, ``EQUATION``, ``SOURCE``, ``WORDS``; ``Parameters``, a named tuple whose defaults are the neutral
-values, those that change nothing; and ``forms(rig) -> tuple[Form, ...]``, the ways in which the effect is
-fitted to data. Then at least one of
+Required are ``GROUP``, ``EQUATION``, ``SOURCE`` and ``WORDS``; ``Parameters``, a named tuple whose defaults are neutral, so
+that with them the effect changes nothing; and ``forms(rig) -> tuple[Form, ...]``, the ways to fit the effect to data. Also at
+least one of
 
-* ``shift(rig, parameters) -> rig``, when the effect is another value of the rig's own parameters; where these are
-  coefficients of the friction model, ``SHIFTS`` names them, and a rig whose model has none of them is refused;
-* compiled hooks ``name(value, t, y, w, z, p, plant) -> value``, when the equations change. ``value`` is what
-  the model has so far, the effects before it in the list included; what comes back takes its place.
+* ``shift(rig, parameters) -> rig``, if the effect changes the rig's own parameters; if these are coefficients of the
+  friction model, ``SHIFTS`` names them, and a rig whose model has none of them is refused;
+* compiled hooks ``name(value, t, y, w, z, p, plant) -> value``, if it changes the equations. ``value`` is that of the model
+  and of the effects earlier in the list; the returned value replaces it.
 
 ==================  =====================================================================
 hook                value
 ==================  =====================================================================
-``received``        spool command that has arrived at the valve, of those sent so far [m]
-``command``         what the valve makes of it: the command the spool follows [m]
-``opening``         spool displacement the orifice sees [m]
+``received``        last spool command that has arrived at the valve [m]
+``command``         command that the spool follows [m]
+``opening``         spool displacement that the orifice sees [m]
 ``supply_pressure`` supply pressure at the valve [Pa]
 ``bulk_modulus``    effective bulk modulus [Pa]
 ``leakage``         leakage flow beyond Ctc pL [m^3/s]
 ``friction_level``  Stribeck level s(v) [N]
-``force``           force on the mass along +x beyond (3) [N]
-``piston_position`` position of the piston, where it is not the mass's [m]
-``piston_velocity`` velocity of the piston, where it is not the mass's [m/s]
+``force``           force on the moving mass along +x beyond (3) [N]
+``piston_position`` position of the piston, if it differs from the mass's [m]
+``piston_velocity`` velocity of the piston, if it differs from the mass's [m/s]
 ==================  =====================================================================
 
-Arguments: ``t`` time [s]; ``y`` the plant's state, ``w`` its inputs (indices in
-:mod:`ehls_ros.physics.plant`); ``z`` the effect's own states; ``p`` its ``Parameters``; ``plant`` the
-effective rig's :class:`~ehls_ros.physics.parameters.Plant`. A hook depends on nothing else and changes none
-of them. A diagnosis compiles the hooks of all effects together, so a hook is cheap, and finite at the neutral
-values.
+Arguments: ``t`` time [s]; ``y`` the plant's state and ``w`` its inputs (indices in :mod:`ehls_ros.physics.plant`); ``z`` the
+effect's own states; ``p`` its ``Parameters``; ``plant`` the effective rig's :class:`~ehls_ros.physics.parameters.Plant`. A
+hook depends only on its arguments and changes none of them. A diagnosis compiles the hooks of all effects together, so a
+hook must be cheap, and finite at the neutral values.
 
-An effect with states of its own says how many in ``STATES`` and has a compiled
-``derivatives(u, t, y, w, z, p, plant, dz)``; ``u`` is the command as it reaches the effect [m], after
-``received`` and the ``command`` hooks before it. The states start at zero.
+An effect with states gives their number in ``STATES`` and has a compiled ``derivatives(u, t, y, w, z, p, plant, dz)``; ``u``
+is the command [m] after ``received`` and the ``command`` hooks of earlier effects. The states start at zero.
 
-What ``received`` returns is constant between jumps; it is called when a cycle begins and after each jump. An
-effect with this hook says how far back it looks in ``REACH`` [s], and when the next jump comes with a
-compiled ``jump(t, w, p)``: the time after t [s], or infinity.
+The value of ``received`` is constant between jumps; the hook is called at the start of a cycle and after each jump. An effect
+with this hook gives its longest delay in ``REACH`` [s] and has a compiled ``jump(t, w, p)``, which returns the time of the next
+jump after t [s], or infinity.
 
-An effect that parts the load from the piston (play or elasticity between them) leaves position and velocity of the
-state to the load, which everything of (3) but the pressure acts on; the piston's are states of its own, and what volume
-balance and sensors see. It has both ``piston`` hooks; its ``force`` puts what the piston hands on in the pressure's
-place; ``PISTON`` says which of its states is how far the piston is ahead of the load, the next being the piston's
-velocity; ``piston_share(parameters)`` returns the fraction of the moving mass that stays with the piston, zero where these
-parameters part none, and ``shift`` takes it off. A rig has at most one effect that parts them.
+An effect may separate the load from the piston by play or elasticity. Position and velocity of the state then belong to the
+load, on which all terms of (3) act except the pressure. Those of the piston are states of the effect; volume balance and
+sensors see them. Such an effect has both ``piston`` hooks, and its ``force`` replaces the pressure force by the joint's.
+``PISTON`` is the index of its state for the displacement of the piston relative to the load; the next state is the piston's
+velocity. ``piston_share(parameters)`` returns the fraction of the moving mass that stays with the piston, zero if the
+parameters do not separate them, and ``shift`` removes it from the moving mass. A rig has at most one such effect.
 
-``NEEDS`` names the signals (:data:`ehls_ros.trajectory.SIGNALS`) without which data cannot tell the effect;
-absent, it needs none beyond those of its group.
+``NEEDS`` names the signals (:data:`ehls_ros.trajectory.SIGNALS`) without which the effect cannot be seen in data; without
+``NEEDS``, those of its group suffice.
 """
 
 from collections.abc import Mapping
@@ -70,16 +68,16 @@ HOOKS = (
 """The places in the model where an effect can act."""
 
 Group = Literal["valve", "flow", "friction", "mechanics", "sensors", "environment"]
-"""What an effect changes: the heading it is listed under."""
+"""What an effect changes; lists of effects have it as heading."""
 
 
 class Words(NamedTuple):
-    """How a report speaks of an effect.
+    """Wording of an effect in reports.
 
     Attributes:
-        noun: the effect within a sentence, article included: "The simulation lacks <noun>".
-        check: what to inspect or measure on the rig when the effect is named, in the imperative.
-        lacking: the given model has no such term; False: it has one, with a wrong value ("has <noun> wrong").
+        noun: the effect within a sentence, with its article: "The simulation lacks <noun>".
+        check: what to inspect or measure on the rig if the effect is the cause, in the imperative.
+        lacking: whether the model lacks the term; False: it has the term with a wrong value ("has <noun> wrong").
     """
 
     noun: str
@@ -95,30 +93,30 @@ class Share(NamedTuple):
 
 
 class Quantile(NamedTuple):
-    """The value that a fraction of a signal's samples in the data lies below."""
+    """A quantile of a signal in the data."""
 
     signal: str
     fraction: float
 
 
 class Peak(NamedTuple):
-    """The frequency of the residual's strongest spectral line (rank 1), or of the next ones [Hz]."""
+    """The frequency of a spectral line of the residual, the strongest being rank 1 [Hz]."""
 
     rank: int
 
 
 Start = float | Share | Quantile | Peak
-"""Where the fit of a parameter starts, known beforehand or taken from the data; signals as in ``NEEDS``."""
+"""Start of a parameter's fit: a number, or taken from the data; signals as in ``NEEDS``."""
 
 
 class Form(NamedTuple):
-    """One way to fit an effect to data; the parameters it does not name stay neutral.
+    """One way to fit an effect to data; parameters not listed stay neutral.
 
     Attributes:
-        free: what is fitted, each with the values its fit starts from: the first start of all together, then the
-            second, and so on, so that the tuples have one length. An empty tuple: it enters smoothly (linearly, say)
-            and starts at its neutral value.
-        fixed: values other than neutral that stand.
+        free: starting values of each fitted parameter. The first values of all parameters are one start, the second values
+            the next, and so on, so all tuples have the same length. An empty tuple is for a parameter that acts smoothly,
+            such as linearly: it starts at its neutral value.
+        fixed: values of parameters that are neither neutral nor fitted.
     """
 
     free: Mapping[str, tuple[Start, ...]]
@@ -126,7 +124,7 @@ class Form(NamedTuple):
 
 
 class Effect(Protocol):
-    """The attributes every effect's file has; the others named above are optional."""
+    """The attributes that every effect's file has; the others above are optional."""
 
     GROUP: Group
     EQUATION: str
@@ -135,4 +133,4 @@ class Effect(Protocol):
     Parameters: Any
 
     def forms(self, rig: "Rig") -> tuple[Form, ...]:
-        """Return the ways to fit the effect to data of a rig, each with a free parameter; none where it cannot act."""
+        """Return the ways to fit the effect to a rig's data, each with a free parameter; none if the effect cannot act."""

@@ -1,4 +1,4 @@
-"""The oil column is stiffer or softer than the rig file has it."""
+"""The oil column is stiffer or softer than in the rig file."""
 
 from typing import Annotated, NamedTuple
 

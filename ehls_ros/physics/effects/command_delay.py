@@ -1,4 +1,4 @@
-"""The command reaches the valve late: converter, field bus or a slow cycle. Of two in a rig the later in the list holds."""
+"""The command reaches the valve late: converter, field bus or a slow cycle. Of two in a rig, the last in the list applies."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -17,18 +17,18 @@ WORDS = Words("a delay of the command", check="time the path from controller to 
 REACH = 0.05
 
 ROUNDING = 1e-7
-"""Moments nearer to each other are one, as a fraction of the control period."""
+"""Times closer than this are equal, as a fraction of the control period."""
 
 
 class Parameters(NamedTuple):
     """The delay."""
 
-    delay: Annotated[float, quantity("s", "time a command takes to the valve", minimum=0.0, maximum=REACH)] = 0.0
+    delay: Annotated[float, quantity("s", "delay from controller to valve", minimum=0.0, maximum=REACH)] = 0.0
 
 
 @kernel
 def received(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Look up the command that was sent a delay ago."""
+    """Return the command that was sent one delay ago."""
     ago = math.ceil((p.delay - (t - w[START])) / w[PERIOD] - ROUNDING)
     known = w.size - INPUTS
     return w[INPUTS + min(ago, known) - 1] if ago > 0 and known > 0 else value
@@ -36,7 +36,7 @@ def received(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters
 
 @kernel
 def jump(t: float, w: Array, p: Parameters) -> float:
-    """Return when the next command arrives of those sent so far."""
+    """Return when the next of the commands sent so far arrives [s]."""
     left = p.delay - (t - w[START])
     if left <= ROUNDING * w[PERIOD]:
         return math.inf
@@ -45,5 +45,5 @@ def jump(t: float, w: Array, p: Parameters) -> float:
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Short, middling, long."""
+    """The delay, from short, medium and long."""
     return (Form({"delay": (0.001, 0.004, 0.012)}),)

@@ -1,4 +1,4 @@
-"""A force that nobody counted: a weight, a hose, a mounting under tension."""
+"""A constant force missing in the model: a weight, a hose, a mounting under tension."""
 
 from typing import Annotated, NamedTuple
 
@@ -10,7 +10,7 @@ from ehls_ros.schema import quantity
 
 GROUP: Group = "environment"
 EQUATION = "F = force"
-SOURCE = "Kang et al. 2018, (3), with a constant more on its right side"
+SOURCE = "Kang et al. 2018, (3), with a constant added on the right side"
 WORDS = Words("a constant force", check="zero the load cell unloaded; look for weights, hoses and mountings under tension")
 
 
@@ -22,7 +22,7 @@ class Parameters(NamedTuple):
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Push."""
+    """Add the force."""
     return value + p.force
 
 

@@ -1,9 +1,9 @@
-"""Friction higher or lower than identified, as another seal, load or oil makes it."""
+"""Coulomb and static friction higher or lower than identified, as with another seal, load or oil."""
 
 from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects._friction import has, shifted
-from ehls_ros.physics.effects._level import LEAST
+from ehls_ros.physics.effects._level import MIN_LEVEL
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -20,14 +20,14 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """How far the level of sliding friction moves."""
+    """Change of the Stribeck level."""
 
     offset: Annotated[float, quantity("N", "added to Coulomb and static friction", minimum=-1e5, maximum=1e5)] = 0.0
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
-    """Return the rig with Coulomb and static friction moved; Fc stays at or above ``LEAST``."""
-    coulomb = max(LEAST, rig.friction.coulomb_force + parameters.offset)
+    """Return the rig with Coulomb and static friction shifted; Fc stays at least :data:`MIN_LEVEL`."""
+    coulomb = max(MIN_LEVEL, rig.friction.coulomb_force + parameters.offset)
     moved = coulomb - rig.friction.coulomb_force
     static = rig.friction.static_force + moved if has(rig, "static_force") else coulomb
     return shifted(rig, coulomb_force=coulomb, static_force=static)

@@ -1,4 +1,4 @@
-"""The position servo's displacement enters through the elasticity of beam and hinges."""
+"""The position servo acts on the piston through the elasticity of beam and hinges."""
 
 from typing import Annotated, NamedTuple
 
@@ -20,7 +20,7 @@ NEEDS = ("disturbance_displacement_m",)
 
 
 class Parameters(NamedTuple):
-    """The beam as a spring and a damper between both pistons."""
+    """The beam as a spring and a damper between the two pistons."""
 
     stiffness: Annotated[float, quantity("N/m", "stiffness between the pistons", minimum=0.0, maximum=1e9)] = 0.0
     damping: Annotated[float, quantity("N s/m", "damping between the pistons", minimum=0.0, maximum=1e6)] = 0.0
@@ -28,10 +28,10 @@ class Parameters(NamedTuple):
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Pull the loader toward the servo."""
+    """Add the force of the spring and the damper."""
     return value + p.stiffness * (servo_displacement(t, w) - y[X]) + p.damping * (servo_velocity(w) - y[V])
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A spring, without and with its damper."""
+    """A spring, without or with its damper."""
     return Form({"stiffness": ()}), Form({"stiffness": (), "damping": ()})

@@ -1,4 +1,4 @@
-"""An end stop inside the stroke: beyond it the piston is pushed back, and never pulled."""
+"""An end stop inside the stroke: it pushes the piston back and never pulls."""
 
 from typing import Annotated, NamedTuple
 
@@ -22,31 +22,31 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """Where the stops are, and what they are like; ten metres are beyond any stroke."""
+    """Position and contact of the stops; ten metres are beyond any stroke."""
 
     upper: Annotated[float, quantity("m", "position of the upper stop", minimum=-10.0, maximum=10.0)] = 10.0
     lower: Annotated[float, quantity("m", "position of the lower stop", minimum=-10.0, maximum=10.0)] = -10.0
     stiffness: Annotated[float, quantity("N/m", "stiffness of a stop", minimum=1e3, maximum=1e9)] = 1e7
-    damping: Annotated[float, quantity("N s/m", "damping on the way into a stop", minimum=0.0, maximum=1e6)] = 1e4
-    loss: Annotated[float, quantity("s/m", "change of the stiffness per speed, in and out", minimum=0.0, maximum=100.0)] = 0.0
+    damping: Annotated[float, quantity("N s/m", "damping while moving into a stop", minimum=0.0, maximum=1e6)] = 1e4
+    loss: Annotated[float, quantity("s/m", "relative stiffening per speed into the stop", minimum=0.0, maximum=100.0)] = 0.0
 
 
 @kernel
 def push(depth: float, speed: float, p: Parameters) -> float:
-    """Return what a stop pushes with, ``depth`` behind its face, at a speed into it [N]."""
+    """Return the force of a stop at a depth [m] beyond its face and a speed into it [m/s], in N."""
     return p.stiffness * depth * max(1.0 + p.loss * speed, 0.0) + p.damping * max(speed, 0.0) if depth > 0.0 else 0.0
 
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Push back."""
+    """Add the forces of both stops."""
     return value - push(y[X] - p.upper, y[V], p) + push(p.lower - y[X], -y[V], p)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The upper stop, the lower, both: seldom, at times and often reached."""
-    upper = tuple(Quantile("position_m", part) for part in (0.995, 0.95, 0.85))
-    lower = tuple(Quantile("position_m", part) for part in (0.005, 0.05, 0.15))
+    """The upper stop, the lower one or both, from rarely, sometimes and often reached."""
+    upper = tuple(Quantile("position_m", fraction) for fraction in (0.995, 0.95, 0.85))
+    lower = tuple(Quantile("position_m", fraction) for fraction in (0.005, 0.05, 0.15))
     contact = {"stiffness": (1e6, 1e6, 1e6), "damping": (1e3, 1e3, 1e3), "loss": (0.0, 0.0, 0.0)}
     return (
         Form({"upper": upper, **contact}),

@@ -1,7 +1,7 @@
-"""Undissolved air in the oil, which makes it soft at low pressure.
+"""Undissolved air in the oil, which makes it compliant at low pressure.
 
-With the air in both chambers, each is pressed by its own pressure, and (2) sees the mean of their compliances. With
-``load``, all of it is in a volume that the magnitude of pL alone presses.
+Air in the chambers is compressed by the pressure of each, and (2) sees the mean of their compliances. Air of ``load`` is in
+a volume that is compressed by |pL| alone.
 """
 
 from typing import Annotated, NamedTuple
@@ -16,38 +16,38 @@ from ehls_ros.schema import quantity
 
 GROUP: Group = "flow"
 EQUATION = "1/βe -> 1/βe + fraction (p0/p)^(1/n)/(n p), p absolute, p0 atmospheric, n = 1.4"
-SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 2: 1/βe = 1/βl + (Vg/Vt)/(n p), with Vg of a polytropic change"
+SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 2: 1/βe = 1/βl + (Vg/Vt)/(n p), with Vg compressed polytropically"
 WORDS = Words(
     "air in the oil",
     check="bleed the cylinder; check the reservoir's level, the suction line and the return for foam",
 )
 
 POLYTROPIC = 1.4
-"""Exponent n of air that has no time to give heat away."""
+"""Polytropic exponent n, that of compression too fast for heat exchange."""
 
 
 class Parameters(NamedTuple):
-    """Fraction of the volume that is air at atmospheric pressure."""
+    """Volume fraction of air at atmospheric pressure."""
 
     chambers: Annotated[float, quantity("1", "fraction of air in both chambers", minimum=0.0, maximum=0.2)] = 0.0
-    load: Annotated[float, quantity("1", "fraction of air in a volume pressed by |pL|", minimum=0.0, maximum=0.2)] = 0.0
+    load: Annotated[float, quantity("1", "fraction of air in a volume compressed by |pL|", minimum=0.0, maximum=0.2)] = 0.0
 
 
 @kernel
 def compliance(gauge: float) -> float:
-    """Return what a fraction of air adds to the compliance at a gauge pressure [1/Pa]."""
+    """Return the compliance per volume fraction of air at a gauge pressure [1/Pa]."""
     pressure = ATMOSPHERE + gauge
     return (ATMOSPHERE / pressure) ** (1.0 / POLYTROPIC) / (POLYTROPIC * pressure)
 
 
 @kernel
 def bulk_modulus(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Put the air beside the oil."""
+    """Add the compliance of the air to that of the oil."""
     first, second = chambers(y, plant)
     air = p.chambers * 0.5 * (compliance(first) + compliance(second)) + p.load * compliance(abs(y[PL]))
     return value / (1.0 + value * air)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Either place, little and much air."""
+    """Air in either place, from little and much air."""
     return Form({"chambers": (0.005, 0.03)}), Form({"load": (0.005, 0.03)})

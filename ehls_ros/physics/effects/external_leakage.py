@@ -1,4 +1,4 @@
-"""Oil that leaves the chambers outward, past the rod seals."""
+"""Leakage from the chambers to the outside, past the rod seals."""
 
 from typing import Annotated, NamedTuple
 
@@ -16,20 +16,20 @@ WORDS = Words("a leakage to the outside", check="look for oil at the rod seals, 
 
 
 class Parameters(NamedTuple):
-    """Leakage to the outside from the first chamber, the second, and both alike."""
+    """Leakage coefficients of the first chamber, the second chamber, and both alike."""
 
     first: Annotated[float, quantity("m^5/(N s)", "leakage of the chamber that drives +x", minimum=0.0, maximum=1e-9)] = 0.0
     second: Annotated[float, quantity("m^5/(N s)", "leakage of the chamber that drives -x", minimum=0.0, maximum=1e-9)] = 0.0
-    each: Annotated[float, quantity("m^5/(N s)", "leakage of both chambers, of each", minimum=0.0, maximum=1e-9)] = 0.0
+    each: Annotated[float, quantity("m^5/(N s)", "leakage of each chamber, equal for both", minimum=0.0, maximum=1e-9)] = 0.0
 
 
 @kernel
 def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Add half the difference of what both lose, as (2) is half the sum of both balances."""
+    """Add half the difference of the two leakage flows, since (2) is half the sum of the chambers' balances."""
     first, second = chambers(y, plant)
     return value + 0.5 * ((p.first + p.each) * first - (p.second + p.each) * second)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """One chamber, the other, both."""
+    """The first chamber, the second, or both."""
     return Form({"first": ()}), Form({"second": ()}), Form({"each": ()})

@@ -1,17 +1,17 @@
-"""A mass on a spring of its own: what is bolted to the piston does not move as one piece.
+"""A mass on a spring: what is bolted to the piston does not move as one rigid body.
 
-States: how far the mass is ahead of the piston (from where its weight leaves it), and its velocity. Some of the mass may
-be counted already in the rig file's moving mass; that much is taken off there, and its weight, which the spring still
-carries, put back. What loads the piston, spring and disturbance, may act on that mass instead, as where a beam gives way
-between cylinder and load. With ``piston_share`` friction and damping do so as well: but for a fraction of the mass, all of
-the load is behind the elasticity, and the piston itself is what is ahead of it.
+The states are the displacement of the mass relative to the piston, from its static equilibrium, and its velocity. If the rig
+file's moving mass already includes a fraction of the mass, that fraction is removed there, and its weight, which the spring
+still carries, is added back. Spring and disturbance may act on the mass instead of the piston, as with an elastic beam
+between cylinder and load. With ``piston_share``, friction and damping act there too: all of the load except a fraction of
+the mass is behind the elasticity, and the states are those of the piston relative to the load.
 """
 
 import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects._parted import contact, handed_on, piston_rates, without_piston
+from ehls_ros.physics.effects._separated_load import contact, piston_rates, transmitted_force, without_piston
 from ehls_ros.physics.effects.base import Form, Group, Peak, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V, X, disturbance_force
@@ -33,31 +33,31 @@ STATES = 2
 PISTON = 0
 
 LEAST_MASS = 0.1
-"""Mass below which a load on it is not told from one on the piston [kg]."""
+"""Least mass by which a load on it is divided [kg]."""
 
-SMALLEST = 0.01
+LEAST_FRACTION = 0.01
 """Fraction of the moving mass that always stays with the piston."""
 
 
 class Parameters(NamedTuple):
-    """The mass, its natural frequency on a piston held, and how much of it the rig file counts already."""
+    """The mass, its natural frequency with the piston fixed, and the fraction of it in the rig file's moving mass."""
 
-    mass: Annotated[float, quantity("kg", "mass that is not rigidly with the piston", minimum=0.0, maximum=1e4)] = 0.0
-    frequency: Annotated[float, quantity("Hz", "natural frequency on a piston held", minimum=0.1, maximum=400.0)] = 10.0
-    damping: Annotated[float, quantity("1", "damping ratio on a piston held", minimum=0.0, maximum=1.0)] = 0.02
-    loaded: Annotated[float, quantity("1", "fraction of spring and disturbance that act on it", minimum=0.0, maximum=1.0)] = 0.0
-    taken: Annotated[float, quantity("1", "fraction of it that the moving mass counts already", minimum=0.0, maximum=1.0)] = 0.0
+    mass: Annotated[float, quantity("kg", "mass not rigidly connected to the piston", minimum=0.0, maximum=1e4)] = 0.0
+    frequency: Annotated[float, quantity("Hz", "natural frequency with the piston fixed", minimum=0.1, maximum=400.0)] = 10.0
+    damping: Annotated[float, quantity("1", "damping ratio with the piston fixed", minimum=0.0, maximum=1.0)] = 0.02
+    loaded: Annotated[float, quantity("1", "fraction of spring and disturbance acting on it", minimum=0.0, maximum=1.0)] = 0.0
+    taken: Annotated[float, quantity("1", "fraction of it included in the moving mass", minimum=0.0, maximum=1.0)] = 0.0
     piston_share: Annotated[
         float,
-        quantity("1", "fraction of the moving mass on the piston, the rest behind", minimum=0.0, maximum=0.9),
+        quantity("1", "fraction of the moving mass on the piston's side of the elasticity", minimum=0.0, maximum=0.9),
     ] = 0.0
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
-    """Return the rig without the mass it counts already, or without the piston's."""
+    """Return the rig without the included fraction of the mass, or without the piston's mass."""
     if parameters.piston_share > 0.0:
         return without_piston(rig, parameters.piston_share)
-    mass = max(rig.plant.moving_mass - parameters.taken * parameters.mass, SMALLEST * rig.plant.moving_mass)
+    mass = max(rig.plant.moving_mass - parameters.taken * parameters.mass, LEAST_FRACTION * rig.plant.moving_mass)
     return rig._replace(plant=rig.plant._replace(moving_mass=mass))
 
 
@@ -68,14 +68,14 @@ def piston_share(parameters: Parameters) -> float:
 
 @kernel
 def pull(velocity: float, z: Array, p: Parameters) -> float:
-    """Return what the spring pulls the piston with per mass [m/s^2]."""
+    """Return the force of spring and damper on the piston per mass [m/s^2]."""
     omega = 2.0 * math.pi * p.frequency
     return omega * (omega * z[0] + 2.0 * p.damping * (z[1] - velocity))
 
 
 @kernel
-def pushed(y: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Return the force by which the piston pushes the load [N]."""
+def joint_force(y: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    """Return the force of the piston on the load [N]."""
     omega = 2.0 * math.pi * p.frequency
     mass = plant.moving_mass
     return contact(z[0], z[1] - y[V], 0.0, 0.0, mass * omega * omega, 2.0 * p.damping * omega * mass)
@@ -83,30 +83,30 @@ def pushed(y: Array, z: Array, p: Parameters, plant: Plant) -> float:
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Pull the piston, carry the weight taken off the moving mass, take off it what loads the far mass; or push the load."""
+    """Add the spring's force, restore the weight removed and remove the loads on the mass; or add the joint's force."""
     if p.piston_share > 0.0:
-        return handed_on(value, pushed(y, z, p, plant), p.piston_share, y, plant)
+        return transmitted_force(value, joint_force(y, z, p, plant), p.piston_share, y, plant)
     far = p.loaded * (plant.spring_stiffness * y[X] + disturbance_force(t, w))
     return value + p.mass * (pull(y[V], z, p) - p.taken * plant.gravity) + far
 
 
 @kernel
 def piston_position(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Return where the piston is."""
+    """Return the position of a separate piston [m]."""
     return value + z[0] if p.piston_share > 0.0 else value
 
 
 @kernel
 def piston_velocity(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Return how fast the piston moves."""
+    """Return the velocity of a separate piston [m/s]."""
     return z[1] if p.piston_share > 0.0 else value
 
 
 @kernel
 def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant, dz: Array) -> None:
-    """Move the mass, or the piston."""
+    """Write the rates of the mass, or of a separate piston."""
     if p.piston_share > 0.0:
-        piston_rates(pushed(y, z, p, plant), p.piston_share, y, z[1], y[V], plant, dz)
+        piston_rates(joint_force(y, z, p, plant), p.piston_share, y, z[1], y[V], plant, dz)
         return
     dz[0] = z[1] - y[V]
     load = p.loaded * (plant.spring_stiffness * (y[X] + z[0]) + disturbance_force(t, w))
@@ -114,7 +114,7 @@ def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A mass beside the rig file's, one that it has with the piston, or the load behind a beam, friction aside or with it."""
+    """A mass in addition to the rig file's, a part of it, or the load behind a beam, without or with its friction."""
     free = {"mass": (), "frequency": (5.0, 10.0, 20.0, 40.0, Peak(1), Peak(2)), "damping": (0.05,) * 6}
     half = 0.5 * rig.plant.moving_mass
     behind = {"mass": (half, half, half), "frequency": (10.0, 20.0, 40.0), "damping": (0.05, 0.05, 0.05)}

@@ -1,16 +1,16 @@
-"""Free play in the hinge between piston and what it moves.
+"""Backlash in the hinge between piston and load.
 
-With ``gap`` the spring is behind the hinge and centres its far side: around the middle nothing pulls. With ``held_gap``
-friction holds the far side: the spring stays bent as it is until the play is taken up the other way. With ``load_gap``
-all of the load is behind the hinge, most of the mass and the friction with it: it moves by itself until the play is
-taken up.
+With ``gap``, the spring is behind the hinge and centres its far side, so that it exerts no force around the middle. With
+``held_gap``, friction holds the far side, so that the spring keeps its deflection until the play is taken up in the other
+direction. With ``load_gap``, the whole load is behind the hinge, with most of the mass and the friction; it moves freely until
+the play is taken up.
 """
 
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects._parted import contact, handed_on, piston_rates, without_piston
-from ehls_ros.physics.effects._play import RATE, dead_zone, dragged
+from ehls_ros.physics.effects._play import FOLLOW_RATE, dead_zone, play_output
+from ehls_ros.physics.effects._separated_load import contact, piston_rates, transmitted_force, without_piston
 from ehls_ros.physics.effects.base import Form, Group, Share, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import V, X
@@ -19,7 +19,7 @@ from ehls_ros.schema import quantity
 
 GROUP: Group = "mechanics"
 EQUATION = (
-    "ks x -> ks dz(r, ±gap/2), r dragged by x with a play of held_gap;  with load_gap (3) holds for the load (x, v), "
+    "ks x -> ks dz(r, ±gap/2), r = play of width held_gap driven by x;  with load_gap (3) holds for the load (x, v), "
     "with A pL -> F, mp vp' = A pL - F, mp = piston_share m0, F = contact of stiffness and damping beyond |xp - x| = load_gap/2"
 )
 SOURCE = "Nordin, Gutman, Controlling mechanical systems with backlash - a survey, Automatica 38, 2002"
@@ -32,70 +32,69 @@ PISTON = 1
 
 
 class Parameters(NamedTuple):
-    """Free play in all, of a hinge whose far side is free, or held, or carries the load; and this hinge's faces."""
+    """Total play of a hinge whose far side is centred, held, or carries the load; and the faces of the last."""
 
-    gap: Annotated[float, quantity("m", "free play, far side centred by the spring", minimum=0.0, maximum=0.1)] = 0.0
-    held_gap: Annotated[float, quantity("m", "free play, far side held where it is", minimum=0.0, maximum=0.1)] = 0.0
-    load_gap: Annotated[float, quantity("m", "free play, all of the load on the far side", minimum=0.0, maximum=0.1)] = 0.0
+    gap: Annotated[float, quantity("m", "play, far side centred by the spring", minimum=0.0, maximum=0.1)] = 0.0
+    held_gap: Annotated[float, quantity("m", "play, far side held by friction", minimum=0.0, maximum=0.1)] = 0.0
+    load_gap: Annotated[float, quantity("m", "play, whole load on the far side", minimum=0.0, maximum=0.1)] = 0.0
     piston_share: Annotated[
         float, quantity("1", "fraction of the moving mass on the piston's side of load_gap", minimum=0.05, maximum=0.9)
     ] = 0.2
     stiffness: Annotated[float, quantity("N/m", "stiffness of the faces of load_gap", minimum=1e5, maximum=5e8)] = 1e8
     damping: Annotated[float, quantity("N s/m", "damping of the faces of load_gap", minimum=0.0, maximum=1e6)] = 3e4
     rounding: Annotated[
-        float, quantity("1", "fraction of load_gap over which its faces come to bear", minimum=0.0, maximum=0.2)
+        float, quantity("1", "fraction of load_gap over which its faces come into contact", minimum=0.0, maximum=0.2)
     ] = 0.1
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
-    """Return the rig without the mass on the piston's side."""
+    """Return the rig without the mass on the piston's side of ``load_gap``."""
     return without_piston(rig, parameters.piston_share) if parameters.load_gap > 0.0 else rig
 
 
 def piston_share(parameters: Parameters) -> float:
-    """Return the fraction of the moving mass on the piston's side."""
+    """Return the fraction of the moving mass on the piston's side; 0 without ``load_gap``."""
     return parameters.piston_share if parameters.load_gap > 0.0 else 0.0
 
 
 @kernel
-def pushed(y: Array, z: Array, p: Parameters) -> float:
+def joint_force(y: Array, z: Array, p: Parameters) -> float:
     """Return the force across the hinge [N]."""
     return contact(z[1], z[2] - y[V], p.load_gap, p.rounding * p.load_gap, p.stiffness, p.damping)
 
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Replace the spring of (3) by the one behind the play; push the load by the hinge."""
-    bent = dead_zone(dragged(z[0], y[X], p.held_gap), -0.5 * p.gap, 0.5 * p.gap)
-    total = value + plant.spring_stiffness * (y[X] - bent)
-    return handed_on(total, pushed(y, z, p), p.piston_share, y, plant) if p.load_gap > 0.0 else total
+    """Replace the spring of (3) by the one behind the play, and the pressure force by the hinge's."""
+    deflection = dead_zone(play_output(z[0], y[X], p.held_gap), -0.5 * p.gap, 0.5 * p.gap)
+    total = value + plant.spring_stiffness * (y[X] - deflection)
+    return transmitted_force(total, joint_force(y, z, p), p.piston_share, y, plant) if p.load_gap > 0.0 else total
 
 
 @kernel
 def piston_position(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Return where the piston is."""
+    """Return the position of a separate piston [m]."""
     return value + z[1] if p.load_gap > 0.0 else value
 
 
 @kernel
 def piston_velocity(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Return how fast the piston moves."""
+    """Return the velocity of a separate piston [m/s]."""
     return z[2] if p.load_gap > 0.0 else value
 
 
 @kernel
 def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant, dz: Array) -> None:
-    """Remember where the far side was dragged to; move the piston."""
-    dz[0] = RATE * (dragged(z[0], y[X], p.held_gap) - z[0])
+    """Write the rates of the held far side and of a separate piston."""
+    dz[0] = FOLLOW_RATE * (play_output(z[0], y[X], p.held_gap) - z[0])
     dz[1] = dz[2] = 0.0
     if p.load_gap > 0.0:
-        piston_rates(pushed(y, z, p), p.piston_share, y, z[2], y[V], plant, dz[1:])
+        piston_rates(joint_force(y, z, p), p.piston_share, y, z[2], y[V], plant, dz[1:])
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Any of the plays, narrow, middling and wide."""
-    parts = (0.02, 0.1, 0.3)
-    starts = tuple(Share("position_m", part) for part in parts)
-    narrow = tuple(Share("position_m", part) for part in (0.002, 0.01, 0.05))
+    """One of the plays, from narrow, medium and wide."""
+    starts = tuple(Share("position_m", fraction) for fraction in (0.02, 0.1, 0.3))
+    narrow = tuple(Share("position_m", fraction) for fraction in (0.002, 0.01, 0.05))
     faces = {"piston_share": (), "stiffness": (), "rounding": ()}
     return Form({"gap": starts}), Form({"held_gap": starts}), Form({"load_gap": narrow, **faces})

@@ -1,4 +1,4 @@
-"""More or less oil passes the piston than the rig file has it."""
+"""More or less oil leaks past the piston than in the rig file."""
 
 from typing import Annotated, NamedTuple
 
@@ -17,17 +17,17 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """What is added to the leakage coefficient."""
+    """Change of the leakage coefficient."""
 
     added: Annotated[float, quantity("m^5/(N s)", "added to the leakage coefficient", minimum=-1e-9, maximum=1e-9)] = 0.0
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
-    """Return the rig with the leakage moved."""
+    """Return the rig with the leakage shifted."""
     leakage = max(rig.plant.leakage_coefficient + parameters.added, 0.0)
     return rig._replace(plant=rig.plant._replace(leakage_coefficient=leakage))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """What is added."""
+    """The added coefficient."""
     return (Form({"added": ()}),)

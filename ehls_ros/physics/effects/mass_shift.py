@@ -1,4 +1,4 @@
-"""More or less mass moves than the rig file has it; its weight changes with it."""
+"""The moving mass, and with it the weight, is larger or smaller than in the rig file."""
 
 from typing import Annotated, NamedTuple
 
@@ -9,7 +9,7 @@ from ehls_ros.schema import quantity
 GROUP: Group = "mechanics"
 EQUATION = "m0 -> factor m0"
 SOURCE = "Kang et al. 2018, (3)"
-WORDS = Words("the moving mass", lacking=False, check="weigh what moves, fixtures and oil included")
+WORDS = Words("the moving mass", lacking=False, check="weigh the moving parts, including fixtures and oil")
 
 
 class Parameters(NamedTuple):

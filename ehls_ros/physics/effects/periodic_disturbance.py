@@ -1,4 +1,4 @@
-"""A force of one frequency on the piston: a pump's ripple, a machine running nearby."""
+"""A sinusoidal force on the piston: a pump's ripple, a machine running nearby."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -16,7 +16,7 @@ WORDS = Words("a periodic force", check="compare its frequency with the pump's a
 
 
 class Parameters(NamedTuple):
-    """The wave, counted from the start of the experiment."""
+    """The sine wave; its time starts with the experiment."""
 
     sine: Annotated[float, quantity("N", "sine part along +x", minimum=-1e6, maximum=1e6)] = 0.0
     cosine: Annotated[float, quantity("N", "cosine part along +x", minimum=-1e6, maximum=1e6)] = 0.0
@@ -25,11 +25,11 @@ class Parameters(NamedTuple):
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Push."""
+    """Add the force."""
     angle = 2.0 * math.pi * p.frequency * t
     return value + p.sine * math.sin(angle) + p.cosine * math.cos(angle)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A wave at one of the residual's strongest lines."""
+    """A sine wave, from the residual's two strongest spectral lines."""
     return (Form({"sine": (), "cosine": (), "frequency": (Peak(1), Peak(2))}),)

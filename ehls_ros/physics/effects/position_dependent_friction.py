@@ -1,10 +1,10 @@
-"""Friction that changes along the stroke: a tube out of round, a rod that is bent, a guide that is worn."""
+"""Friction that varies along the stroke: an out-of-round tube, a bent rod, a worn guide."""
 
 import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects._level import raised
+from ehls_ros.physics.effects._level import shifted_level
 from ehls_ros.physics.effects.base import Form, Group, Share, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import X
@@ -21,7 +21,7 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """What depends on position; the rig file's friction holds where it all is zero."""
+    """Change of the Stribeck level with position; where it is zero, the rig file's friction applies."""
 
     slope: Annotated[float, quantity("N/m", "Stribeck level per position", minimum=-1e6, maximum=1e6)] = 0.0
     curvature: Annotated[float, quantity("N/m^2", "Stribeck level per squared position", minimum=-1e8, maximum=1e8)] = 0.0
@@ -32,14 +32,14 @@ class Parameters(NamedTuple):
 
 @kernel
 def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Move the curve with the position."""
+    """Shift the level with the position."""
     angle = 2.0 * math.pi * y[X] / p.wavelength
-    return raised(value, (p.slope + p.curvature * y[X]) * y[X] + p.sine * math.sin(angle) + p.cosine * math.cos(angle))
+    return shifted_level(value, (p.slope + p.curvature * y[X]) * y[X] + p.sine * math.sin(angle) + p.cosine * math.cos(angle))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A slope, a bend, a wave that is shorter or longer than the stroke."""
-    wavelengths = tuple(Share("position_m", part) for part in (0.3, 0.7, 1.5))
+    """A slope, a parabola, or a wave, from shorter to longer than the stroke."""
+    wavelengths = tuple(Share("position_m", fraction) for fraction in (0.3, 0.7, 1.5))
     return (
         Form({"slope": ()}),
         Form({"slope": (), "curvature": ()}),

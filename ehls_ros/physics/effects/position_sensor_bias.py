@@ -1,4 +1,4 @@
-"""The position sensor does not read zero in the middle."""
+"""The position sensor does not read zero at mid-stroke."""
 
 from typing import Annotated, NamedTuple
 
@@ -24,7 +24,7 @@ class Parameters(NamedTuple):
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
-    """Return the rig with the zero moved."""
+    """Return the rig with the zero shifted."""
     return with_sensors(rig, ["position"], lambda sensor: sensor._replace(bias=sensor.bias + parameters.bias))
 
 

@@ -1,4 +1,4 @@
-"""The position sensor reads too much or too little."""
+"""The position sensor reads too high or too low."""
 
 from typing import Annotated, NamedTuple
 

@@ -1,4 +1,4 @@
-"""Contacts that give way more or less before they slip than identified."""
+"""The friction contact is stiffer or softer before it slips than identified."""
 
 from typing import Annotated, NamedTuple
 
@@ -35,5 +35,5 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Softer, stiffer."""
+    """The factor, from softer and stiffer."""
     return (Form({"factor": (0.5, 1.5, 3.0)}),) if has(rig, *SHIFTS) else ()

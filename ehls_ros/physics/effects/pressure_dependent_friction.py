@@ -1,10 +1,10 @@
-"""Seals that the oil presses against their faces: friction grows with the load pressure."""
+"""Friction that grows with the load pressure, as the oil presses the seals against their faces."""
 
 import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects._level import raised
+from ehls_ros.physics.effects._level import shifted_level
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL
@@ -23,18 +23,18 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """Friction per pressure; the rig file's holds without load."""
+    """Friction per pressure; at zero load pressure the rig file's friction applies."""
 
     slope: Annotated[float, quantity("N/Pa", "Stribeck level per load pressure", minimum=-0.05, maximum=0.05)] = 0.0
-    onset: Annotated[float, quantity("Pa", "load pressure from which the seals are pressed on", minimum=0.0, maximum=1e7)] = 0.0
+    onset: Annotated[float, quantity("Pa", "load pressure above which friction grows linearly", minimum=0.0, maximum=1e7)] = 0.0
 
 
 @kernel
 def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Move the curve with the pressure."""
-    return raised(value, p.slope * (math.hypot(y[PL], p.onset) - p.onset))
+    """Shift the level with the pressure."""
+    return shifted_level(value, p.slope * (math.hypot(y[PL], p.onset) - p.onset))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """From the first pressure on, or from an onset."""
+    """Without or with an onset."""
     return Form({"slope": ()}), Form({"slope": (), "onset": (5e4, 2e5, 5e5)})

@@ -1,4 +1,4 @@
-"""The load pressure sensors do not read zero without pressure; the load cell is another sensor."""
+"""The load pressure sensors do not read zero without pressure; the load cell is not affected."""
 
 from typing import Annotated, NamedTuple
 
@@ -24,7 +24,7 @@ class Parameters(NamedTuple):
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
-    """Return the rig with the zero moved."""
+    """Return the rig with the zero shifted."""
     return with_sensors(rig, ["load_pressure"], lambda sensor: sensor._replace(bias=sensor.bias + parameters.bias))
 
 

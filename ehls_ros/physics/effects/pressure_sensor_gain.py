@@ -1,4 +1,4 @@
-"""The load pressure sensors read too much or too little; the load cell is another sensor."""
+"""The load pressure sensors read too high or too low; the load cell is not affected."""
 
 from typing import Annotated, NamedTuple
 

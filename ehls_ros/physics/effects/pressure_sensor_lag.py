@@ -1,4 +1,4 @@
-"""The load pressure sensors follow late: long lines, air in them, a filter; the load cell is another sensor."""
+"""The load pressure sensors lag: long lines, air in them, a filter; the load cell is not affected."""
 
 from typing import Annotated, NamedTuple
 
@@ -9,7 +9,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "sensors"
-EQUATION = "time_constant p' = pL - p; a lag the sensor has already is lengthened by it"
+EQUATION = "time_constant p' = pL - p; it adds to the sensor's own time constant"
 SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: first-order instruments"
 WORDS = Words("a lag of the load pressure sensor", check="bleed the sensors' lines; check the filter of their amplifiers")
 
@@ -23,15 +23,15 @@ class Parameters(NamedTuple):
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
-    """Return the rig with the time constants of both lags added up, which two lags in series come to when slow."""
+    """Return the rig with the time constants of both lags added, the low-frequency equivalent of two lags in series."""
 
     def lagging(sensor: Sensor) -> Sensor:
-        whole = parameters.time_constant + (1.0 / sensor.bandwidth if sensor.bandwidth > 0.0 else 0.0)
-        return sensor._replace(bandwidth=1.0 / whole if whole > 0.0 else 0.0)
+        total = parameters.time_constant + (1.0 / sensor.bandwidth if sensor.bandwidth > 0.0 else 0.0)
+        return sensor._replace(bandwidth=1.0 / total if total > 0.0 else 0.0)
 
     return with_sensors(rig, ["load_pressure"], lagging)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Short, middling, long."""
+    """The time constant, from short, medium and long."""
     return (Form({"time_constant": (0.002, 0.01, 0.05)}),)

@@ -1,4 +1,4 @@
-"""Readings that come late: a slow converter or bus, or channels that are sampled at different moments."""
+"""Delayed readings: a slow converter or bus, or channels that are not sampled simultaneously."""
 
 from collections.abc import Callable
 from typing import Annotated, NamedTuple
@@ -12,11 +12,11 @@ from ehls_ros.schema import quantity
 GROUP: Group = "sensors"
 EQUATION = "read(t) = true(t - delay)"
 SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: dead-time elements"
-WORDS = Words("a delay of a sensor", check="sample all channels at one moment, or record their own time stamps")
+WORDS = Words("a delay of a sensor", check="sample all channels simultaneously, or record the time stamps of each")
 
 
 class Parameters(NamedTuple):
-    """Delays of one channel, or of all; the load cell's and the velocity's are among all only."""
+    """Delays of position and load pressure, and one of all channels."""
 
     position: Annotated[float, quantity("s", "delay of the position's reading", minimum=0.0, maximum=0.5)] = 0.0
     pressure: Annotated[float, quantity("s", "delay of the load pressure's reading", minimum=0.0, maximum=0.5)] = 0.0
@@ -35,5 +35,5 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Each, short, middling and long."""
+    """One of the delays, from short, medium and long."""
     return tuple(Form({name: (0.001, 0.004, 0.012)}) for name in Parameters._fields)

@@ -1,4 +1,4 @@
-"""A spring that grows stiffer (or softer) the further it is bent."""
+"""A spring that hardens (or softens) with its deflection."""
 
 from typing import Annotated, NamedTuple
 
@@ -19,17 +19,17 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """The cubic part."""
+    """The cubic term."""
 
     cubic: Annotated[float, quantity("N/m^3", "cubic stiffness", minimum=-1e12, maximum=1e12)] = 0.0
 
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Add the cubic part, against the displacement."""
+    """Subtract the cubic term."""
     return value - p.cubic * y[X] * y[X] * y[X]
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The cubic part."""
+    """The cubic term."""
     return (Form({"cubic": ()}),)

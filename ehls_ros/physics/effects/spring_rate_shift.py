@@ -1,4 +1,4 @@
-"""The spring device is stiffer or softer than the rig file has it."""
+"""The spring device is stiffer or softer than in the rig file."""
 
 from typing import Annotated, NamedTuple
 
@@ -13,17 +13,17 @@ WORDS = Words("the stiffness of the spring", lacking=False, check="measure the s
 
 
 class Parameters(NamedTuple):
-    """What is added to the stiffness."""
+    """Change of the stiffness."""
 
     added: Annotated[float, quantity("N/m", "added to the spring's stiffness", minimum=-1e8, maximum=1e8)] = 0.0
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
-    """Return the rig with the stiffness moved."""
+    """Return the rig with the stiffness shifted."""
     stiffness = max(rig.plant.spring_stiffness + parameters.added, 0.0)
     return rig._replace(plant=rig.plant._replace(spring_stiffness=stiffness))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """What is added."""
+    """The added stiffness."""
     return (Form({"added": ()}),)

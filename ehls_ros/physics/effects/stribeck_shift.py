@@ -1,4 +1,4 @@
-"""Another fall of friction between standstill and motion than identified."""
+"""The Stribeck curve falls by another amount, over another velocity range or in another shape than identified."""
 
 from typing import Annotated, NamedTuple
 
@@ -22,7 +22,7 @@ STEEPEST = 4.0
 
 
 class Parameters(NamedTuple):
-    """How height, width and shape of the fall change."""
+    """Changes of height, width and shape of the Stribeck curve."""
 
     static_offset: Annotated[float, quantity("N", "added to the static friction", minimum=-1e5, maximum=1e5)] = 0.0
     velocity_factor: Annotated[float, quantity("1", "factor on the Stribeck velocity", minimum=0.02, maximum=50.0)] = 1.0
@@ -41,10 +41,10 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The height, the width, both."""
+    """The height, the width, or both."""
     if not has(rig, *SHIFTS):
         return ()
-    # Where the fall is much wider, a fit would first match its height at the wrong speeds: so it starts on either side.
+    # Starts on either side: for a much wider curve, a fit from the neutral width would match the height at wrong speeds.
     factors = (0.4, 2.0, 5.0)
     return (
         Form({"static_offset": ()}),

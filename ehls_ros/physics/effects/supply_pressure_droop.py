@@ -1,13 +1,13 @@
-"""The supply gives way under flow: pressure is lost between pump and valve.
+"""The supply pressure drops under flow: pressure is lost between pump and valve.
 
-The flow is that of (1) through the spool as it stands, whatever other effects make of its opening.
+The flow is that of (1) at the spool displacement, without other effects on the opening.
 """
 
 import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects._play import RATE
+from ehls_ros.physics.effects._play import FOLLOW_RATE
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL, XV
@@ -15,7 +15,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "flow"
-EQUATION = "ps -> ps - loss, at least 0;  loss = resistance |QL| + quadratic QL², at once or behind a first-order lag"
+EQUATION = "ps -> ps - loss, at least 0;  loss = resistance |QL| + quadratic QL², instantaneous or with a first-order lag"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 3: pressure lost in laminar and turbulent flow; ch. 11: supplies"
 WORDS = Words(
     "a supply pressure that droops under flow",
@@ -25,11 +25,11 @@ STATES = 1
 
 
 class Parameters(NamedTuple):
-    """What the line and the supply lose, and how fast."""
+    """Pressure loss of line and supply, and its lag."""
 
     resistance: Annotated[float, quantity("Pa s/m^3", "pressure lost per flow", minimum=0.0, maximum=1e12)] = 0.0
     quadratic: Annotated[float, quantity("Pa s^2/m^6", "pressure lost per squared flow", minimum=0.0, maximum=1e16)] = 0.0
-    time_constant: Annotated[float, quantity("s", "lag of the loss; 0: at once", minimum=0.0, maximum=10.0)] = 0.0
+    time_constant: Annotated[float, quantity("s", "lag of the loss; 0: instantaneous", minimum=0.0, maximum=10.0)] = 0.0
 
 
 @kernel
@@ -41,13 +41,13 @@ def conductance(y: Array, plant: Plant) -> float:
 
 @kernel
 def drop(supply: float, y: Array) -> float:
-    """Return the pressure across the valve, none below zero [Pa]."""
+    """Return the pressure drop across the valve, at least 0 [Pa]."""
     return max(supply - math.copysign(y[PL], y[PL] * y[XV]), 0.0)
 
 
 @kernel
 def supply_pressure(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Take the loss off: where it comes at once, QL² = conductance (drop - loss(QL)) is a quadratic equation."""
+    """Subtract the loss; if instantaneous, it follows from QL² = conductance (drop - loss(QL)), quadratic in QL."""
     if p.time_constant > 0.0:
         loss = z[0]
     else:
@@ -60,11 +60,11 @@ def supply_pressure(value: float, t: float, y: Array, w: Array, z: Array, p: Par
 
 @kernel
 def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant, dz: Array) -> None:
-    """Follow the loss that the present flow has in the end."""
+    """Write the rate of the loss towards its steady value at the present flow."""
     squared = conductance(y, plant) * drop(plant.supply_pressure - z[0], y)
-    dz[0] = (p.resistance * math.sqrt(squared) + p.quadratic * squared - z[0]) / max(p.time_constant, 1.0 / RATE)
+    dz[0] = (p.resistance * math.sqrt(squared) + p.quadratic * squared - z[0]) / max(p.time_constant, 1.0 / FOLLOW_RATE)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A laminar loss, a turbulent one, a laminar one that lags."""
+    """A laminar loss, a turbulent one, or a laminar one with a lag."""
     return Form({"resistance": ()}), Form({"quadratic": ()}), Form({"resistance": (), "time_constant": (0.05,)})

@@ -1,10 +1,10 @@
-"""Friction that changes with the oil's temperature: warmer oil is thinner, and carries the seals less."""
+"""Friction that changes with the oil temperature: warmer oil is thinner and lubricates the seals less."""
 
 import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects._level import raised
+from ehls_ros.physics.effects._level import shifted_level
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import TEMPERATURE, V
@@ -22,7 +22,7 @@ NEEDS = ("oil_temperature_k",)
 
 
 class Parameters(NamedTuple):
-    """Slopes over the temperature; the rig file's friction holds at the reference temperature."""
+    """Temperature coefficients; at the reference temperature the rig file's friction applies."""
 
     coulomb_slope: Annotated[
         float, quantity("N/K", "change of Coulomb and static friction per kelvin", minimum=-1e3, maximum=1e3)
@@ -31,29 +31,31 @@ class Parameters(NamedTuple):
         float, quantity("N s/(m K)", "change of viscous friction per kelvin", minimum=-1e4, maximum=1e4)
     ] = 0.0
     thinning_part: Annotated[
-        float, quantity("N s/m", "viscous friction that follows the oil's viscosity", minimum=0.0, maximum=1e6)
+        float, quantity("N s/m", "viscous friction proportional to the oil's viscosity", minimum=0.0, maximum=1e6)
     ] = 0.0
-    thinning_rate: Annotated[float, quantity("1/K", "fall of the viscosity per kelvin", minimum=-0.2, maximum=0.2)] = 0.0
+    thinning_rate: Annotated[
+        float, quantity("1/K", "decay rate of the viscosity over temperature", minimum=-0.2, maximum=0.2)
+    ] = 0.0
     reference_temperature: Annotated[
-        float, quantity("K", "temperature at which the rig file's friction holds", minimum=200.0, maximum=450.0)
+        float, quantity("K", "temperature at which the rig file's friction applies", minimum=200.0, maximum=450.0)
     ] = 313.15
 
 
 @kernel
 def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Move the Stribeck curve."""
-    return raised(value, p.coulomb_slope * (w[TEMPERATURE] - p.reference_temperature))
+    """Shift the level with the temperature."""
+    return shifted_level(value, p.coulomb_slope * (w[TEMPERATURE] - p.reference_temperature))
 
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Add the change of the viscous part; friction acts against +x."""
-    warmer = w[TEMPERATURE] - p.reference_temperature
-    return value - (p.viscous_slope * warmer + p.thinning_part * (math.exp(-p.thinning_rate * warmer) - 1.0)) * y[V]
+    """Subtract the change of viscous friction."""
+    difference = w[TEMPERATURE] - p.reference_temperature
+    return value - (p.viscous_slope * difference + p.thinning_part * (math.exp(-p.thinning_rate * difference) - 1.0)) * y[V]
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Either slope, both, or oil that thins."""
+    """Either slope, both, or an exponential viscosity."""
     return (
         Form({"coulomb_slope": ()}),
         Form({"viscous_slope": ()}),

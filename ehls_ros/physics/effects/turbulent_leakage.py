@@ -1,4 +1,4 @@
-"""Leakage through a worn edge or a scratch, an orifice rather than a capillary."""
+"""Turbulent leakage through a worn edge or a scratch, which acts as an orifice rather than a capillary."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -11,7 +11,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "flow"
-EQUATION = "leakage -> leakage + coefficient pL / (pL² + transition²)^(1/4), which is coefficient sgn(pL) √|pL| from there on"
+EQUATION = "leakage -> leakage + coefficient pL / (pL² + transition²)^(1/4), coefficient sgn(pL) √|pL| beyond the transition"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 3: turbulent flow through an orifice"
 WORDS = Words(
     "a leakage through an orifice",
@@ -32,11 +32,11 @@ class Parameters(NamedTuple):
 
 @kernel
 def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Add what passes."""
+    """Add the orifice flow."""
     scale = math.sqrt(math.hypot(y[PL], p.transition))
     return value + (p.coefficient * y[PL] / scale if scale > 0.0 else 0.0)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Turbulent throughout, or laminar at small pressures."""
+    """Turbulent at all pressures, or laminar at low ones."""
     return Form({"coefficient": ()}), Form({"coefficient": (), "transition": (5e4, 2e5, 5e5)})

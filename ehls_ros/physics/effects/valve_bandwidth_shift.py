@@ -1,4 +1,4 @@
-"""The spool is faster or slower than the rig file has it."""
+"""The spool is faster or slower than in the rig file."""
 
 from typing import Annotated, NamedTuple
 
@@ -28,5 +28,5 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Slower, faster."""
+    """The factor, from slower and faster."""
     return (Form({"factor": (0.5, 2.0)}),)

@@ -1,4 +1,4 @@
-"""Overlap of the spool's lands: around the centre the valve moves without opening."""
+"""Overlap of the spool's lands: around null the spool moves without opening the orifice."""
 
 from typing import Annotated, NamedTuple
 
@@ -22,18 +22,18 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """Overlap on either side."""
+    """Overlap on each side."""
 
     positive: Annotated[float, quantity("m", "overlap on the positive side", minimum=0.0, maximum=5e-3)] = 0.0
     negative: Annotated[float, quantity("m", "overlap on the negative side", minimum=0.0, maximum=5e-3)] = 0.0
     rounding: Annotated[
-        float, quantity("1", "fraction of the mean overlap over which the lands' worn edges open", minimum=0.0, maximum=1.0)
+        float, quantity("1", "fraction of the mean overlap over which worn edges open gradually", minimum=0.0, maximum=1.0)
     ] = 0.0
 
 
 @kernel
 def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Take the overlap off."""
+    """Subtract the overlap."""
     corner = 0.5 * p.rounding * (p.positive + p.negative)
     if corner <= 0.0:
         return dead_zone(value, -p.negative, p.positive)
@@ -41,7 +41,7 @@ def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Both sides, narrow, middling and wide; with sharp edges, or worn ones."""
-    starts = tuple(Share("spool_m", part) for part in (0.02, 0.1, 0.3))
+    """Both sides, with sharp or worn edges, from narrow, medium and wide."""
+    starts = tuple(Share("spool_m", fraction) for fraction in (0.02, 0.1, 0.3))
     sides = {"positive": starts, "negative": starts}
     return Form(sides), Form({**sides, "rounding": (0.1, 0.1, 0.1)})

@@ -1,4 +1,4 @@
-"""The valve answers more to one side than to the other."""
+"""A valve gain that differs between the two directions."""
 
 from typing import Annotated, NamedTuple
 
@@ -28,18 +28,18 @@ class Parameters(NamedTuple):
 
 @kernel
 def command(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Scale the command."""
+    """Scale the command by its sign."""
     return value * (1.0 + (p.command_positive if value > 0.0 else p.command_negative))
 
 
 @kernel
 def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Scale the opening."""
+    """Scale the opening by its sign."""
     return value * (1.0 + (p.opening_positive if value > 0.0 else p.opening_negative))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Both sides of the one gain, or of the other."""
+    """Both signs of the command, or of the opening."""
     return (
         Form({"command_positive": (), "command_negative": ()}),
         Form({"opening_positive": (), "opening_negative": ()}),

@@ -1,4 +1,4 @@
-"""The spool travels farther, or the valve passes more, than the rig file has it."""
+"""The gain from command to spool, or from spool to flow, differs from the rig file."""
 
 from typing import Annotated, NamedTuple
 
@@ -35,5 +35,5 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Either."""
+    """One of the two gains."""
     return Form({"gain": ()}), Form({"flow_gain": ()})

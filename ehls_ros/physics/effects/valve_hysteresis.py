@@ -1,9 +1,9 @@
-"""The spool follows the command with lost motion: friction and magnetic hysteresis of pilot and torque motor."""
+"""Hysteresis between command and spool: friction and magnetic hysteresis of pilot stage and torque motor."""
 
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects._play import RATE, dragged
+from ehls_ros.physics.effects._play import FOLLOW_RATE, play_output
 from ehls_ros.physics.effects.base import Form, Group, Share, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
@@ -11,11 +11,11 @@ from ehls_ros.schema import quantity
 
 GROUP: Group = "valve"
 EQUATION = (
-    "u -> mean of ri, plays in parallel: ri stands still while |u - ri| < wi/2 and else is dragged along at that distance; "
+    "u -> mean of ri, plays in parallel: ri is constant while |u - ri| < wi/2 and otherwise follows u at that distance; "
     "wi = width (1 - 3/4 spread), (1 - 1/4 spread), (1 + 1/4 spread), (1 + 3/4 spread)"
 )
 SOURCE = (
-    "Visintin, Differential Models of Hysteresis, 1994: play, and plays in parallel after Prandtl and Ishlinskii; "
+    "Visintin, Differential Models of Hysteresis, 1994: play operator and Prandtl-Ishlinskii model; "
     "Merritt, Hydraulic Control Systems, 1967, ch. 7: hysteresis"
 )
 WORDS = Words(
@@ -26,12 +26,10 @@ STATES = 4
 
 
 class Parameters(NamedTuple):
-    """Width of the loop of spool over command, and how round its corners are: one play where nothing is spread."""
+    """Width of the loop of spool over command, and the roundness of its corners; without spread it is a single play."""
 
-    width: Annotated[float, quantity("m", "command that a reversal loses", minimum=0.0, maximum=1e-2)] = 0.0
-    spread: Annotated[
-        float, quantity("1", "how far the plays' widths reach to either side of it", minimum=0.0, maximum=1.0)
-    ] = 0.0
+    width: Annotated[float, quantity("m", "change of command lost at a reversal", minimum=0.0, maximum=1e-2)] = 0.0
+    spread: Annotated[float, quantity("1", "spread of the plays' widths about it, relative", minimum=0.0, maximum=1.0)] = 0.0
 
 
 @kernel
@@ -42,21 +40,21 @@ def width_of(play: int, p: Parameters) -> float:
 
 @kernel
 def command(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Drag the command after itself."""
+    """Return the mean output of the plays [m]."""
     total = 0.0
     for play in range(STATES):
-        total += dragged(z[play], value, width_of(play, p))
+        total += play_output(z[play], value, width_of(play, p))
     return total / STATES
 
 
 @kernel
 def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant, dz: Array) -> None:
-    """Remember where it was dragged to."""
+    """Let the states follow the outputs of the plays."""
     for play in range(STATES):
-        dz[play] = RATE * (dragged(z[play], u, width_of(play, p)) - z[play])
+        dz[play] = FOLLOW_RATE * (play_output(z[play], u, width_of(play, p)) - z[play])
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Narrow, middling, wide; with sharp corners, or round ones."""
-    widths = tuple(Share("valve_command_m", part) for part in (0.02, 0.1, 0.3))
+    """The width, with sharp or round corners, from narrow, medium and wide."""
+    widths = tuple(Share("valve_command_m", fraction) for fraction in (0.02, 0.1, 0.3))
     return Form({"width": widths}), Form({"width": widths, "spread": (0.5, 0.5, 0.5)})

@@ -1,4 +1,4 @@
-"""The valve's hydraulic centre is not where zero command, or the spool's sensor, has it."""
+"""The valve's hydraulic null is not at zero command, or not at zero of the spool's sensor."""
 
 from typing import Annotated, NamedTuple
 
@@ -18,10 +18,10 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """Where the bias sits: before the spool, or between its sensor and the lands."""
+    """The bias: of the command, or between spool sensor and lands."""
 
-    command: Annotated[float, quantity("m", "what is added to the command", minimum=-1e-2, maximum=1e-2)] = 0.0
-    opening: Annotated[float, quantity("m", "what the orifice is open beyond the spool", minimum=-1e-2, maximum=1e-2)] = 0.0
+    command: Annotated[float, quantity("m", "offset of the command", minimum=-1e-2, maximum=1e-2)] = 0.0
+    opening: Annotated[float, quantity("m", "offset of the opening from the spool reading", minimum=-1e-2, maximum=1e-2)] = 0.0
 
 
 @kernel
@@ -32,10 +32,10 @@ def command(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 @kernel
 def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Shift the lands."""
+    """Shift the opening."""
     return value + p.opening
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Either."""
+    """One of the two."""
     return Form({"command": ()}), Form({"opening": ()})

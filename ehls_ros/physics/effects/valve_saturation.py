@@ -1,4 +1,4 @@
-"""The valve goes no further: its amplifier or stroke ends, or its ports are open all the way."""
+"""The valve saturates: its amplifier or stroke is at the limit, or its ports are fully open."""
 
 from typing import Annotated, NamedTuple
 
@@ -10,7 +10,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "valve"
-EQUATION = "u -> min(max(u, -command_limit), command_limit);  xv,eff likewise with opening_limit"
+EQUATION = "u -> min(max(u, -command_limit), command_limit);  xv,eff = min(max(xv, -opening_limit), opening_limit)"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 10: saturation"
 WORDS = Words(
     "a saturation of the valve",
@@ -19,7 +19,7 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """Both limits; one metre is beyond any valve."""
+    """The two limits; one metre is beyond any valve."""
 
     command_limit: Annotated[float, quantity("m", "largest command the spool follows", minimum=1e-6, maximum=1.0)] = 1.0
     opening_limit: Annotated[float, quantity("m", "largest opening of the orifice", minimum=1e-6, maximum=1.0)] = 1.0
@@ -27,20 +27,20 @@ class Parameters(NamedTuple):
 
 @kernel
 def command(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Cut the command off."""
+    """Limit the command."""
     return clamp(value, -p.command_limit, p.command_limit)
 
 
 @kernel
 def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Cut the opening off."""
+    """Limit the opening."""
     return clamp(value, -p.opening_limit, p.opening_limit)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Either, seldom, at times and often reached."""
-    parts = (0.97, 0.85, 0.6)
+    """One of the two limits, from rarely, sometimes and often reached."""
+    fractions = (0.97, 0.85, 0.6)
     return (
-        Form({"command_limit": tuple(Share("valve_command_m", part) for part in parts)}),
-        Form({"opening_limit": tuple(Share("spool_m", part) for part in parts)}),
+        Form({"command_limit": tuple(Share("valve_command_m", fraction) for fraction in fractions)}),
+        Form({"opening_limit": tuple(Share("spool_m", fraction) for fraction in fractions)}),
     )

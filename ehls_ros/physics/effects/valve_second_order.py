@@ -1,6 +1,6 @@
-"""A spool with inertia: it follows the command as a second-order system instead of the first order of (4).
+"""A spool with inertia: it follows the command as a second-order system instead of the first-order one of (4).
 
-The command that (4) is given is such that its spool is Kv q, the second-order answer, whatever the bandwidth.
+The command of (4) is modified so that its spool displacement is Kv q, the second-order response, at any bandwidth.
 """
 
 from typing import Annotated, NamedTuple
@@ -22,7 +22,7 @@ STATES = 2
 
 
 class Parameters(NamedTuple):
-    """The second-order spool; a natural frequency of zero leaves it as it is."""
+    """The second-order spool; a natural frequency of zero leaves it first-order."""
 
     natural_frequency: Annotated[float, quantity("rad/s", "natural frequency; 0: first order", minimum=0.0, maximum=5e3)] = 0.0
     damping: Annotated[float, quantity("1", "damping ratio", minimum=0.01, maximum=2.0)] = 0.7
@@ -30,18 +30,18 @@ class Parameters(NamedTuple):
 
 @kernel
 def command(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Undo the first order for the second."""
+    """Return the command with which (4) gives the second-order response [m]."""
     return z[0] + z[1] / plant.valve_bandwidth if p.natural_frequency > 0.0 else value
 
 
 @kernel
 def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant, dz: Array) -> None:
-    """Move q and its rate."""
+    """Write the rates of q and q'."""
     dz[0] = z[1]
     dz[1] = p.natural_frequency * (p.natural_frequency * (u - z[0]) - 2.0 * p.damping * z[1])
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """From the bandwidth on upward."""
+    """The natural frequency, from one, two and four times the bandwidth, and the damping."""
     frequencies = tuple(factor * rig.plant.valve_bandwidth for factor in (1.0, 2.0, 4.0))
     return (Form({"natural_frequency": frequencies, "damping": (0.7, 0.7, 0.7)}),)

@@ -10,7 +10,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "friction"
-EQUATION = "Ff -> Ff + asymmetry |v|: σf + asymmetry toward +x, σf - asymmetry toward -x"
+EQUATION = "Ff -> Ff + asymmetry |v|: σf + asymmetry along +x, σf - asymmetry along -x"
 SOURCE = "Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models, ... machines with friction, Automatica 30, 1994"
 WORDS = Words(
     "a viscous friction that differs between the directions",
@@ -19,16 +19,16 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """Half the difference of both directions."""
+    """Half the difference between the directions."""
 
     asymmetry: Annotated[
-        float, quantity("N s/m", "viscous friction more toward +x and less toward -x", minimum=-1e6, maximum=1e6)
+        float, quantity("N s/m", "viscous coefficient added along +x, subtracted along -x", minimum=-1e6, maximum=1e6)
     ] = 0.0
 
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Add the difference; friction acts against +x."""
+    """Subtract the added friction, which acts along -x for a positive asymmetry."""
     return value - p.asymmetry * abs(y[V])
 
 

@@ -19,13 +19,13 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """How far the viscous coefficient moves."""
+    """Change of the viscous coefficient."""
 
     added: Annotated[float, quantity("N s/m", "added to the viscous coefficient", minimum=-1e6, maximum=1e6)] = 0.0
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
-    """Return the rig with viscous friction moved."""
+    """Return the rig with the viscous coefficient shifted."""
     return shifted(rig, viscous_coefficient=max(rig.friction.viscous_coefficient + parameters.added, 0.0))
 
 

@@ -1,4 +1,4 @@
-"""What models of one bristle share: its force is the state, its mode the direction of motion."""
+"""What models with one bristle share: its force is the state, its mode the direction of motion."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,7 +8,7 @@ from ehls_ros.physics.friction.base import sign
 
 
 def derived(others: Mapping[str, Any]) -> dict[str, Any]:
-    """Take for the bristle's stiffness that of all elements of another model together."""
+    """Return the bristle's stiffness as the sum of another model's element stiffnesses."""
     total = 0.0
     for stiffness in others.get("element_stiffness", ()):
         total += stiffness
@@ -16,30 +16,30 @@ def derived(others: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def states(p: Any) -> int:
-    """Return 1, the bristle."""
+    """Return 1, for the bristle."""
     return 1
 
 
 def stiffness(p: Any) -> float:
-    """Return the bristle's stiffness."""
+    """Return the bristle's stiffness [N/m]."""
     return float(p.presliding_stiffness)
 
 
 @kernel
 def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Any) -> float:
-    """Return bristle plus viscous force."""
+    """Return bristle force plus viscous force [N]."""
     return F[0] + p.viscous_coefficient * v
 
 
 @kernel
 def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Any) -> float:
-    """Return the motion before the first direction is known, then the motion against it."""
+    """Return the speed while there is no direction yet, afterwards the velocity against the direction [m/s]."""
     return abs(v) if mode[0] == 0.0 else -mode[0] * v
 
 
 @kernel
 def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Any) -> float:
-    """Note the direction of motion."""
+    """Set the mode to the direction of motion."""
     if mode[0] * v <= 0.0:
         mode[0] = sign(v)
     return v
@@ -47,5 +47,5 @@ def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Any) ->
 
 @kernel
 def begin(balance: float, s: float, p: Any, F: Array) -> None:
-    """Let the bristle hold the balance."""
+    """Let the bristle hold the balance, up to the level s."""
     F[0] = min(max(balance, -s), s)

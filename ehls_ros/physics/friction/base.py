@@ -1,34 +1,34 @@
-"""What a friction model's file provides, and what the models share.
+"""What the file of a friction model provides, and what the models share.
 
-A model keeps forces F [N], one an element, and as many modes. A mode is 0 while the contact sticks and +1 or -1 while it
-slips that way; it changes only at an event that the integrator locates, so that the equations are smooth between events.
+A model has a force F [N] and a mode for each element. The mode is 0 while the element sticks, and +1 or -1 while it slips in
+that direction. It changes only at an event that the integrator locates, so the equations are smooth between events.
 
-A file has ``EQUATION`` and ``SOURCE``, and ``Parameters``: a named tuple that declares the keys of the rig file's
-``friction`` section. Of these every model has ``viscous_coefficient``; keys that several models have are declared here.
-Some functions are called from Python, before a run:
+A file has ``EQUATION``, ``SOURCE`` and ``Parameters``, a named tuple that declares the keys of the rig file's ``friction``
+section. Every model has the key ``viscous_coefficient``; keys that several models have are declared here. These functions
+are called from Python before a run:
 
-* ``check(p, where)`` raises :class:`~ehls_ros.errors.BadInput` where keys contradict each other;
+* ``check(p, where)`` raises :class:`~ehls_ros.errors.BadInput` if keys contradict each other;
 * ``states(p)`` returns the number of elements;
-* ``stiffness(p)`` returns the stiffness of the contact at rest [N/m], infinite where it is rigid;
-* ``break_away(p)`` returns the travel from rest after which all of the contact slips [m], 0 where it is rigid;
-* ``relaxation_rate(p, speed)`` returns the rate at which forces approach steady sliding at a speed [m/s], the largest [1/s].
+* ``stiffness(p)`` returns the stiffness of the contact at rest [N/m], infinite if it is rigid;
+* ``break_away(p)`` returns the travel from rest until the whole contact slips [m], 0 if it is rigid;
+* ``relaxation_rate(p, speed)`` returns the largest rate at which forces approach steady sliding at a speed [m/s], in 1/s.
 
 The others are compiled:
 
-* ``level(v, p)``, the friction force of steady sliding at velocity v without its viscous part [N], positive and even in v;
-  at v = 0 the force at break-away;
-* ``rates(v, s, F, mode, p, rate)`` writes the derivatives of F into ``rate`` [N/s];
+* ``level(v, p)`` returns the friction of steady sliding without its viscous part [N], the Stribeck level: positive and even
+  in v; at v = 0 it is the break-away force;
+* ``rates(v, s, F, mode, p, rate)`` writes the derivatives of F to ``rate`` [N/s];
 * ``force(v, applied, s, F, mode, p)`` returns the friction force against +v [N]; at given F, s and modes it depends on v
   through the viscous term alone;
-* ``event(v, applied, s, F, mode, p)`` returns a function of the state that is positive once a mode has to change;
-* ``switch(v, applied, s, F, mode, p)`` changes those modes and returns the velocity after it;
-* ``begin(balance, s, p, F)`` writes into F the forces that hold a balance [N] as far as the level s allows.
+* ``event(v, applied, s, F, mode, p)`` returns an event function, positive once a mode has to change;
+* ``switch(v, applied, s, F, mode, p)`` changes the modes at the event and returns the velocity after it [m/s];
+* ``begin(balance, s, p, F)`` writes to F the forces that hold a balance [N], up to the level s.
 
-Their arguments: ``v`` velocity [m/s]; ``s`` level(v, p) as effects leave it [N]; ``applied`` the sum of all other forces on
-the mass [N]; ``p`` the rig's ``Parameters``.
+Their arguments: ``v`` velocity [m/s]; ``s`` level(v, p) with the effects on it [N]; ``applied`` the sum of all other forces
+on the mass [N]; ``p`` the rig's ``Parameters``.
 
-A file may have ``derived(others)``: it returns keys of its own that follow from those of other models, where a rig file does
-not give them.
+A file may have ``derived(others)``, which returns those of its keys that follow from keys of other models; they apply if the
+rig file does not give them.
 """
 
 import math
@@ -47,14 +47,14 @@ PreslidingStiffness = Annotated[float, quantity("N/m", "stiffness of the contact
 
 
 class FrictionModel(Protocol):
-    """The attributes of one friction model's file; ``derived`` may be absent."""
+    """The attributes of a friction model's file; ``derived`` is optional."""
 
     EQUATION: str
     SOURCE: str
     Parameters: Any
 
     def check(self, p: Any, where: str) -> None:
-        """Raise BadInput where keys contradict each other."""
+        """Raise BadInput if keys contradict each other."""
 
     def states(self, p: Any) -> int:
         """Return the number of elements."""
@@ -63,28 +63,28 @@ class FrictionModel(Protocol):
         """Return the stiffness of the contact at rest [N/m]."""
 
     def break_away(self, p: Any) -> float:
-        """Return the travel from rest after which all of the contact slips [m]."""
+        """Return the travel from rest until the whole contact slips [m]."""
 
     def relaxation_rate(self, p: Any, speed: float) -> float:
         """Return the largest rate at which forces approach steady sliding at a speed [m/s], in 1/s."""
 
     def level(self, v: float, p: Any) -> float:
-        """Return the force of steady sliding without its viscous part [N]."""
+        """Return the friction of steady sliding without its viscous part, the Stribeck level [N]."""
 
     def rates(self, v: float, s: float, F: Array, mode: Array, p: Any, rate: Array) -> None:
-        """Write the derivatives of the forces into ``rate`` [N/s]."""
+        """Write the derivatives of the forces to ``rate`` [N/s]."""
 
     def force(self, v: float, applied: float, s: float, F: Array, mode: Array, p: Any) -> float:
         """Return the friction force against +v [N]."""
 
     def event(self, v: float, applied: float, s: float, F: Array, mode: Array, p: Any) -> float:
-        """Return a function of the state that is positive once a mode has to change."""
+        """Return an event function, positive once a mode has to change."""
 
     def switch(self, v: float, applied: float, s: float, F: Array, mode: Array, p: Any) -> float:
-        """Change the modes whose event has come and return the velocity after it [m/s]."""
+        """Change the modes at the event and return the velocity after it [m/s]."""
 
     def begin(self, balance: float, s: float, p: Any, F: Array) -> None:
-        """Write the forces that hold a balance into ``F`` [N]."""
+        """Write the forces that hold a balance [N] to ``F``, up to the level s."""
 
 
 @kernel
@@ -96,7 +96,7 @@ def stribeck_level(v: float, p: Any) -> float:
 
 
 def check_stribeck(p: Any, where: str) -> None:
-    """Raise BadInput where a Stribeck curve rises from standstill to motion."""
+    """Raise BadInput if the Coulomb friction exceeds the static friction."""
     if p.coulomb_force > p.static_force:
         raise BadInput(f"coulomb_force is {p.coulomb_force:g}", where, f"at most static_force = {p.static_force:g} N")
 

@@ -1,4 +1,4 @@
-"""Dahl's friction: one bristle that softens on its way to the Coulomb force and hardens at once when the motion turns round."""
+"""Dahl friction: one bristle that softens towards the Coulomb force and regains its stiffness at a reversal."""
 
 from typing import Annotated, NamedTuple
 
@@ -14,41 +14,41 @@ SOURCE = "Dahl, A solid friction model, 1968; Solid friction damping of mechanic
 
 
 class Parameters(NamedTuple):
-    """Coulomb friction and the way to it; the viscous term is added to Dahl's."""
+    """Coulomb friction and presliding; the viscous term is an addition to Dahl's model."""
 
     coulomb_force: CoulombForce
     viscous_coefficient: ViscousCoefficient
     presliding_stiffness: PreslidingStiffness
     softening_exponent: Annotated[
-        float, quantity("1", "how the bristle softens towards the Coulomb force, i", minimum=1.0, maximum=4.0)
+        float, quantity("1", "exponent of the bristle's softening towards the Coulomb force, i", minimum=1.0, maximum=4.0)
     ] = 1.0
 
 
 def check(p: Parameters, where: str) -> None:
-    """Raise nothing: no key bounds another."""
+    """Accept all parameters: no key bounds another."""
 
 
 def break_away(p: Parameters) -> float:
-    """Return the travel over which a bristle of constant stiffness reaches Fc."""
+    """Return the travel over which a bristle of constant stiffness reaches Fc [m]."""
     return p.coulomb_force / p.presliding_stiffness
 
 
 @kernel
 def level(v: float, p: Parameters) -> float:
-    """Return Fc, which does not depend on the velocity."""
+    """Return Fc at any velocity [N]."""
     return p.coulomb_force
 
 
 @kernel
 def rates(v: float, s: float, F: Array, mode: Array, p: Parameters, rate: Array) -> None:
     """Deflect the bristle."""
-    # Once there is motion the mode is sgn(v); before, F is 0.
-    room = 1.0 - mode[0] * F[0] / s
-    softened = room if p.softening_exponent == 1.0 else abs(room) ** (p.softening_exponent - 1.0) * room
-    rate[0] = p.presliding_stiffness * softened * v
+    # In motion the mode is sgn(v); before the first motion F is 0.
+    margin = 1.0 - mode[0] * F[0] / s
+    softening = margin if p.softening_exponent == 1.0 else abs(margin) ** (p.softening_exponent - 1.0) * margin
+    rate[0] = p.presliding_stiffness * softening * v
 
 
 def relaxation_rate(p: Parameters, speed: float) -> float:
-    """Return that of the smallest force, i 2^(i-1) σ0 |v|/Fc: where the motion has just turned round in full slip."""
+    """Return i 2^(i-1) σ0 |v|/Fc [1/s], the rate just after a reversal from full slip, when F sgn(v) = -Fc."""
     steepest = p.softening_exponent * 2.0 ** (p.softening_exponent - 1.0)
     return steepest * p.presliding_stiffness * abs(speed) / p.coulomb_force

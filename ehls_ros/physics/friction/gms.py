@@ -1,7 +1,7 @@
 """Generalised Maxwell slip friction.
 
-(8) as printed has sgn(v) outside the bracket and diverges for v < 0; the form here has the steady state (9). An element
-breaks away in the direction of motion only: the printed |F_i| >= alpha_i s(v) would let an element that is being unloaded
+(8) as printed has sgn(v) outside the bracket and diverges for v < 0; the form used here has the steady state (9). An element
+breaks away only in the direction of motion: with the printed |F_i| >= alpha_i s(v), an element that is being unloaded could
 slip against the motion.
 """
 
@@ -37,9 +37,9 @@ class Parameters(NamedTuple):
     stribeck_exponent: StribeckExponent
     viscous_coefficient: ViscousCoefficient
     element_stiffness: Annotated[tuple[float, ...], text("presliding stiffness k_i of each element", "N/m")]
-    element_weight: Annotated[tuple[float, ...], text("fraction alpha_i of each element; they sum to 1", "1")]
+    element_weight: Annotated[tuple[float, ...], text("weight alpha_i of each element; the weights sum to 1", "1")]
     attraction_rate: Annotated[
-        float, quantity("N/s", "rate C at which a slipping element nears the Stribeck curve", above=0.0, maximum=1e20)
+        float, quantity("N/s", "rate C at which a slipping element approaches the Stribeck curve", above=0.0, maximum=1e20)
     ]
 
 
@@ -47,10 +47,10 @@ level = stribeck_level
 
 
 def check(p: Parameters, where: str) -> None:
-    """Raise BadInput where the elements' lists do not fit together, or the Stribeck curve rises."""
+    """Raise BadInput if the lists of the elements do not match, or Coulomb exceeds static friction."""
     if not p.element_stiffness or len(p.element_stiffness) != len(p.element_weight):
         what = f"{len(p.element_stiffness)} element_stiffness and {len(p.element_weight)} element_weight"
-        raise BadInput(what, where, "equally many, at least one")
+        raise BadInput(what, where, "lists of the same length, with at least one element")
     for key, values in (("element_stiffness", p.element_stiffness), ("element_weight", p.element_weight)):
         if not all(0.0 < value < math.inf for value in values):
             raise BadInput(f"{key} is {list(values)}", where, "finite numbers above 0")
@@ -65,18 +65,18 @@ def states(p: Parameters) -> int:
 
 
 def stiffness(p: Parameters) -> float:
-    """Return the stiffness of all elements together."""
+    """Return the sum of the elements' stiffnesses [N/m]."""
     return float(sum(p.element_stiffness))
 
 
 def break_away(p: Parameters) -> float:
-    """Return the travel after which the last element slips."""
+    """Return the travel after which the last element slips [m]."""
     return max(p.static_force * weight / k for weight, k in zip(p.element_weight, p.element_stiffness, strict=True))
 
 
 @kernel
 def rates(v: float, s: float, F: Array, mode: Array, p: Parameters, rate: Array) -> None:
-    """Stick follows (6), slip (8)."""
+    """Write (6) for sticking elements and (8) for slipping ones."""
     for i in range(len(p.element_stiffness)):
         if mode[i] == 0.0:
             rate[i] = p.element_stiffness[i] * v  # (6)
@@ -86,7 +86,7 @@ def rates(v: float, s: float, F: Array, mode: Array, p: Parameters, rate: Array)
 
 @kernel
 def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
-    """Return (5)."""
+    """Return the friction force (5) [N]."""
     total = p.viscous_coefficient * v
     for i in range(len(p.element_stiffness)):
         total += F[i]
@@ -95,7 +95,7 @@ def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Paramete
 
 @kernel
 def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
-    """Return the excess over break-away of a sticking element, or the motion against a slipping one; the largest."""
+    """Return the largest of the sticking elements' excess over break-away and the velocity against the slipping ones."""
     largest = -np.inf
     direction = sign(v)
     for i in range(len(p.element_stiffness)):
@@ -106,7 +106,7 @@ def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Paramete
 
 @kernel
 def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
-    """Let an element break away, or stick at the reversal."""
+    """Let elements break away, or stick at a reversal."""
     direction = sign(v)
     for i in range(len(p.element_stiffness)):
         if mode[i] == 0.0:
@@ -118,13 +118,13 @@ def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Paramet
 
 
 def relaxation_rate(p: Parameters, speed: float) -> float:
-    """Return C/Fc, that of a slipping element at high speed."""
+    """Return C/Fc [1/s], the rate of a slipping element at high speed."""
     return p.attraction_rate / p.coulomb_force
 
 
 @kernel
 def begin(balance: float, s: float, p: Parameters, F: Array) -> None:
-    """Share the balance among the elements by their weights."""
+    """Divide the balance among the elements by their weights, up to the level s."""
     total = 0.0
     for i in range(len(p.element_weight)):
         total += p.element_weight[i]

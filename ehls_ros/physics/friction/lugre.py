@@ -36,17 +36,17 @@ check, level = check_stribeck, stribeck_level
 
 
 def break_away(p: Parameters) -> float:
-    """Return the travel over which a bristle of constant stiffness reaches Fs."""
+    """Return the travel over which a bristle of constant stiffness reaches Fs [m]."""
     return p.static_force / p.presliding_stiffness
 
 
 @kernel
 def rates(v: float, s: float, F: Array, mode: Array, p: Parameters, rate: Array) -> None:
-    """Deflect the bristle, relaxing towards s(v) in proportion to the distance travelled."""
-    # mode v is |v|, and unlike it smooth where a step is tried beyond a reversal.
+    """Deflect the bristle."""
+    # mode v is |v|, but stays smooth when a trial step passes a reversal.
     rate[0] = p.presliding_stiffness * (v - mode[0] * v * F[0] / s)
 
 
 def relaxation_rate(p: Parameters, speed: float) -> float:
-    """Return σ0 |v|/Fc."""
+    """Return σ0 |v|/Fc [1/s]."""
     return p.presliding_stiffness * abs(speed) / p.coulomb_force

@@ -1,4 +1,4 @@
-"""Static Stribeck friction with true standstill: while it sticks it balances the applied force."""
+"""Static Stribeck friction with true standstill: while sticking, it balances the applied force."""
 
 import math
 from typing import NamedTuple
@@ -33,29 +33,29 @@ check, level = check_stribeck, stribeck_level
 
 
 def states(p: Parameters) -> int:
-    """Return 1: the contact, of which only the mode is used."""
+    """Return 1, for the contact; only its mode is used."""
     return 1
 
 
 def stiffness(p: Parameters) -> float:
-    """Return infinity: the contact is rigid."""
+    """Return infinity: the contact is rigid [N/m]."""
     return math.inf
 
 
 def break_away(p: Parameters) -> float:
-    """Return 0: the contact is rigid."""
+    """Return 0: the contact is rigid [m]."""
     return 0.0
 
 
 @kernel
 def rates(v: float, s: float, F: Array, mode: Array, p: Parameters, rate: Array) -> None:
-    """Keep the state at rest: the law is static."""
+    """Write 0: the model is static."""
     rate[0] = 0.0
 
 
 @kernel
 def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
-    """Return the slipping force, or the balance at standstill."""
+    """Return the force of sliding, or the applied force at standstill [N]."""
     if mode[0] == 0.0:
         return applied
     return mode[0] * s + p.viscous_coefficient * v
@@ -63,7 +63,7 @@ def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Paramete
 
 @kernel
 def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
-    """Return the excess over break-away at s(0) = Fs, or the motion against the direction of slip."""
+    """Return the excess of the applied force over s(0) = Fs, or the velocity against the direction of slip."""
     if mode[0] == 0.0:
         return abs(applied) - s
     return -mode[0] * v
@@ -71,7 +71,7 @@ def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Paramete
 
 @kernel
 def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
-    """Break away along the applied force; stop, or reverse where that force is larger than Fs."""
+    """Break away in the direction of the applied force; at a reversal stop, unless that force exceeds Fs."""
     if mode[0] == 0.0:
         if abs(applied) > s:
             mode[0] = sign(applied)
@@ -83,11 +83,11 @@ def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Paramet
 
 
 def relaxation_rate(p: Parameters, speed: float) -> float:
-    """Return 0: there is nothing to relax."""
+    """Return 0: the model has no dynamics [1/s]."""
     return 0.0
 
 
 @kernel
 def begin(balance: float, s: float, p: Parameters, F: Array) -> None:
-    """Leave the force at 0: while it sticks, the contact balances the applied force."""
+    """Write 0: a sticking contact balances the applied force by itself."""
     F[0] = 0.0
