@@ -80,9 +80,9 @@ def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress
         best, scale = _added(evidence, pool, starts, nothing, singles, progress)
     else:
         [best] = _fitted(evidence, pool, [Start(_afresh(evidence, begin.hypothesis, begin.values, begin.steps))])
-        scale = _inflation(evidence, [best, *singles])
+        scale = inflations(evidence, [best, *singles])
     best, places = _exchanged(evidence, pool, best, starts, Place(nothing, tuple(singles)), scale)
-    scale = _inflation(evidence, [best, *[rival for place in places for rival in place.rivals]])
+    scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
     progress("causes together", 1.0)
     return Searched(best, places, tuple(screened), scale)
 
@@ -92,9 +92,9 @@ def _added(
 ) -> tuple[Assessment, dict[Channel, float]]:
     """Add causes to each other as long as each brings enough; return the best hypothesis and the inflation."""
     best, level = nothing, singles
-    scale = _inflation(evidence, [nothing, *singles])
+    scale = inflations(evidence, [nothing, *singles])
     for count in range(1, rules.MOST_CAUSES + 1):
-        scale = _inflation(evidence, [best, *level])
+        scale = inflations(evidence, [best, *level])
         ranked = [j for j in _ranked(level, scale) if accepted(evidence, j, best, scale)]
         if not ranked:
             break
@@ -162,7 +162,7 @@ def _fitted(
     )
 
 
-def _inflation(evidence: Evidence, found: Sequence[Assessment]) -> dict[Channel, float]:
+def inflations(evidence: Evidence, found: Sequence[Assessment]) -> dict[Channel, float]:
     """Return the inflation of each channel under the hypothesis that explains the channel best."""
     best = {c: min((j.fit.residuals.values[c] for j in found), key=lambda e: float(np.sum(loss(e)))) for c in evidence.channels}
     return {c: inflation(e) * evidence.correlation.get(c, 1.0) for c, e in best.items()}
@@ -204,7 +204,7 @@ def _exchanged(
         missing = [i for i, key in enumerate(keys) if key not in known]
         known.update(zip([keys[i] for i in missing], pool.lead(partial(place_of, best), missing), strict=True))
         places = tuple(Place(known[key].without, _ranked(known[key].rivals, scale)) for key in keys)
-        scale = _inflation(evidence, [best, *[rival for place in places for rival in place.rivals]])
+        scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
         if exchanges == rules.MOST_EXCHANGES:
             break
         simple = simpler(best, places, scale)
