@@ -50,7 +50,7 @@ def partial_answer(
         return None
     known = allowing(evidence, found.best.held_out.residuals.values)
     again = search(known, tried, threads, progress, found.best.fit)
-    return PartialAnswer(known, again) if again.best.names and worthwhile(known, again) else None
+    return PartialAnswer(known, again) if again.best.names and worthwhile(known, again.best) else None
 
 
 def allowing(evidence: Evidence, left: Mapping[Channel, Array]) -> Evidence:
@@ -91,14 +91,14 @@ def correlated(e: Array) -> float:
     return max(1.0, float(times[ended[0]] if ended.size else times[-1]))
 
 
-def worthwhile(evidence: Evidence, found: Searched) -> bool:
-    """Tell whether causes close enough of the removable error to be worth naming, in the channel where they explain most."""
-    return closed(evidence, found.best) >= rules.WORTHWHILE
+def worthwhile(evidence: Evidence, best: Assessment) -> bool:
+    """Tell whether a hypothesis is worth naming: where it explains most it closes most of the error, and leaves a small one."""
+    after = best.held_out.residuals.values
+    main = max(evidence.channels, key=lambda c: float(np.sum(evidence.base.values[c] ** 2 - after[c] ** 2)))
+    little = evidence.nrmse(main, after[main]) <= rules.FORM_LEFT
+    return little and closed(evidence.base.values[main], after[main], evidence.noise[main]) >= rules.WORTHWHILE
 
 
-def closed(evidence: Evidence, best: Assessment) -> float:
-    """Return the fraction of the removable error that a hypothesis closes in the channel where it explains most."""
-    nothing = evidence.base.values
-    main = max(evidence.channels, key=lambda c: float(np.sum(nothing[c] ** 2 - best.held_out.residuals.values[c] ** 2)))
-    before, after = power(nothing[main]), power(best.held_out.residuals.values[main])
-    return (before - after) / max(before - power(evidence.noise[main]), 1e-300)
+def closed(before: Array, after: Array, noise: Array) -> float:
+    """Return the fraction of the error beyond noise that is gone, of whitened residuals."""
+    return (power(before) - power(after)) / max(power(before) - power(noise), 1e-300)

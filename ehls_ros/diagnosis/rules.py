@@ -592,7 +592,17 @@ SOKAL_WINDOW: Annotated[
 WORTHWHILE: Annotated[
     float,
     Rule("partial answer", "1", "Fraction of the removable error that causes must close to be named although more remains."),
-] = 0.25
+] = 0.5
+
+FORM_LEFT: Annotated[
+    float,
+    Rule(
+        "partial answer",
+        "1",
+        "Largest remainder, relative to the largest term of the balance, that the form of a model may leave.",
+        "twice the 5 % that models of real rigs are off by in one stage",
+    ),
+] = 0.1
 
 IMPERFECT: Annotated[
     float, Rule("partial answer", "1", "Largest probability of a cause that is named although more than noise remains.")

@@ -7,7 +7,7 @@ from plain_evidence import MASS, VISCOUS, evidence_of, linear_fit, nothing
 from ehls_ros.diagnosis.acceptance import accepted
 from ehls_ros.diagnosis.loss import power
 from ehls_ros.diagnosis.partial import allowing, closed, correlated, worthwhile
-from ehls_ros.diagnosis.search import Place, Searched, inflations
+from ehls_ros.diagnosis.search import inflations
 
 WINDOWS = 4000
 
@@ -56,9 +56,19 @@ def test_the_fraction_closed_is_of_what_noise_does_not_explain(rng):
     form = autoregressive(rng, 0.9, WINDOWS)
     evidence = evidence_of({"force": 6.0 * shape + 2.0 * form + rng.standard_normal(WINDOWS)})
     best = linear_fit(evidence, (MASS,), shape[:, None])
-    # 6^2 / 2 of 6^2 / 2 + 2^2
-    assert closed(evidence, best) == pytest.approx(18.0 / 22.0, abs=0.03)
-    assert worthwhile(evidence, Searched(best, (Place(nothing(evidence), ()),), (), {"force": 1.0}))
+    # The mean squares of shape and form, of which the first is gone.
+    before, after = evidence.base.values["force"], best.held_out.residuals.values["force"]
+    assert closed(before, after, evidence.noise["force"]) == pytest.approx(18.0 / 22.0, abs=0.03)
+    assert worthwhile(evidence, best)
+
+
+def test_what_closes_too_little_or_leaves_too_much_is_not_worth_a_name(rng):
+    shape, form = np.sin(np.arange(WINDOWS) / 9.0), autoregressive(rng, 0.9, WINDOWS)
+    little = evidence_of({"force": 2.0 * shape + 2.0 * form})
+    assert not worthwhile(little, linear_fit(little, (MASS,), shape[:, None]))
+    # The largest term of the balance is 100.
+    large = evidence_of({"force": 60.0 * shape + 20.0 * form})
+    assert not worthwhile(large, linear_fit(large, (MASS,), shape[:, None]))
 
 
 def test_what_only_fits_the_form_of_the_remainder_is_not_a_cause(rng):
