@@ -30,13 +30,14 @@ STAGE_OF_GROUP: Mapping[str, Stage] = {
 """The stage of the model an effect belongs to, by the group its file names."""
 
 
-def causes(evidence: Evidence, found: Searched, seed: int) -> tuple[Cause, ...]:
+def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0) -> tuple[Cause, ...]:
     """Describe the causes of the best hypothesis, those that explain most first.
 
     Args:
         evidence: the recording compared with the given model.
         found: the result of the search.
         seed: of the resampling.
+        most: largest probability that a cause may have.
     """
     best, scale = found.best, found.inflation
     groups = [EFFECTS.load(candidate.name).GROUP for candidate in best.hypothesis]
@@ -53,6 +54,7 @@ def causes(evidence: Evidence, found: Searched, seed: int) -> tuple[Cause, ...]:
             probability *= rules.BOTH_RIGHT
         if remainder_in(evidence, best, mostly_in(best, place.without)).doubtful:
             probability *= rules.FORM_RIGHT
+        probability = min(probability, most)
         equivalent = tuple(
             j.hypothesis[-1].name
             for j in others

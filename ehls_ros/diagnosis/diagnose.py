@@ -5,6 +5,7 @@ import time
 from collections.abc import Mapping, Sequence
 
 from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.causes import causes
 from ehls_ros.diagnosis.dependence import depends_on, signals_along
 from ehls_ros.diagnosis.evidence import Evidence, gather
@@ -12,6 +13,7 @@ from ehls_ros.diagnosis.excitation import excited, sensitivities, sliding
 from ehls_ros.diagnosis.gain import gain
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
+from ehls_ros.diagnosis.partial import partial_answer
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.remainder import Remainder, remainders
@@ -61,26 +63,33 @@ def diagnose(
     main = main_channel(evidence.channels)
     lines = spectral_lines(evidence.base.values[main], evidence.times[main])
     tried, not_tried = candidates(record, rig, lines)
-    found = search(evidence, tried, threads or os.cpu_count() or 1, progress)
+    workers = threads or os.cpu_count() or 1
+    found = search(evidence, tried, workers, progress)
     model = extended(rig, found.best.hypothesis, found.best.fit.values)
     sizes = sensitivities(evidence, found.screened)
     findings = _findings(evidence, sizes, remainders(evidence, found))
     named = causes(evidence, found, seed)
     verdict, unknown = decide(findings, [cause.stage for cause in named])
+    answer = partial_answer(evidence, found, tried, workers, progress) if verdict == "unknown" else None
+    known, best = (evidence, found.best) if answer is None else (answer.evidence, answer.found.best)
+    if answer is not None:
+        verdict, named = "partial", causes(answer.evidence, answer.found, seed, most=rules.IMPERFECT)
+        model = extended(rig, best.hypothesis, best.fit.values)
+    names = verdict in ("effect", "partial")
     signals = signals_along(evidence.comparison(), model)
-    stages = _stage_results(evidence, found.best, findings, signals)
+    stages = _stage_results(known, best, findings, signals)
     return Diagnosis(
         verdict=verdict,
         missing=_missing(stages),
         stages=stages,
-        causes=named if verdict == "effect" else (),
+        causes=named if names else (),
         unknown_stage=unknown,
         depends_on=stages[unknown].depends_on if unknown is not None else (),
         partial=tuple(c.name for c in named) if verdict == "unknown" else (),
-        gain=gain(evidence, found.best, seed) if verdict == "effect" else None,
+        gain=gain(known, best, seed) if names else None,
         rig=rig,
-        extended=model if verdict == "effect" else rig,
-        traces={c: _trace(evidence, signals, found.best, c) for c in evidence.channels},
+        extended=model if names else rig,
+        traces={c: _trace(evidence, signals, known.floor[c] * best.held_out.residuals.values[c], c) for c in evidence.channels},
         sensitivities=sizes,
         not_judged=not_tried,
         remarks=(*record.remarks, *_incidents(findings)),
@@ -151,14 +160,14 @@ def _nothing_recorded(record: Record, rig: Rig, seed: int, began: float) -> Diag
     )
 
 
-def _trace(evidence: Evidence, signals: Mapping[str, Array], best: Assessment, channel: Channel) -> ChannelTrace:
+def _trace(evidence: Evidence, signals: Mapping[str, Array], after: Array, channel: Channel) -> ChannelTrace:
     floor = evidence.floor[channel]
     return ChannelTrace(
         channel=channel,
         unit=UNITS[channel],
         time=evidence.times[channel],
         before=evidence.base.values[channel] * floor,
-        after=best.held_out.residuals.values[channel] * floor,
+        after=after,
         floor=floor,
         noise=evidence.noise[channel] * floor,
         against={name: evidence.means(channel, values) for name, values in signals.items() if name != "time_s"},

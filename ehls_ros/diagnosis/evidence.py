@@ -57,6 +57,8 @@ class Evidence:
         noise: what as much noise again as the sensors have adds to these.
         noisy_record: the recording with that noise.
         travel: range of the piston's motion [m].
+        correlation: by channel, the number of windows over which residuals are alike; their losses count as those of so many
+            fewer. Windows of noise alone count one by one.
     """
 
     record: Record
@@ -73,6 +75,7 @@ class Evidence:
     noise: Mapping[Channel, Array]
     noisy_record: Record = field(repr=False)
     travel: float
+    correlation: Mapping[Channel, float] = field(default_factory=dict)
 
     def comparison(self) -> Comparison:
         """Return a new comparison, one for each thread."""

@@ -9,7 +9,7 @@ from ehls_ros.diagnosis.stages import Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.rig import Rig
 
-Verdict = Literal["consistent", "effect", "unknown", "insufficient"]
+Verdict = Literal["consistent", "effect", "partial", "unknown", "insufficient"]
 
 
 class StageResult(NamedTuple):
@@ -152,11 +152,11 @@ class Diagnosis:
         verdict: in one word.
         missing: what the data lack to judge a stage, one sentence for each that is not judged.
         stages: how each stage of the model does.
-        causes: for ``effect``, the causes, those that gain most first.
+        causes: for ``effect`` and ``partial``, the causes, those that gain most first.
         unknown_stage: the stage in which most remains that no effect explains, if there is one.
         depends_on: the signals on which that remainder depends.
         partial: for ``unknown``, names of the effects that explain a part of it.
-        gain: for ``effect``, what the extended model gains.
+        gain: where causes are named, what the extended model gains.
         rig: the given model.
         extended: the model with the causes; the given model if there are none.
         traces: residuals, by channel.
@@ -183,3 +183,8 @@ class Diagnosis:
     remarks: tuple[str, ...]
     seed: int
     wall_s: float
+
+    @property
+    def names_causes(self) -> bool:
+        """Whether causes are named, with or without a remainder that they do not explain."""
+        return self.verdict in ("effect", "partial")

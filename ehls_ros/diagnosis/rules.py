@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from typing import Annotated, Literal, NamedTuple, get_args, get_type_hints
 
-Step = Literal["record", "stages", "evidence", "hypotheses", "fit", "starts", "search", "verdict", "free run"]
+Step = Literal["record", "stages", "evidence", "hypotheses", "fit", "starts", "search", "verdict", "partial answer", "free run"]
 STEPS: tuple[Step, ...] = get_args(Step)
 
 CHOSEN = "chosen"
@@ -582,6 +582,31 @@ DEPENDS: Annotated[
 DEPENDS_BESIDE: Annotated[
     float, Rule("verdict", "1", "Fraction of what the strongest signal explains that another must reach to be named beside it.")
 ] = 0.4
+
+# --- partial answer ---------------------------------------------------------------------------
+
+SOKAL_WINDOW: Annotated[
+    float, Rule("partial answer", "1", "Lags over which a correlation is summed, in correlation times.", "Sokal 1997")
+] = 5.0
+
+WORTHWHILE: Annotated[
+    float,
+    Rule("partial answer", "1", "Fraction of the removable error that causes must close to be named although more remains."),
+] = 0.5
+
+FORM_LEFT: Annotated[
+    float,
+    Rule(
+        "partial answer",
+        "1",
+        "Largest remainder, relative to the largest term of the balance, that the form of a model may leave.",
+        "twice the 5 % that models of real rigs are off by in one stage",
+    ),
+] = 0.1
+
+IMPERFECT: Annotated[
+    float, Rule("partial answer", "1", "Largest probability of a cause that is named although more than noise remains.")
+] = 0.85
 
 # --- free run --------------------------------------------------------------------------------
 

@@ -6,12 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import accepted
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Start, Worker, base_loss, newton_start, predicted_loss
 from ehls_ros.diagnosis.held_out import Assessment, assess
-from ehls_ros.diagnosis.hypotheses import Candidate, parts
+from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, parts
 from ehls_ros.diagnosis.loss import inflation, loss
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.stages import Channel
@@ -46,7 +47,9 @@ class Searched(NamedTuple):
     inflation: Mapping[Channel, float]
 
 
-def search(evidence: Evidence, found: Sequence[Candidate], threads: int, progress: Progress) -> Searched:
+def search(
+    evidence: Evidence, found: Sequence[Candidate], threads: int, progress: Progress, begin: Fit | None = None
+) -> Searched:
     """Find the causes that explain a recording.
 
     Args:
@@ -54,15 +57,17 @@ def search(evidence: Evidence, found: Sequence[Candidate], threads: int, progres
         found: the causes to try.
         threads: how many to try at once.
         progress: called with the progress.
+        begin: a hypothesis to start from, of which each cause is exchanged or dropped; by default the causes are added to
+            each other one by one.
     """
     pool = Pool(evidence, threads)
     try:
-        return _search(evidence, found, pool, progress)
+        return _search(evidence, found, pool, progress, begin)
     finally:
         pool.close()
 
 
-def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress: Progress) -> Searched:
+def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress: Progress, begin: Fit | None) -> Searched:
     starts = Starts(evidence, pool, found, progress)
     screened = starts.alone
     nothing = assess(evidence, _nothing(evidence))
@@ -71,11 +76,25 @@ def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress
     singles = _fitted(evidence, pool, [newton_start(screened[i]) for i in order], rules.FITTED_SINGLES)
     progress("causes together", 0.55)
 
-    best = nothing
-    scale = _inflation(evidence, [nothing, *singles])
-    level = singles
+    if begin is None:
+        best, scale = _added(evidence, pool, starts, nothing, singles, progress)
+    else:
+        [best] = _fitted(evidence, pool, [Start(_afresh(evidence, begin.hypothesis, begin.values, begin.steps))])
+        scale = inflations(evidence, [best, *singles])
+    best, places = _exchanged(evidence, pool, best, starts, Place(nothing, tuple(singles)), scale)
+    scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
+    progress("causes together", 1.0)
+    return Searched(best, places, tuple(screened), scale)
+
+
+def _added(
+    evidence: Evidence, pool: Pool, starts: Starts, nothing: Assessment, singles: list[Assessment], progress: Progress
+) -> tuple[Assessment, dict[Channel, float]]:
+    """Add causes to each other as long as each brings enough; return the best hypothesis and the inflation."""
+    best, level = nothing, singles
+    scale = inflations(evidence, [nothing, *singles])
     for count in range(1, rules.MOST_CAUSES + 1):
-        scale = _inflation(evidence, [best, *level])
+        scale = inflations(evidence, [best, *level])
         ranked = [j for j in _ranked(level, scale) if accepted(evidence, j, best, scale)]
         if not ranked:
             break
@@ -85,14 +104,16 @@ def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress
         beam = _distinct(ranked)[: rules.BEAM]
         level = _fitted(evidence, pool, [start for member in beam for start in starts.extensions(member)])
         progress("causes together", 0.55 + 0.1 * count)
-    best, places = _exchanged(evidence, pool, best, starts, Place(nothing, tuple(singles)), scale)
-    scale = _inflation(evidence, [best, *[rival for place in places for rival in place.rivals]])
-    progress("causes together", 1.0)
-    return Searched(best, places, tuple(screened), scale)
+    return best, scale
 
 
 def _nothing(evidence: Evidence) -> Fit:
-    return Fit((), np.empty(0), (), evidence.base, np.empty((0, 0)), 0.0, np.empty(0))
+    return _afresh(evidence, (), np.empty(0), np.empty(0))
+
+
+def _afresh(evidence: Evidence, hypothesis: Hypothesis, values: Array, steps: Array) -> Fit:
+    """Return a hypothesis to be evaluated, with steps for its derivatives."""
+    return Fit(hypothesis, values, (), evidence.base, np.empty((0, 0)), 0.0, steps)
 
 
 def _ranked(found: Sequence[Assessment], scale: Mapping[Channel, float]) -> tuple[Assessment, ...]:
@@ -141,10 +162,10 @@ def _fitted(
     )
 
 
-def _inflation(evidence: Evidence, found: Sequence[Assessment]) -> dict[Channel, float]:
+def inflations(evidence: Evidence, found: Sequence[Assessment]) -> dict[Channel, float]:
     """Return the inflation of each channel under the hypothesis that explains the channel best."""
     best = {c: min((j.fit.residuals.values[c] for j in found), key=lambda e: float(np.sum(loss(e)))) for c in evidence.channels}
-    return {c: inflation(e) for c, e in best.items()}
+    return {c: inflation(e) * evidence.correlation.get(c, 1.0) for c, e in best.items()}
 
 
 def _distinct(ranked: Sequence[Assessment]) -> list[Assessment]:
@@ -183,7 +204,7 @@ def _exchanged(
         missing = [i for i, key in enumerate(keys) if key not in known]
         known.update(zip([keys[i] for i in missing], pool.lead(partial(place_of, best), missing), strict=True))
         places = tuple(Place(known[key].without, _ranked(known[key].rivals, scale)) for key in keys)
-        scale = _inflation(evidence, [best, *[rival for place in places for rival in place.rivals]])
+        scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
         if exchanges == rules.MOST_EXCHANGES:
             break
         simple = simpler(best, places, scale)
@@ -233,5 +254,5 @@ def _without(evidence: Evidence, pool: Pool, best: Assessment, index: int, nothi
         return nothing
     keep = np.ones(len(best.fit.values), dtype=np.bool_)
     keep[parts(best.hypothesis)[index]] = False
-    start = Fit(hypothesis, best.fit.values[keep], (), best.fit.residuals, np.empty((0, 0)), 0.0, best.fit.steps[keep])
-    return _fitted(evidence, pool, [Start(start)])[0]
+    start = _afresh(evidence, hypothesis, best.fit.values[keep], best.fit.steps[keep])
+    return _fitted(evidence, pool, [Start(start._replace(residuals=best.fit.residuals))])[0]

@@ -45,7 +45,7 @@ def diagnosis_jobs(rig: Rig) -> list[Job]:
 def consequences_jobs(diagnosis: Diagnosis) -> list[Job]:
     """Return the kernels of the experiments that follow a diagnosis."""
     given, extended = diagnosis.rig, diagnosis.extended
-    if diagnosis.verdict != "effect":
+    if not diagnosis.names_causes:
         return [_plant(given)]
     loops = {loop_kernel(spec): spec for spec in runs(given, extended)}
     jobs = [Job(partial(loop_kernel, spec), partial(_loop, spec)) for spec in loops.values()]

@@ -100,7 +100,7 @@ def consequences(
             _compiled(diagnosis, workers, progress)
         progress("simulating a free run", 0.0)
         run = _tried("free run", remarks, lambda: free_run(trajectory, diagnosis.rig, diagnosis.extended, name))
-    if diagnosis.verdict == "effect":
+    if diagnosis.names_causes:
         progress("running the controller on the extended plant", 0.3)
         controller = _tried("run of the controller", remarks, lambda: controller_benefit(diagnosis.rig, diagnosis.extended))
         candidates = _tried("next experiment", remarks, lambda: open_candidates(diagnosis)) or {}

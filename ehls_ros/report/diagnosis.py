@@ -21,6 +21,7 @@ from ehls_ros.report.page import MISSING_NUMBER, Entry, LeftOut, Panel, Row, lis
 
 TITLES = {
     "effect": "What is wrong in the simulation",
+    "partial": "What is wrong in the simulation, and what remains",
     "unknown": "The simulation is wrong, the cause unknown",
     "consistent": "The simulation agrees with the recording",
     "insufficient": "The data are insufficient",
@@ -40,7 +41,7 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
     sentence, good = findings.verdict_sentence(found)
     parts = [
         ("The cause" if len(found.causes) < 2 else "The causes", causes(found)),
-        ("Unexplained", unexplained(found)),
+        ("What remains" if found.names_causes else "Unexplained", unexplained(found)),
         ("What to record", insufficient(found)),
         ("Stage by stage", _stages(found)),
         ("Alternatives", rivals(found)),
@@ -110,7 +111,7 @@ def _stages(found: Diagnosis) -> list[str]:
 
 
 def _gain(found: Diagnosis, follows: Consequences) -> list[str]:
-    if found.verdict != "effect":
+    if not found.names_causes:
         return []
     blocks = []
     gain = found.gain
@@ -247,7 +248,8 @@ _METHOD = (
     " of the simulator is then fitted to some segments of the recording, alone and in combination, and evaluated on the others,"
     " so that a more flexible model wins only if it predicts. A cause is named if its gain exceeds chance, its parameter is"
     f" significantly different from neutral, and at most {100.0 * (1.0 - CLOSED):.0f} % of the error beyond the noise remains;"
-    " the best alternatives are kept beside it. Where an error remains that no effect closes, the verdict is 'unknown', and the"
-    " signals that predict it are named."
+    " the best alternatives are kept beside it. Where more remains, it is counted as noise and the causes are assessed again"
+    " beside it: those that still matter are named, the verdict is 'partial'. Where none does, it is 'unknown'. The signals"
+    " that predict what remains are named."
 )
 """How the verdict is reached."""

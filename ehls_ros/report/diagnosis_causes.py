@@ -102,7 +102,7 @@ def rivals(found: Diagnosis) -> list[str]:
 
 def unexplained(found: Diagnosis) -> list[str]:
     """Show an error that no effect explains: what it depends on, and where to look."""
-    if found.verdict != "unknown" or found.unknown_stage is None:
+    if found.verdict not in ("partial", "unknown") or found.unknown_stage is None:
         return []
     blocks = []
     view = view_of_rest(found)

@@ -224,7 +224,7 @@ def residuals_of(found: Diagnosis, channel: Channel) -> Panel | LeftOut:
     traces += lines
     _place(layout, len(against), (rows, columns), *axes)
     layout["legend"] |= {"y": 1.0 + 0.03 * 3 / rows}
-    note = "The extension changes nothing here." if same and found.verdict == "effect" else ""
+    note = "The extension changes nothing here." if same and found.names_causes else ""
     return Panel(title, traces, layout, note, height=ROW_HEIGHT * rows + 60, over_time=False)
 
 

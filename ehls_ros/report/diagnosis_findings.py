@@ -94,6 +94,8 @@ def verdict_sentence(found: Diagnosis) -> tuple[str, bool | None]:
     """
     if found.verdict == "effect":
         return _effect_sentence(found), False
+    if found.verdict == "partial":
+        return f"{_effect_sentence(found)} {_remains_sentence(found)}", False
     if found.verdict == "unknown":
         return _unknown_sentence(found), False
     if found.verdict == "consistent":
@@ -121,6 +123,16 @@ def _effect_sentence(found: Diagnosis) -> str:
         return f"{text}; {with_it} {balances} close{'s' if len(wrong_before) == 1 else ''} to the noise."
     closed = percent(found.gain.closed_fraction)
     return f"{text}; {with_it} {closed} of the error beyond the noise disappears from {balances}."
+
+
+def _remains_sentence(found: Diagnosis) -> str:
+    stage = found.unknown_stage
+    if stage is None:
+        return "More than noise remains."
+    result, signals = found.stages[stage], listed([quantity(s) for s in found.depends_on])
+    depends = f"depends on {signals}" if found.depends_on else "depends on no recorded signal alone"
+    size = f"{percent(result.nrmse_after)}, where noise would leave {percent(result.noise_floor)}"
+    return f"In the {STAGE_NAMES[stage]} an error of {size}, remains unexplained; it {depends}."
 
 
 def _named(cause: Cause) -> str:
@@ -188,7 +200,7 @@ def caveats(found: Diagnosis, remarks: Sequence[str] = ()) -> list[str]:
     """Return what limits the conclusions, a sentence or two each."""
     out = []
     for stage, result in found.stages.items():
-        if found.verdict != "effect" or not result.judged or result.nrmse_after is None or not result.noise_floor:
+        if not found.names_causes or not result.judged or result.nrmse_after is None or not result.noise_floor:
             continue
         ratio = result.nrmse_after / result.noise_floor
         if result.exceeds and ratio > LEAKY:
@@ -202,7 +214,13 @@ def caveats(found: Diagnosis, remarks: Sequence[str] = ()) -> list[str]:
                     " parameters as the best fit of that form."
                 )
             )
-    if found.verdict == "effect":
+    if found.verdict == "partial":
+        out.append(
+            "More than noise remains with the causes in the model. What remains was counted as noise when their probabilities"
+            " and errors were found: the causes are those that matter beside it. Another cause, unknown to this list, may be"
+            " among what they stand for, so none is held for certain."
+        )
+    if found.names_causes:
         out.append(
             "The diagnosis rests on one recording, and so do the standard errors: another day, temperature or load may give"
             " other values. Repeat the recording before you replace the rig file by the extended one."

@@ -57,7 +57,7 @@ def test_only_what_is_not_kept_is_compiled_and_only_then_the_user_is_told(rig):
 
 
 def test_what_follows_a_diagnosis_runs_what_was_compiled_for_it(rig):
-    diagnosis = SimpleNamespace(verdict="effect", rig=rig, extended=using(rig, "mass_shift", factor=1.5))
+    diagnosis = SimpleNamespace(names_causes=True, rig=rig, extended=using(rig, "mass_shift", factor=1.5))
     jobs = consequences_jobs(diagnosis)
     for job in jobs:
         job.compile()
@@ -66,7 +66,7 @@ def test_what_follows_a_diagnosis_runs_what_was_compiled_for_it(rig):
     assert all(before)
     controller_benefit(diagnosis.rig, diagnosis.extended)
     assert [signatures(job.kernel()) for job in jobs] == before
-    assert [job.kernel() for job in consequences_jobs(SimpleNamespace(verdict="consistent", rig=rig, extended=rig))] == [
+    assert [job.kernel() for job in consequences_jobs(SimpleNamespace(names_causes=False, rig=rig, extended=rig))] == [
         jobs[-1].kernel()
     ]
 

@@ -1,0 +1,91 @@
+"""Causes named while something remains: what remains is counted as noise, correlated as it is."""
+
+import numpy as np
+import pytest
+from plain_evidence import MASS, VISCOUS, evidence_of, linear_fit, nothing
+
+from ehls_ros.diagnosis.acceptance import accepted
+from ehls_ros.diagnosis.loss import power
+from ehls_ros.diagnosis.partial import allowing, closed, correlated, worthwhile
+from ehls_ros.diagnosis.search import inflations
+
+WINDOWS = 4000
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(7)
+
+
+def autoregressive(rng, factor, count):
+    """Return noise of variance 1 whose successive values have this correlation."""
+    e = rng.standard_normal(count) * np.sqrt(1.0 - factor**2)
+    for i in range(1, count):
+        e[i] += factor * e[i - 1]
+    return e
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.5, 0.9])
+def test_the_correlation_time_is_that_of_an_autoregressive_process(rng, factor):
+    # The sum of a geometric series, forwards and backwards.
+    expected = (1.0 + factor) / (1.0 - factor)
+    assert correlated(autoregressive(rng, factor, 200_000)) == pytest.approx(expected, rel=0.1)
+
+
+def test_what_cannot_be_correlated_counts_once():
+    assert correlated(np.zeros(50)) == 1.0
+    assert correlated(np.array([1.0, -1.0] * 50)) == 1.0
+
+
+def test_what_remains_is_counted_as_noise_and_nothing_else_changes(rng):
+    e = 5.0 * autoregressive(rng, 0.8, WINDOWS)
+    evidence = evidence_of({"force": 3.0 * e, "volume": rng.standard_normal(WINDOWS)})
+    known = allowing(evidence, {"force": e, "volume": evidence.base.values["volume"]})
+    # 5 beside noise of 1.
+    assert power(e * evidence.floor["force"] / known.floor["force"]) == pytest.approx(1.0, abs=0.05)
+    assert known.correlation["force"] == pytest.approx(9.0, rel=0.4)
+    assert known.correlation["volume"] == 1.0
+    assert np.allclose(known.floor["volume"], evidence.floor["volume"], rtol=0.1)
+    for c in evidence.channels:
+        for values, before in ((known.base.values, evidence.base.values), (known.noise, evidence.noise)):
+            assert np.allclose(values[c] * known.floor[c], before[c] * evidence.floor[c])
+
+
+def test_the_fraction_closed_is_of_what_noise_does_not_explain(rng):
+    shape = np.sin(np.arange(WINDOWS) / 9.0)
+    form = autoregressive(rng, 0.9, WINDOWS)
+    evidence = evidence_of({"force": 6.0 * shape + 2.0 * form + rng.standard_normal(WINDOWS)})
+    best = linear_fit(evidence, (MASS,), shape[:, None])
+    # The mean squares of shape and form, of which the first is gone.
+    before, after = evidence.base.values["force"], best.held_out.residuals.values["force"]
+    assert closed(before, after, evidence.noise["force"]) == pytest.approx(18.0 / 22.0, abs=0.03)
+    assert worthwhile(evidence, best)
+
+
+def test_what_closes_too_little_or_leaves_too_much_is_not_worth_a_name(rng):
+    shape, form = np.sin(np.arange(WINDOWS) / 9.0), autoregressive(rng, 0.9, WINDOWS)
+    little = evidence_of({"force": 2.0 * shape + 2.0 * form})
+    assert not worthwhile(little, linear_fit(little, (MASS,), shape[:, None]))
+    # The largest term of the balance is 100.
+    large = evidence_of({"force": 60.0 * shape + 20.0 * form})
+    assert not worthwhile(large, linear_fit(large, (MASS,), shape[:, None]))
+
+
+def test_what_only_fits_the_form_of_the_remainder_is_not_a_cause(rng):
+    shape = np.sin(np.arange(WINDOWS) / 9.0)
+    form = autoregressive(rng, 0.98, WINDOWS)
+    # It resembles the remainder a little, as anything slow does.
+    resembling = form + 2.0 * autoregressive(rng, 0.98, WINDOWS)
+    evidence = evidence_of({"force": 60.0 * shape + 20.0 * form + rng.standard_normal(WINDOWS)})
+
+    def judged(evidence):
+        less = linear_fit(evidence, (MASS,), shape[:, None] / evidence.floor["force"][:, None])
+        more = linear_fit(evidence, (MASS, VISCOUS), np.column_stack([shape, resembling]) / evidence.floor["force"][:, None])
+        none = nothing(evidence)
+        scale = inflations(evidence, [less, more])
+        return accepted(evidence, less, none, scale), accepted(evidence, more, less, scale), less
+
+    first, second, less = judged(evidence)
+    assert (first, second) == (True, True)
+    first, second, _ = judged(allowing(evidence, less.held_out.residuals.values))
+    assert (first, second) == (True, False)
