@@ -54,6 +54,7 @@ class CauseEntry(NamedTuple):
 
     name: str
     probability: float
+    share: float | None
     equivalent_to: tuple[str, ...]
     stage: Stage
     group: str
@@ -220,6 +221,7 @@ def _cause(cause: Cause) -> CauseEntry:
     return CauseEntry(
         cause.name,
         cause.probability,
+        cause.share,
         cause.equivalent_to,
         cause.stage,
         cause.group,

@@ -25,7 +25,8 @@ def causes(found: Diagnosis) -> list[str]:
             noun = words(cause.name).noun
             blocks.append(page.figures([residual_against(found, view, noun[0].upper() + noun[1:])]))
     if found.causes:
-        header = ["cause", "stage", "probability", "parameter", "value ± standard error", "in SI units", "significance"]
+        header = ["cause", "stage", "probability", "share of the error", "parameter", "value ± standard error", "in SI units"]
+        header.append("significance")
         blocks.append(page.table(header, [row for cause in found.causes for row in _parameters(cause)]))
         about: list[Row] = [
             [
@@ -50,6 +51,7 @@ def _parameters(cause: Cause) -> list[Row]:
                 Entry(cause.name, words(cause.name).noun) if first else "",
                 STAGE_NAMES[cause.stage] if first else "",
                 likely(cause.probability) if first else "",
+                "" if cause.share is None or not first else percent(cause.share),
                 Entry(name, findings.parameter_meaning(cause.name, name), prose=True),
                 estimate(fitted),
                 f"{fitted.value:.5g} ± {fitted.std:.2g} {'' if fitted.unit == '1' else fitted.unit}".rstrip(),
@@ -58,7 +60,7 @@ def _parameters(cause: Cause) -> list[Row]:
         )
     for name, fixed in cause.fixed.items():
         parameter = Entry(name, findings.parameter_meaning(cause.name, name), prose=True)
-        rows.append(["", "", "", parameter, "fixed", f"{fixed:g}", ""])
+        rows.append(["", "", "", "", parameter, "fixed", f"{fixed:g}", ""])
     return rows
 
 

@@ -19,7 +19,7 @@ SCHEMA = {
         " not_judged sensitivities controller_gain free_run remarks diagnosis_s wall_s"
     ),
     StageResult: ("judged why_not nrmse_before nrmse_after noise_floor exceeds unexplained leaves_much incident depends_on"),
-    document.CauseEntry: "name probability equivalent_to stage group parameters fixed evidence",
+    document.CauseEntry: "name probability share equivalent_to stage group parameters fixed evidence",
     document.Evidence: "gain_nats standard_errors_from_neutral equation rivals",
     document.RivalEntry: "name behind_nats closed_fraction parameters",
     document.UnknownEntry: "name probability equivalent_to stage parameters evidence",

@@ -369,8 +369,9 @@ def test_small_pictures_of_every_channel(report):
 
 
 def test_causes_rivals_and_gain_are_in_the_tables(report):
-    text = report(make_found(causes=(CAUSE._replace(equivalent_to=("valve_hysteresis",), rivals=(TWIN, RIVAL)),)))
-    assert row(text, "The cause", "valve_dead_zone")[4] == "91.20 ± 0.40 µm"
+    text = report(make_found(causes=(CAUSE._replace(equivalent_to=("valve_hysteresis",), rivals=(TWIN, RIVAL), share=0.87),)))
+    cause = row(text, "The cause", "valve_dead_zone")
+    assert (cause[3], cause[5]) == ("87 %", "91.20 ± 0.40 µm")
     twin = row(text, "Alternatives", "valve_hysteresis")
     assert twin[1] == "equal"
     assert "cannot be distinguished" in twin[4]
