@@ -5,9 +5,10 @@ import pytest
 from plain_evidence import MASS, VISCOUS, evidence_of, linear_fit, nothing
 
 from ehls_ros.diagnosis.acceptance import accepted
+from ehls_ros.diagnosis.causes import causes
 from ehls_ros.diagnosis.loss import power
 from ehls_ros.diagnosis.partial import allowing, closed, correlated, worthwhile
-from ehls_ros.diagnosis.search import inflations
+from ehls_ros.diagnosis.search import Place, Searched, inflations
 
 WINDOWS = 4000
 
@@ -89,3 +90,15 @@ def test_what_only_fits_the_form_of_the_remainder_is_not_a_cause(rng):
     assert (first, second) == (True, True)
     first, second, _ = judged(allowing(evidence, less.held_out.residuals.values))
     assert (first, second) == (True, False)
+
+
+def test_shares_are_those_of_the_removable_error(rng):
+    one, other = np.sin(np.arange(WINDOWS) / 9.0), np.sin(np.arange(WINDOWS) / 2.0)
+    evidence = evidence_of({"force": 6.0 * one + 4.0 * other + rng.standard_normal(WINDOWS)})
+    best = linear_fit(evidence, (MASS, VISCOUS), np.column_stack([one, other]))
+    without = (linear_fit(evidence, (VISCOUS,), other[:, None]), linear_fit(evidence, (MASS,), one[:, None]))
+    found = Searched(best, tuple(Place(j, ()) for j in without), (), {"force": 1.0})
+    shares = {cause.name: cause.share for cause in causes(evidence, found, 0, most=0.5)}
+    # Mean squares of 18 and 8.
+    assert shares == pytest.approx({"mass_shift": 18.0 / 26.0, "viscous_shift": 8.0 / 26.0}, abs=0.02)
+    assert all(cause.probability <= 0.5 for cause in causes(evidence, found, 0, most=0.5))
