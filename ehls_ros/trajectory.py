@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ehls_ros.errors import BadInput
+
 
 class Signal(NamedTuple):
     """Label and unit of a signal."""
@@ -80,6 +82,10 @@ READABLE: dict[str, Signal] = {**SIGNALS, **AS_RIGS_GIVE}
 """Every signal that a table can have. Its column names are these names."""
 
 
+SAME_AREA = 1e-3
+"""Relative difference of two areas up to which they are the same."""
+
+
 class Own(NamedTuple):
     """The sampling of a signal before it was brought to a faster clock.
 
@@ -112,6 +118,21 @@ class Preparation(NamedTuple):
     def adding(self, *remarks: str) -> "Preparation":
         """Return it with further remarks."""
         return self._replace(remarks=(*self.remarks, *remarks))
+
+    def check_area(self, area: float, name: str) -> None:
+        """Refuse a rig with another piston area than the load pressure is meant for.
+
+        Args:
+            area: piston area of the rig [m^2].
+            name: name of the recording, for the error.
+
+        Raises:
+            BadInput: the areas differ by more than the rounding of a data sheet's four digits.
+        """
+        meant = self.equivalent_area
+        if meant is not None and abs(area - meant) > SAME_AREA * meant:
+            what = f"its chambers have a mean area of {meant:.6g} m², piston_area of the rig is {area:.6g} m²"
+            raise BadInput(what, name, f"piston_area: {meant:.6g} in the rig file, or other areas in the map of columns")
 
 
 AS_READ = Preparation()

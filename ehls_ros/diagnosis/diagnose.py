@@ -12,6 +12,7 @@ from ehls_ros.diagnosis.excitation import excited, sensitivities, sliding
 from ehls_ros.diagnosis.gain import gain
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
+from ehls_ros.diagnosis.missing_signals import merged
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.remainder import Remainder, remainders
@@ -83,7 +84,7 @@ def diagnose(
         traces={c: _trace(evidence, signals, found.best, c) for c in evidence.channels},
         sensitivities=sizes,
         not_judged=not_tried,
-        remarks=(*record.remarks, *_incidents(findings)),
+        remarks=(*record.remarks, *_incidents(findings), *merged(record.signals)),
         seed=seed,
         wall_s=time.perf_counter() - began,
     )

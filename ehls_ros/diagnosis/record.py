@@ -13,7 +13,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask, filled, inliers, noise
-from ehls_ros.trajectory import Own, Preparation, Trajectory
+from ehls_ros.trajectory import Own, Trajectory
 
 COMMAND, SPOOL, PRESSURE, SUPPLY = "valve_command_m", "spool_m", "load_pressure_pa", "supply_pressure_pa"
 POSITION, VELOCITY, FORCE, LOAD = "position_m", "velocity_m_s", "force_n", "disturbance_force_n"
@@ -106,7 +106,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
         raise BadInput("time_s does not increase from sample to sample", name, "increasing times in seconds")
     period = float(np.median(steps))
     preparation = trajectory.preparation
-    check_area(preparation, rig, name)
+    preparation.check_area(rig.plant.piston_area, name)
     remarks = list(preparation.remarks)
     chosen = _stretches(time, remarks)
     # Each sample belongs to the nearest grid point.
@@ -166,18 +166,6 @@ def spread_noise(own: Own, period: float) -> float:
         period: of the clock [s].
     """
     return own.noise * math.sqrt(own.period / period)
-
-
-def check_area(preparation: Preparation, rig: Rig, name: str) -> None:
-    """Refuse a load pressure that is meant for another piston area than the rig file's.
-
-    Raises:
-        BadInput: the areas differ.
-    """
-    area, meant = rig.plant.piston_area, preparation.equivalent_area
-    if meant is not None and abs(area - meant) > rules.SAME_AREA * meant:
-        what = f"the cylinder of the column map has a mean area of {meant:.6g} m², piston_area of the rig file is {area:.6g} m²"
-        raise BadInput(what, name, f"piston_area: {meant:.6g} in the rig file")
 
 
 def _stretches(time: Array, remarks: list[str]) -> NDArray[np.intp]:

@@ -115,16 +115,6 @@ RESOLUTION_MISFIT: Annotated[
     ),
 ] = 1e-3
 
-SAME_AREA: Annotated[
-    float,
-    Rule(
-        "record",
-        "1",
-        "Relative difference of two piston areas above which they are not the same cylinder's.",
-        "rounding of a data sheet's four digits",
-    ),
-] = 1e-3
-
 # --- stages ----------------------------------------------------------------------------------
 
 WINDOW: Annotated[float, Rule("stages", "s", "Length of the windows of the balances.")] = 0.04

@@ -24,6 +24,12 @@ SAME = 0.98
 FEWEST = 100
 """Fewest samples that fix a scale."""
 
+MOST_INTERVALS, FEWEST_IN_INTERVAL, FEWEST_INTERVALS = 200, 5, 10
+"""Intervals over which both signals are compared, so that their errors are independent: most, least samples in one, fewest."""
+
+NOTHING = 1e-9
+"""Change of a signal, relative to its size, that is none."""
+
 TURNED: Mapping[str, tuple[str, int]] = {
     "angle_rad": ("position_m", 1),
     "angular_velocity_rad_s": ("velocity_m_s", 1),
@@ -195,32 +201,34 @@ def fitted_scale(counts: Signal, other: Signal, time: Signal, kind: str) -> Scal
     both = np.isfinite(counts) & np.isfinite(other)
     if np.count_nonzero(both) < FEWEST:
         return None
-    raw, target, t = filled(counts), filled(other), time - time[0]
-    if kind == "integral":
-        target = np.concatenate([[0.0], cumulative_trapezoid(target, t)])
-    elif kind == "derivative":
-        raw = np.concatenate([[0.0], cumulative_trapezoid(raw, t)])
-    columns = [raw, np.ones(len(t))] + ([t] if kind != "same" else [])
-    design, wanted = np.column_stack(columns)[both], target[both]
-    size = np.linalg.norm(design, axis=0)
-    if not np.all(size > 0.0) or np.ptp(raw[both]) == 0.0 or np.ptp(wanted) == 0.0:
+    edges = np.unique(np.linspace(0, len(time) - 1, min(MOST_INTERVALS, len(time) // FEWEST_IN_INTERVAL) + 1).astype(np.intp))
+    whole = np.add.reduceat(~both, edges[:-1]) == 0
+    lasts = np.diff(time[edges])
+    # What happens within an interval: the change of one signal, and the integral of the other.
+    change = {"same": _integral, "integral": _change, "derivative": _integral}[kind](counts, time, edges)
+    wanted = {"same": _integral, "integral": _integral, "derivative": _change}[kind](other, time, edges)
+    rate, target = (change / lasts)[whole], (wanted / lasts)[whole]
+    spread = rate - np.mean(rate) if rate.size else rate
+    size = float(spread @ spread)
+    if rate.size < FEWEST_INTERVALS or np.ptp(rate) <= NOTHING * np.max(np.abs(rate)) or np.ptp(target) == 0.0:
         return None
-    solution, _, rank, _ = np.linalg.lstsq(design / size, wanted, rcond=None)
-    if rank < len(columns):
-        return None
-    solution = solution / size
-    residual = wanted - design @ solution
-    # What neither the offset nor a drift explains is what the counts explain.
-    plain = design[:, 1:]
-    alone = wanted - plain @ np.linalg.lstsq(plain, wanted, rcond=None)[0]
-    explained = 1.0 - float(residual @ residual) / max(float(alone @ alone), 1e-300)
-    # Neighbouring residuals are alike: as many independent ones as the residual changes sign.
-    independent = max(2, int(np.count_nonzero(np.diff(np.sign(residual)) != 0.0)))
-    spread = raw[both] - plain @ np.linalg.lstsq(plain, raw[both], rcond=None)[0]
-    error = float(np.std(residual) / (np.std(spread) * math.sqrt(independent))) if np.std(spread) > 0.0 else math.inf
-    # An integral has lost its constant; the integral of a constant offset in the counts is the drift.
-    offset = {"same": solution[1], "integral": None, "derivative": solution[-1]}[kind]
-    return Scale(float(solution[0]), error, None if offset is None else float(offset), math.sqrt(max(explained, 0.0)))
+    factor = float(spread @ target) / size
+    offset = float(np.mean(target) - factor * np.mean(rate))
+    residual = target - factor * rate - offset
+    error = math.sqrt(float(residual @ residual) / (rate.size - 2) / size)
+    correlation = abs(float(np.corrcoef(rate, target)[0, 1]))
+    # The rate of a path has lost its zero.
+    return Scale(factor, error, None if kind == "integral" else offset, correlation)
+
+
+def _integral(values: Signal, time: Signal, edges: NDArray[np.intp]) -> Signal:
+    out: Signal = np.diff(np.concatenate([[0.0], cumulative_trapezoid(filled(values), time)])[edges])
+    return out
+
+
+def _change(values: Signal, time: Signal, edges: NDArray[np.intp]) -> Signal:
+    out: Signal = np.diff(filled(values)[edges])
+    return out
 
 
 _KINDS: Mapping[str, str] = {

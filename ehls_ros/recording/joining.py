@@ -25,7 +25,8 @@ SAME_RATE = 0.02
 """Relative difference of periods up to which a table is neither faster nor slower than the clock."""
 
 LONGEST_GAP = 3.5
-"""Time between two samples above which nothing is known in between, in the table's own periods."""
+"""Time between two samples above which nothing is known in between, in the table's own periods; to an average over a period of
+the clock, gaps up to that period do not matter."""
 
 LEAST_COMMON = 0.5
 """Least part of the shortest table that all tables must have in common."""
@@ -126,7 +127,8 @@ def _at(clock: _Clock, time: Signal, values: Signal, period: float, ratio: float
     else:
         out = CubicSpline(t, known)(clock.time)
     after = np.clip(np.searchsorted(t, clock.time), 1, len(t) - 1)
-    unknown = (t[after] - t[after - 1] > LONGEST_GAP * period) & (t[after] != clock.time) & (t[after - 1] != clock.time)
+    longest = max(LONGEST_GAP * period, clock.period) if faster else LONGEST_GAP * period
+    unknown = (t[after] - t[after - 1] > longest) & (t[after] != clock.time) & (t[after - 1] != clock.time)
     outside = (clock.time < t[0]) | (clock.time > t[-1])
     return np.where((unknown & ~np.bool_(held)) | outside, np.nan, out)
 

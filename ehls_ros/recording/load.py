@@ -116,12 +116,11 @@ def _joined(paths: Sequence[Path], given: ColumnMap, where: str) -> Trajectory:
         if path.suffix.lower() not in READERS:
             raise BadInput(f"table {path.name} is no file of named columns", where, f"files {', '.join(READERS)}")
     names = {path.name: list(raw(path)) for path in paths}
-    chosen = {path.name: _columns_of(path.name, names, given, where) for path in paths}
-    found = {name for columns in chosen.values() for name in columns}
     for name, column in given.columns.items():
-        if name not in found:
+        if not any(column.name in header for table, header in names.items() if column.table in ("", table)):
             shown = "; ".join(f"{table}: {', '.join(header)}" for table, header in names.items())
             raise BadInput(f"column '{column.name}' for {name} is in no table ({shown})", where, "a column of that name")
+    chosen = {path.name: _columns_of(path.name, names, given, where) for path in paths}
     read = {path.name: READERS[path.suffix.lower()].read(path, chosen[path.name]) for path in paths}
     return read[paths[0].name] if len(paths) == 1 else join(read, given.base, where)
 
