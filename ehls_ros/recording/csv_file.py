@@ -53,6 +53,16 @@ def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
     return assemble(values, chosen, where, _line)
 
 
+def csv_names(path: Path) -> list[str]:
+    """Return the names of a CSV file's columns.
+
+    Raises:
+        BadInput: the file cannot be read.
+    """
+    with _opened(path) as (stream, _):
+        return _rows(stream, str(path))[1]
+
+
 def raw_csv(path: Path) -> RawTable:
     """Return the first :data:`LOOKED_AT` rows of all columns of a CSV file by their names; None for one that is not of numbers.
 

@@ -1,6 +1,6 @@
 """Loads recorded or measured data in any format of the data contract."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES, read_bag
 from ehls_ros.recording.columns import TABLES, TIME, Column, ColumnMap, Columns, is_contract_name
 from ehls_ros.recording.conversion import converted
-from ehls_ros.recording.csv_file import raw_csv, read_csv
+from ehls_ros.recording.csv_file import csv_names, raw_csv, read_csv
 from ehls_ros.recording.joining import join
 from ehls_ros.recording.mat_file import raw_mat, read_mat
 from ehls_ros.recording.parquet_file import raw_parquet, read_parquet
@@ -18,16 +18,17 @@ from ehls_ros.trajectory import Trajectory
 
 
 class Reader(NamedTuple):
-    """How a kind of file with named columns is read: to a trajectory, and as it is."""
+    """How a kind of file with named columns is read: to a trajectory, as it is, and its names alone where that is quicker."""
 
     read: Callable[[Path, Columns], Trajectory]
     raw: Callable[[Path], RawTable]
+    names: Callable[[Path], Iterable[str]]
 
 
 READERS: Mapping[str, Reader] = {
-    ".csv": Reader(read_csv, raw_csv),
-    ".mat": Reader(read_mat, raw_mat),
-    ".parquet": Reader(read_parquet, raw_parquet),
+    ".csv": Reader(read_csv, raw_csv, csv_names),
+    ".mat": Reader(read_mat, raw_mat, raw_mat),
+    ".parquet": Reader(read_parquet, raw_parquet, raw_parquet),
 }
 """Readers of files with named columns, by suffix."""
 
@@ -115,7 +116,7 @@ def _joined(paths: Sequence[Path], given: ColumnMap, where: str) -> Trajectory:
     for path in paths:
         if path.suffix.lower() not in READERS:
             raise BadInput(f"table {path.name} is no file of named columns", where, f"files {', '.join(READERS)}")
-    names = {path.name: list(raw(path)) for path in paths}
+    names = {path.name: list(READERS[path.suffix.lower()].names(path)) for path in paths}
     for name, column in given.columns.items():
         if not any(column.name in header for table, header in names.items() if column.table in ("", table)):
             shown = "; ".join(f"{table}: {', '.join(header)}" for table, header in names.items())
