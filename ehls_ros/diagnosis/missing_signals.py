@@ -12,7 +12,7 @@ class Merged(NamedTuple):
     Attributes:
         beside: signals of which one must be there for the effects to be seen at all.
         effects: names of the effects.
-        like: what they then look like.
+        like: what they cannot be told from then.
     """
 
     beside: tuple[str, ...]
@@ -31,7 +31,7 @@ MERGED: Mapping[str, Merged] = {
             "valve_bandwidth_shift",
             "command_delay",
         ),
-        "the same in the spool and in the valve's flow",
+        "the same fault behind the spool, in the valve's flow",
     ),
     PRESSURE: Merged(
         (FORCE,),
@@ -41,12 +41,12 @@ MERGED: Mapping[str, Merged] = {
     FORCE: Merged(
         (PRESSURE,),
         ("pressure_sensor_gain", "pressure_sensor_bias", "pressure_sensor_lag"),
-        "an error of forces: another mass, spring, constant load or friction",
+        "an error of the forces: another mass, spring, constant load or friction",
     ),
     VELOCITY: Merged((POSITION,), ("position_sensor_gain",), "another spring, friction and valve gain together"),
     SUPPLY: Merged((SPOOL, COMMAND), ("supply_pressure_droop",), "a valve that passes less flow, as valve_gain_shift"),
     LOAD: Merged(
-        (POSITION,), ("constant_load", "periodic_disturbance"), "whatever else acts from outside, which is taken as zero"
+        (POSITION,), ("constant_load", "periodic_disturbance"), "any other force from outside, which is taken as zero"
     ),
 }
 """By the missing signal, which would decide."""
@@ -62,8 +62,7 @@ def merged(present: Collection[str]) -> tuple[str, ...]:
         One sentence for each; none for a signal without which the stage is not judged anyway.
     """
     return tuple(
-        f"without {signal}, {_listed(what.effects)} look{'s' if len(what.effects) == 1 else ''} like {what.like};"
-        f" {signal} would decide"
+        f"without {signal}, {_listed(what.effects)} cannot be told from {what.like}; {signal} would decide"
         for signal, what in MERGED.items()
         if signal not in present and any(other in present for other in what.beside)
     )
