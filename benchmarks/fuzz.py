@@ -38,7 +38,7 @@ from ehls_ros.experiments.spec import load_rig, load_spec
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
 from ehls_ros.hardware.packet import HEADER, LARGEST, MAGIC, MOST_VALUES, VERSION, Codec, Kind, Packet
 from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
-from ehls_ros.recording.columns import Column, Columns, read_columns
+from ehls_ros.recording.columns import Column, ColumnMap, read_columns
 from ehls_ros.recording.load import load
 from ehls_ros.recording.provenance import Provenance
 from ehls_ros.recording.recording_note import NOTE
@@ -290,10 +290,10 @@ def csv_input(draw: random.Random, folder: Path) -> Callable[[], object]:
         content = spoilt(draw, content)
     path = folder / "data.csv"
     path.write_bytes(content)
-    columns: Columns = {}
+    columns: dict[str, Column] = {}
     if draw.random() < 0.1:
         columns = {"force_n": Column(draw.choice(HEADERS), draw.choice((1.0, 1e308))), "time_s": Column("other")}
-    return lambda: load(path, columns)
+    return lambda: load(path, ColumnMap(columns))
 
 
 VALUES = (

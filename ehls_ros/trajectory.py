@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ehls_ros.errors import BadInput
+
 
 class Signal(NamedTuple):
     """Label and unit of a signal."""
@@ -61,7 +63,80 @@ SIGNALS: dict[str, Signal] = {
     # timing of the loop
     "response_s": Signal("snapshot to command", "s"),
 }
-"""Every signal a trajectory can hold. Column names of CSV files are these names."""
+"""Every signal that the software knows of."""
+
+
+AS_RIGS_GIVE: dict[str, Signal] = {
+    "pressure_a_pa": Signal("pressure in chamber A, which pushes towards +x", "Pa"),
+    "pressure_b_pa": Signal("pressure in chamber B, which pushes towards -x", "Pa"),
+    "tank_pressure_pa": Signal("tank pressure", "Pa"),
+    "load_cell_n": Signal("load cell between piston and load, positive against the piston", "N"),
+    "angle_rad": Signal("angle of a rotary actuator", "rad"),
+    "angular_velocity_rad_s": Signal("angular velocity of a rotary actuator", "rad/s"),
+    "torque_n_m": Signal("driving torque of a rotary actuator", "N m"),
+    "load_torque_n_m": Signal("torque of the load, positive against the actuator", "N m"),
+}
+"""What other rigs measure instead; turned into signals of :data:`MEASURED` on reading, and in no bag."""
+
+READABLE: dict[str, Signal] = {**SIGNALS, **AS_RIGS_GIVE}
+"""Every signal that a table can have. Its column names are these names."""
+
+
+SAME_AREA = 1e-3
+"""Relative difference of two areas up to which they are the same."""
+
+
+class Own(NamedTuple):
+    """The sampling of a signal before it was brought to a faster clock.
+
+    Attributes:
+        period: sampling period [s].
+        noise: standard deviation of the white noise of its samples, in the signal's unit.
+    """
+
+    period: float
+    noise: float
+
+
+class Preparation(NamedTuple):
+    """What was done to a recording's signals when it was read.
+
+    Attributes:
+        remarks: one sentence each.
+        interpolated: the sampling of the signals that are slower than the time base.
+        measured: signals that a sensor gave although experiments command them.
+        not_judged: stages of a model that these data cannot judge, with the reason.
+        equivalent_area: piston area that load pressure and force are meant for [m^2]; None for any.
+    """
+
+    remarks: tuple[str, ...] = ()
+    interpolated: Mapping[str, Own] = {}
+    measured: tuple[str, ...] = ()
+    not_judged: Mapping[str, str] = {}
+    equivalent_area: float | None = None
+
+    def adding(self, *remarks: str) -> "Preparation":
+        """Return it with further remarks."""
+        return self._replace(remarks=(*self.remarks, *remarks))
+
+    def check_area(self, area: float, name: str) -> None:
+        """Refuse a rig with another piston area than the load pressure is meant for.
+
+        Args:
+            area: piston area of the rig [m^2].
+            name: name of the recording, for the error.
+
+        Raises:
+            BadInput: the areas differ by more than the rounding of a data sheet's four digits.
+        """
+        meant = self.equivalent_area
+        if meant is not None and abs(area - meant) > SAME_AREA * meant:
+            what = f"its chambers have a mean area of {meant:.6g} m², piston_area of the rig is {area:.6g} m²"
+            raise BadInput(what, name, f"piston_area: {meant:.6g} in the rig file, or other areas in the map of columns")
+
+
+AS_READ = Preparation()
+"""Nothing was done."""
 
 
 @dataclass(frozen=True)
@@ -70,14 +145,16 @@ class Trajectory:
 
     Attributes:
         time_s: sample times, shape (n,), strictly increasing [s].
-        signals: arrays by the names in :data:`SIGNALS`, shape (n,), or (n, elements) for the friction elements; NaN
+        signals: arrays by the names in :data:`READABLE`, shape (n,), or (n, elements) for the friction elements; NaN
             where a cycle has no sample.
         metadata: configuration of the run: rig, spec, versions, seed.
+        preparation: what was done to the signals when they were read.
     """
 
     time_s: NDArray[np.float64]
     signals: Mapping[str, NDArray[np.float64]]
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    preparation: Preparation = AS_READ
 
     def __post_init__(self) -> None:
         """Check names and lengths of the signals.
@@ -86,8 +163,8 @@ class Trajectory:
             ValueError: a signal has an unknown name, or its length differs from that of the time base.
         """
         for name, values in self.signals.items():
-            if name not in SIGNALS:
-                raise ValueError(f"signal '{name}' is unknown; expected one of {', '.join(SIGNALS)}")
+            if name not in READABLE:
+                raise ValueError(f"signal '{name}' is unknown; expected one of {', '.join(READABLE)}")
             if len(values) != len(self.time_s):
                 raise ValueError(f"signal '{name}' has {len(values)} samples; expected {len(self.time_s)} as time_s")
 

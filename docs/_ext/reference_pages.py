@@ -32,7 +32,7 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.recording import columns, topics
 from ehls_ros.schema import Declaration, declarations
-from ehls_ros.trajectory import SIGNALS
+from ehls_ros.trajectory import AS_RIGS_GIVE, SIGNALS
 
 ROOT = Path(ehls_ros.__file__).parent.parent
 MESSAGES = ROOT / "ehls_msgs" / "msg"
@@ -75,7 +75,11 @@ FILES: Mapping[str, tuple[tuple[str, type, ModuleType], ...]] = {
         ("vary: a distribution", variation.Distribution, variation),
     ),
     "Bridge file": (("channels", calibration.Input, calibration), ("command", calibration.Output, calibration)),
-    "Column map": (("A column", columns.Column, columns),),
+    "Column map": (
+        ("A column", columns.Column, columns),
+        ("cylinder", columns.Cylinder, columns),
+        ("rotary", columns.Rotary, columns),
+    ),
 }
 
 API: Mapping[str, tuple[str, ...]] = {
@@ -327,10 +331,13 @@ def messages_page() -> str:
 
 def signals_page() -> str:
     """Return the names of the data contract."""
-    rows = ((f"`{name}`", signal.label, signal.unit) for name, signal in SIGNALS.items())
+    heading = ("name", "description", "unit")
+    tables = [[(f"`{name}`", s.label, s.unit) for name, s in group.items()] for group in (SIGNALS, AS_RIGS_GIVE)]
     return (
         "# Signals\n\nColumns of CSV, MAT and Parquet files, and names in a `Trajectory`. `time_s` comes first.\n\n"
-        + rows_of(("name", "description", "unit"), rows)
+        + rows_of(heading, tables[0])
+        + "\n## As other rigs give them\n\nTurned into the signals above on reading.\n\n"
+        + rows_of(heading, tables[1])
     )
 
 

@@ -13,6 +13,7 @@ from ehls_ros.diagnosis.excitation import excited, sensitivities, sliding
 from ehls_ros.diagnosis.gain import gain
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
+from ehls_ros.diagnosis.missing_signals import merged
 from ehls_ros.diagnosis.partial import partial_answer
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import Record, prepare
@@ -21,7 +22,7 @@ from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis, Sensitivity, Stag
 from ehls_ros.diagnosis.search import search
 from ehls_ros.diagnosis.spectrum import spectral_lines
 from ehls_ros.diagnosis.stage_results import Nrmse, not_recorded, stage_result
-from ehls_ros.diagnosis.stages import CHANNELS, STAGES, UNITS, Channel, Stage, setup
+from ehls_ros.diagnosis.stages import CHANNELS, STAGES, UNITS, Channel, Setup, Stage, setup
 from ehls_ros.diagnosis.starts import main_channel
 from ehls_ros.diagnosis.verdict import Finding, decide
 from ehls_ros.physics.rig import Rig
@@ -59,7 +60,7 @@ def diagnose(
     compared = setup(record, rig)
     evidence = gather(record, rig, compared, seed) if compared.channels else None
     if evidence is None or not evidence.channels:
-        return _nothing_recorded(record, rig, seed, began)
+        return _nothing_recorded(record, rig, compared, seed, began)
     main = main_channel(evidence.channels)
     lines = spectral_lines(evidence.base.values[main], evidence.times[main])
     tried, not_tried = candidates(record, rig, lines)
@@ -92,7 +93,7 @@ def diagnose(
         traces={c: _trace(evidence, signals, known.floor[c] * best.held_out.residuals.values[c], c) for c in evidence.channels},
         sensitivities=sizes,
         not_judged=not_tried,
-        remarks=(*record.remarks, *_incidents(findings)),
+        remarks=(*record.remarks, *_incidents(findings), *merged(record.signals)),
         seed=seed,
         wall_s=time.perf_counter() - began,
     )
@@ -119,7 +120,10 @@ def _stage_results(
         c: Nrmse(*(evidence.nrmse(c, e[c]) for e in (evidence.base.values, held_out, evidence.noise)))
         for c in evidence.channels
     }
-    return {stage: stage_result(stage, finding, nrmse, dependence) for stage, finding in findings.items()}
+    why_not = evidence.setup.why_not
+    return {
+        stage: stage_result(stage, finding, nrmse, dependence, why_not.get(stage, "")) for stage, finding in findings.items()
+    }
 
 
 def _missing(stages: Mapping[Stage, StageResult]) -> tuple[str, ...]:
@@ -137,9 +141,9 @@ def _incidents(findings: Mapping[Stage, Finding]) -> list[str]:
     ]
 
 
-def _nothing_recorded(record: Record, rig: Rig, seed: int, began: float) -> Diagnosis:
+def _nothing_recorded(record: Record, rig: Rig, compared: Setup, seed: int, began: float) -> Diagnosis:
     """Return the diagnosis of a recording in which no residual can be formed."""
-    stages = {stage: not_recorded(stage) for stage in STAGES}
+    stages = {stage: not_recorded(stage, compared.why_not.get(stage, "")) for stage in STAGES}
     return Diagnosis(
         verdict="insufficient",
         missing=_missing(stages),

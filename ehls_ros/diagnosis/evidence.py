@@ -17,6 +17,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.loss import loss
 from ehls_ros.diagnosis.noise import largest_terms, scatter, with_noise
 from ehls_ros.diagnosis.record import POSITION, VELOCITY, Record
+from ehls_ros.diagnosis.resolution import coarseness
 from ehls_ros.diagnosis.stages import Channel, Comparison, Setup, usable
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
@@ -141,7 +142,7 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int) -> Evidence:
     raw = comparison.residuals(rig, channels)
     deviation = scatter(comparison, rig, raw, seed)
     sizes = largest_terms(comparison, rig)
-    tolerance = rules.TOLERANCE * max(1.0, (record.period / rules.RESOLVED_PERIOD) ** 2)
+    tolerance = rules.TOLERANCE * coarseness(record)
     floor = {c: np.sqrt(deviation[c][masks[c]] ** 2 + (tolerance * sizes[c]) ** 2) for c in channels}
     blocks = int(np.clip(round(len(record.time) * record.period / rules.BLOCK), rules.FEWEST_BLOCKS, rules.MOST_BLOCKS))
     block, times = dict[Channel, NDArray[np.intp]](), dict[Channel, Array]()

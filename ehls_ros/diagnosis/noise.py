@@ -12,13 +12,15 @@ from ehls_ros.diagnosis.stages import Channel, Comparison
 from ehls_ros.physics.rig import Rig
 
 EXACT = (COMMAND, LOAD, SERVO_POSITION, SERVO_VELOCITY)
-"""Signals that are commanded, not measured: they carry no sensor noise."""
+"""Signals that are commanded, not measured, unless the record says otherwise: they carry no sensor noise."""
 
 
 def with_noise(record: Record, rng: np.random.Generator) -> Record:
     """Return the record with as much noise added as its sensors have."""
     noisy = {
-        name: values if name in EXACT else values + record.noise[name] * rng.standard_normal(len(values))
+        name: values
+        if name in EXACT and name not in record.measured
+        else values + record.noise[name] * rng.standard_normal(len(values))
         for name, values in record.signals.items()
     }
     return record._replace(signals=noisy)

@@ -1,7 +1,7 @@
 """A recording prepared for diagnosis: signals on one even time base, with the samples that can be trusted."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask, filled, inliers, noise
-from ehls_ros.trajectory import Trajectory
+from ehls_ros.trajectory import Own, Trajectory
 
 COMMAND, SPOOL, PRESSURE, SUPPLY = "valve_command_m", "spool_m", "load_pressure_pa", "supply_pressure_pa"
 POSITION, VELOCITY, FORCE, LOAD = "position_m", "velocity_m_s", "force_n", "disturbance_force_n"
@@ -41,6 +41,9 @@ class Record(NamedTuple):
         fresh: samples at which a continuous stretch begins.
         duration: time the recording spans, including what was left out [s].
         remarks: what was done to the data, one sentence each.
+        own: sampling periods of the signals that were slower than the time base [s].
+        measured: signals that a sensor gave although experiments command them.
+        not_judged: stages that these data cannot judge, with the reason.
     """
 
     name: str
@@ -52,10 +55,17 @@ class Record(NamedTuple):
     fresh: Mask
     duration: float
     remarks: tuple[str, ...]
+    own: Mapping[str, float] = {}
+    measured: tuple[str, ...] = ()
+    not_judged: Mapping[str, str] = {}
 
     def __contains__(self, signal: object) -> bool:
         """Tell whether a signal was recorded."""
         return signal in self.signals
+
+    def sampled(self, *signals: str) -> float:
+        """Return the sampling period of the slowest of some signals, those not recorded left out [s]."""
+        return max([self.period, *[self.own[signal] for signal in signals if signal in self.own and signal in self.signals]])
 
     def values(self, signal: str) -> Array:
         """Return a signal, zeros where it was not recorded, shape (n,)."""
@@ -95,7 +105,9 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     if not np.all(np.isfinite(time)) or np.any(steps <= 0.0):
         raise BadInput("time_s does not increase from sample to sample", name, "increasing times in seconds")
     period = float(np.median(steps))
-    remarks: list[str] = []
+    preparation = trajectory.preparation
+    preparation.check_area(rig.plant.piston_area, name)
+    remarks = list(preparation.remarks)
     chosen = _stretches(time, remarks)
     # Each sample belongs to the nearest grid point.
     starts = np.flatnonzero(np.concatenate([[True], np.diff(chosen) > 1]))
@@ -116,7 +128,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     if COMMAND in recorded and SPOOL in recorded:
         trusted[COMMAND] |= _answered(recorded[COMMAND], np.where(trusted[SPOOL], recorded[SPOOL], np.nan), rig, period)
     for signal, values in recorded.items():
-        right = trusted[signal]
+        right, own = trusted[signal], preparation.interpolated.get(signal)
         bad = 1.0 - float(np.mean(right))
         if bad > rules.MOST_BAD:
             what = f"{100 * bad:.0f} % of signal '{signal}' are missing or outliers"
@@ -124,11 +136,36 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
         if bad > rules.MENTIONED_BAD:
             remarks.append(f"{100 * bad:.2g} % of {signal} are missing or outliers and were left out")
         signals[signal], good[signal] = _on_grid(time[chosen], values, right, grid, period, signal in HELD)
-        level[signal] = _noise(values[right])
+        level[signal] = _noise(values[right]) if own is None else spread_noise(own, period)
     _check_sizes(signals, rig, name)
     if period > 0.0 and float(np.max(np.abs(steps - period))) > rules.UNEVEN * period and lost <= rules.MENTIONED_LOSS:
         remarks.append("the sampling is uneven; values are taken at even times by straight lines")
-    return Record(name, period, grid, signals, good, level, fresh, float(time[-1] - time[0]), tuple(remarks))
+    return Record(
+        name,
+        period,
+        grid,
+        signals,
+        good,
+        level,
+        fresh,
+        duration=float(time[-1] - time[0]),
+        remarks=tuple(remarks),
+        own={signal: own.period for signal, own in preparation.interpolated.items() if signal in signals},
+        measured=preparation.measured,
+        not_judged=preparation.not_judged,
+    )
+
+
+def spread_noise(own: Own, period: float) -> float:
+    """Return the white noise on a faster clock that has the power density of an interpolated signal's own noise.
+
+    Over windows of several of its own samples, both do the same to means, rates and curvatures.
+
+    Args:
+        own: how the signal was sampled.
+        period: of the clock [s].
+    """
+    return own.noise * math.sqrt(own.period / period)
 
 
 def _stretches(time: Array, remarks: list[str]) -> NDArray[np.intp]:

@@ -134,13 +134,36 @@ SLOWEST: Annotated[
     Rule(
         "stages",
         "1",
-        "Sampling period relative to the valve's time constant above which commands between two samples would be missed.",
+        "Sampling period relative to the valve's time constant above which commands between two samples would be missed;"
+        " and rms change of the command within a sample, relative to its rms, up to which none was missed anyway.",
+        "for a sine, the latter is its angular frequency times the period: as slow as the valve",
     ),
 ] = 0.25
 
 SLOWEST_TURN: Annotated[
-    float, Rule("stages", "s", "Sampling period above which the piston, and its friction, turns between two samples.")
+    float, Rule("stages", "s", "Sampling period up to which every turn of the piston counts as resolved.")
 ] = 2.6e-3
+
+TURN_SEEN: Annotated[
+    float,
+    Rule(
+        "stages",
+        "1",
+        "Path within the sample in which the piston turns, relative to the travel over which static friction builds up, above"
+        " which the turn is not resolved: friction is then known only once that travel has been slid SLIDING times.",
+        "what the piston of the test rig covers in 2.6 ms (SLOWEST_TURN) at its usual 1 m/s²: 3.4 of 380 µm",
+    ),
+] = 0.01
+
+CLEAR_TURN: Annotated[
+    float,
+    Rule("stages", "1", "Change of velocity within a sample, in standard deviations of its noise, above which a turn is one."),
+] = 5.0
+
+LEAST_SEEN: Annotated[
+    float,
+    Rule("stages", "1", "Part of a slow recording that unresolved turns must leave for the force balance to be judged."),
+] = 0.25
 
 SETTLING: Annotated[
     float, Rule("stages", "s", "Time left out at the start of a stretch, where the state of the friction model is not known.")

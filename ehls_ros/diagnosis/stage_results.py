@@ -10,7 +10,7 @@ from ehls_ros.diagnosis.verdict import Finding
 NEEDED_SIGNALS: Mapping[Stage, str] = {
     "valve": "valve_command_m and spool_m, several samples within the valve's lag",
     "flow": "position_m (or velocity_m_s), load_pressure_pa (or force_n), and spool_m (or valve_command_m)",
-    "force_balance": "position_m (velocity_m_s for a rig without spring) and load_pressure_pa (or force_n), at 400 Hz or more",
+    "force_balance": "position_m (velocity_m_s for a rig without spring) and load_pressure_pa (or force_n)",
     "sensors": "two sensors of one quantity: load_pressure_pa and force_n, or position_m and velocity_m_s",
 }
 """The signals each stage needs."""
@@ -33,7 +33,11 @@ class Nrmse(NamedTuple):
 
 
 def stage_result(
-    stage: Stage, finding: Finding, nrmse: Mapping[Channel, Nrmse], depends_on: Callable[[Channel], tuple[str, ...]]
+    stage: Stage,
+    finding: Finding,
+    nrmse: Mapping[Channel, Nrmse],
+    depends_on: Callable[[Channel], tuple[str, ...]],
+    why_not: str = "",
 ) -> StageResult:
     """Describe one stage.
 
@@ -42,10 +46,11 @@ def stage_result(
         finding: what is known of it.
         nrmse: rms residuals of its channels.
         depends_on: returns the signals on which a channel's remaining residual depends; asked only where something remains.
+        why_not: why the stage cannot be compared although its signals are there; the empty text where it is the signals.
     """
     items = finding.remainders
     if not items:
-        return StageResult(judged=False, why_not=f"needs {NEEDED_SIGNALS[stage]}")
+        return StageResult(judged=False, why_not=why_not or f"needs {NEEDED_SIGNALS[stage]}")
     if not finding.excited:
         return StageResult(judged=False, why_not=NEEDED_MOTION[stage])
     worst = nrmse[max(items, key=lambda item: item.before / max(item.noise, 1e-12)).channel]
@@ -64,6 +69,6 @@ def stage_result(
     )
 
 
-def not_recorded(stage: Stage) -> StageResult:
-    """Describe a stage of which nothing was recorded."""
-    return stage_result(stage, Finding((), excited=False), {}, lambda channel: ())
+def not_recorded(stage: Stage, why_not: str = "") -> StageResult:
+    """Describe a stage of which nothing was recorded, or nothing that can be compared for a reason of its own."""
+    return stage_result(stage, Finding((), excited=False), {}, lambda channel: (), why_not)

@@ -36,6 +36,7 @@ from ehls_ros.diagnosis.record import (
     VELOCITY,
     Record,
 )
+from ehls_ros.diagnosis.resolution import command_seen, friction_known, presliding_travel
 from ehls_ros.diagnosis.windows import Window, smooth_window
 from ehls_ros.physics.along import PARTS, part_kernel
 from ehls_ros.physics.along.base import ModelRun, Motion
@@ -60,6 +61,12 @@ CHANNELS: Mapping[Channel, Stage] = {
     "velocity": "sensors",
 }
 """The residuals there are, and the stage each belongs to."""
+
+COMMAND_UNSEEN = "needs a slower command or faster samples: at {rate} Hz, commands between two samples were missed"
+TURNS_UNSEEN = (
+    "needs slower motion or faster samples: at {rate} Hz, the piston turns through its presliding between two samples"
+)
+"""Why a stage is not judged whose signals are there."""
 
 UNITS: Mapping[Channel, str] = {
     "spool": "m", "volume": "m³/s", "supply": "Pa", "force": "N", "cell": "N", "velocity": "m/s",
@@ -93,6 +100,8 @@ class Setup(NamedTuple):
         channels: the residuals that can be formed.
         velocity_measured: whether velocities come from their own sensor, the quieter one.
         fit: samples of the local fit.
+        presliding: travel over which static friction builds up in the given model [m].
+        why_not: of stages that cannot be compared although their signals are there, the reason.
     """
 
     window: Window
@@ -100,6 +109,8 @@ class Setup(NamedTuple):
     channels: tuple[Channel, ...]
     velocity_measured: bool
     fit: int
+    presliding: float = 0.0
+    why_not: Mapping[Stage, str] = {}
 
     def window_of(self, channel: Channel) -> Window:
         """Return the windows of a channel."""
@@ -415,34 +426,64 @@ def _beam(rig: EffectiveRig) -> tuple[float, ...]:
 def setup(record: Record, rig: Rig) -> Setup:
     """Tell what of the model can be laid beside a recording."""
     period = record.period
-    samples = max(rules.LEAST_WINDOW, round(rules.WINDOW / period))
-    average = smooth_window(max(3, round(rules.SPOOL_WINDOW / period)), period, hop=2)
+    # Of signals that were slower than the time base, windows hold as many of their own samples.
+    moved = record.sampled(POSITION, VELOCITY) / period
+    balanced = record.sampled(POSITION, VELOCITY, PRESSURE, FORCE, LOAD) / period
+    averaged = record.sampled(COMMAND, SPOOL, PRESSURE, FORCE, SUPPLY) / period
+    samples = max(round(rules.LEAST_WINDOW * balanced), round(rules.WINDOW / period))
+    average = smooth_window(max(round(3 * averaged), round(rules.SPOOL_WINDOW / period)), period, hop=2)
     moving = POSITION in record or VELOCITY in record
     pressure = PRESSURE in record or FORCE in record
     spool = SPOOL in record or COMMAND in record
+    why_not = dict[Stage, str]()
     channels: list[Channel] = []
-    if SPOOL in record and COMMAND in record and period * rig.plant.valve_bandwidth <= rules.SLOWEST:
-        channels.append("spool")
+    if SPOOL in record and COMMAND in record:
+        if command_seen(record, rig):
+            channels.append("spool")
+        else:
+            why_not["valve"] = COMMAND_UNSEEN.format(rate=f"{1.0 / record.sampled(COMMAND, SPOOL):.3g}")
     if moving and pressure and spool:
         channels.append("volume")
         if SUPPLY in record:
             channels.append("supply")
     # Without a position, what the spring pulls is not known.
     known = POSITION in record or (moving and rig.plant.spring_stiffness == 0.0)
-    if pressure and known and period <= rules.SLOWEST_TURN:
+    if pressure and known:
         channels.append("force")
     if PRESSURE in record and FORCE in record:
         channels.append("cell")
     if POSITION in record and VELOCITY in record:
         channels.append("velocity")
-    fit = max(5, 2 * round(rules.VELOCITY_FIT / period / 2) + 1)
+    fit = max(2 * round(2 * moved) + 1, 2 * round(rules.VELOCITY_FIT / period / 2) + 1)
     measured = False
     if VELOCITY in record and POSITION in record:
         slope = savgol_coeffs(fit, 3, deriv=1, delta=period)
         measured = record.noise[VELOCITY] * float(np.linalg.norm(savgol_coeffs(fit, 2))) < record.noise[POSITION] * float(
             np.linalg.norm(slope)
         )
-    return Setup(smooth_window(samples, period), average, tuple(channels), measured, fit)
+    found = Setup(smooth_window(samples, period), average, tuple(channels), measured, fit, presliding_travel(rig))
+    if "force" in channels and np.mean(_friction_known(Comparison(record, found))) < rules.LEAST_SEEN:
+        channels.remove("force")
+        why_not["force_balance"] = TURNS_UNSEEN.format(rate=f"{1.0 / record.sampled(POSITION, VELOCITY):.3g}")
+    why_not |= {stage: record.not_judged[stage] for stage in STAGES if stage in record.not_judged}
+    left = tuple(c for c in channels if CHANNELS[c] not in record.not_judged)
+    return found._replace(channels=left, why_not=why_not)
+
+
+def _friction_known(comparison: Comparison) -> Mask:
+    """Tell at which samples friction follows from the recorded motion, read without the sensors' errors."""
+    record, used = comparison.record, comparison.setup
+    if record.sampled(POSITION, VELOCITY) <= rules.SLOWEST_TURN:
+        return np.ones(len(record.time), dtype=np.bool_)
+    if used.velocity_measured or POSITION not in record:
+        velocity, row = comparison.local_fit(record.values(VELOCITY), 0), savgol_coeffs(used.fit, 2)
+        noise = record.noise[VELOCITY] * float(np.linalg.norm(row))
+    else:
+        velocity = comparison.local_fit(record.values(POSITION), 1)
+        row = savgol_coeffs(used.fit, 3, deriv=1, delta=record.period)
+        noise = record.noise[POSITION] * float(np.linalg.norm(row))
+    position = comparison.local_fit(record.values(POSITION), 0) if POSITION in record else np.cumsum(velocity) * record.period
+    return friction_known(record, position, velocity, used.presliding, noise)
 
 
 NEEDED: Mapping[Channel, tuple[str, ...]] = {
@@ -467,6 +508,8 @@ def usable(comparison: Comparison, channel: Channel) -> Mask:
         # After a gap in the command, the simulated spool finds back with the valve's own lag.
         wrong = (~record.good[COMMAND]).astype(np.float64)
         good &= np.convolve(wrong, np.ones(1 + round(rules.SPOOL_SETTLING / record.period)))[: len(wrong)] < 0.5
+    if channel == "force":
+        good &= _friction_known(comparison)
     window = used.window_of(channel)
     settling = round(rules.SETTLING / record.period)
     late = np.ones(len(good), dtype=np.bool_)

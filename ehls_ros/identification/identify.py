@@ -110,7 +110,7 @@ def identify(
         estimates=found.by_name,
         correlations=found.correlations,
         not_identifiable=found.not_identifiable,
-        remarks=(*_remarks(motions), *result.remarks, *found.remarks),
+        remarks=(*_readings(recordings), *_remarks(motions), *result.remarks, *found.remarks),
         static=steady,
         branch=by_elements.branch if by_elements else None,
         nodes=by_elements.nodes if by_elements else (),
@@ -169,6 +169,10 @@ def _check_units(names: str, rig: Rig, steady: StaticFit) -> None:
     check_unit("friction", steady.friction.coulomb_force, rig.friction_level(math.inf), names)
     if "spring" in steady.linear:
         check_unit("spring", steady.linear["spring"], rig.plant.spring_stiffness, names)
+
+
+def _readings(recordings: Mapping[str, Trajectory]) -> list[str]:
+    return [f"{name}: {remark}" for name, read in recordings.items() for remark in read.preparation.remarks]
 
 
 def _remarks(motions: Sequence[Motion]) -> list[str]:

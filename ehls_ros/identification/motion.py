@@ -177,6 +177,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
     Raises:
         BadInput: a signal is missing, stuck, mostly outliers or of a size that no such rig can have.
     """
+    trajectory.preparation.check_area(rig.plant.piston_area, name)
     position = _signal(trajectory, "position_m", name)
     if "force_n" in trajectory and np.any(np.isfinite(trajectory["force_n"])):
         source, force = "force_n", trajectory["force_n"]

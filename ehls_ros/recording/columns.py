@@ -2,41 +2,97 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording.units import ELECTRICAL, UNITS, quantity_of, unit_of
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import parse, quantity, text
-from ehls_ros.trajectory import SIGNALS
+from ehls_ros.trajectory import READABLE
 
 TIME = "time_s"
 
 ELEMENT_SIGNALS = ("friction_elements_n", "friction_slipping")
 """Signals with one column per friction element: ``friction_elements_n_1``, ``friction_elements_n_2`` and so on."""
 
+TABLES, BASE, CYLINDER, ROTARY = "tables", "base", "cylinder", "rotary"
+"""Keys of a map that are not names of signals."""
+
 EXPECTED_MAP = "a mapping like 'position_m: {name: x, scale: 0.001, offset: 0.0}'"
+EXPECTED_TABLES = "a list of files, or a mapping like 'fast.csv: {name: t, unit: ms}' of each file's time"
 
 
 class Column(NamedTuple):
-    """A column of the user's file; the signal is ``scale`` times its value plus ``offset``."""
+    """A column of the user's file; the signal is ``gain`` · ``scale`` · the value in SI units of ``unit``, plus ``offset``."""
 
     name: Annotated[str, text("name of the column in the file")]
-    scale: Annotated[float, quantity("1", "SI units per unit of the column")] = 1.0
+    scale: Annotated[float, quantity("1", "factor; without a unit, SI units per unit of the column")] = 1.0
     offset: Annotated[float, quantity("SI", "added after scaling")] = 0.0
+    unit: Annotated[str, text("unit of the column, such as mm, bar, kN, °C, mA or V")] = ""
+    gain: Annotated[float, quantity("SI", "of a column in A, V, % or counts: the signal's SI units per A, V, 1 or count")] = 1.0
+    fit_to: Annotated[str, text("for raw counts: the signal to which scale and offset are fitted")] = ""
+    table: Annotated[str, text("the file that has the column, where several files have one of this name")] = ""
+
+    def plain(self) -> "Column":
+        """Return the column with its unit in scale and offset."""
+        unit = UNITS[self.unit] if self.unit else UNITS["counts"]
+        factor = self.gain * self.scale
+        return Column(self.name, factor * unit.scale, factor * unit.offset + self.offset)
+
+
+class Cylinder(NamedTuple):
+    """Areas of a cylinder whose chambers differ."""
+
+    area_a: Annotated[float, quantity("m^2", "area on which pressure A pushes towards +x", above=0.0)]
+    area_b: Annotated[float, quantity("m^2", "area on which pressure B pushes towards -x", above=0.0)]
+
+    @property
+    def mean(self) -> float:
+        """Area of the symmetric cylinder that stands for this one [m^2]."""
+        return 0.5 * (self.area_a + self.area_b)
+
+
+class Rotary(NamedTuple):
+    """The arm that turns angle and torque into position and force."""
+
+    radius: Annotated[float, quantity("m", "arm: position = radius · angle, force = torque / radius", above=0.0)]
 
 
 Columns = Mapping[str, Column]
 """Columns by contract name."""
 
 
-def read_columns(path: Path) -> Columns:
-    """Read a map of column names.
+class ColumnMap(NamedTuple):
+    """How the user's tables give the signals of the data contract.
+
+    Attributes:
+        columns: by contract name.
+        tables: the files of one recording, each with its column of time; None: as the map has it. Empty: one file.
+        base: the file whose clock the signals are brought to; the empty text: chosen from the rates.
+        cylinder: areas of both chambers; None where they are equal.
+        rotary: the arm of a rotary actuator; None for a linear one.
+    """
+
+    columns: Mapping[str, Column] = {}
+    tables: Mapping[str, Column | None] = {}
+    base: str = ""
+    cylinder: Cylinder | None = None
+    rotary: Rotary | None = None
+
+    def plain(self) -> Columns:
+        """Return the columns with their units in scale and offset, as the readers of single tables take them."""
+        return {name: column.plain() for name, column in self.columns.items()}
+
+
+def read_columns(path: Path) -> ColumnMap:
+    """Read a map of columns.
 
     Args:
-        path: YAML file with an entry ``contract_name: {name: ..., scale: 1.0, offset: 0.0}`` for each mapped column.
+        path: YAML file with an entry ``contract_name: {name: ..., unit: mm}`` for each mapped column, and the keys
+            ``tables``, ``base``, ``cylinder`` and ``rotary`` where they are needed.
 
     Returns:
-        The columns by contract name.
+        The map.
 
     Raises:
         BadInput: the file cannot be read, or an entry is wrong.
@@ -44,24 +100,114 @@ def read_columns(path: Path) -> Columns:
     content = read_yaml(path, "map of columns")
     if not isinstance(content, dict):
         raise BadInput(f"it contains {content!r}", str(path), EXPECTED_MAP)
-    return {str(name): _column(str(name), entry, path) for name, entry in content.items()}
+    others = {key: content.pop(key, None) for key in (TABLES, BASE, CYLINDER, ROTARY)}
+    columns = {str(name): _column(str(name), entry, path) for name, entry in content.items()}
+    for name, column in columns.items():
+        _check_fit(name, column, columns, path)
+    tables = _tables(others[TABLES], path)
+    base = others[BASE] or ""
+    if base and base not in tables:
+        raise BadInput(f"base is {base!r}", str(path), f"one of the tables {', '.join(tables) or '(none are listed)'}")
+    for name, column in columns.items():
+        if column.table and column.table not in tables:
+            raise BadInput(
+                f"table is {column.table!r}", f"{path}, {name}", f"one of the tables {', '.join(tables) or '(none)'}"
+            )
+    return ColumnMap(
+        columns, tables, base, _part(Cylinder, others[CYLINDER], CYLINDER, path), _part(Rotary, others[ROTARY], ROTARY, path)
+    )
+
+
+def _part(kind: type[Any], entry: object, key: str, path: Path) -> Any:
+    if entry is None:
+        return None
+    if not isinstance(entry, dict):
+        raise BadInput(f"it is {entry!r}", f"{path}, {key}", f"a mapping of {', '.join(kind._fields)}")
+    return parse(kind, entry, f"{path}, {key}")
+
+
+def _tables(entry: object, path: Path) -> dict[str, Column | None]:
+    where = f"{path}, {TABLES}"
+    if entry is None:
+        return {}
+    if isinstance(entry, list) and all(isinstance(name, str) for name in entry):
+        if len(set(entry)) < len(entry):
+            raise BadInput(f"it is {entry!r}", where, "each file once")
+        return dict.fromkeys(entry)
+    if not isinstance(entry, dict):
+        raise BadInput(f"it is {entry!r}", where, EXPECTED_TABLES)
+    return {
+        str(name): None if time is None else _entry(TIME, time, f"{where}, {name}", EXPECTED_TABLES)
+        for name, time in entry.items()
+    }
 
 
 def _column(name: str, entry: object, path: Path) -> Column:
     if not is_contract_name(name):
-        raise BadInput(f"name '{name}' is unknown", str(path), f"one of {', '.join((TIME, *SIGNALS))}")
-    where = f"{path}, {name}"
+        raise BadInput(f"name '{name}' is unknown", str(path), f"one of {', '.join((TIME, *READABLE))}")
+    return _entry(name, entry, f"{path}, {name}", EXPECTED_MAP)
+
+
+def _entry(name: str, entry: object, where: str, expected: str) -> Column:
     if not isinstance(entry, dict):
-        raise BadInput(f"it is {entry!r}", where, EXPECTED_MAP)
+        raise BadInput(f"it is {entry!r}", where, expected)
     column = parse(Column, entry, where)
-    if column.scale == 0:
-        raise BadInput("scale is 0", where, "a factor other than 0")
+    for key in ("scale", "gain"):
+        if getattr(column, key) == 0:
+            raise BadInput(f"{key} is 0", where, "a factor other than 0")
+    if column.unit:
+        return _with_unit(name, column, entry, where)
+    if "gain" in entry:
+        raise BadInput("gain is given without a unit", where, "unit: A, mA, V, mV, % or counts; or scale instead")
     return column
+
+
+def _with_unit(name: str, column: Column, entry: Mapping[str, object], where: str) -> Column:
+    """Return the column with its unit in the known spelling, and refuse a unit of another quantity."""
+    spelling = unit_of(column.unit)
+    if spelling is None:
+        raise BadInput(f"unit is {column.unit!r}", where, f"one of {', '.join(UNITS)}; or scale, in SI units per unit")
+    found, wanted = UNITS[spelling].quantity, quantity_of(name)
+    if found in ELECTRICAL:
+        if "gain" not in entry and "scale" not in entry and not column.fit_to:
+            what = f"unit is {spelling} and no gain is given"
+            raise BadInput(what, where, f"gain: {READABLE[name].unit if name in READABLE else 's'} per SI unit of it")
+    elif "gain" in entry:
+        raise BadInput(f"unit is {spelling}, which needs no gain", where, "a gain only with A, mA, V, mV, % or counts")
+    elif found != wanted:
+        raise BadInput(f"unit is {spelling}, a {found}", where, f"a unit of {wanted}" if wanted else "no unit but a scale")
+    return column._replace(unit=spelling)
+
+
+FITTED: Mapping[str, str] = {
+    "position_m": "velocity_m_s",
+    "velocity_m_s": "position_m",
+    "angle_rad": "angular_velocity_rad_s",
+    "angular_velocity_rad_s": "angle_rad",
+    "force_n": "load_pressure_pa",
+    "load_pressure_pa": "force_n",
+}
+"""The signal that fixes the scale of another: its derivative or integral, or the same force."""
+
+
+def _check_fit(name: str, column: Column, columns: Columns, path: Path) -> None:
+    """Refuse to fit a scale to a signal that does not fix it."""
+    if not column.fit_to:
+        return
+    where = f"{path}, {name}"
+    fixed_by = FITTED.get(name)
+    if fixed_by is None or column.fit_to != fixed_by:
+        why = f"a known scale: {f'only {fixed_by} fixes that of' if fixed_by else 'no second signal fixes that of'} {name}"
+        raise BadInput(f"fit_to is {column.fit_to!r}", where, why)
+    if column.fit_to not in columns or columns[column.fit_to].fit_to:
+        raise BadInput(
+            f"fit_to is {column.fit_to!r}, which has no scale of its own", where, "that signal in the map, in its unit"
+        )
 
 
 def is_contract_name(name: str) -> bool:
     """Tell whether a column name belongs to the data contract."""
-    return name == TIME or name in SIGNALS or element_of(name) is not None
+    return name == TIME or name in READABLE or element_of(name) is not None
 
 
 def element_of(name: str) -> tuple[str, int] | None:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.recording import limits
@@ -19,14 +20,15 @@ from ehls_ros.recording.columns import Columns
 from ehls_ros.recording.deadline import Deadline
 from ehls_ros.recording.regular_file import check_regular
 from ehls_ros.sources import PACKAGE
-from ehls_ros.trajectory import Trajectory
 
-Read = Callable[[Path, Columns], Trajectory]
+Result = TypeVar("Result")
 
 SMALLER = "a file whose variables fit in memory, or the data as CSV"
 
 
-def contained(read: Read, path: Path, columns: Columns, expected: str) -> Trajectory:
+def contained(
+    read: Callable[[Path, Columns], Result], path: Path, columns: Columns, expected: str, kind: type[Result]
+) -> Result:
     """Read a file in a separate process.
 
     Args:
@@ -34,6 +36,7 @@ def contained(read: Read, path: Path, columns: Columns, expected: str) -> Trajec
         path: the file.
         columns: the user's own names and units.
         expected: what the file should be, for errors.
+        kind: type of the result.
 
     Returns:
         The result of ``read``.
@@ -58,7 +61,7 @@ def contained(read: Read, path: Path, columns: Columns, expected: str) -> Trajec
     if isinstance(result, MemoryError):
         what = f"its {size} bytes take more than {memory >> 20} MB of memory"
         raise BadInput(what, str(path), SMALLER)
-    assert isinstance(result, Trajectory)  # noqa: S101 - _serve sends one of these three
+    assert isinstance(result, kind)  # noqa: S101 - _serve sends one of these three
     return result
 
 

@@ -3,10 +3,10 @@
 import csv
 import math
 from array import array
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
-from itertools import chain, count
+from itertools import chain, count, islice
 from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
@@ -21,12 +21,15 @@ from ehls_ros.recording.columns import TIME, Column, Columns
 from ehls_ros.recording.deadline import Deadline
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.regular_file import check_regular
-from ehls_ros.recording.table import assemble, check_length, choose
+from ehls_ros.recording.table import RawTable, assemble, check_length, choose
 from ehls_ros.trajectory import Trajectory
 
 DELIMITERS = ",;\t"
 BLOCK = 16384
 """Rows written together, and read between two checks of the limits."""
+
+LOOKED_AT = 200_000
+"""Rows that tell what a column holds."""
 
 
 def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
@@ -45,15 +48,55 @@ def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
         BadInput: the file cannot be read, a column or cell is wrong, or time does not increase with every row.
     """
     where = str(path)
+    with _opened(path) as (stream, deadline):
+        chosen, values = _read(stream, columns, deadline, where)
+    return assemble(values, chosen, where, _line)
+
+
+def csv_names(path: Path) -> list[str]:
+    """Return the names of a CSV file's columns.
+
+    Raises:
+        BadInput: the file cannot be read.
+    """
+    with _opened(path) as (stream, _):
+        return _rows(stream, str(path))[1]
+
+
+def raw_csv(path: Path) -> RawTable:
+    """Return the first :data:`LOOKED_AT` rows of all columns of a CSV file by their names; None for one that is not of numbers.
+
+    Raises:
+        BadInput: the file cannot be read.
+    """
+    where = str(path)
+    with _opened(path) as (stream, deadline):
+        rows, header = _rows(stream, where)
+        table = [row for row in islice(rows, LOOKED_AT) if len(row) == len(header)]
+        deadline.check()
+    cells = zip(*table, strict=True) if table else iter([()] * len(header))
+    return {name: _column_of(column) for name, column in zip(header, cells, strict=True)}
+
+
+def _column_of(cells: Sequence[str]) -> NDArray[np.float64] | None:
+    try:
+        values = np.array([float(cell) if cell.strip() else math.nan for cell in cells], dtype=np.float64)
+    except ValueError:
+        return None
+    return values if np.any(np.isfinite(values)) else None
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[TextIO, Deadline]]:
+    where = str(path)
     deadline = Deadline(check_regular(path, limits.TABLE, "a CSV file", larger=limits.TABLE_LARGER), where)
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
-            chosen, values = _read(stream, columns, deadline, where)
+            yield stream, deadline
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", where, "a CSV file") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise BadInput(f"it is not CSV ({reason(error)})", where, "a CSV file in UTF-8") from None
-    return assemble(values, chosen, where, _line)
 
 
 def write_csv(path: Path, trajectory: Trajectory) -> None:
@@ -94,11 +137,7 @@ def _read(
     stream: TextIO, columns: Columns, deadline: Deadline, where: str
 ) -> tuple[dict[str, Column], dict[str, NDArray[np.float64]]]:
     """Return the chosen columns and their values by contract name."""
-    lines = _lines(stream, where)
-    first_line = next(lines, "")
-    delimiter = max(DELIMITERS, key=first_line.count)
-    rows = csv.reader(chain([first_line], lines), delimiter=delimiter, skipinitialspace=True, strict=True)
-    header = [name.strip() for name in next(rows, [])]
+    rows, header = _rows(stream, where)
     chosen = choose(header, columns, where)
     places = {name: place for place, name in enumerate(header)}
     pick = itemgetter(*(places[column.name] for column in chosen.values()))
@@ -123,6 +162,15 @@ def _read(
         numbers.extend(values)
     table = np.frombuffer(numbers).reshape(-1, len(chosen))
     return chosen, dict(zip(chosen, table.T, strict=True))
+
+
+def _rows(stream: TextIO, where: str) -> tuple[Iterator[list[str]], list[str]]:
+    """Return the rows of values, and the names in the header."""
+    lines = _lines(stream, where)
+    first_line = next(lines, "")
+    delimiter = max(DELIMITERS, key=first_line.count)
+    rows = csv.reader(chain([first_line], lines), delimiter=delimiter, skipinitialspace=True, strict=True)
+    return rows, [name.strip() for name in next(rows, [])]
 
 
 def _lines(stream: TextIO, where: str) -> Iterator[str]:

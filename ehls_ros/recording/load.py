@@ -1,30 +1,45 @@
 """Loads recorded or measured data in any format of the data contract."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES, read_bag
-from ehls_ros.recording.columns import Columns
-from ehls_ros.recording.csv_file import read_csv
-from ehls_ros.recording.mat_file import read_mat
-from ehls_ros.recording.parquet_file import read_parquet
+from ehls_ros.recording.columns import TABLES, TIME, Column, ColumnMap, Columns, is_contract_name
+from ehls_ros.recording.conversion import converted
+from ehls_ros.recording.csv_file import csv_names, raw_csv, read_csv
+from ehls_ros.recording.joining import join
+from ehls_ros.recording.mat_file import raw_mat, read_mat
+from ehls_ros.recording.parquet_file import raw_parquet, read_parquet
+from ehls_ros.recording.storage_file import METADATA_FILE
+from ehls_ros.recording.table import RawTable
 from ehls_ros.trajectory import Trajectory
 
-TABLES: Mapping[str, Callable[[Path, Columns], Trajectory]] = {
-    ".csv": read_csv,
-    ".mat": read_mat,
-    ".parquet": read_parquet,
+
+class Reader(NamedTuple):
+    """How a kind of file with named columns is read: to a trajectory, as it is, and its names alone where that is quicker."""
+
+    read: Callable[[Path, Columns], Trajectory]
+    raw: Callable[[Path], RawTable]
+    names: Callable[[Path], Iterable[str]]
+
+
+READERS: Mapping[str, Reader] = {
+    ".csv": Reader(read_csv, raw_csv, csv_names),
+    ".mat": Reader(read_mat, raw_mat, raw_mat),
+    ".parquet": Reader(read_parquet, raw_parquet, raw_parquet),
 }
 """Readers of files with named columns, by suffix."""
 
 
-def load(path: Path, columns: Columns | None = None) -> Trajectory:
+def load(path: Path, columns: ColumnMap | None = None) -> Trajectory:
     """Read data in any supported format.
 
     Args:
-        path: folder of a rosbag2, or a file ``.mcap``, ``.db3``, ``.csv``, ``.mat`` or ``.parquet``.
-        columns: the user's own names and units; not for bags.
+        path: folder of a rosbag2; a file ``.mcap``, ``.db3``, ``.csv``, ``.mat`` or ``.parquet``; a folder with several of the
+            last three, which are the tables of one recording; or one of the tables that the map lists.
+        columns: the user's own names, units and tables; not for bags.
 
     Returns:
         The trajectory.
@@ -32,15 +47,104 @@ def load(path: Path, columns: Columns | None = None) -> Trajectory:
     Raises:
         BadInput: the data cannot be read in any of these formats.
     """
+    given = columns or ColumnMap()
+    tables = _tables(path, given)
+    if tables:
+        return converted(_joined(tables, given, str(path)), given, str(path))
     suffix = path.suffix.lower()
-    if suffix in TABLES:
-        return TABLES[suffix](path, columns or {})
+    if suffix in READERS:
+        return converted(READERS[suffix].read(path, given.plain()), given, str(path))
     if columns:
         raise BadInput("a bag has no columns to map", str(path), "a map of columns only with a .csv, .mat or .parquet file")
     if suffix not in STORAGE_SUFFIXES and _is_file(path):
-        expected = f"the folder of a rosbag2 or a file {', '.join((*STORAGE_SUFFIXES, *TABLES))}"
+        expected = f"the folder of a rosbag2 or a file {', '.join((*STORAGE_SUFFIXES, *READERS))}"
         raise BadInput("its format is unknown", str(path), expected)
     return read_bag(path)
+
+
+def recordings(paths: Sequence[Path], columns: ColumnMap | None) -> list[Path]:
+    """Return one path for each recording of a command line: the files that the map lists as tables of one count once.
+
+    Raises:
+        BadInput: tables of several recordings are given, or some of a recording's are missing.
+    """
+    listed = set(columns.tables) if columns else set()
+    given = [path for path in paths if path.name in listed]
+    if not given:
+        return list(paths)
+    places = {path.parent for path in given}
+    if len(places) > 1 or len(given) < len(paths):
+        names = ", ".join(map(str, paths))
+        expected = f"the files under '{TABLES}' in the map, all in one folder: {', '.join(sorted(listed))}"
+        raise BadInput(f"these are not the tables of one recording: {names}", "command line", expected)
+    return [given[0]]
+
+
+def raw(path: Path) -> RawTable:
+    """Return the columns of one table by the user's own names.
+
+    Raises:
+        BadInput: it is no file of named columns, or cannot be read.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        raise BadInput("it has no columns to map", str(path), f"a file {', '.join(READERS)}")
+    return READERS[suffix].raw(path)
+
+
+def _tables(path: Path, given: ColumnMap) -> list[Path]:
+    """Return the tables that make one recording; none where the path is a recording by itself."""
+    folder = path if _is_folder(path) else path.parent
+    if given.tables:
+        if folder != path and path.name not in given.tables:
+            expected = f"one of its tables {', '.join(given.tables)}, or their folder"
+            raise BadInput(f"it is not among the tables of the map ({', '.join(given.tables)})", str(path), expected)
+        return [folder / name for name in given.tables]
+    files = _files(path) if folder == path else []
+    return [] if any(file.name == METADATA_FILE for file in files) else [f for f in files if f.suffix.lower() in READERS]
+
+
+def _files(folder: Path) -> list[Path]:
+    try:
+        return sorted(folder.iterdir())
+    except OSError:
+        return []  # reading it as a bag will say why
+
+
+def _joined(paths: Sequence[Path], given: ColumnMap, where: str) -> Trajectory:
+    """Read the tables of one recording, each with the columns it has, and bring them to one clock."""
+    for path in paths:
+        if path.suffix.lower() not in READERS:
+            raise BadInput(f"table {path.name} is no file of named columns", where, f"files {', '.join(READERS)}")
+    names = {path.name: list(READERS[path.suffix.lower()].names(path)) for path in paths}
+    for name, column in given.columns.items():
+        if not any(column.name in header for table, header in names.items() if column.table in ("", table)):
+            shown = "; ".join(f"{table}: {', '.join(header)}" for table, header in names.items())
+            raise BadInput(f"column '{column.name}' for {name} is in no table ({shown})", where, "a column of that name")
+    chosen = {path.name: _columns_of(path.name, names, given, where) for path in paths}
+    read = {path.name: READERS[path.suffix.lower()].read(path, chosen[path.name]) for path in paths}
+    return read[paths[0].name] if len(paths) == 1 else join(read, given.base, where)
+
+
+def _columns_of(table: str, names: Mapping[str, Sequence[str]], given: ColumnMap, where: str) -> dict[str, Column]:
+    """Return the columns of the map that a table has."""
+    out = {}
+    for name, column in given.columns.items():
+        if column.name not in names[table] or (column.table and column.table != table):
+            continue
+        others = [other for other, header in names.items() if column.name in header]
+        if name != TIME and len(others) > 1 and not column.table:
+            what = f"column '{column.name}' for {name} is in {' and '.join(others)}"
+            raise BadInput(what, where, f"'table: {others[0]}', or another, beside its name in the map")
+        out[name] = column.plain()
+    time = given.tables.get(table)
+    if time is not None:
+        out[TIME] = time.plain()
+    if set(out) <= {TIME} and not any(is_contract_name(name) and name != TIME for name in names[table]):
+        raise BadInput(
+            f"no signal of {table} is mapped (found: {', '.join(names[table])})", where, "a signal of it, or no such table"
+        )
+    return out
 
 
 def _is_file(path: Path) -> bool:
@@ -48,3 +152,10 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:
         return False  # reading it will say why
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:
+        return False

@@ -1,5 +1,6 @@
 """Converts named columns of any file format to a trajectory, by the data contract."""
 
+import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -10,7 +11,10 @@ from numpy.typing import NDArray
 from ehls_ros.errors import BadInput
 from ehls_ros.recording import limits
 from ehls_ros.recording.columns import TIME, Column, Columns, element_of, is_contract_name
-from ehls_ros.trajectory import MEASURED, Trajectory
+from ehls_ros.trajectory import AS_RIGS_GIVE, MEASURED, Trajectory
+
+RawTable = dict[str, NDArray[np.float64] | None]
+"""Columns by the user's names; None for one that is not of numbers."""
 
 
 def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, Column]:
@@ -36,11 +40,15 @@ def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, 
         if count[column.name] > 1:
             raise BadInput(f"column '{column.name}' occurs more than once", where, "one column of that name")
     if TIME not in chosen:
-        raise BadInput(f"column {TIME} is missing (found: {found})", where, f"a column {TIME}, or a map (--columns) to it")
+        raise BadInput(f"column {TIME} is missing (found: {found})", where, f"a column {TIME}, or {_how_to_map(where)}")
     if len(chosen) == 1:
-        expected = "a signal by its name in the data contract, or a map (--columns) to one"
+        expected = f"a signal by its name in the data contract, or {_how_to_map(where)}"
         raise BadInput(f"no signal is among the columns {found}", where, expected)
     return chosen
+
+
+def _how_to_map(where: str) -> str:
+    return f"a map of columns (ehls columns {shlex.quote(where)} > columns.yaml, then --columns columns.yaml)"
 
 
 def check_length(rows: int, columns: int, where: str) -> None:
@@ -84,7 +92,7 @@ def assemble(values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, ro
     time_s = scaled.pop(TIME)
     _check_time(time_s, where, row_name)
     for name, signal in scaled.items():
-        if name in MEASURED:
+        if name in MEASURED or name in AS_RIGS_GIVE:
             _check_finite(signal, name, where, row_name)
         if len(signal) != len(time_s):
             raise BadInput(f"{name} has {len(signal)} values", where, f"{len(time_s)}, as {TIME} has")

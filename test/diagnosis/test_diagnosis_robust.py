@@ -103,7 +103,7 @@ def test_one_signal_alone_tells_nothing(hidden, diagnosed):
     assert not any(s.judged for s in d.stages.values())
 
 
-@pytest.mark.parametrize(("rate", "duration"), [(500.0, 12.0), (2000.0, 8.0)])
+@pytest.mark.parametrize(("rate", "duration"), [(100.0, 20.0), (500.0, 12.0), (2000.0, 8.0)])
 def test_other_rates_do_as_well(rate, duration, recorded, diagnosed):
     d = diagnosed(recorded(HIDDEN, "rich", seed=204, duration=duration, rate=rate))
     assert_no_wrong_name(d, NAMES)
@@ -115,8 +115,8 @@ def test_other_rates_do_as_well(rate, duration, recorded, diagnosed):
 def test_a_right_model_is_consistent_at_a_low_rate(recorded, diagnosed):
     d = diagnosed(recorded({}, "rich", seed=205, duration=20.0, rate=200.0))
     assert d.verdict in {"consistent", "insufficient"}, told(d)
-    # Valve lag and reversals of the piston fall between two samples.
-    assert {stage for stage, result in d.stages.items() if result.judged} == {"flow", "sensors"}
+    # Command and piston move little within a sample: no stage is left out for the rate.
+    assert all(result.judged for result in d.stages.values()), told(d)
 
 
 def test_three_wrong_parameters_of_the_rig_file_are_named(recorded, diagnosed, rig_file):

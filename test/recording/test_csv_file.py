@@ -106,7 +106,7 @@ def test_columns_of_the_friction_elements_become_one_signal(tmp_path: Path):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", ": column time_s is missing (found: none); expected a column time_s, or a map (--columns) to it"),
+        ("", ": column time_s is missing (found: none); expected a column time_s, or a map of columns (ehls columns "),
         ("t,force_n\n0,1\n", ": column time_s is missing (found: t, force_n); expected a column time_s, or a map"),
         ("0.0,1.0\n0.1,1.0\n", ": column time_s is missing (found: 0.0, 1.0); expected"),
         (

@@ -252,7 +252,7 @@ def test_a_failing_library_does_not_take_this_process_down(
         monkeypatch.setattr(limits, "SECONDS", 120.0)
     (tmp_path / "data").write_bytes(b"data")
     with pytest.raises(BadInput, match=complaint):
-        contained(read, tmp_path / "data", {}, "a MAT file")
+        contained(read, tmp_path / "data", {}, "a MAT file", Trajectory)
 
 
 @pytest.mark.usefixtures("elsewhere")
@@ -264,4 +264,4 @@ def test_the_reading_process_ignores_prints_and_modules_in_the_current_folder(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "colorsys.py").write_text("planted = True", encoding="utf-8")
     (tmp_path / "data").write_bytes(b"data")
-    assert len(contained(read, Path("data"), {}, "a MAT file")) == 1
+    assert len(contained(read, Path("data"), {}, "a MAT file", Trajectory)) == 1

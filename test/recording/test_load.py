@@ -11,7 +11,7 @@ from scipy.io import savemat
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_writer import write_trajectory
-from ehls_ros.recording.columns import Column
+from ehls_ros.recording.columns import Column, ColumnMap
 from ehls_ros.recording.csv_file import write_csv
 from ehls_ros.recording.load import load
 from ehls_ros.trajectory import Trajectory
@@ -73,14 +73,14 @@ def test_the_columns_map_serves_every_table(tmp_path: Path, form: str):
             as_mat(path, t=[0, 10], x=[1, 2])
         case _:
             as_parquet(path, t=[0, 10], x=[1, 2])
-    trajectory = load(path, {"time_s": Column("t", 0.5), "position_m": Column("x", 2.0, 1.0)})
+    trajectory = load(path, ColumnMap({"time_s": Column("t", 0.5), "position_m": Column("x", 2.0, 1.0)}))
     assert trajectory.time_s.tolist() == [0.0, 5.0]
     assert trajectory["position_m"].tolist() == [3.0, 5.0]
 
 
 def test_a_structure_of_matlab_is_addressed_by_its_fields(tmp_path: Path):
     path = as_mat(tmp_path / "data.mat", log={"t": [0.0, 1.0], "motion": {"x": [3.0, 4.0]}}, title="a run")
-    trajectory = load(path, {"time_s": Column("log.t"), "position_m": Column("log.motion.x")})
+    trajectory = load(path, ColumnMap({"time_s": Column("log.t"), "position_m": Column("log.motion.x")}))
     assert trajectory["position_m"].tolist() == [3.0, 4.0]
 
 
@@ -159,4 +159,4 @@ def test_a_folder_that_is_not_a_bag_is_bad_input(tmp_path: Path):
 def test_a_columns_map_for_a_bag_is_bad_input(tmp_path: Path):
     write_trajectory(tmp_path / "bag", TRAJECTORY)
     with pytest.raises(BadInput, match="a bag has no columns to map"):
-        load(tmp_path / "bag", {"time_s": Column("t")})
+        load(tmp_path / "bag", ColumnMap({"time_s": Column("t")}))

@@ -28,7 +28,7 @@ from ehls_ros.experiments.spec import load_rig
 from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.columns import read_columns
-from ehls_ros.recording.load import load
+from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.diagnosis import write_diagnosis_report
 from ehls_ros.report.diagnosis_findings import verdict_sentence
 from ehls_ros.report.diagnosis_units import estimate, likely, percent
@@ -46,7 +46,11 @@ CORE, BAR = 0.8, 1000
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "data", type=Path, nargs="+", metavar="DATA", help="one recording: a bag, a run folder, a .csv, .mat or .parquet file"
+        "data",
+        type=Path,
+        nargs="+",
+        metavar="DATA",
+        help="one recording: a bag, a run folder, a .csv, .mat or .parquet file, or the tables that the map lists",
     )
     parser.add_argument("--rig", type=Path, required=True, help="rig file that the simulation runs with")
     parser.add_argument("--columns", type=Path, help="YAML that maps the file's own column names and units")
@@ -58,17 +62,19 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Run it."""
-    if len(options.data) > 1:
-        names = ", ".join(str(path) for path in options.data)
-        raise BadInput(f"{len(options.data)} recordings are given ({names})", "command line", "one; diagnose them one by one")
     if options.threads is not None and options.threads < 1:
         raise BadInput(f"--threads is {options.threads}", "command line", "1 or more")
     if options.seed < 0:
         raise BadInput(f"--seed is {options.seed}", "command line", "0 or more")
-    [data] = options.data
     began = time.perf_counter()
-    rig = load_rig(options.rig)
     columns = read_columns(options.columns) if options.columns else None
+    given = recordings(options.data, columns)
+    if len(given) > 1:
+        names = ", ".join(str(path) for path in given)
+        expected = "one; diagnose them one by one, or list the tables of one recording in the map of columns"
+        raise BadInput(f"{len(given)} recordings are given ({names})", "command line", expected)
+    [data] = given
+    rig = load_rig(options.rig)
     folder = writable(options.out, RESULT)
     name = data.name or str(data)
     with Workers() as workers, progress_bar("diagnosing") as bar:

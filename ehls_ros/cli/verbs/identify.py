@@ -5,7 +5,6 @@ import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import yaml
 from rich.console import Console
@@ -19,8 +18,8 @@ from ehls_ros.identification.identify import DEFAULT_OPTIMISER, identify
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.result import Identification, to_json
 from ehls_ros.physics.rig import rig_to_mapping
-from ehls_ros.recording.columns import read_columns
-from ehls_ros.recording.load import load
+from ehls_ros.recording.columns import ColumnMap, read_columns
+from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.identification import write_identification_report
 from ehls_ros.trajectory import Trajectory
 
@@ -58,10 +57,10 @@ def run(options: Namespace) -> int:
     rig = load_rig(options.rig)
     columns = read_columns(options.columns) if options.columns else None
     folder = writable(options.out, RESULT)
-    recordings = _recordings(options.data, columns)
+    given = _recordings(recordings(options.data, columns), columns)
     with progress_bar("identifying") as bar:
         found = identify(
-            recordings,
+            given,
             rig,
             optimiser=options.optimiser,
             elements=options.elements,
@@ -79,7 +78,7 @@ def run(options: Namespace) -> int:
     return 0
 
 
-def _recordings(paths: Sequence[Path], columns: Any) -> dict[str, Trajectory]:
+def _recordings(paths: Sequence[Path], columns: ColumnMap | None) -> dict[str, Trajectory]:
     names = [path.name or str(path) for path in paths]
     if len(set(names)) < len(names):
         names = [str(path) for path in paths]

@@ -1,0 +1,91 @@
+"""What the sampling of a recording resolves: judged by how far things move within a sample, not by a fixed rate."""
+
+import math
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.record import COMMAND, FORCE, LOAD, POSITION, PRESSURE, SPOOL, VELOCITY, Record
+from ehls_ros.physics.rig import Rig
+from ehls_ros.samples import Mask
+
+
+def command_seen(record: Record, rig: Rig) -> bool:
+    """Tell whether no command was missed between two samples: they are close for the valve, or the command is slow itself.
+
+    Args:
+        record: the recording, with a command.
+        rig: the rig, for the valve's bandwidth.
+    """
+    period = record.sampled(COMMAND, SPOOL)
+    if period * rig.plant.valve_bandwidth <= rules.SLOWEST:
+        return True
+    stride = max(1, round(period / record.period))
+    values = record.signals[COMMAND][::stride]
+    return float(np.sqrt(np.mean(np.diff(values) ** 2))) <= rules.SLOWEST * float(np.std(values))
+
+
+def presliding_travel(rig: Rig) -> float:
+    """Return the travel from rest after which all of the contact slips [m]; 0 for a model whose friction jumps."""
+    effective = rig.effective()
+    return float(effective.friction_law.break_away(effective.friction))
+
+
+def friction_known(record: Record, position: Array, velocity: Array, travel: float, noise: float) -> Mask:
+    """Tell where friction follows from the recorded motion although samples are slow.
+
+    A turn is resolved if the piston covers little of the presliding travel within the sample in which it turns. After any other
+    turn, friction is that of sliding again once the piston has left the place by several times that travel.
+
+    Args:
+        record: the recording.
+        position: of the piston, smoothed, shape (n,) [m].
+        velocity: of the piston, smoothed, shape (n,) [m/s].
+        travel: presliding travel [m].
+        noise: standard deviation of the velocity's noise [m/s]; at rest it looks like turns, which the noise floor holds.
+
+    Returns:
+        A mask of shape (n,).
+    """
+    known = np.ones(len(position), dtype=np.bool_)
+    period = record.sampled(POSITION, VELOCITY)
+    stride = max(1, round(period / record.period))
+    coarse = velocity[::stride]
+    turns = np.flatnonzero(coarse[1:] * coarse[:-1] < 0.0)
+    change = np.abs(coarse[turns + 1] - coarse[turns])
+    unresolved = (0.5 * change * period > rules.TURN_SEEN * travel) & (change > rules.CLEAR_TURN * noise)
+    for turn in turns[unresolved] * stride:
+        end = min(turn + stride, len(position) - 1)
+        away = np.abs(position[end:] - position[turn]) >= rules.SLIDING * travel
+        first = int(np.argmax(away)) if np.any(away) else len(away)
+        known[max(turn - stride, 0) : end + max(first, stride)] = False
+    return known
+
+
+def coarseness(record: Record) -> float:
+    """Return by how much straight lines between samples are worse than at a rate that resolves everything, 1 or more.
+
+    Their error grows with the square of the sampling period for one and the same motion. Where the signals bend less than that
+    between their samples, it is what they show.
+
+    Args:
+        record: the recording.
+    """
+    period = record.sampled(*record.signals)
+    grown = max(1.0, (period / rules.RESOLVED_PERIOD) ** 2)
+    if grown == 1.0:
+        return 1.0
+    stride = max(1, round(period / record.period))
+    bent = 0.0
+    for signal in (PRESSURE, FORCE, LOAD, POSITION, VELOCITY, SPOOL):
+        if signal not in record:
+            continue
+        values = record.signals[signal][::stride]
+        size = math.sqrt(float(np.mean(values**2)))
+        if len(values) < 3 or size == 0.0:
+            continue
+        # The second difference of white noise has six times its variance.
+        square = float(np.mean(np.diff(values, 2) ** 2)) - 6.0 * record.noise[signal] ** 2 * record.period / period
+        bent = max(bent, math.sqrt(max(square, 0.0)) / (8.0 * size))
+    return float(np.clip(bent / rules.TOLERANCE, 1.0, grown))

@@ -1,0 +1,272 @@
+"""Turns what rigs measure into the signals of the data contract: chamber pressures, load cell, angle and torque, raw counts."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
+
+from ehls_ros.errors import BadInput
+from ehls_ros.recording.columns import FITTED, ColumnMap, Cylinder
+from ehls_ros.samples import filled
+from ehls_ros.trajectory import READABLE, Own, Preparation, Trajectory
+
+Signal = NDArray[np.float64]
+
+EQUAL_AREAS = 0.01
+"""Relative difference of both areas up to which the flow of a symmetric cylinder holds: as little as a coefficient is known."""
+
+SAME = 0.98
+"""Smallest correlation of a fitted signal with the one that fixes its scale; below it the two show different things."""
+
+FEWEST = 100
+"""Fewest samples that fix a scale."""
+
+MOST_INTERVALS, FEWEST_IN_INTERVAL, FEWEST_INTERVALS = 200, 5, 10
+"""Intervals over which both signals are compared, so that their errors are independent: most, least samples in one, fewest."""
+
+NOTHING = 1e-9
+"""Change of a signal, relative to its size, that is none."""
+
+TURNED: Mapping[str, tuple[str, int]] = {
+    "angle_rad": ("position_m", 1),
+    "angular_velocity_rad_s": ("velocity_m_s", 1),
+    "torque_n_m": ("force_n", -1),
+    "load_torque_n_m": ("disturbance_force_n", -1),
+}
+"""The linear signal that stands for a rotary one, and the power of the arm that it is multiplied by."""
+
+FLOW_OF_UNEQUAL_AREAS = (
+    "the volume balance is that of a symmetric cylinder; with unequal areas the valve's pressure drop differs by direction"
+)
+"""Why the flow is not judged."""
+
+
+class _State(NamedTuple):
+    signals: dict[str, Signal]
+    preparation: Preparation
+
+
+def converted(trajectory: Trajectory, given: ColumnMap, where: str) -> Trajectory:
+    """Add the signals that follow from what a rig measured.
+
+    Args:
+        trajectory: as read.
+        given: the user's map, with areas and arm.
+        where: the recording, for errors.
+
+    Returns:
+        The trajectory with the measured and the derived signals, and remarks on what was derived how.
+
+    Raises:
+        BadInput: an area or arm is missing, a signal is given twice, or a scale cannot be fitted.
+    """
+    state = _State(dict(trajectory.signals), trajectory.preparation)
+    # Counts of a rotary sensor are fitted before they are turned into a path, all others after the chambers gave a pressure.
+    rotary = [name for name, column in given.columns.items() if column.fit_to and name in TURNED]
+    others = [name for name, column in given.columns.items() if column.fit_to and name not in TURNED]
+    for name in rotary:
+        state = _fitted(state, name, trajectory.time_s, given, where)
+    for step in _STEPS:
+        state = step(state, given, where)
+    for name in others:
+        state = _fitted(state, name, trajectory.time_s, given, where)
+    return Trajectory(trajectory.time_s, state.signals, trajectory.metadata, state.preparation)
+
+
+def _added(state: _State, name: str, terms: Mapping[str, float], where: str, remark: str) -> _State:
+    """Add a signal that is a sum of others, each times a factor; its noise is theirs, squared and summed."""
+    if name in state.signals:
+        what = f"{name} is given, and follows from {' and '.join(terms)} as well"
+        raise BadInput(what, where, "one of the two; leave the other out")
+    values = sum((factor * state.signals[source] for source, factor in terms.items()), start=np.zeros(1))
+    return _State({**state.signals, name: values}, _preparation(state.preparation, name, terms).adding(remark))
+
+
+def _preparation(preparation: Preparation, name: str, terms: Mapping[str, float]) -> Preparation:
+    own = {source: preparation.interpolated[source] for source in terms if source in preparation.interpolated}
+    if not own:
+        return preparation
+    noise = math.hypot(*(terms[source] * o.noise for source, o in own.items()))
+    sampled = Own(max(o.period for o in own.values()), noise)
+    return preparation._replace(interpolated={**preparation.interpolated, name: sampled})
+
+
+def _measured(state: _State, name: str) -> _State:
+    return state._replace(preparation=state.preparation._replace(measured=(*state.preparation.measured, name)))
+
+
+def _linear(state: _State, given: ColumnMap, where: str) -> _State:
+    """Turn angles and torques into positions and forces at the arm."""
+    for rotary, (linear, power) in TURNED.items():
+        if rotary not in state.signals:
+            continue
+        if given.rotary is None:
+            raise BadInput(f"{rotary} is given without an arm", where, "rotary: {radius: ...} in the map of columns, in m")
+        arm = given.rotary.radius
+        remark = f"{linear} is {rotary} {'times' if power > 0 else 'divided by'} the arm of {arm:g} m"
+        state = _added(state, linear, {rotary: arm**power}, where, remark)
+        if linear == "disturbance_force_n":
+            state = _measured(state, linear)
+    return state
+
+
+def _chambers(state: _State, given: ColumnMap, where: str) -> _State:
+    """Turn the pressures of both chambers into the load pressure of a symmetric cylinder with the same force."""
+    a, b = "pressure_a_pa", "pressure_b_pa"
+    present = [name for name in (a, b) if name in state.signals]
+    if not present:
+        return state
+    if len(present) == 1:
+        if given.cylinder is None:
+            # One chamber alone is read and shown; what pushes against it is not known.
+            return state._replace(preparation=state.preparation.adding(f"{present[0]} alone gives no load pressure"))
+        raise BadInput(f"{present[0]} is there without the other chamber's pressure", where, f"both {a} and {b}")
+    areas = given.cylinder or Cylinder(1.0, 1.0)
+    mean = areas.mean
+    terms = {a: areas.area_a / mean, b: -areas.area_b / mean}
+    if given.cylinder is None:
+        return _added(
+            state, "load_pressure_pa", terms, where, "both chambers are taken to have equal areas (no cylinder: in the map)"
+        )
+    remark = (
+        f"load_pressure_pa is the force of both chambers over their mean area of {mean:.6g} m²,"
+        " which has to be piston_area in the rig file"
+    )
+    state = _added(state, "load_pressure_pa", terms, where, remark)
+    preparation = state.preparation._replace(equivalent_area=mean)
+    if abs(areas.area_a - areas.area_b) > EQUAL_AREAS * mean:
+        preparation = preparation._replace(not_judged={**preparation.not_judged, "flow": FLOW_OF_UNEQUAL_AREAS})
+    return state._replace(preparation=preparation)
+
+
+def _supply(state: _State, given: ColumnMap, where: str) -> _State:
+    """Take the supply pressure above that of the tank, as the valve's flow does."""
+    tank, supply = "tank_pressure_pa", "supply_pressure_pa"
+    if tank not in state.signals or supply not in state.signals:
+        return state
+    rest = {name: values for name, values in state.signals.items() if name != supply}
+    with_source = _State({**rest, "supply": state.signals[supply]}, _preparation(state.preparation, "supply", {supply: 1.0}))
+    terms = {"supply": 1.0, tank: -1.0}
+    out = _added(with_source, supply, terms, where, "supply_pressure_pa is what the supply has above the tank")
+    kept = {name: own for name, own in out.preparation.interpolated.items() if name != "supply"}
+    signals = {name: values for name, values in out.signals.items() if name != "supply"}
+    return _State(signals, out.preparation._replace(interpolated=kept))
+
+
+def _cell(state: _State, given: ColumnMap, where: str) -> _State:
+    """Take a load cell between piston and load for the force from outside."""
+    if "load_cell_n" not in state.signals:
+        return state
+    remark = "disturbance_force_n is what the load cell between piston and load shows; the moving mass is that before the cell"
+    return _measured(_added(state, "disturbance_force_n", {"load_cell_n": 1.0}, where, remark), "disturbance_force_n")
+
+
+_STEPS: tuple[Callable[[_State, ColumnMap, str], _State], ...] = (_linear, _chambers, _supply, _cell)
+
+
+# --- raw counts --------------------------------------------------------------------------------
+
+
+class Scale(NamedTuple):
+    """A straight line from raw counts to a signal, with standard errors.
+
+    Attributes:
+        factor: signal per count.
+        error: its standard error.
+        offset: signal at zero; None where the second signal does not tell it.
+        correlation: of the line with the data.
+    """
+
+    factor: float
+    error: float
+    offset: float | None
+    correlation: float
+
+
+def fitted_scale(counts: Signal, other: Signal, time: Signal, kind: str) -> Scale | None:
+    """Fit the scale of raw counts to a second signal.
+
+    Args:
+        counts: the raw signal, shape (n,).
+        other: the second signal, shape (n,).
+        time: sample times, shape (n,) [s].
+        kind: ``same`` quantity, ``integral`` if the counts are the other's integral, ``derivative`` if they are its derivative.
+
+    Returns:
+        The scale; None if fewer than :data:`FEWEST` samples show both, or one does not move.
+    """
+    both = np.isfinite(counts) & np.isfinite(other)
+    if np.count_nonzero(both) < FEWEST:
+        return None
+    edges = np.unique(np.linspace(0, len(time) - 1, min(MOST_INTERVALS, len(time) // FEWEST_IN_INTERVAL) + 1).astype(np.intp))
+    whole = np.add.reduceat(~both, edges[:-1]) == 0
+    lasts = np.diff(time[edges])
+    # What happens within an interval: the change of one signal, and the integral of the other.
+    change = {"same": _integral, "integral": _change, "derivative": _integral}[kind](counts, time, edges)
+    wanted = {"same": _integral, "integral": _integral, "derivative": _change}[kind](other, time, edges)
+    rate, target = (change / lasts)[whole], (wanted / lasts)[whole]
+    spread = rate - np.mean(rate) if rate.size else rate
+    size = float(spread @ spread)
+    if rate.size < FEWEST_INTERVALS or np.ptp(rate) <= NOTHING * np.max(np.abs(rate)) or np.ptp(target) == 0.0:
+        return None
+    factor = float(spread @ target) / size
+    offset = float(np.mean(target) - factor * np.mean(rate))
+    residual = target - factor * rate - offset
+    error = math.sqrt(float(residual @ residual) / (rate.size - 2) / size)
+    correlation = abs(float(np.corrcoef(rate, target)[0, 1]))
+    # The rate of a path has lost its zero.
+    return Scale(factor, error, None if kind == "integral" else offset, correlation)
+
+
+def _integral(values: Signal, time: Signal, edges: NDArray[np.intp]) -> Signal:
+    out: Signal = np.diff(np.concatenate([[0.0], cumulative_trapezoid(filled(values), time)])[edges])
+    return out
+
+
+def _change(values: Signal, time: Signal, edges: NDArray[np.intp]) -> Signal:
+    out: Signal = np.diff(filled(values)[edges])
+    return out
+
+
+_KINDS: Mapping[str, str] = {
+    "position_m": "integral",
+    "angle_rad": "integral",
+    "velocity_m_s": "derivative",
+    "angular_velocity_rad_s": "derivative",
+    "force_n": "same",
+    "load_pressure_pa": "same",
+}
+
+
+def _fitted(state: _State, name: str, time: Signal, given: ColumnMap, where: str) -> _State:
+    other = FITTED[name]
+    if name not in state.signals or other not in state.signals:
+        raise BadInput(f"{name} is to be fitted to {other}, which is not there", where, f"{other} in its unit")
+    target = state.signals[other]
+    if {name, other} == {"force_n", "load_pressure_pa"}:
+        if given.cylinder is None:
+            raise BadInput(
+                f"{name} is to be fitted to {other} without an area", where, "cylinder: {area_a: ..., area_b: ...} in m²"
+            )
+        target = target * given.cylinder.mean ** (1 if name == "force_n" else -1)
+    scale = fitted_scale(state.signals[name], target, time, _KINDS[name])
+    if scale is None:
+        raise BadInput(
+            f"{name} cannot be fitted to {other}: one of them is too short or does not change", where, "data that move"
+        )
+    if scale.correlation < SAME:
+        what = f"{name} follows {other} with a correlation of {scale.correlation:.3f} only: its scale is not fixed by it"
+        raise BadInput(what, where, f"{SAME} or more, or the scale of {given.columns[name].name} from its data sheet")
+    values = scale.factor * state.signals[name] + (scale.offset or 0.0)
+    unit = READABLE[name].unit
+    zero = "its zero stays that of the counts" if scale.offset is None else f"zero at {scale.offset:.4g} {unit}"
+    remark = f"{name}: {scale.factor:.6g} ± {scale.error:.2g} {unit} per count, fitted to {other}; {zero}"
+    preparation = state.preparation.adding(remark)
+    if name in preparation.interpolated:
+        own = preparation.interpolated[name]
+        scaled = own._replace(noise=abs(scale.factor) * own.noise)
+        preparation = preparation._replace(interpolated={**preparation.interpolated, name: scaled})
+    return _State({**state.signals, name: values}, preparation)

@@ -1,0 +1,271 @@
+"""Recognises columns of measured data by what their headers say: a word for the quantity, and its unit.
+
+Only a header that says both, without contradiction, is taken for a signal. Anything less is shown with what is missing, and
+left to the user.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
+
+from ehls_ros.recording.columns import TIME, is_contract_name
+from ehls_ros.recording.units import ELECTRICAL, UNITS, quantity_of, unit_of
+from ehls_ros.trajectory import READABLE
+
+Sureness = Literal["contract", "stated", "unsure", "unknown"]
+
+
+class Recognised(NamedTuple):
+    """What a header says.
+
+    Attributes:
+        column: the header.
+        signal: name in the data contract; the best candidate where it is unsure, empty where there is none.
+        unit: unit in its known spelling; empty where none is said.
+        sureness: ``contract`` needs no map; ``stated`` says quantity and unit; ``unsure`` leaves something open.
+        open: what is left open; empty for the first two, or a remark.
+    """
+
+    column: str
+    signal: str
+    unit: str
+    sureness: Sureness
+    open: str
+
+
+WORDS: Mapping[str, str] = {
+    **dict.fromkeys(("t", "time", "zeit", "timestamp", "zeitstempel"), "time"),
+    **dict.fromkeys(("x", "position", "pos", "weg", "hub", "stroke", "displacement", "kolbenweg"), "length"),
+    **dict.fromkeys(("xv", "spool", "schieber", "schieberweg"), "spool"),
+    **dict.fromkeys(("v", "velocity", "vel", "speed", "geschwindigkeit"), "velocity"),
+    **dict.fromkeys(("F", "force", "kraft"), "force"),
+    **dict.fromkeys(("loadcell", "kraftmessdose", "kraftaufnehmer"), "cell"),
+    **dict.fromkeys(("p", "pressure", "druck", "press"), "pressure"),
+    **dict.fromkeys(("ps", "versorgungsdruck", "systemdruck", "pumpendruck"), "supply"),
+    **dict.fromkeys(("pt", "tankdruck"), "tank"),
+    **dict.fromkeys(("pL", "dp", "lastdruck", "differenzdruck"), "load pressure"),
+    **dict.fromkeys(("T", "temp", "temperature", "temperatur"), "temperature"),
+    **dict.fromkeys(("öltemperatur", "oeltemperatur"), "oil temperature"),
+    **dict.fromkeys(("phi", "φ", "theta", "angle", "winkel", "drehwinkel"), "angle"),
+    **dict.fromkeys(("omega", "ω", "drehzahl", "winkelgeschwindigkeit"), "angular velocity"),
+    **dict.fromkeys(("M", "torque", "moment", "drehmoment"), "torque"),
+    **dict.fromkeys(
+        ("u", "U", "i", "I", "command", "cmd", "stellsignal", "stellgröße", "ventilstrom", "ventilspannung"), "command"
+    ),
+}
+"""Words for quantities, English and German. A single letter, and one with a capital inside, count with their case."""
+
+QUALIFIERS: Mapping[str, str] = {
+    "a": "A",
+    "b": "B",
+    "1": "1",
+    "2": "2",
+    **dict.fromkeys(("s", "supply", "pump", "system", "versorgung", "pumpe"), "supply"),
+    **dict.fromkeys(("t", "tank", "return", "rücklauf"), "tank"),
+    **dict.fromkeys(("l", "load", "last", "diff", "differential", "delta"), "load"),
+    **dict.fromkeys(("oil", "öl", "oel", "fluid"), "oil"),
+    **dict.fromkeys(("cell", "dose", "aufnehmer"), "cell"),
+    **dict.fromkeys(("ref", "reference", "soll", "sollwert", "setpoint", "target", "desired"), "reference"),
+    **dict.fromkeys(("valve", "ventil", "servo"), "valve"),
+    **dict.fromkeys(("min", "max", "mean", "avg", "std", "rms", "filtered", "filt", "raw", "err", "error"), "worked on"),
+}
+"""Words that tell which of several signals of a quantity it is."""
+
+UNIT_LIKE_WORDS = ("min", "in", "h", "C", "K")
+"""Suffixes that are words as often as units."""
+
+LOWER_CASE: Mapping[str, str] = {"n": "N", "kn": "kN", "pa": "Pa", "kpa": "kPa", "k": "K", "v": "V", "ma": "mA", "degc": "degC"}
+"""Units as names in lower case write them."""
+
+TWO_UNITS = ("mpa", "mn")
+"""What lower case makes of two units each."""
+
+BRACKETS = re.compile(r"\s*(?P<label>.*?)\s*[\[({<]\s*(?P<unit>[^\])}>]*?)\s*[\])}>]\s*\Z")
+BETWEEN = re.compile(r"\s*(?P<label>.*?\S)\s*(?:/|\s+in\s+)\s*(?P<unit>\S.*?)\s*\Z")
+PIECES = re.compile(r"[A-ZÄÖÜ]?[a-zäöüßµ]+|[A-ZÄÖÜ]+(?![a-zäöü])|[0-9]+|[α-ωΑ-Ω]")
+
+
+def recognised(header: Sequence[str]) -> list[Recognised]:
+    """Tell what the headers of a table say, in their order."""
+    found = [_recognised(column) for column in header]
+    stated = [r.signal for r in found if r.sureness in ("contract", "stated")]
+    return [
+        r._replace(sureness="unsure", open=f"{stated.count(r.signal)} columns say the same; which is it?")
+        if r.sureness == "stated" and stated.count(r.signal) > 1
+        else r
+        for r in found
+    ]
+
+
+def _recognised(column: str) -> Recognised:
+    if is_contract_name(column):
+        return Recognised(column, column, "", "contract", "")
+    label, unit, doubt = _parted(column)
+    quantity, qualifiers = _words(label)
+    signal, left_open = _signal(quantity, qualifiers)
+    if not quantity:
+        candidate = _only_signal(UNITS[unit].quantity) if unit else ""
+        what = doubt or ("the unit is known, the name is not" if unit else "the name says nothing that is known")
+        return Recognised(column, candidate, unit, "unsure" if unit or doubt else "unknown", what)
+    if doubt or not unit:
+        return Recognised(column, signal, "", "unsure", "; ".join(filter(None, (doubt or "no unit is said", left_open))))
+    if UNITS[unit].quantity in ELECTRICAL:
+        return Recognised(column, signal, unit, "unsure", f"the gain from {unit} to the signal, by the data sheet")
+    if quantity_of(signal) != UNITS[unit].quantity:
+        what = f"{unit} is a unit of {UNITS[unit].quantity}, which the name contradicts"
+        return Recognised(column, "", unit, "unsure", what)
+    return Recognised(column, signal, unit, "unsure" if left_open else "stated", left_open)
+
+
+def _parted(column: str) -> tuple[str, str, str]:
+    """Return label, unit and doubt: a unit in brackets, after a slash or ``in``, or behind the last underscore or space."""
+    for pattern in (BRACKETS, BETWEEN):
+        match = pattern.match(column)
+        unit = unit_of(match["unit"]) if match else None
+        if match and unit is not None:
+            return match["label"], unit, ""
+        if match and pattern is BRACKETS:
+            return match["label"], "", f"unit {match['unit']!r} is not known" if match["unit"] else ""
+    parts = re.split(r"[_\s]+", column.strip("_ "))
+    for count, joint in ((2, "/"), (2, ""), (1, "")):
+        if len(parts) > count:
+            label, written = "_".join(parts[:-count]), joint.join(parts[-count:])
+            found = _suffix(label, written)
+            if found is not None:
+                return label, *found
+    return column, "", ""
+
+
+def _suffix(label: str, written: str) -> tuple[str, str] | None:
+    """Return unit and doubt of what stands behind a label; None where it is no unit but a part of the name.
+
+    In ``p_A`` it is a chamber, not amperes: a unit that contradicts the label is none.
+    """
+    unit = unit_of(written) or LOWER_CASE.get(written)
+    if unit is None:
+        return ("", f"{written} is two units by its case; write the one meant") if written in TWO_UNITS else None
+    quantity, qualifiers = _words(label)
+    signal, _ = _signal(quantity, qualifiers)
+    if quantity != "command" and (not signal or quantity_of(signal) != UNITS[unit].quantity):
+        return None
+    if written in UNIT_LIKE_WORDS and quantity not in ("temperature", "oil temperature"):
+        return "", f"'{written}' may be a unit or a word"
+    return unit, ""
+
+
+def _words(label: str) -> tuple[str, set[str]]:
+    """Return the quantity that a label names, and what tells which signal of it; the empty text for none or for two."""
+    pieces = PIECES.findall(label)
+    whole = "".join(pieces)
+    if whole in WORDS or (whole.lower() in WORDS and len(whole) > 2):
+        return WORDS.get(whole) or WORDS[whole.lower()], set()
+    quantities, qualifiers = list[str](), set[str]()
+    for place, piece in enumerate(pieces):
+        known = WORDS.get(piece) if len(piece) == 1 or piece in WORDS else WORDS.get(piece.lower())
+        if known and not (place and len(piece) == 1):
+            quantities.append(known)
+        elif piece.lower() in QUALIFIERS:
+            qualifiers.add(QUALIFIERS[piece.lower()])
+        elif piece.lower() not in _SILENT:
+            qualifiers.add("unknown")
+    distinct = set(quantities)
+    if distinct == {"command", "reference"} or len(distinct) != 1:
+        return "", qualifiers
+    return distinct.pop(), qualifiers
+
+
+_SILENT = (
+    "sensor",
+    "signal",
+    "measured",
+    "mess",
+    "ist",
+    "actual",
+    "act",
+    "piston",
+    "kolben",
+    "cylinder",
+    "zylinder",
+    "chamber",
+    "kammer",
+)
+"""Words that change nothing."""
+
+
+def _signal(quantity: str, qualifiers: set[str]) -> tuple[str, str]:
+    """Return the signal of a quantity with its qualifiers, and what they leave open."""
+    if quantity == "pressure" and not qualifiers & _DOUBTS.keys():
+        return _pressure(qualifiers)
+    doubt = next((text for word, text in _DOUBTS.items() if word in qualifiers), "")
+    rest = qualifiers - _DOUBTS.keys()
+    for (of, qualifier), signal in _QUALIFIED.items():
+        if of == quantity and rest == {qualifier}:
+            return signal, doubt
+    if quantity == "temperature":
+        return _plain(quantity), doubt or "of the oil?"
+    free = quantity in ("command", "spool") and rest <= {"valve"}
+    return _plain(quantity), doubt or ("" if free or not rest else "which one?")
+
+
+_DOUBTS: Mapping[str, str] = {
+    "worked on": "a statistic, a filtered or a raw signal?",
+    "unknown": "a word of the name is not known",
+}
+"""Qualifiers that leave every quantity open."""
+
+_QUALIFIED: Mapping[tuple[str, str], str] = {
+    ("temperature", "oil"): "oil_temperature_k",
+    ("force", "reference"): "force_reference_n",
+    ("force", "cell"): "load_cell_n",
+    ("force", "load"): "load_cell_n",
+    ("length", "reference"): "position_reference_m",
+    ("torque", "load"): "load_torque_n_m",
+}
+"""Signals by quantity and qualifier."""
+
+
+def _pressure(qualifiers: set[str]) -> tuple[str, str]:
+    by_name = {
+        "A": "pressure_a_pa",
+        "B": "pressure_b_pa",
+        "supply": "supply_pressure_pa",
+        "tank": "tank_pressure_pa",
+        "load": "load_pressure_pa",
+    }
+    found = [by_name[q] for q in sorted(qualifiers) if q in by_name]
+    if len(found) == 1 and len(qualifiers) == 1:
+        return found[0], ""
+    numbered = {"1": "pressure_a_pa", "2": "pressure_b_pa"}
+    for number, signal in numbered.items():
+        if qualifiers == {number}:
+            return signal, f"is chamber {number} the one that pushes towards {'+' if number == '1' else '-'}x?"
+    return "load_pressure_pa", "of which chamber: load_pressure_pa, pressure_a_pa, pressure_b_pa, supply_pressure_pa?"
+
+
+_BY_QUANTITY: Mapping[str, str] = {
+    "time": TIME,
+    "length": "position_m",
+    "spool": "spool_m",
+    "velocity": "velocity_m_s",
+    "force": "force_n",
+    "cell": "load_cell_n",
+    "pressure": "load_pressure_pa",
+    "supply": "supply_pressure_pa",
+    "tank": "tank_pressure_pa",
+    "load pressure": "load_pressure_pa",
+    "temperature": "oil_temperature_k",
+    "oil temperature": "oil_temperature_k",
+    "angle": "angle_rad",
+    "angular velocity": "angular_velocity_rad_s",
+    "torque": "torque_n_m",
+    "command": "valve_command_m",
+}
+
+
+def _plain(quantity: str) -> str:
+    return _BY_QUANTITY.get(quantity, "")
+
+
+def _only_signal(quantity: str) -> str:
+    """Return a candidate for a unit alone."""
+    return next((name for name in (TIME, *READABLE) if quantity_of(name) == quantity), "")

@@ -1,0 +1,172 @@
+"""Brings tables of one recording, each with its own rate and time stamps, to one clock.
+
+A faster signal is averaged over each period of that clock: an integral of the straight lines between its samples, centred, so
+that it keeps its phase. A slower one follows a cubic spline through its samples, which adds no content of its own; its rate and
+noise are kept, for what is judged by them. A held command is averaged over the period that follows, in which it acts.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from ehls_ros.errors import BadInput
+from ehls_ros.samples import inliers, noise
+from ehls_ros.trajectory import Own, Preparation, Trajectory
+
+Signal = NDArray[np.float64]
+
+FASTEST = 4e-4
+"""Shortest period of a clock that is chosen without being asked for: faster tables are averaged [s]."""
+
+SAME_RATE = 0.02
+"""Relative difference of periods up to which a table is neither faster nor slower than the clock."""
+
+LONGEST_GAP = 3.5
+"""Time between two samples above which nothing is known in between, in the table's own periods; to an average over a period of
+the clock, gaps up to that period do not matter."""
+
+LEAST_COMMON = 0.5
+"""Least part of the shortest table that all tables must have in common."""
+
+FEWEST = 4
+"""Fewest samples of a signal that is interpolated."""
+
+HELD = ("valve_command_m",)
+"""Signals that hold their value until the next sample."""
+
+
+class _Clock(NamedTuple):
+    time: Signal
+    period: float
+
+
+def join(tables: Mapping[str, Trajectory], base: str, where: str) -> Trajectory:
+    """Bring the tables of one recording to one clock.
+
+    Args:
+        tables: by file name, each with times on a common axis.
+        base: the table whose clock is used; the empty text: the fastest that is not above 2.5 kHz.
+        where: the recording, for errors.
+
+    Returns:
+        One trajectory over the time that all tables have in common.
+
+    Raises:
+        BadInput: a table is too short, two have the same signal, or they do not overlap.
+    """
+    for name, table in tables.items():
+        if len(table) < FEWEST:
+            raise BadInput(f"it has {len(table)} samples", f"{where}, {name}", f"at least {FEWEST}")
+    periods = {name: float(np.median(np.diff(table.time_s))) for name, table in tables.items()}
+    chosen = base or _base(periods)
+    begin, end = _common(tables, where)
+    whole = tables[chosen].time_s
+    clock = _Clock(whole[(whole >= begin) & (whole <= end)], periods[chosen])
+    signals, interpolated = dict[str, Signal](), dict[str, Own]()
+    remarks = [f"{len(tables)} tables are joined at the times of {chosen} ({1.0 / clock.period:.4g} Hz)"]
+    for name, table in tables.items():
+        ratio = periods[name] / clock.period
+        for signal, values in table.signals.items():
+            if signal in signals:
+                raise BadInput(f"{signal} is in {name} and in another table", where, "one table for it (table: in the map)")
+            if values.ndim != 1:
+                raise BadInput(f"{signal} of the friction elements is in {name}", where, "them in a recording of one table")
+            if name == chosen:
+                signals[signal] = values[(whole >= begin) & (whole <= end)]
+            else:
+                signals[signal] = _at(clock, table.time_s, values, periods[name], ratio, signal in HELD)
+            if ratio > 1.0 + SAME_RATE:
+                interpolated[signal] = Own(periods[name], _noise(values))
+        if name != chosen:
+            remarks.append(f"{', '.join(table.signals)}: {_said(ratio, periods[name])}")
+    return Trajectory(clock.time, signals, preparation=Preparation(tuple(remarks), interpolated))
+
+
+def _base(periods: Mapping[str, float]) -> str:
+    slow_enough = {name: period for name, period in periods.items() if period >= FASTEST}
+    # The first of equally fast ones, in the order given.
+    return min(slow_enough, key=slow_enough.__getitem__) if slow_enough else max(periods, key=periods.__getitem__)
+
+
+def _common(tables: Mapping[str, Trajectory], where: str) -> tuple[float, float]:
+    spans = {name: (float(table.time_s[0]), float(table.time_s[-1])) for name, table in tables.items()}
+    begin, end = max(b for b, _ in spans.values()), min(e for _, e in spans.values())
+    if end - begin < LEAST_COMMON * min(e - b for b, e in spans.values()):
+        shown = ", ".join(f"{name} {b:.6g} to {e:.6g} s" for name, (b, e) in spans.items())
+        expected = "tables of the same time; 'tables: {file: {name: ..., offset: ...}}' in the map shifts a clock, in s"
+        raise BadInput(f"the tables hardly overlap ({shown})", where, expected)
+    return begin, end
+
+
+def _noise(values: Signal) -> float:
+    return noise(values[np.isfinite(values)])
+
+
+def _said(ratio: float, period: float) -> str:
+    rate = f"{1.0 / period:.4g} Hz"
+    if ratio > 1.0 + SAME_RATE:
+        return f"interpolated from {rate} by a cubic spline"
+    return f"averaged from {rate}" if ratio < 1.0 - SAME_RATE else f"moved from their own times, {rate}"
+
+
+def _at(clock: _Clock, time: Signal, values: Signal, period: float, ratio: float, held: bool) -> Signal:
+    """Return a signal at the times of a clock, NaN where nothing is known of it."""
+    # A spline or an average would spread an outlier over its neighbours.
+    right = np.isfinite(values) if held or len(values) < 2 * FEWEST else inliers(values)
+    t, known = time[right], values[right]
+    if len(t) < FEWEST:
+        return np.full(len(clock.time), np.nan)
+    faster = ratio < 1.0 - SAME_RATE
+    if held:
+        out = held_mean(t, known, clock.time, clock.period) if faster else known[_latest(t, clock.time)]
+    elif faster:
+        out = centred_mean(t, known, clock.time, clock.period)
+    else:
+        out = CubicSpline(t, known)(clock.time)
+    after = np.clip(np.searchsorted(t, clock.time), 1, len(t) - 1)
+    longest = max(LONGEST_GAP * period, clock.period) if faster else LONGEST_GAP * period
+    unknown = (t[after] - t[after - 1] > longest) & (t[after] != clock.time) & (t[after - 1] != clock.time)
+    outside = (clock.time < t[0]) | (clock.time > t[-1])
+    return np.where((unknown & ~np.bool_(held)) | outside, np.nan, out)
+
+
+def _latest(time: Signal, at: Signal) -> NDArray[np.intp]:
+    return np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 1)
+
+
+def centred_mean(time: Signal, values: Signal, at: Signal, width: float) -> Signal:
+    """Return the mean of a signal, straight between its samples, over a width centred on each time.
+
+    Args:
+        time: sample times, increasing, shape (m,) [s].
+        values: samples, shape (m,).
+        at: times wanted, shape (n,) [s].
+        width: of the average [s].
+    """
+    begin, end = np.clip(at - 0.5 * width, time[0], time[-1]), np.clip(at + 0.5 * width, time[0], time[-1])
+    areas = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
+
+    def integral(to: Signal) -> Signal:
+        piece = np.clip(np.searchsorted(time, to, side="right") - 1, 0, len(time) - 2)
+        since, slope = to - time[piece], np.diff(values)[piece] / np.diff(time)[piece]
+        out: Signal = areas[piece] + since * (values[piece] + 0.5 * slope * since)
+        return out
+
+    mean: Signal = (integral(end) - integral(begin)) / np.maximum(end - begin, 1e-300)
+    return mean
+
+
+def held_mean(time: Signal, values: Signal, at: Signal, width: float) -> Signal:
+    """Return the mean of a held signal over a width that begins at each time; arguments as of :func:`centred_mean`."""
+    areas = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time))])
+
+    def integral(to: Signal) -> Signal:
+        piece = _latest(time, to)
+        out: Signal = areas[piece] + (to - time[piece]) * values[piece]
+        return out
+
+    mean: Signal = (integral(at + width) - integral(at)) / width
+    return mean

@@ -1,0 +1,150 @@
+"""What headers of measured data are taken for, and what is left to the user."""
+
+from pathlib import Path
+
+import pytest
+
+from ehls_ros.recording.columns import read_columns
+from ehls_ros.recording.headers import recognised
+from ehls_ros.recording.load import load
+from ehls_ros.recording.proposal import look, proposed_map
+from ehls_ros.recording.units import UNITS, unit_of
+
+STATED = {
+    "p_A [bar]": ("pressure_a_pa", "bar"),
+    "Druck B [bar]": ("pressure_b_pa", "bar"),
+    "pB (MPa)": ("pressure_b_pa", "MPa"),
+    "ps [bar]": ("supply_pressure_pa", "bar"),
+    "supply pressure [psi]": ("supply_pressure_pa", "psi"),
+    "Tankdruck / bar": ("tank_pressure_pa", "bar"),
+    "p_T [bar]": ("tank_pressure_pa", "bar"),
+    "dp_MPa": ("load_pressure_pa", "MPa"),
+    "Weg_mm": ("position_m", "mm"),
+    "Weg in mm": ("position_m", "mm"),
+    "x / µm": ("position_m", "µm"),
+    "x [\N{GREEK SMALL LETTER MU}m]": ("position_m", "µm"),
+    "position [mm]": ("position_m", "mm"),
+    "Position_Soll [mm]": ("position_reference_m", "mm"),
+    "xv [mm]": ("spool_m", "mm"),
+    "v_mm_s": ("velocity_m_s", "mm/s"),
+    "speed [mm/s]": ("velocity_m_s", "mm/s"),
+    "Kraft (kN)": ("force_n", "kN"),
+    "F_N": ("force_n", "N"),
+    "force_kn": ("force_n", "kN"),
+    "LoadCell [N]": ("load_cell_n", "N"),
+    "time_ms": ("time_s", "ms"),
+    "time [ms]": ("time_s", "ms"),
+    "Zeit [s]": ("time_s", "s"),
+    "T_oil [°C]": ("oil_temperature_k", "°C"),
+    "Öltemperatur [°C]": ("oil_temperature_k", "°C"),
+    "Winkel [°]": ("angle_rad", "°"),
+    "angle_deg": ("angle_rad", "deg"),
+    "Drehmoment [Nm]": ("torque_n_m", "Nm"),
+    "n_drehzahl [rpm]": None,
+    "Drehzahl [1/min]": ("angular_velocity_rad_s", "1/min"),
+}
+"""Headers that say both quantity and unit; None for one with a letter that is not known."""
+
+LEFT_OPEN = {
+    "p": "no unit",
+    "p [bar]": "which chamber",
+    "pressure [bar]": "which chamber",
+    # A letter behind a pressure is a chamber, not amperes.
+    "p_A": "no unit",
+    "p1 [bar]": "is chamber 1",
+    "p_max [bar]": "a statistic",
+    "x_filtered [mm]": "a filtered",
+    "F_error [N]": "a raw signal",
+    "t": "no unit",
+    "t_min": "'min' may be a unit or a word",
+    "x_in": "'in' may be a unit or a word",
+    "dp_mpa": "two units by its case",
+    "T [°C]": "of the oil?",
+    "I [mA]": "the gain from mA",
+    "valve command [V]": "the gain from V",
+    "Weg [bar]": "which the name contradicts",
+    "Weg [furlong]": "is not known",
+    "[mm]": "the name is not",
+    "qm [mm]": "the name is not",
+    "s_foo_mm": "the name says nothing",
+    "x_3 [mm]": "a word of the name",
+    "qm": "the name says nothing",
+    "vir": "the name says nothing",
+    "PG_1": "the name says nothing",
+    "": "the name says nothing",
+}
+"""Headers that leave something open, with what."""
+
+
+@pytest.mark.parametrize("header", STATED)
+def test_a_header_that_says_quantity_and_unit_is_taken(header: str):
+    [said] = recognised([header])
+    expected = STATED[header]
+    if expected is None:
+        assert said.sureness != "stated", said
+        return
+    assert (said.signal, said.unit, said.sureness) == (*expected, "stated"), said
+
+
+@pytest.mark.parametrize("header", LEFT_OPEN)
+def test_nothing_is_guessed(header: str):
+    [said] = recognised([header])
+    assert said.sureness in ("unsure", "unknown"), said
+    assert LEFT_OPEN[header] in said.open, said
+
+
+def test_names_of_the_data_contract_need_no_map():
+    assert [said.sureness for said in recognised(["time_s", "force_n", "pressure_a_pa"])] == ["contract"] * 3
+
+
+def test_two_columns_that_say_the_same_are_both_left_open():
+    first, second, other = recognised(["x1 [mm]", "Weg [mm]", "position [mm]"])
+    assert first.sureness == "unsure"
+    assert (second.sureness, other.sureness) == ("unsure", "unsure")
+    assert "2 columns say the same" in second.open
+
+
+@pytest.mark.parametrize(("written", "known"), [("mm", "mm"), ("N m", "N m"), ("in lbf", None), ("Bar", None), ("mPa", None)])
+def test_units_are_known_by_their_spelling(written: str, known: str | None):
+    assert unit_of(written) == known
+
+
+def test_units_have_their_sizes():
+    assert UNITS["in-lbf"].scale * 15000.0 == pytest.approx(1694.77, abs=0.01)
+    assert UNITS["rpm"].scale * 60.0 == pytest.approx(6.283185, rel=1e-6)
+    assert UNITS["°F"].scale * 32.0 + UNITS["°F"].offset == pytest.approx(273.15)
+    assert UNITS["psi"].scale == pytest.approx(6894.757, rel=1e-6)
+
+
+def test_a_proposed_map_can_be_used_as_it_is(tmp_path: Path):
+    (tmp_path / "data.csv").write_text(
+        'time [ms],"Weg, ""neu"" [mm]",Kraft (kN),p,Datum,T_oil [°C]\n0,1,2,5,a,20\n10,2,3,6,b,21\n20,3,4,7,c,21\n',
+        encoding="utf-8",
+    )
+    table = look(tmp_path / "data.csv")
+    assert table.rate == pytest.approx(100.0)
+    assert (table.columns[2].smallest, table.columns[2].largest) == (2.0, 4.0)
+    text = proposed_map([table])
+    (tmp_path / "columns.yaml").write_text(text, encoding="utf-8")
+    given = read_columns(tmp_path / "columns.yaml")
+    # What is not sure is not in it: neither the pressure without a unit nor the name with a word that is not known.
+    assert set(given.columns) == {"time_s", "force_n", "oil_temperature_k"}
+    assert '# load_pressure_pa: {name: "p"' in text
+    assert '# "Datum" is not a column of numbers' in text
+    trajectory = load(tmp_path / "data.csv", given)
+    assert trajectory.time_s.tolist() == [0.0, 0.01, 0.02]
+    assert trajectory["force_n"].tolist() == [2000.0, 3000.0, 4000.0]
+    assert trajectory["oil_temperature_k"][0] == pytest.approx(293.15)
+
+
+def test_several_tables_are_proposed_as_one_recording(tmp_path: Path):
+    (tmp_path / "fast.csv").write_text("t [ms],F [N]\n" + "".join(f"{k},{k}\n" for k in range(50)))
+    (tmp_path / "slow.csv").write_text("Zeit [s],Weg [mm]\n" + "".join(f"{k / 100},{k}\n" for k in range(5)))
+    text = proposed_map([look(tmp_path / "fast.csv"), look(tmp_path / "slow.csv")])
+    (tmp_path / "columns.yaml").write_text(text, encoding="utf-8")
+    given = read_columns(tmp_path / "columns.yaml")
+    assert list(given.tables) == ["fast.csv", "slow.csv"]
+    trajectory = load(tmp_path / "fast.csv", given)
+    # A straight line stays one, at the times of the fast table.
+    assert trajectory["position_m"] == pytest.approx(trajectory.time_s * 0.1, abs=1e-12)
+    assert trajectory["force_n"] == pytest.approx(trajectory.time_s * 1e3)
