@@ -1,0 +1,108 @@
+"""`draw_forms`: a rig that is never the model, its form errors as large as drawn."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from .experiments import TICK
+from .forms import KINDS, LARGEST, PER_STAGE, SMALLEST, STAGES, FormErrors, Rng, Signals, draw_shapes
+from .recording import Recording, record
+from .visibility import leftovers
+
+EXPERIMENT, SEED, DURATION = "rich", 20_251, 40.0
+"""What a rig's form errors are measured with; other experiments show them larger or smaller."""
+
+ROUNDS, TOLERANCE, TRIES = 3, 0.1, 20
+
+
+def largest_terms(rig: Mapping[str, Any], r: Recording) -> dict[str, list[float]]:
+    """Return the rms of the largest term in each of the residuals of `visibility.leftovers`; 0 for that of the supply."""
+    plant, c = rig["plant"], r.columns
+    area = plant["piston_area"]
+    load, speed = _rms(area * c["load_pressure_pa"]), _rms(np.gradient(c["position_m"], TICK))
+    opening = c["spool_m"] * np.sqrt(
+        np.maximum(c["supply_pressure_pa"] - np.sign(c["spool_m"]) * c["load_pressure_pa"], 0.0) / plant["oil_density"]
+    )
+    flow = _rms(plant["discharge_coefficient"] * plant["valve_area_gradient"] * opening)
+    return {
+        "force_balance": [max(load, _rms(c["disturbance_force_n"]))],
+        "flow": [max(flow, area * speed), 0.0],
+        "valve": [_rms(c["spool_m"])],
+        "sensors": [load, speed],
+    }
+
+
+class Scale:
+    """The size of form errors on a rig: the residuals they add to those of the model, against the largest terms."""
+
+    def __init__(self, rig: Mapping[str, Any]) -> None:
+        """Run the experiment on the model itself."""
+        self.rig = rig
+        plain = record(rig, {}, EXPERIMENT, seed=SEED, duration=DURATION, noise=0.0)
+        c = plain.columns
+        speed = np.gradient(c["position_m"], TICK)
+        self.signals = Signals(speed, c["load_pressure_pa"], c["force_n"], c["valve_command_m"], c["spool_m"])
+        self.terms, self.without = largest_terms(rig, plain), leftovers(rig, plain)
+
+    def rows(self, forms: FormErrors) -> dict[str, list[float]]:
+        """Return the size of form errors in each residual, as a fraction of its largest term."""
+        r = record(self.rig, {}, EXPERIMENT, seed=SEED, duration=DURATION, noise=0.0, forms=forms)
+        found = leftovers(self.rig, r)
+        return {
+            stage: [
+                _rms(a - b) / term if term > 0.0 else 0.0
+                for a, b, term in zip(found[stage], self.without[stage], self.terms[stage], strict=True)
+            ]
+            for stage in STAGES
+        }
+
+    def sizes(self, forms: FormErrors) -> dict[str, float]:
+        """Return the size of form errors in each stage: the root of the sum of squares over its residuals."""
+        return {stage: float(np.linalg.norm(rows)) for stage, rows in self.rows(forms).items()}
+
+
+def draw_forms(rng: Rng, rig: Mapping[str, Any], smallest: float = SMALLEST, largest: float = LARGEST) -> FormErrors:
+    """Draw a rig's form errors, `smallest` to `largest` of the largest term in every stage, log-uniformly.
+
+    The kinds in a stage are given equal sizes first, as far as they reach; then all that can be are scaled together.
+
+    Sizes that the kinds drawn cannot reach are drawn again with other kinds.
+
+    Raises:
+        RuntimeError: they could not be reached in any draw.
+    """
+    scale = Scale(rig)
+    for _ in range(TRIES):
+        forms = _calibrated(draw_shapes(rng, scale.signals, smallest, largest), scale)
+        reached = scale.sizes(forms)
+        if all(abs(reached[stage] / forms.sizes[stage] - 1.0) < TOLERANCE for stage in STAGES):
+            return replace(forms, sizes=reached)
+    raise RuntimeError(f"form errors of {smallest:g} to {largest:g} of the largest terms: not reached in {TRIES} draws")
+
+
+def _calibrated(forms: FormErrors, scale: Scale) -> FormErrors:
+    for place in range(PER_STAGE):
+        chosen = tuple(forms.kinds[stage][place] for stage in STAGES)
+        rows = scale.rows(forms.only(chosen))
+        wanted = {kind: forms.sizes[KINDS[kind].stage] / PER_STAGE**0.5 for kind in chosen}
+        found = {kind: rows[KINDS[kind].stage][KINDS[kind].row] for kind in chosen}
+        forms = _within(forms.scaled({kind: wanted[kind] / max(found[kind], 1e-12) for kind in chosen}))
+    for _ in range(ROUNDS):
+        sizes = scale.sizes(forms)
+        forms = _within(forms.scaled({kind: forms.sizes[s] / sizes[s] for s in STAGES for kind in forms.kinds[s]}))
+    return forms
+
+
+def _within(forms: FormErrors) -> FormErrors:
+    """Return form errors with every kind no larger than a rig could have."""
+    most = {KINDS[kind].amplitude: KINDS[kind].most for kinds in forms.kinds.values() for kind in kinds}
+    fields = {
+        name: float(np.clip(value, -most[name], most[name])) if name in most else value for name, value in forms.fields.items()
+    }
+    return replace(forms, fields=fields)
+
+
+def _rms(a: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(a * a)))
