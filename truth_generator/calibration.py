@@ -14,7 +14,7 @@ from .visibility import leftovers
 EXPERIMENT, SEED, DURATION = "rich", 20_251, 40.0
 """What a rig's form errors are measured with; other experiments show them larger or smaller."""
 
-ROUNDS, TOLERANCE, TRIES = 3, 0.1, 20
+ROUNDS, TOLERANCE, TRIES = 4, 0.05, 20
 
 
 def largest_terms(rig: Mapping[str, Any], r: Recording) -> dict[str, list[float]]:
@@ -37,10 +37,10 @@ def largest_terms(rig: Mapping[str, Any], r: Recording) -> dict[str, list[float]
 class Scale:
     """The size of form errors on a rig: the residuals they add to those of the model, against the largest terms."""
 
-    def __init__(self, rig: Mapping[str, Any]) -> None:
+    def __init__(self, rig: Mapping[str, Any], duration: float = DURATION) -> None:
         """Run the experiment on the model itself."""
-        self.rig = rig
-        plain = record(rig, {}, EXPERIMENT, seed=SEED, duration=DURATION, noise=0.0)
+        self.rig, self.duration = rig, duration
+        plain = record(rig, {}, EXPERIMENT, seed=SEED, duration=duration, noise=0.0)
         c = plain.columns
         speed = np.gradient(c["position_m"], TICK)
         self.signals = Signals(speed, c["load_pressure_pa"], c["force_n"], c["valve_command_m"], c["spool_m"])
@@ -48,7 +48,7 @@ class Scale:
 
     def rows(self, forms: FormErrors) -> dict[str, list[float]]:
         """Return the size of form errors in each residual, as a fraction of its largest term."""
-        r = record(self.rig, {}, EXPERIMENT, seed=SEED, duration=DURATION, noise=0.0, forms=forms)
+        r = record(self.rig, {}, EXPERIMENT, seed=SEED, duration=self.duration, noise=0.0, forms=forms)
         found = leftovers(self.rig, r)
         return {
             stage: [
@@ -75,23 +75,24 @@ def draw_forms(rng: Rng, rig: Mapping[str, Any], smallest: float = SMALLEST, lar
     """
     scale = Scale(rig)
     for _ in range(TRIES):
-        forms = _calibrated(draw_shapes(rng, scale.signals, smallest, largest), scale)
-        reached = scale.sizes(forms)
-        if all(abs(reached[stage] / forms.sizes[stage] - 1.0) < TOLERANCE for stage in STAGES):
-            return replace(forms, sizes=reached)
+        forms = _equal(draw_shapes(rng, scale.signals, smallest, largest), scale)
+        for _ in range(ROUNDS):
+            reached = scale.sizes(forms)
+            factors = {stage: forms.sizes[stage] / reached[stage] for stage in STAGES}
+            if all(abs(factor - 1.0) < TOLERANCE for factor in factors.values()):
+                return replace(forms, sizes=reached)
+            forms = _within(forms.scaled({kind: factors[stage] for stage in STAGES for kind in forms.kinds[stage]}))
     raise RuntimeError(f"form errors of {smallest:g} to {largest:g} of the largest terms: not reached in {TRIES} draws")
 
 
-def _calibrated(forms: FormErrors, scale: Scale) -> FormErrors:
+def _equal(forms: FormErrors, scale: Scale) -> FormErrors:
+    """Give the kinds in each stage equal sizes, which together are the size drawn, as far as they reach."""
     for place in range(PER_STAGE):
         chosen = tuple(forms.kinds[stage][place] for stage in STAGES)
         rows = scale.rows(forms.only(chosen))
         wanted = {kind: forms.sizes[KINDS[kind].stage] / PER_STAGE**0.5 for kind in chosen}
         found = {kind: rows[KINDS[kind].stage][KINDS[kind].row] for kind in chosen}
         forms = _within(forms.scaled({kind: wanted[kind] / max(found[kind], 1e-12) for kind in chosen}))
-    for _ in range(ROUNDS):
-        sizes = scale.sizes(forms)
-        forms = _within(forms.scaled({kind: forms.sizes[s] / sizes[s] for s in STAGES for kind in forms.kinds[s]}))
     return forms
 
 

@@ -63,7 +63,7 @@ def _alternating(number: int) -> str:
     return ("singles", "nothing")[number % 2]
 
 
-def _effect_of(seed: int, turn: int) -> str:
+def effect_of(seed: int, turn: int) -> str:
     """Return the effect of the nth case that hides one: all equally often, in an order given by the seed."""
     pool = sorted(LISTED)
     again, place = divmod(turn, len(pool))
@@ -160,7 +160,7 @@ def _case(kind: str, seed: int, number: int, duration: float, drawn: tuple[Any, 
 def make_partial(seed: int, number: int, duration: float) -> Case:
     """Draw a case of the exam `partial`."""
     rng = np.random.default_rng([seed, number, 1])
-    drawn = _imperfect(rng, _effect_of(seed, number), duration, None, 1.0)
+    drawn = _imperfect(rng, effect_of(seed, number), duration, None, 1.0)
     how = draw_measurement(rng, (), jitter=float(rng.uniform(0.0, JITTER)))
     return _case("singles", seed, number, duration, drawn, "partial", measurement=how)
 
@@ -169,7 +169,7 @@ def make_baseline(seed: int, number: int, duration: float) -> Case:
     """Draw a case of the exam `baseline`: one healthy recording of the same day, or three of other days."""
     rng = np.random.default_rng([seed, number, 2])
     kind = _alternating(number)
-    name = _effect_of(seed, number // 2) if kind == "singles" else None
+    name = effect_of(seed, number // 2) if kind == "singles" else None
     count = int(rng.choice([1, 3]))
     days = tuple(draw_day(rng, SPREAD) for _ in range(1 + count)) if count > 1 else ()
     healthy = tuple((_experiment(rng, name, HEALTHY), _seed(rng)) for _ in range(count))
@@ -185,7 +185,7 @@ def make_skew(seed: int, number: int, duration: float) -> Case:
     """Draw a case of the exam `skew`: each experiment with and without disturbance, with and without an effect, in turn."""
     rng = np.random.default_rng([seed, number, 3])
     kind = _alternating(number)
-    name = _effect_of(seed, number // 2) if kind == "singles" else None
+    name = effect_of(seed, number // 2) if kind == "singles" else None
     turn = number // 2
     disturbed = turn // len(SKEW_EXPERIMENTS) % 2 == 0
     experiment = "servo" if name == "coupling_stiffness" else SKEW_EXPERIMENTS[turn % len(SKEW_EXPERIMENTS)]
