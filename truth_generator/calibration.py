@@ -11,9 +11,6 @@ from .forms import KINDS, LARGEST, PER_STAGE, SMALLEST, STAGES, FormErrors, Rng,
 from .recording import Recording, record
 from .visibility import leftovers
 
-EXPERIMENT, SEED, DURATION = "rich", 20_251, 40.0
-"""What a rig's form errors are measured with; other experiments show them larger or smaller."""
-
 ROUNDS, TOLERANCE, TRIES = 4, 0.05, 20
 
 
@@ -35,12 +32,12 @@ def largest_terms(rig: Mapping[str, Any], r: Recording) -> dict[str, list[float]
 
 
 class Scale:
-    """The size of form errors on a rig: the residuals they add to those of the model, against the largest terms."""
+    """The size of form errors in an experiment: the residuals they add to those of the model, against the largest terms."""
 
-    def __init__(self, rig: Mapping[str, Any], duration: float = DURATION) -> None:
+    def __init__(self, rig: Mapping[str, Any], experiment: str, seed: int, duration: float) -> None:
         """Run the experiment on the model itself."""
-        self.rig, self.duration = rig, duration
-        plain = record(rig, {}, EXPERIMENT, seed=SEED, duration=duration, noise=0.0)
+        self.rig, self.experiment, self.same = rig, experiment, {"seed": seed, "duration": duration, "noise": 0.0}
+        plain = record(rig, {}, experiment, **self.same)
         c = plain.columns
         speed = np.gradient(c["position_m"], TICK)
         self.signals = Signals(speed, c["load_pressure_pa"], c["force_n"], c["valve_command_m"], c["spool_m"])
@@ -48,7 +45,7 @@ class Scale:
 
     def rows(self, forms: FormErrors) -> dict[str, list[float]]:
         """Return the size of form errors in each residual, as a fraction of its largest term."""
-        r = record(self.rig, {}, EXPERIMENT, seed=SEED, duration=self.duration, noise=0.0, forms=forms)
+        r = record(self.rig, {}, self.experiment, forms=forms, **self.same)
         found = leftovers(self.rig, r)
         return {
             stage: [
@@ -63,17 +60,33 @@ class Scale:
         return {stage: float(np.linalg.norm(rows)) for stage, rows in self.rows(forms).items()}
 
 
-def draw_forms(rng: Rng, rig: Mapping[str, Any], smallest: float = SMALLEST, largest: float = LARGEST) -> FormErrors:
+def draw_forms(
+    rng: Rng,
+    rig: Mapping[str, Any],
+    experiment: str = "rich",
+    *,
+    seed: int = 1,
+    duration: float = 60.0,
+    smallest: float = SMALLEST,
+    largest: float = LARGEST,
+) -> FormErrors:
     """Draw a rig's form errors, `smallest` to `largest` of the largest term in every stage, log-uniformly.
 
-    The kinds in a stage are given equal sizes first, as far as they reach; then all that can be are scaled together.
+    Args:
+        rng: random number generator.
+        rig: content of the rig file.
+        experiment: the experiment in which they are of that size; in others they are larger or smaller.
+        seed: its seed.
+        duration: its duration, s.
+        smallest: least size.
+        largest: largest size.
 
     Sizes that the kinds drawn cannot reach are drawn again with other kinds.
 
     Raises:
         RuntimeError: they could not be reached in any draw.
     """
-    scale = Scale(rig)
+    scale = Scale(rig, experiment, seed, duration)
     for _ in range(TRIES):
         forms = _equal(draw_shapes(rng, scale.signals, smallest, largest), scale)
         for _ in range(ROUNDS):

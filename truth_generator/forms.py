@@ -130,7 +130,8 @@ def _pace(rng: Rng, s: Signals) -> Fields:
 
 def _bow(rng: Rng, s: Signals) -> Fields:
     scale = rng.uniform(4e3, 8e3)
-    return {"cell_scale": scale, "cell_bow_mean": _of(s.force * (s.force / scale) ** 2, s.force)}
+    square = (s.force / scale) ** 2
+    return {"cell_scale": scale, "cell_bow_mean": _of(s.force * square / (1.0 + square), s.force)}
 
 
 def _cell_play(rng: Rng, s: Signals) -> Fields:
@@ -148,7 +149,7 @@ KINDS: dict[str, Kind] = {
     "flow_over_opening": Kind("flow", 0, "flow_wave", 0.01, 0.2, _over_opening),
     "flow_over_pressure_drop": Kind("flow", 0, "flow_exponent", 0.01, 0.3, lambda rng, s: {}),
     "flow_drift": Kind("flow", 0, "warm_flow", 0.01, 0.2, _warmth),
-    "soft_mount": Kind("flow", 0, "mount", 1e-13, 5e-13, _mount),
+    "soft_mount": Kind("flow", 0, "mount", 1e-13, 4e-13, _mount),
     # valve
     "spool_over_command": Kind("valve", 0, "spool_wave", 0.01, 0.2, _over_command),
     "spool_pace": Kind("valve", 0, "spool_pace", 0.1, 0.5, _pace),
@@ -173,8 +174,8 @@ SMALLEST, LARGEST = 0.002, 0.05
 class FormErrors:
     """The form errors of one rig.
 
-    fields: the kernel's fields. kinds: by stage. sizes: by stage, rms of the residual they cause in the experiment they were
-    calibrated with, as a fraction of the rms of the stage's largest term. No fields are no form errors.
+    fields: the kernel's fields. kinds: by stage. sizes: by stage, rms of the residual they cause in the experiment they are
+    calibrated for, as a fraction of the rms of the stage's largest term. No fields are no form errors.
     """
 
     fields: Mapping[str, float | tuple[float, ...]] = field(default_factory=dict)

@@ -73,7 +73,7 @@ FIELDS: dict[str, float] = {
     "temperature_offset": 0.0,
     # controller of the experiment
     "w_force": 0.0, "w_position": 0.0, "force_gain": 4.0e-5, "force_reset": 2.0, "force_filter": 40.0,
-    "position_gain": 3.0, "guard": 0.27, "nominal_supply": 0.0, "nominal_area": 0.0, "flow_gain": 0.0,
+    "position_gain": 3.0, "guard": 0.27, "nominal_supply": 0.0, "nominal_area": 0.0, "nominal_bulk": 0.0, "flow_gain": 0.0,
 }  # fmt: skip
 ARRAYS: dict[str, int] = {
     "stiffness": N_ELEMENTS,  # N/m, of the friction elements
@@ -272,7 +272,7 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
         bulk = 0.5 * (air_modulus(0.5 * (ps + p_load), p) + air_modulus(0.5 * (ps - p_load), p))
     pressure_rate = 4.0 * bulk / p.volume * q
     if p.mount != 0.0:  # the rig file's modulus has the mean of it
-        pressure_rate /= 1.0 - 4.0 * bulk / p.volume * p.mount * p.mount_mean
+        pressure_rate /= 1.0 - 4.0 * p.nominal_bulk / p.volume * p.mount * p.mount_mean
     if p.rate_limit != 0.0:
         r = pressure_rate / p.rate_limit
         pressure_rate /= (1.0 + r * r) ** 0.5
@@ -557,7 +557,7 @@ def sense(t, dt, tick, history, now, p, unit_noise, zero, held, memory, last, ou
             given = value
             if p.cell_bow != 0.0:
                 z = given / p.cell_scale
-                value += p.cell_bow * given * (z * z - p.cell_bow_mean)
+                value += p.cell_bow * given * (z * z / (1.0 + z * z) - p.cell_bow_mean)
             if p.cell_play != 0.0:
                 memory[1] = min(max(memory[1], given - p.cell_play_width), given + p.cell_play_width)
                 value += p.cell_play * (memory[1] - p.cell_play_mean * given)

@@ -108,7 +108,7 @@ def nominal_sizes(rig: Mapping[str, Any]) -> np.ndarray:
         raise ValueError("the rig file has effects of its own: the truth starts from a nominal rig and hides its own effects")
     limits = rig.get("limits", {})
     p["spool_limit"] = limits.get("spool", 1.0e-2)
-    p["nominal_supply"], p["nominal_area"] = p["supply"], p["area"]
+    p["nominal_supply"], p["nominal_area"], p["nominal_bulk"] = p["supply"], p["area"], p["bulk"]
     p["flow_gain"] = p["valve_gain"] * p["discharge"] * p["gradient"] / np.sqrt(p["density"])
     return p
 

@@ -5,7 +5,7 @@ one hidden effect; the rig file is the nominal one. baseline: the same, with rec
 of the cases nothing has changed since. skew: the rig is the model, but every channel is skewed and jittered.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -134,11 +134,17 @@ def _sized(rng: Rng, name: str, scene: _Scene) -> tuple[_Scene, dict[str, Any], 
     return (scene, sizes, s) if max(s.visibility.values()) >= low else None
 
 
-def _imperfect(rng: Rng, name: str | None, duration: float, day: Day | None, weight: float) -> tuple[Any, ...]:
-    """Draw rig, experiment and size until the effect stands out; return them, how it does, and the draws rejected."""
+def _imperfect(
+    rng: Rng, name: str | None, duration: float, day: Day | None, weight: float, healthy: Sequence[tuple[str, int]] = ()
+) -> tuple[Any, ...]:
+    """Draw rig, experiment and size until the effect stands out; return them, how it does, and the draws rejected.
+
+    The form errors are of the size drawn in the first healthy recording, or in the recording itself if there is none.
+    """
     for redrawn in range(MOST_DRAWS):
-        forms = draw_forms(rng, rig_file())
         experiment, seed = _experiment(rng, name), _seed(rng)
+        first, first_seed = healthy[0] if healthy else (experiment, seed)
+        forms = draw_forms(rng, rig_file(), first, seed=first_seed, duration=duration)
         if name is None:
             return forms, experiment, seed, {}, None, redrawn
         found = _sized(rng, name, _Scene(forms, day, weight, (experiment, seed, duration)))
@@ -173,7 +179,7 @@ def make_baseline(seed: int, number: int, duration: float) -> Case:
     count = int(rng.choice([1, 3]))
     days = tuple(draw_day(rng, SPREAD) for _ in range(1 + count)) if count > 1 else ()
     healthy = tuple((_experiment(rng, name, HEALTHY), _seed(rng)) for _ in range(count))
-    drawn = _imperfect(rng, name, duration, days[0] if days else None, REMEMBERED)
+    drawn = _imperfect(rng, name, duration, days[0] if days else None, REMEMBERED, healthy)
     how = draw_measurement(rng, (), jitter=float(rng.uniform(0.0, JITTER)))
     return _case(kind, seed, number, duration, drawn, "baseline", measurement=how, healthy=healthy, days=days)
 

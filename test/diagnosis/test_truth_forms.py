@@ -8,7 +8,7 @@ import yaml
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 from truth_generator import EXPERIMENTS, Day, FormErrors, draw_day, draw_forms, kernel, record
-from truth_generator.calibration import DURATION, EXPERIMENT, SEED, Scale, largest_terms
+from truth_generator.calibration import Scale, largest_terms
 from truth_generator.forms import KINDS, LARGEST, SMALLEST, STAGES, draw_shapes
 from truth_generator.visibility import background, leftovers, standing
 
@@ -21,17 +21,17 @@ def rms(a):
     return float(np.sqrt(np.mean(a * a)))
 
 
-SHORT = 12.0
+RUN = {"seed": 20, "duration": 12.0, "noise": 0.0}
 
 
 @pytest.fixture(scope="module")
 def own():
-    return draw_forms(np.random.default_rng(11), RIG)
+    return draw_forms(np.random.default_rng(11), RIG, "rich", seed=20, duration=12.0)
 
 
 @pytest.fixture(scope="module")
 def scale():
-    return Scale(RIG, SHORT)
+    return Scale(RIG, "rich", 20, 12.0)
 
 
 def balances(r):
@@ -57,7 +57,7 @@ def balances(r):
 
 
 def test_form_errors_have_the_size_asked_in_every_stage(own):
-    r = record(RIG, {}, EXPERIMENT, seed=SEED, duration=DURATION, rate=FINE, noise=0.0, forms=own, internals=True)
+    r = record(RIG, {}, "rich", rate=FINE, forms=own, internals=True, **RUN)
     low = butter(3, 25.0, fs=FINE, output="sos")
     for stage, rows in balances(r).items():
         slow = stage in ("force_balance", "flow")
@@ -117,13 +117,13 @@ def bases(r):
 
 
 def test_the_rig_files_coefficients_describe_none_of_it(scale):
-    plain = record(RIG, {}, EXPERIMENT, seed=SEED, duration=SHORT, noise=0.0)
+    plain = record(RIG, {}, "rich", **RUN)
     low = butter(3, 25.0, fs=1000.0, output="sos")
     for name, terms in bases(plain).items():
         kind = KINDS[name]
         shape = kind.shape(np.random.default_rng([4, *name.encode()]), scale.signals)
         forms = FormErrors({kind.amplitude: kind.first, **shape})
-        r = record(RIG, {}, EXPERIMENT, seed=SEED, duration=SHORT, noise=0.0, forms=forms)
+        r = record(RIG, {}, "rich", forms=forms, **RUN)
         left = leftovers(RIG, r)[kind.stage][kind.row] - scale.without[kind.stage][kind.row]
         columns = [sosfiltfilt(low, a)[100:-100] if kind.stage != "valve" else a[100:-100] for a in terms]
         matrix = np.stack(columns, axis=1)
