@@ -99,6 +99,8 @@ def hard_headline(exam: str, judged: Judged, of: dict[str, Judged]) -> Table:
         table.add_row("closed share off the true one: median, 90th percentile", "", " ".join(
             f"{100 * value:.1f} points" for value in np.quantile(sizes, [0.5, 0.9])))  # fmt: skip
         row("  within 10 points", [bool(value <= 0.1) for value in sizes])
+        named = [r for r, _ in single if closed_off(r) is not None]
+        row("  its 95 % interval holds the true one", [_holds(r["ours"]["gain"]["ci95"], r["share"]) for r in named])
     quantities = [q for _, j in single for q in j.quantities]
     if quantities:
         covered = [q.covered for q in quantities]
@@ -111,6 +113,11 @@ def hard_headline(exam: str, judged: Judged, of: dict[str, Judged]) -> Table:
     if walls:
         table.add_row("time, one thread: median, worst", "", f"{np.median(walls):.1f} s, {max(walls):.1f} s")
     return table
+
+
+def _holds(interval: Sequence[float], value: float) -> bool:
+    low, high = interval
+    return bool(low <= value <= high)
 
 
 def headline(judged: Judged, of: dict[str, Judged]) -> Table:

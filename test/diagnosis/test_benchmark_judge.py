@@ -1,15 +1,20 @@
 """The exams' judge on results made by hand, and the cases' draws."""
 
 import io
+import sys
+import types
 
+import numpy as np
 import pytest
 from rich.console import Console
 
 from benchmarks.diagnosis import tables
-from benchmarks.diagnosis.cases import recording_of
+from benchmarks.diagnosis.cases import Case, healthy_of, recording_of, rig
 from benchmarks.diagnosis.exams import EXAMS, JITTER, effect_of, numbers
 from benchmarks.diagnosis.judge import closed_off, judge, peer_right
-from truth_generator import LISTED
+from benchmarks.diagnosis.running import diagnose_case
+from truth_generator import LISTED, Day, FormErrors, Measurement
+from truth_generator.forms import STAGES
 
 
 def cause(name, probability=0.99, equivalent_to=()):
@@ -26,7 +31,7 @@ def row(hidden, causes, verdict="effect", exam="clean", kind=None, share=None, c
         "visibility": {name: {"force_balance": 9.0} for name in hidden}, "appears_in": dict.fromkeys(hidden, "force_balance"),
         "ours": {
             "verdict": verdict, "causes": causes, "partial": [], "unknown_stage": "force_balance", "stages": {}, "wall_s": 1.0,
-            "gain": {"closed_fraction": closed},
+            "gain": {"closed_fraction": closed, "ci95": [closed - 0.1, closed + 0.1]},
         },
     }  # fmt: skip
 
@@ -137,6 +142,33 @@ def test_a_case_hides_what_stands_out_of_the_form_errors_of_its_rig():
     assert 0.0 < case.share < 1.0
     assert all(size > 0.001 for size in case.forms.sizes.values())
     assert recording_of(case).truth["forms"].keys() == case.forms.sizes.keys()
+
+
+def test_a_baseline_case_is_diagnosed_against_its_healthy_recordings(monkeypatch):
+    forms = FormErrors({"warm_valve": 0.05, "warm_rate": 3.0}, dict.fromkeys(STAGES, ()), dict.fromkeys(STAGES, 0.01))
+    case = Case(
+        1, 4, "singles", "rich", 9, 1.0, {"mass_shift": {"factor": 1.3}}, {}, 0, "baseline", forms=forms,
+        measurement=Measurement(jitter=0.05), healthy=(("random", 5), ("rich", 6)), days=(Day(1.0), Day(1.1), Day(0.9)),
+    )  # fmt: skip
+    given = {}
+
+    def diagnose_against(new, baselines, rig, name, *, seed, threads):
+        given.update(new=new, baselines=baselines, rig=rig, name=name, seed=seed, threads=threads)
+        return "diagnosis"
+
+    stub = types.ModuleType("ehls_ros.experiments.baseline")
+    monkeypatch.setattr(stub, "diagnose_against", diagnose_against, raising=False)
+    monkeypatch.setitem(sys.modules, stub.__name__, stub)
+    assert diagnose_case(case) == "diagnosis"
+    assert (given["seed"], given["threads"], given["rig"]) == (4, 1, rig())
+    assert len(given["new"]) == 1000
+    assert np.array_equal(given["new"]["position_m"], recording_of(case).columns["position_m"])
+    truths = [recording_of(case).truth, *(r.truth for r in healthy_of(case))]
+    assert [list(truth["effects"]) for truth in truths] == [["mass_shift"], [], []]
+    assert [truth["experiment"] for truth in truths] == ["rich", "random", "rich"]
+    assert all(truth["forms"].keys() == set(STAGES) for truth in truths)
+    assert [len(b) for b in given["baselines"]] == [1000, 1000]
+    assert not np.array_equal(given["baselines"][0]["force_n"], given["baselines"][1]["force_n"])
 
 
 def test_half_of_the_baseline_cases_change_nothing_and_each_effect_is_equally_often_hidden():
