@@ -9,6 +9,14 @@ nothing hidden, a recording is the rig file's model to numerical precision, plus
     r.time, r.columns["spool_m"], r.truth["natural"]["valve_dead_zone"]["positive"]
     r.write_csv("data.csv")
 
+No rig is its model: `draw_forms` draws form errors of a given size in every stage, which `record(..., forms=...)` adds, and
+`draw_day` the condition of a healthy rig. `measured` samples a fine recording with skew, jitter and offsets, and `variants` has
+the tables that a rig's data acquisition may give instead.
+
+    forms = draw_forms(rng, rig)
+    fine = record(rig, {}, "rich", seed=1, rate=FINE, noise=0.0, forms=forms)
+    r = measured(fine, rig, 1, draw_measurement(rng, fine.columns, skew=1.0, jitter=0.1))
+
 `LISTED` are the effects that `ehls_ros` has too, `OUTSIDE` physical effects that it does not have. Each declares its stage,
 its range and the listed names that a fair judge would also accept (`near`). `EXPERIMENTS` are the experiments, `degrade`
 spoils data afterwards, `visibility` tells how far an effect stands out of the noise.
@@ -24,16 +32,21 @@ Conventions:
 * Stages are the groups of the effects. An effect with a `site` can act in more than one place: port-side valve faults (dead
   zone, and half the draws of null bias and gain asymmetry) leave the path from command to spool intact and show in the flow.
 
-Files: `kernel` (everything compiled), `effects`, `experiments`, `recording`, `degrade`, `visibility`.
+Files: `kernel` (everything compiled), `effects`, `forms`, `experiments`, `recording`, `measurement`, `variants`, `degrade`,
+`visibility`, `calibration`.
 """
 
-from . import degrade
+from . import degrade, variants
+from .calibration import draw_forms
 from .effects import EFFECTS, LISTED, OUTSIDE, Effect, draw_effect
 from .experiments import EXPERIMENTS
+from .forms import Day, FormErrors, draw_day
+from .measurement import FINE, Measurement, draw_measurement, measured
 from .recording import COLUMNS, SENSORS, SERVO_COLUMNS, Recording, record
 from .visibility import visibility
 
 __all__ = [
-    "COLUMNS", "EFFECTS", "EXPERIMENTS", "LISTED", "OUTSIDE", "SENSORS", "SERVO_COLUMNS", "Effect", "Recording", "degrade",
-    "draw_effect", "record", "visibility",
+    "COLUMNS", "EFFECTS", "EXPERIMENTS", "FINE", "LISTED", "OUTSIDE", "SENSORS", "SERVO_COLUMNS", "Day", "Effect", "FormErrors",
+    "Measurement", "Recording", "degrade", "draw_day", "draw_effect", "draw_forms", "draw_measurement", "measured", "record",
+    "variants", "visibility",
 ]  # fmt: skip

@@ -5,7 +5,7 @@ nothing. All compiled code is in this file: numba's cache checks the file of the
 
 State (`N_BASE` values, then the friction forces): piston position and speed, load pressure, spool position and speed, position
 and speed of the second body, supply pressure, inner position of the creeping spring, inner pressure of the swelling hose,
-lagged speed, pressure behind the pressure sensor's lag.
+lagged speed, pressure behind the pressure sensor's lag, speed that the friction remembers, volume that the mount gives way by.
 """
 
 import math
@@ -13,14 +13,15 @@ import math
 import numba as nb
 import numpy as np
 
-X, V, PL, XV, WV, XB, VB, PS, ZS, ZH, VF, PM = range(12)
-N_BASE = 12
+X, V, PL, XV, WV, XB, VB, PS, ZS, ZH, VF, PM, VM, QM = range(14)
+N_BASE = 14
 N_ELEMENTS = 8
 GMS, LUGRE = 0.0, 1.0
 # Channels of the sensors.
 POSITION, VELOCITY, PRESSURE, SPOOL, SUPPLY, FORCE, TEMPERATURE = range(7)
 N_CHANNELS = 7
 N_PLAYS = 5
+N_WAVES = 4
 ATMOSPHERE = 1.0e5
 
 # name: value without effect. Nominal values (first block) are filled in from the rig file.
@@ -59,9 +60,20 @@ FIELDS: dict[str, float] = {
     "p_gain": 1.0, "p_bias": 0.0, "p_lag": 0.0, "x_gain": 1.0, "x_bias": 0.0, "p_quadratic": 0.0, "p_play": 0.0,
     "p_step": 0.0, "p_codes": 0.0, "x_interpolation": 0.0, "x_period": 1.0, "x_phase": 0.0, "p_per_x": 0.0, "p_per_xx": 0.0,
     "p_per_kelvin": 0.0,
+    # the rig's own form, which no model has; the means are what the rig file's coefficients have of it
+    "speed_wave": 0.0, "speed_wave_turns": 1.0, "speed_wave_at": 1.0, "speed_wave_phase": 0.0, "speed_wave_mean": 0.0,
+    "speed_wave_slope": 0.0, "stroke_wave": 0.0, "memory": 0.0, "memory_time": 1.0, "memory_speed": 1.0, "memory_mass": 0.0,
+    "warm_viscous": 0.0, "warm_flow": 0.0, "warm_valve": 0.0, "warm_rate": 0.0, "warm_phase": 0.0, "mount": 0.0,
+    "mount_time": 1.0, "mount_pressure": 1.0, "mount_mean": 0.0, "flow_wave": 0.0, "flow_wave_turns": 1.0,
+    "flow_wave_at": 1.0, "flow_wave_phase": 0.0, "flow_wave_mean": 0.0, "flow_exponent": 0.0, "spool_wave": 0.0,
+    "spool_wave_turns": 1.0, "spool_wave_at": 1.0, "spool_wave_phase": 0.0, "spool_wave_side": 0.0,
+    "spool_wave_mean_pos": 0.0, "spool_wave_mean_neg": 0.0, "spool_pace": 0.0, "spool_pace_at": 1.0, "spool_pace_mean": 0.0,
+    "cell_bow": 0.0, "cell_scale": 1.0, "cell_bow_mean": 0.0, "cell_play": 0.0, "cell_play_width": 0.0, "cell_play_mean": 0.0,
+    "cell_per_speed": 0.0, "cell_per_speed_mean": 0.0, "speed_per_pressure": 0.0, "speed_per_pressure_mean": 0.0,
+    "temperature_offset": 0.0,
     # controller of the experiment
     "w_force": 0.0, "w_position": 0.0, "force_gain": 4.0e-5, "force_reset": 2.0, "force_filter": 40.0,
-    "position_gain": 3.0, "guard": 0.27, "nominal_supply": 0.0, "nominal_area": 0.0, "flow_gain": 0.0,
+    "position_gain": 3.0, "guard": 0.27, "nominal_supply": 0.0, "nominal_area": 0.0, "nominal_bulk": 0.0, "flow_gain": 0.0,
 }  # fmt: skip
 ARRAYS: dict[str, int] = {
     "stiffness": N_ELEMENTS,  # N/m, of the friction elements
@@ -69,6 +81,9 @@ ARRAYS: dict[str, int] = {
     "delay": N_CHANNELS,  # s, of the sensors
     "noise_std": N_CHANNELS,
     "resolution": N_CHANNELS,
+    "stroke_length": N_WAVES,  # m
+    "stroke_share": N_WAVES,  # 1
+    "stroke_phase": 2 * N_WAVES,  # rad, to and fro
 }
 DTYPE = np.dtype([(name, "f8") for name in FIELDS] + [(name, "f8", (size,)) for name, size in ARRAYS.items()], align=True)
 HUGE = 1.0e9
@@ -83,7 +98,9 @@ B1, B3, B4, B5, B6 = 35 / 384, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
 E1, E3, E4, E5, E6, E7 = 71 / 57600, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40
 RTOL = 1.0e-9
 # Per state: far below what the rig's sensors see.
-ATOL = np.array([1e-12, 1e-10, 0.002, 1e-13, 1e-10, 1e-12, 1e-10, 0.002, 1e-12, 0.002, 1e-10, 0.002] + [1e-6] * N_ELEMENTS)
+ATOL = np.array(
+    [1e-12, 1e-10, 0.002, 1e-13, 1e-10, 1e-12, 1e-10, 0.002, 1e-12, 0.002, 1e-10, 0.002, 1e-10, 1e-13] + [1e-6] * N_ELEMENTS
+)
 
 
 @nb.njit(cache=True)
@@ -97,6 +114,48 @@ def softplus(a, corner):
     if z < -35.0:
         return 0.0
     return corner * math.log1p(math.exp(z))
+
+
+@nb.njit(cache=True)
+def wave(a, turns, at, phase):
+    """Return a sine over the logarithm of a size: fine where it is small, coarse where it is large."""
+    return math.sin(turns * math.log1p(abs(a) / at) + phase)
+
+
+@nb.njit(cache=True)
+def play_along(a, half):
+    """Return what a play of a given half-width passes on."""
+    out = np.empty_like(a)
+    at = a[0]
+    for i in range(a.size):
+        at = min(max(at, a[i] - half), a[i] + half)
+        out[i] = at
+    return out
+
+
+@nb.njit(cache=True)
+def warmth(t, p):
+    """Return how warm the oil in the gaps is, which no sensor sees, -1 to 1."""
+    return math.sin(p.warm_rate * t + p.warm_phase)
+
+
+@nb.njit(cache=True)
+def own_friction(v, remembered, x, p):
+    """Return the friction that is the rig's own form: over speed, over the stroke in either direction, and of past speed, N."""
+    if p.speed_wave == 0.0 and p.stroke_wave == 0.0 and p.memory == 0.0:
+        return 0.0
+    level = 0.0
+    if p.speed_wave != 0.0:
+        shape = wave(v, p.speed_wave_turns, p.speed_wave_at, p.speed_wave_phase)
+        level += p.speed_wave * (shape - p.speed_wave_mean - p.speed_wave_slope * abs(v))
+    if p.stroke_wave != 0.0:
+        first = 0 if v > 0.0 else N_WAVES
+        for i in range(N_WAVES):
+            turn = 6.283185307179586 * x / p.stroke_length[i] + p.stroke_phase[first + i]
+            level += p.stroke_wave * p.stroke_share[i] * math.sin(turn)
+    if p.memory != 0.0:
+        level += p.memory * (math.tanh(abs(remembered) / p.memory_speed) - math.tanh(abs(v) / p.memory_speed))
+    return level * math.tanh(v / 2.0e-3)
 
 
 @nb.njit(cache=True)
@@ -123,9 +182,13 @@ def orifice_flow(xv, ps, p_load, p):
         x = softplus(x - p.dead_pos, p.dead_corner) - softplus(-x - p.dead_neg, p.dead_corner)
     if p.ports_pos != 1.0 or p.ports_neg != 1.0:
         x *= p.ports_pos if x > 0.0 else p.ports_neg
+    if p.flow_wave != 0.0:
+        x *= 1.0 + p.flow_wave * (wave(x, p.flow_wave_turns, p.flow_wave_at, p.flow_wave_phase) - p.flow_wave_mean)
     side = 1.0 if x > 0.0 else -1.0
     drop = ps - side * p_load
     root = math.sqrt(drop) if drop >= 0.0 else -math.sqrt(-drop)
+    if p.flow_exponent != 0.0:
+        root *= (abs(drop) / p.supply + 1.0e-6) ** p.flow_exponent
     if p.laminar != 0.0:  # Reynolds' number is proportional to opening and root; below the transition Cd is proportional to it
         re = abs(x) * abs(root) / (p.laminar * math.sqrt(p.supply))
         x *= re / math.sqrt(1.0 + re * re)
@@ -165,6 +228,9 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
         dy[WV] = p.second_rate * (p.second_rate * (target - xv) - 2.0 * p.second_damping * y[WV])
     else:
         rate = p.valve_rate * (target - xv)
+    if p.spool_pace != 0.0:  # the further the spool has to go, the faster or slower its servo
+        r = (target - xv) / p.spool_pace_at
+        rate *= 1.0 + p.spool_pace * (r * r / (1.0 + r * r) - p.spool_pace_mean)
     if p.slew != 0.0:
         r = rate / p.slew
         rate /= (1.0 + r * r * r * r) ** 0.25
@@ -180,6 +246,8 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
 
     # (1), (2) flow
     q = orifice_flow(xv, ps, p_load, p)
+    if p.warm_flow != 0.0:
+        q *= 1.0 + p.warm_flow * warmth(t, p)
     if p.droop != 0.0:
         dy[PS] = (p.supply - p.droop * abs(q) - ps) / p.droop_time
     q -= p.area * v + p.leakage * p_load
@@ -196,10 +264,15 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
     if p.hose != 0.0:
         dy[ZH] = (p_load - y[ZH]) / p.hose_time
         q -= p.hose * dy[ZH]
+    if p.mount != 0.0:  # of rubber: late, and stiffer the more it is pushed
+        dy[QM] = (p.mount * p.mount_pressure * math.asinh(p_load / p.mount_pressure) - y[QM]) / p.mount_time
+        q -= dy[QM]
     bulk = p.bulk
     if p.air != 0.0:
         bulk = 0.5 * (air_modulus(0.5 * (ps + p_load), p) + air_modulus(0.5 * (ps - p_load), p))
     pressure_rate = 4.0 * bulk / p.volume * q
+    if p.mount != 0.0:  # the rig file's modulus has the mean of it
+        pressure_rate /= 1.0 - 4.0 * p.nominal_bulk / p.volume * p.mount * p.mount_mean
     if p.rate_limit != 0.0:
         r = pressure_rate / p.rate_limit
         pressure_rate /= (1.0 + r * r) ** 0.5
@@ -215,7 +288,14 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
         viscous *= math.exp(-p.per_kelvin * (temperature - p.temperature))
     if p.viscous_asymmetry != 0.0:
         viscous += p.viscous_asymmetry if vl > 0.0 else -p.viscous_asymmetry
+    if p.warm_viscous != 0.0:
+        viscous *= 1.0 + p.warm_viscous * warmth(t, p)
     load += viscous * vl
+    if p.memory != 0.0:
+        dy[VM] = (vl - y[VM]) / p.memory_time
+    own = own_friction(vl, y[VM], xl, p)
+    if own != 0.0:
+        load += own
     n = int(p.n_elements)
     for i in range(n):
         load += y[N_BASE + i]
@@ -275,7 +355,7 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
             dy[V] = (drive - load - hinge - first * p.gravity) / first
             dy[VB] = (hinge - second * p.gravity) / second
     else:
-        dy[V] = (drive - load - weight) / p.mass
+        dy[V] = (drive - load - weight) / (p.mass + p.memory * p.memory_mass)
     if p.p_lag != 0.0:
         dy[PM] = (p_load - y[PM]) / p.p_lag
 
@@ -427,7 +507,7 @@ def advance(t, end, h, y, n, modes, spool_free, p, c, work, marked):  # noqa: PL
 @nb.njit(cache=True)
 def temperature_at(t, p):
     """Return the oil's temperature, K."""
-    return p.temperature + p.warming * (1.0 - math.exp(-t / p.warming_time))
+    return p.temperature + p.temperature_offset + p.warming * (1.0 - math.exp(-t / p.warming_time))
 
 
 @nb.njit(cache=True)
@@ -447,7 +527,7 @@ def sense(t, dt, tick, history, now, p, unit_noise, zero, held, memory, last, ou
     """Write the sensors' readings at t, with their faults, then noise, then resolution.
 
     history: true signals at the control's ticks up to `tick`; now: at t. zero: drifting zero of the pressure sensor; held:
-    whether pressure and position are stuck at their last value. memory: the pressure sensor's play.
+    whether pressure and position are stuck at their last value. memory: the plays of the pressure sensor and the load cell.
     """
     for ch in range(N_CHANNELS):
         value = now[ch]
@@ -473,6 +553,18 @@ def sense(t, dt, tick, history, now, p, unit_noise, zero, held, memory, last, ou
                 z = 6.283185307179586 * value / p.x_period + p.x_phase
                 value += p.x_interpolation * (math.sin(z) + 0.3 * math.sin(2.0 * z + 0.7))
             value = value * p.x_gain + p.x_bias
+        elif ch == FORCE:
+            given = value
+            if p.cell_bow != 0.0:
+                z = given / p.cell_scale
+                value += p.cell_bow * given * (z * z / (1.0 + z * z) - p.cell_bow_mean)
+            if p.cell_play != 0.0:
+                memory[1] = min(max(memory[1], given - p.cell_play_width), given + p.cell_play_width)
+                value += p.cell_play * (memory[1] - p.cell_play_mean * given)
+            if p.cell_per_speed != 0.0:
+                value += p.cell_per_speed * (now[VELOCITY] - p.cell_per_speed_mean * given)
+        elif ch == VELOCITY and p.speed_per_pressure != 0.0:
+            value += p.speed_per_pressure * (now[PRESSURE] - p.speed_per_pressure_mean * value)
         value += p.noise_std[ch] * unit_noise[ch]
         if p.resolution[ch] > 0.0:
             value = math.floor(value / p.resolution[ch] + 0.5) * p.resolution[ch]
@@ -504,6 +596,12 @@ def spool_target(u, t, plays, p):
         z = u / p.power_at
         u *= (z * z / (1.0 + z * z / 16.0) + 1.0e-4) ** (0.5 * (p.power - 1.0))
     u *= p.gain_pos if u > 0.0 else p.gain_neg
+    if p.spool_wave != 0.0:
+        phase = p.spool_wave_phase + (p.spool_wave_side if u > 0.0 else 0.0)
+        mean = p.spool_wave_mean_pos if u > 0.0 else p.spool_wave_mean_neg
+        u *= 1.0 + p.spool_wave * (wave(u, p.spool_wave_turns, p.spool_wave_at, phase) - mean)
+    if p.warm_valve != 0.0:
+        u *= 1.0 + p.warm_valve * warmth(t, p)
     u += p.null_command + p.null_drift * (1.0 - math.exp(-t / p.null_drift_time))
     return p.valve_gain * u
 
@@ -559,7 +657,7 @@ def simulate(  # noqa: PLR0912 - the loop is the algorithm
     if part < 1.0e-9:
         part = 0.0
     h, row, spool_free = 2.0e-4, 0, True
-    sensor_memory[0] = y[PL]
+    sensor_memory[0], sensor_memory[1] = y[PL], p.area * y[PL]
     target = spool_target(0.0, 0.0, plays, p)
     for k in range(n_ticks):
         t, end = k * dt, (k + 1) * dt

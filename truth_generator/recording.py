@@ -12,6 +12,7 @@ import numpy as np
 from . import kernel
 from .effects import EFFECTS, LISTED, Sizes, hang, wander
 from .experiments import EXPERIMENTS, TICK, Plan
+from .forms import Day, FormErrors
 
 CHANNELS = {
     "position_m": kernel.POSITION,
@@ -47,8 +48,9 @@ SERVO_COLUMNS = ("disturbance_displacement_m", "disturbance_velocity_m_s")
 class Recording:
     """Samples by the data contract's column names, and the truth behind them.
 
-    truth: effects (their sizes), natural (the same for comparison with estimates), stages (their groups), appears_in (the stage
-    whose residual shows them), outside, near, experiment, seed, rate, noise, duration, degraded.
+    truth: effects (their sizes), forms (kinds and sizes of the rig's form errors, by stage), natural (the effects' sizes for
+    comparison with estimates), stages (their groups), appears_in (the stage whose residual shows them), outside, near,
+    experiment, seed, rate, noise, duration, degraded.
     states: the kernel's state at every sample, if requested.
     """
 
@@ -106,7 +108,7 @@ def nominal_sizes(rig: Mapping[str, Any]) -> np.ndarray:
         raise ValueError("the rig file has effects of its own: the truth starts from a nominal rig and hides its own effects")
     limits = rig.get("limits", {})
     p["spool_limit"] = limits.get("spool", 1.0e-2)
-    p["nominal_supply"], p["nominal_area"] = p["supply"], p["area"]
+    p["nominal_supply"], p["nominal_area"], p["nominal_bulk"] = p["supply"], p["area"], p["bulk"]
     p["flow_gain"] = p["valve_gain"] * p["discharge"] * p["gradient"] / np.sqrt(p["density"])
     return p
 
@@ -135,6 +137,7 @@ def start(p: np.ndarray, plan: Plan, rig: Mapping[str, Any]) -> np.ndarray:
     y[[kernel.X, kernel.XB, kernel.ZS]] = x
     y[[kernel.PL, kernel.ZH, kernel.PM]] = force / plant["piston_area"]
     y[kernel.PS] = plant["supply_pressure"]
+    y[kernel.QM] = p["mount"] * p["mount_pressure"] * math.asinh(y[kernel.PL] / p["mount_pressure"])
     if p["load_on_second"] != 0.0 and p["second_stiffness"] > 0.0:
         y[kernel.X] += force / p["second_stiffness"] + math.copysign(0.5 * p["gap"], force)
     elif p["two_body"] != 0.0:
@@ -154,6 +157,9 @@ def record(
     columns: Iterable[str] | None = None,
     hold: bool = False,
     internals: bool = False,
+    forms: FormErrors | None = None,
+    day: Day | None = None,
+    disturbed: bool = True,
 ) -> Recording:
     """Run an experiment on a rig with hidden effects.
 
@@ -169,6 +175,9 @@ def record(
         hold: keep the disturbance constant over a control cycle, as in the simulator, instead of linear between samples as on
             a rig.
         internals: keep the kernel's states.
+        forms: how the rig differs from every model; by default it is the rig file's model.
+        day: its condition, which varies without any fault; by default the rig file's.
+        disturbed: whether a disturbance force acts; without it the same motion takes another force.
 
     Raises:
         KeyError: unknown experiment or effect.
@@ -181,11 +190,19 @@ def record(
     n_ticks = max(round(duration / TICK), 1)
     ticks = TICK * np.arange(n_ticks + 1)
     plan = EXPERIMENTS[experiment](plan_of, ticks, rig)
+    if not disturbed:
+        plan.force, plan.disturbance = plan.force - plan.disturbance, np.zeros(n_ticks + 1)
 
     p = nominal_sizes(rig)
     zero, held = np.zeros(n_ticks + 1), np.zeros(n_ticks + 1, np.int64)
-    truth: dict[str, Any] = {"effects": {}, "natural": {}, "stages": {}, "appears_in": {}, "outside": [], "near": {}}
+    truth: dict[str, Any] = {name: {} for name in ("effects", "forms", "natural", "stages", "appears_in", "near")}
+    truth["outside"] = []
     p["warming"], p["warming_time"] = chance.uniform(-0.3, 0.3), 30.0
+    if forms is not None:
+        forms.apply(p[0])
+        truth["forms"] = {stage: {"kinds": list(forms.kinds[stage]), "size": size} for stage, size in forms.sizes.items()}
+    if day is not None:
+        day.apply(p[0])
     if {"hinge_backlash", "flexible_mode"} <= set(effects):
         raise ValueError("hinge_backlash and flexible_mode: there is one second body, not two")
     for name, given in effects.items():

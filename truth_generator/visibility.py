@@ -5,8 +5,9 @@ it, is compared with the residual of noise alone. This serves to choose sizes; a
 of diagnosis. Run as a script, it prints the table of all effects.
 """
 
+import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -119,8 +120,12 @@ class Background:
     floor: dict[str, list[float]]
 
 
-def background(rig: Mapping[str, Any], experiment: str, *, seed: int, duration: float = 60.0) -> Background:
-    quiet, noisy = (record(rig, {}, experiment, seed=seed, duration=duration, noise=noise) for noise in (0.0, 1.0))
+def background(
+    rig: Mapping[str, Any], experiment: str, *, seed: int, duration: float = 60.0, disturbed: bool = True
+) -> Background:
+    quiet, noisy = (
+        record(rig, {}, experiment, seed=seed, duration=duration, noise=noise, disturbed=disturbed) for noise in (0.0, 1.0)
+    )
     left, spoilt = leftovers(rig, quiet), leftovers(rig, noisy)
     floor = {stage: [_rms(a - b) for a, b in zip(spoilt[stage], left[stage], strict=True)] for stage in STAGES}
     return Background(quiet, left, floor)
@@ -141,6 +146,52 @@ def visibility(
     """Return the rms residual due to the effects in units of that due to noise, by stage."""
     without = background(rig, experiment, seed=seed, duration=duration)
     return against(without, rig, record(rig, effects, experiment, seed=seed, duration=duration, noise=0.0))
+
+
+Rows = dict[str, list[np.ndarray]]
+
+
+def rows_between(a: Rows, b: Rows) -> Rows:
+    """Return the difference of residuals."""
+    return {stage: [x - y for x, y in zip(a[stage], b[stage], strict=True)] for stage in STAGES}
+
+
+@dataclass
+class Standing:
+    """How an effect stands on a rig that is not the model.
+
+    visibility: by stage, the rms residual due to it in units of that due to noise and everything else that is wrong.
+    share: the fraction that it makes up of the power noise does not explain, over the residuals that it stands out of, each in
+    units of its noise.
+    """
+
+    visibility: dict[str, float]
+    share: float
+
+
+def standing(without: Background, rest: Sequence[tuple[float, Rows]], healthy: Rows, changed: Rows) -> Standing:
+    """Compare an effect with all else.
+
+    Args:
+        without: the experiment on the model itself.
+        rest: residuals of what else is wrong, each with the factor it counts by.
+        healthy: the noise-free residuals without the effect.
+        changed: the noise-free residuals with it.
+    """
+    seen: dict[str, float] = {}
+    due = whole = 0.0
+    for stage in STAGES:
+        ratios = []
+        for i, floor in enumerate(without.floor[stage]):
+            effect = _rms(changed[stage][i] - healthy[stage][i])
+            other = math.sqrt(floor**2 + sum((factor * _rms(rows[stage][i])) ** 2 for factor, rows in rest))
+            ratios.append(effect / other)
+            if effect > other:
+                total = _rms(changed[stage][i] - without.left[stage][i]) ** 2
+                due += (total - _rms(healthy[stage][i] - without.left[stage][i]) ** 2) / floor**2
+                whole += total / floor**2
+        seen[stage] = max(ratios)
+    return Standing(seen, due / whole if whole > 0.0 else 0.0)
 
 
 def _rms(a: np.ndarray) -> float:

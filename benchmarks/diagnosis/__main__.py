@@ -1,6 +1,7 @@
 """Hidden cases for the diagnosis: how often it is right, how accurate and how fast, beside simpler methods on the same cases.
 
     python -m benchmarks.diagnosis --cases 400 --jobs 2          # a fresh seed, which is printed
+    python -m benchmarks.diagnosis --exam partial --cases 200    # rigs that no model describes; also baseline and skew
     python -m benchmarks.diagnosis --seed 7                      # the same cases again, or those still missing
     python -m benchmarks.diagnosis --seed 7 --case 12 31         # two of them, with the complete results
     python -m benchmarks.diagnosis --summary runs/diagnosis-7.jsonl
@@ -29,7 +30,8 @@ from typing import Any  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn  # noqa: E402
 
-from benchmarks.diagnosis import cases, tables  # noqa: E402
+from benchmarks.diagnosis import cases, running, tables  # noqa: E402
+from benchmarks.diagnosis.exams import EXAMS, numbers  # noqa: E402
 from benchmarks.diagnosis.judge import judge  # noqa: E402
 
 WIDTH = 220
@@ -42,6 +44,7 @@ def arguments() -> argparse.Namespace:
     """Return the command line."""
     layout = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(prog="python -m benchmarks.diagnosis", description=__doc__, formatter_class=layout)
+    parser.add_argument("--exam", choices=EXAMS, default="clean", help="what the rig and its recordings are like (%(default)s)")
     parser.add_argument("--cases", type=int, default=None, help="number of cases (400)")
     parser.add_argument("--seed", type=int, default=None, help="seed of the cases; a fresh one by default")
     parser.add_argument("--jobs", type=int, default=2, help="processes (%(default)s)")
@@ -67,13 +70,13 @@ def read(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def run_all(seed: int, numbers: list[int], duration: float, jobs: int, with_peers: bool) -> Iterator[dict[str, Any]]:
+def run_all(exam: str, seed: int, chosen: list[int], duration: float, jobs: int, with_peers: bool) -> Iterator[dict[str, Any]]:
     """Yield the cases as they are done."""
     if jobs == 1:
-        yield from (cases.run(seed, number, duration, with_peers) for number in numbers)
+        yield from (running.run(exam, seed, number, duration, with_peers) for number in chosen)
         return
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        waiting: list[Future[dict[str, Any]]] = [pool.submit(cases.run, seed, n, duration, with_peers) for n in numbers]
+        waiting: list[Future[dict[str, Any]]] = [pool.submit(running.run, exam, seed, n, duration, with_peers) for n in chosen]
         try:
             for done in as_completed(waiting):
                 yield done.result()
@@ -115,23 +118,28 @@ def main() -> None:
         return
     seed = secrets.randbelow(2**31) if options.seed is None else options.seed
     duration = options.duration or (QUICK_DURATION if options.quick else 60.0)
+    with_peers = options.exam == "clean" and not options.no_peers  # they expect the rig to be the model
     if options.case:
-        for row in run_all(seed, options.case, duration, 1, not options.no_peers):
+        for row in run_all(options.exam, seed, options.case, duration, 1, with_peers):
             console.print_json(json.dumps(row, default=plain))
             console.print(tables.failures([(row, judge(row))]))
         return
-    wanted = cases.numbers(options.cases or (QUICK_CASES if options.quick else 400), options.only)
-    out = options.out or cases.ROOT / "runs" / f"diagnosis-{seed}.jsonl"
+    if options.only not in (None, *EXAMS[options.exam].kinds):
+        sys.exit(f"--only {options.only}: the exam '{options.exam}' has {', '.join(EXAMS[options.exam].kinds)}")
+    wanted = numbers(options.exam, options.cases or (QUICK_CASES if options.quick else 400), options.only)
+    exam = "" if options.exam == "clean" else f"-{options.exam}"
+    out = options.out or cases.ROOT / "runs" / f"diagnosis{exam}-{seed}.jsonl"
     out.parent.mkdir(parents=True, exist_ok=True)
     rows = read(out)
-    if other := {(r["seed"], r.get("duration", duration)) for r in rows} - {(seed, duration)}:
-        sys.exit(f"{out} holds other cases (seed, duration: {sorted(other)}); name another file with --out")
+    this = (options.exam, seed, duration)
+    if other := {(r.get("exam", "clean"), r["seed"], r.get("duration", duration)) for r in rows} - {this}:
+        sys.exit(f"{out} holds other cases (exam, seed, duration: {sorted(other)}); name another file with --out")
     done = {r["number"] for r in rows}
     left = [number for number in wanted if number not in done]
     print(f"seed {seed}, {len(wanted)} cases of {duration:g} s, {len(left)} to do, into {out}", flush=True)
     with out.open("a", encoding="utf-8") as file, bar(errors) as progress:
         task = progress.add_task("cases", total=len(wanted), completed=len(wanted) - len(left))
-        for row in run_all(seed, left, duration, options.jobs, not options.no_peers):
+        for row in run_all(options.exam, seed, left, duration, options.jobs, with_peers):
             rows.append(row)
             file.write(json.dumps(row, default=plain) + "\n")
             file.flush()

@@ -1,12 +1,11 @@
-"""Hidden cases: the experiment, the hidden effects, and the diagnosis of the recording.
+"""Hidden cases of the clean exam: the rig is the model, the hidden effects apart.
 
 A case depends only on the run's seed and its own number, not on how many cases are run.
 """
 
 import hashlib
-import time
-import traceback
 from collections.abc import Mapping
+from dataclasses import asdict, is_dataclass
 from functools import cache
 from itertools import combinations
 from pathlib import Path
@@ -15,11 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from ehls_ros.diagnosis.diagnose import diagnose
-from ehls_ros.diagnosis.result import Diagnosis
 from ehls_ros.physics.rig import Rig, rig_from_mapping
-from ehls_ros.trajectory import Trajectory
-from truth_generator import LISTED, OUTSIDE, Recording, draw_effect, record
+from truth_generator import FINE, LISTED, OUTSIDE, Day, FormErrors, Measurement, Recording, draw_effect, measured, record
 from truth_generator.visibility import against, background
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -42,7 +38,7 @@ ONE_BODY = {"hinge_backlash", "flexible_mode"}
 
 
 class Case(NamedTuple):
-    """One recording to be diagnosed.
+    """What is to be diagnosed.
 
     Attributes:
         seed: seed of the run.
@@ -54,6 +50,13 @@ class Case(NamedTuple):
         hidden: sizes by effect.
         visibility: visibility of each effect alone, by stage.
         redrawn: draws that were rejected because an effect would not have shown.
+        exam: name of the exam.
+        forms: how the rig differs from every model; None if it does not.
+        measurement: how the channels are sampled; None for all at once, without jitter.
+        disturbed: whether a disturbance acts.
+        healthy: experiment and seed of each recording from when the rig was well.
+        days: condition of the rig in the recording and in the healthy ones, in that order; empty if it is always the same.
+        share: the fraction of the removable error power due to the hidden effect; None where it is all of it.
     """
 
     seed: int
@@ -65,6 +68,25 @@ class Case(NamedTuple):
     hidden: dict[str, dict[str, Any]]
     visibility: dict[str, dict[str, float]]
     redrawn: int
+    exam: str = "clean"
+    forms: FormErrors | None = None
+    measurement: Measurement | None = None
+    disturbed: bool = True
+    healthy: tuple[tuple[str, int], ...] = ()
+    days: tuple[Day, ...] = ()
+    share: float | None = None
+
+    def told(self) -> dict[str, Any]:
+        """Return the case ready for JSON."""
+        return {name: _plain(value) for name, value in self._asdict().items()}
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value)
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    return dict(value) if isinstance(value, Mapping) else value
 
 
 @cache
@@ -93,16 +115,6 @@ def sources() -> str:
 def kind_of(number: int) -> str:
     """Return the kind of a case."""
     return {kind[0]: kind for kind in KINDS}[ORDER[number % len(ORDER)]]
-
-
-def numbers(count: int, only: str | None) -> list[int]:
-    """Return the numbers of the first cases, optionally of one kind only."""
-    found, number = [], 0
-    while len(found) < count:
-        if only is None or kind_of(number) == only:
-            found.append(number)
-        number += 1
-    return found
 
 
 def names_of(seed: int, number: int) -> tuple[str, ...]:
@@ -144,70 +156,17 @@ def make(seed: int, number: int, duration: float) -> Case:
 
 def recording_of(case: Case) -> Recording:
     """Return a case's recording."""
-    return record(rig_file(), case.hidden, case.experiment, seed=case.record_seed, duration=case.duration)
+    return _recorded(case, case.hidden, case.experiment, case.record_seed, 0)
 
 
-def run(seed: int, number: int, duration: float, with_peers: bool) -> dict[str, Any]:
-    """Draw a case and diagnose it, by the peers as well if requested.
-
-    Returns:
-        What is judged, ready for JSON.
-    """
-    row: dict[str, Any] = {"seed": seed, "number": number, "kind": kind_of(number), "sources": sources()}
-    try:
-        case = make(seed, number, duration)
-        row |= case._asdict()
-        recording = recording_of(case)
-        row |= {key: recording.truth[key] for key in ("natural", "stages", "appears_in", "near", "outside")}
-        trajectory = Trajectory(recording.time, recording.columns)
-        row["ours"] = told(diagnose(trajectory, rig(), "case", seed=number, threads=1))
-        if with_peers:
-            # Imported only here, as they use internals of the package.
-            from benchmarks.diagnosis.peers import PEERS, problem_of  # noqa: PLC0415
-
-            problem = problem_of(trajectory, rig())
-            for name, peer in PEERS.items():
-                began = time.perf_counter()
-                named = peer(problem)
-                row.setdefault("peers", {})[name] = {"named": named, "wall_s": time.perf_counter() - began + problem.wall_s}
-    except Exception:  # noqa: BLE001
-        # An exception in one case is a result, and must not end a long run.
-        row["error"] = traceback.format_exc(limit=-6)
-    return row
+def healthy_of(case: Case) -> list[Recording]:
+    """Return the recordings from when the case's rig was well."""
+    return [_recorded(case, {}, experiment, seed, 1 + i) for i, (experiment, seed) in enumerate(case.healthy)]
 
 
-def told(d: Diagnosis) -> dict[str, Any]:
-    """Return a diagnosis ready for JSON."""
-    return {
-        "verdict": d.verdict,
-        "missing": d.missing,
-        "unknown_stage": d.unknown_stage,
-        "depends_on": d.depends_on,
-        "partial": d.partial,
-        "stages": {
-            stage: {k: v for k, v in s._asdict().items() if k not in ("why_not", "depends_on")} for stage, s in d.stages.items()
-        },
-        "causes": [
-            {
-                "name": c.name,
-                "probability": c.probability,
-                "equivalent_to": c.equivalent_to,
-                "stage": c.stage,
-                "parameters": _values(c.parameters),
-                "fixed": dict(c.fixed),
-                "gain": c.gain,
-                "sigmas": c.sigmas,
-                "rivals": [
-                    {"name": r.name, "behind": r.behind, "closed": r.closed_fraction, "parameters": _values(r.parameters)}
-                    for r in c.rivals
-                ],
-            }
-            for c in d.causes
-        ],
-        "gain": None if d.gain is None else d.gain._asdict(),
-        "wall_s": d.wall_s,
-    }
-
-
-def _values(parameters: Mapping[str, Any]) -> dict[str, list[float]]:
-    return {name: [e.value, e.std] for name, e in parameters.items()}
+def _recorded(case: Case, hidden: Mapping[str, Any], experiment: str, seed: int, day: int) -> Recording:
+    condition = case.days[day] if case.days else None
+    same = {"seed": seed, "duration": case.duration, "forms": case.forms, "day": condition, "disturbed": case.disturbed}
+    if case.measurement is None:
+        return record(rig_file(), hidden, experiment, **same)
+    return measured(record(rig_file(), hidden, experiment, rate=FINE, noise=0.0, **same), rig_file(), seed, case.measurement)

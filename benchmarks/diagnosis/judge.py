@@ -1,18 +1,23 @@
 """Whether a diagnosis is right, strictly and as a fair judge would have it.
 
-Rows are what `cases.run` returns. Strict: the first cause, or one the diagnosis itself calls equivalent to it, is the hidden
+Rows are what `running.run` returns. Strict: the first cause, or one the diagnosis itself calls equivalent to it, is the hidden
 one. Lenient: for an effect outside the list, a listed one that the truth calls near also counts, and any stage in which the
-effect shows. A true cause that is named together with one that is not there counts as right, and is counted again separately.
+effect shows. A true cause named together with one that is not there counts as wrong, for either judge.
 """
 
+from itertools import permutations
 from typing import Any, NamedTuple
 
 from benchmarks.diagnosis.cases import SHOWS
 from benchmarks.diagnosis.comparable import Quantity, quantities
+from benchmarks.diagnosis.exams import EXAMS
 
 Row = dict[str, Any]
 CONFIDENT = 0.9
 """Probability above which a wrong name is a confident one."""
+
+NAMED = {exam: ("effect",) if exam == "clean" else ("effect", "partial") for exam in EXAMS}
+"""Verdicts that name causes; where the rig is the model and nothing is skewed, no more than its causes may remain."""
 
 
 class Judgement(NamedTuple):
@@ -21,6 +26,7 @@ class Judgement(NamedTuple):
     Attributes:
         right: by the strict judge.
         lenient: by the fair judge.
+        first: whether the first causes are right, whatever is named beside them.
         exact: strictly right, by the causes' own names, and nothing else named.
         confident_wrong: whether a wrong name was given with confidence.
         confident_wrong_lenient: the same, with near names allowed.
@@ -31,6 +37,7 @@ class Judgement(NamedTuple):
 
     right: bool
     lenient: bool
+    first: bool
     exact: bool
     confident_wrong: bool
     confident_wrong_lenient: bool
@@ -42,14 +49,15 @@ class Judgement(NamedTuple):
 def judge(row: Row) -> Judgement:
     """Judge our diagnosis of a case."""
     if "ours" not in row:
-        return Judgement(False, False, False, False, False, (), "error", [])
+        return Judgement(False, False, False, False, False, False, (), "error", [])
     ours, kind, hidden = row["ours"], row["kind"], list(row["hidden"])
     causes = ours["causes"]
     classes = [{c["name"], *c["equivalent_to"]} for c in causes]
     names = [c["name"] for c in causes]
     near = {n for names_near in row["near"].values() for n in names_near}
-    wrong = [c for c, known in zip(causes, classes, strict=True) if not known & set(hidden)]
-    not_there = tuple(c["name"] for c in wrong) if len(wrong) < len(causes) else ()
+    true = _matched(names, classes, hidden)
+    wrong = [c for i, c in enumerate(causes) if i not in true]
+    not_there = tuple(c["name"] for c in wrong) if true else ()
     confident = any(c["probability"] > CONFIDENT for c in wrong)
     confident_lenient = any(c["probability"] > CONFIDENT and c["name"] not in near for c in wrong)
     found = [
@@ -60,28 +68,40 @@ def judge(row: Row) -> Judgement:
     ]
     verdict = ours["verdict"]
     if kind == "nothing":
-        right = lenient = exact = verdict == "consistent"
-    elif kind == "singles":
-        right = lenient = verdict == "effect" and hidden[0] in classes[0]
-        exact = names == hidden
-    elif kind == "pairs":
-        right = lenient = verdict == "effect" and _both(classes, hidden)
+        first = right = lenient = exact = verdict == "consistent"
+    elif kind in ("singles", "pairs"):
+        first = verdict in NAMED[row.get("exam", "clean")] and (
+            hidden[0] in classes[0] if kind == "singles" else len(true) == len(hidden)
+        )
+        right = lenient = first and not not_there
         exact = sorted(names) == sorted(hidden)
     else:
         stages = row["visibility"][hidden[0]]
-        right = exact = verdict == "unknown" and ours["unknown_stage"] == row["appears_in"][hidden[0]]
+        first = right = exact = verdict == "unknown" and ours["unknown_stage"] == row["appears_in"][hidden[0]]
         shows = {stage for stage, seen in stages.items() if seen >= SHOWS}
         lenient = (
             right
             or (verdict == "unknown" and ours["unknown_stage"] in shows)
             or (verdict == "effect" and bool(near) and set(names) <= near)
         )
-    return Judgement(right, lenient, exact, confident, confident_lenient, not_there, worded(row), found)
+    return Judgement(right, lenient, first, exact, confident, confident_lenient, not_there, worded(row), found)
 
 
-def _both(classes: list[set[str]], hidden: list[str]) -> bool:
-    a, b = hidden
-    return any(a in x and b in y for i, x in enumerate(classes) for j, y in enumerate(classes) if i != j)
+def _matched(names: list[str], classes: list[set[str]], hidden: list[str]) -> set[int]:
+    """Return which causes stand for hidden effects, one for each: as many as can be, by their own names first."""
+    best: tuple[int, int, set[int]] = (0, 0, set())
+    for order in permutations([*range(len(names)), *[-1] * len(hidden)], len(hidden)):
+        true = {i for i, effect in zip(order, hidden, strict=True) if i >= 0 and effect in classes[i]}
+        own = sum(i >= 0 and names[i] == effect for i, effect in zip(order, hidden, strict=True))
+        best = max(best, (len(true), own, true), key=lambda found: found[:2])
+    return best[2]
+
+
+def closed_off(row: Row) -> float | None:
+    """Return how far the fraction of error that the causes close is off its true share; None if none is named rightly."""
+    if not judge(row).first or row.get("share") is None or row["ours"]["gain"] is None:
+        return None
+    return float(row["ours"]["gain"]["closed_fraction"] - row["share"])
 
 
 def worded(row: Row) -> str:
@@ -90,6 +110,8 @@ def worded(row: Row) -> str:
     if ours["verdict"] == "unknown":
         partly = f", partly {' + '.join(ours['partial'])}" if ours["partial"] else ""
         return f"unknown in {ours['unknown_stage']}{partly}"
+    if ours["verdict"] == "partial":
+        return f"{' + '.join(c['name'] for c in ours['causes'])}, and more"
     if ours["verdict"] == "effect":
         return " + ".join(c["name"] for c in ours["causes"])
     return str(ours["verdict"])
@@ -97,13 +119,10 @@ def worded(row: Row) -> str:
 
 def peer_right(row: Row, named: list[str]) -> bool:
     """Judge the names a peer gives, the surest first; none means that it finds the model consistent."""
-    hidden = set(row["hidden"])
-    classes = [set(names.split("|")) for names in named]
-    if row["kind"] == "nothing":
-        return not named
-    if row["kind"] == "singles":
-        return bool(classes) and hidden <= classes[0]
-    return row["kind"] == "pairs" and _both(classes, sorted(hidden))
+    if row["kind"] == "outside":
+        return False
+    hidden = sorted(row["hidden"])
+    return len(named) == len(hidden) == len(_matched(named, [set(names.split("|")) for names in named], hidden))
 
 
 def strength(row: Row) -> float:

@@ -9,7 +9,8 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.diagnosis.cases import EXPERIMENTS, KINDS
-from benchmarks.diagnosis.judge import Judgement, Row, judge, peer_right, strength
+from benchmarks.diagnosis.exams import EXAMS
+from benchmarks.diagnosis.judge import Judgement, Row, closed_off, judge, peer_right, strength
 
 BINS = (0.0, 1.3, 2.0, 4.0, 8.0, 16.0, 32.0, 100.0, np.inf)
 """Bin edges of the visibility."""
@@ -18,11 +19,19 @@ Judged = list[tuple[Row, Judgement]]
 
 
 def show(rows: Sequence[Row], console: Console) -> None:
-    """Print all tables of some rows."""
+    """Print all tables of some rows, exam by exam."""
+    for exam in EXAMS:
+        of_exam = [row for row in rows if row.get("exam", "clean") == exam]
+        if of_exam:
+            _show(exam, of_exam, console)
+
+
+def _show(exam: str, rows: Sequence[Row], console: Console) -> None:
     judged = [(row, judge(row)) for row in sorted(rows, key=lambda row: row["number"])]
     of = {kind: [(r, j) for r, j in judged if r["kind"] == kind] for kind in KINDS}
     sources = sorted({row["sources"] for row in rows})
-    console.print(f"{len(rows)} cases, seed {', '.join(sorted({str(r['seed']) for r in rows}))}, sources {', '.join(sources)}")
+    seeds = ", ".join(sorted({str(r["seed"]) for r in rows}))
+    console.print(f"exam {exam}: {len(rows)} cases, seed {seeds}, sources {', '.join(sources)}")
     if len(sources) > 1:
         console.print("[bold]The package changed between these cases: run into a new file for numbers to publish.[/bold]")
     redrawn = sum(r.get("redrawn", 0) for r in rows)
@@ -30,7 +39,7 @@ def show(rows: Sequence[Row], console: Console) -> None:
     console.print(
         f"draws repeated because an effect would not have shown: {redrawn}; cases that still do not show: {hopeless}\n"
     )
-    console.print(headline(judged, of))
+    console.print(headline(judged, of) if exam == "clean" else hard_headline(exam, judged, of))
     peers = peer_table(of)
     if peers is not None:
         console.print(peers)
@@ -58,6 +67,59 @@ def _verdict(good: bool) -> str:
     return "[green]met[/green]" if good else "[red]missed[/red]"
 
 
+MARKS: dict[str, tuple[float, float | None, float | None]] = {
+    "partial": (0.9, 0.02, 0.02), "baseline": (0.95, None, None), "skew": (0.96, None, None),
+}  # fmt: skip
+"""By exam: least share of right names, most of confident wrong ones, most of names beside a true one that are not there."""
+
+
+def hard_headline(exam: str, judged: Judged, of: dict[str, Judged]) -> Table:
+    """Return the results of another exam than the clean one against its marks."""
+    least, confident, beside = MARKS[exam]
+    table = Table(title="against the marks", title_justify="left")
+    for column in ("", "mark", "", ""):
+        table.add_column(column, justify="left")
+
+    def row(what: str, values: list[bool], at_least: float | None = None, at_most: float | None = None) -> None:
+        mark = f"≥ {100 * at_least:g} %" if at_least is not None else f"≤ {100 * at_most:g} %" if at_most is not None else ""
+        table.add_row(what, mark, share(values), _mark(values, at_least, at_most))
+
+    single, nothing = of["singles"], of["nothing"]
+    row("right cause first, no other that is not there", [j.right for _, j in single], least)
+    row("  right cause first, whatever is named beside it", [j.first for _, j in single])
+    row("a true cause and one that is not there", [bool(j.not_there) for _, j in single], None, beside)
+    row("confident wrong name", [j.confident_wrong for _, j in judged], None, confident)
+    if nothing:
+        row("nothing hidden: false alarms", [not j.right for _, j in nothing], None, 0.01)
+    for verdict in ("consistent", "unknown", "insufficient", "partial", "effect"):
+        row(f"  verdict {verdict}, with something hidden", [r.get("ours", {}).get("verdict") == verdict for r, _ in single])
+    off = [value for r, _ in single if (value := closed_off(r)) is not None]
+    if off:
+        sizes = np.abs(off)
+        table.add_row("closed share off the true one: median, 90th percentile", "", " ".join(
+            f"{100 * value:.1f} points" for value in np.quantile(sizes, [0.5, 0.9])))  # fmt: skip
+        row("  within 10 points", [bool(value <= 0.1) for value in sizes])
+        named = [r for r, _ in single if closed_off(r) is not None]
+        row("  its 95 % interval holds the true one", [_holds(r["ours"]["gain"]["ci95"], r["share"]) for r in named])
+    quantities = [q for _, j in single for q in j.quantities]
+    if quantities:
+        covered = [q.covered for q in quantities]
+        rate = sum(covered) / len(covered)
+        table.add_row("95 % intervals that hold the truth", "88–99 %", share(covered), _verdict(0.88 <= rate <= 0.99))
+        errors = np.abs([q.error for q in quantities])
+        table.add_row("parameters, |error| / size of the effect: median", "", f"{100 * float(np.median(errors)):.2f} %")
+    row("went wrong (exception)", [j.what == "error" for _, j in judged], None, 0.0)
+    walls = [r["ours"]["wall_s"] for r, _ in judged if "ours" in r]
+    if walls:
+        table.add_row("time, one thread: median, worst", "", f"{np.median(walls):.1f} s, {max(walls):.1f} s")
+    return table
+
+
+def _holds(interval: Sequence[float], value: float) -> bool:
+    low, high = interval
+    return bool(low <= value <= high)
+
+
 def headline(judged: Judged, of: dict[str, Judged]) -> Table:
     """Return the results against the marks to be met."""
     table = Table(title="against the marks", title_justify="left")
@@ -68,9 +130,12 @@ def headline(judged: Judged, of: dict[str, Judged]) -> Table:
         table.add_row(what, mark, share(strict), _mark(strict, least, most), share(lenient))
 
     single, pair, nothing, outside = (of[kind] for kind in KINDS)
-    row("single: right cause first", "≥ 95 %", [j.right for _, j in single], [j.lenient for _, j in single], 0.95, None)
+    right, lenient = [j.right for _, j in single], [j.lenient for _, j in single]
+    row("single: right cause first, no other that is not there", "≥ 95 %", right, lenient, 0.95, None)
+    row("  right cause first, whatever is named beside it", "", [j.first for _, j in single], [], None, None)
     row("  by its own name, nothing beside it", "", [j.exact for _, j in single], [], None, None)
-    row("pair: both named", "≥ 85 %", [j.right for _, j in pair], [j.lenient for _, j in pair], 0.85, None)
+    row("pair: both named, no other", "≥ 85 %", [j.right for _, j in pair], [j.lenient for _, j in pair], 0.85, None)
+    row("  right causes, whatever is named beside them", "", [j.first for _, j in pair], [], None, None)
     row("  by their own names, nothing beside them", "", [j.exact for _, j in pair], [], None, None)
     for kind, cases in (("single", single), ("pair", pair)):
         beside = [bool(j.not_there) for _, j in cases]
@@ -234,6 +299,9 @@ def hidden_text(r: Row) -> str:
         given = ", ".join(f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in sizes.items())
         seen = ", ".join(f"{stage} {value:.3g}" for stage, value in r["visibility"][name].items() if value >= BINS[1] / 2)
         parts.append(f"{name}: {given} ({seen})")
+    if r.get("forms"):
+        sizes = ", ".join(f"{stage} {100 * size:.2g} %" for stage, size in r["forms"]["sizes"].items())
+        parts.append(f"form errors {sizes}")
     return "; ".join(parts) or "nothing"
 
 

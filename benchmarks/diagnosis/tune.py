@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from benchmarks.diagnosis import cases
+from benchmarks.diagnosis import cases, exams
 from benchmarks.diagnosis.judge import Row, peer_right
 from benchmarks.diagnosis.peers import STLSQ, Path, Problem, bic, paths, problem_of, stlsq
 from ehls_ros.trajectory import Trajectory
@@ -22,7 +22,7 @@ LEAST = (0.0, 0.02, 0.05, 0.1, 0.2)
 def tune(console: Console) -> None:
     """Print the peers' results for all thresholds, without effects outside the list, where they can never be right."""
     problems: list[tuple[Row, Problem, dict[str, Path]]] = []
-    numbers = [n for n in cases.numbers(2 * CASES, None) if cases.kind_of(n) != "outside"][:CASES]
+    numbers = [n for n in exams.numbers("clean", 2 * CASES, None) if cases.kind_of(n) != "outside"][:CASES]
     for number in track(numbers, "recordings", console=console):
         case = cases.make(SEED, number, 60.0)
         recording = cases.recording_of(case)

@@ -1,0 +1,234 @@
+"""The exams: what the rig is, what is measured of it, and what the diagnosis is given.
+
+clean: the rig is the model, the hidden effects apart. partial: the rig has form errors in every stage, which no model has, and
+one hidden effect; the rig file is the nominal one. baseline: the same, with recordings from when the rig was well, and in half
+of the cases nothing has changed since. skew: the rig is the model, but every channel is skewed and jittered.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.diagnosis import cases
+from benchmarks.diagnosis.cases import EXPERIMENTS, MOST_DRAWS, SHOWS, Case, rig_file
+from truth_generator import LISTED, Day, FormErrors, draw_day, draw_effect, draw_forms, draw_measurement, record
+from truth_generator.visibility import Background, against, background, leftovers, rows_between, standing
+
+Rng = np.random.Generator
+
+STANDS_OUT = (2.0, 20.0)
+"""Least and largest visibility aimed at, of an effect on an imperfect rig, against noise and form errors."""
+
+CANDIDATES = 6
+"""Draws of an effect's size, of which that nearest to the visibility aimed at is taken."""
+
+LEAST_FORM = 0.002
+"""Least form error of a stage, as a fraction of its largest term."""
+
+REMEMBERED = 0.3
+"""Fraction of the form errors that an effect must stand out of where healthy recordings tell them."""
+
+JITTER = 0.1
+"""Largest jitter of a rig with form errors, and that of the exam in skew, in samples."""
+
+SPREAD = 0.02
+"""Spread of friction's level and of its viscous part from day to day."""
+
+HEALTHY = {"rich": 0.6, "random": 0.4}
+"""Probability of each experiment for a recording from when the rig was well."""
+
+SKEW_EXPERIMENTS = ("rich", "random", "steps", "paper_sine")
+
+LATE = ("command_delay", "sensor_delay")
+LEAST_DELAY = 3e-3
+"""Least delay [s] hidden where up to a millisecond of it is skew."""
+
+
+class Exam(NamedTuple):
+    """An exam.
+
+    Attributes:
+        kinds: kinds of its cases.
+        kind_of: the kind of a case by its number.
+        make: draws a case from the run's seed, its number and the duration of its recordings [s].
+    """
+
+    kinds: tuple[str, ...]
+    kind_of: Callable[[int], str]
+    make: Callable[[int, int, float], Case]
+
+
+def _alternating(number: int) -> str:
+    return ("singles", "nothing")[number % 2]
+
+
+def effect_of(seed: int, turn: int) -> str:
+    """Return the effect of the nth case that hides one: all equally often, in an order given by the seed."""
+    pool = sorted(LISTED)
+    again, place = divmod(turn, len(pool))
+    return pool[int(np.random.default_rng([seed, again, 16]).permutation(len(pool))[place])]
+
+
+def _experiment(rng: Rng, name: str | None, among: dict[str, float] = EXPERIMENTS) -> str:
+    drawn = str(rng.choice(list(among), p=list(among.values())))
+    return "servo" if name == "coupling_stiffness" else drawn
+
+
+def _seed(rng: Rng) -> int:
+    return int(rng.integers(2**31))
+
+
+# ----------------------------------------------------------------------------------------------------- rigs never the model
+
+
+class _Scene:
+    """An experiment on an imperfect rig in a condition, and how an effect would stand out of it."""
+
+    def __init__(self, forms: FormErrors, day: Day | None, weight: float, where: tuple[str, int, float]) -> None:
+        self.forms, self.day, self.weight = forms, day, weight
+        self.experiment, self.seed, self.duration = where
+        self.model: Background = background(rig_file(), self.experiment, seed=self.seed, duration=self.duration)
+        own = self._left({}, None)
+        self.healthy = own if day is None else self._left({}, day)
+        # Weather counts in full: no healthy recording tells that of another day.
+        self.rest = [(weight, rows_between(own, self.model.left)), (1.0, rows_between(self.healthy, own))]
+
+    def _left(self, hidden: dict[str, Any], day: Day | None) -> dict[str, list[np.ndarray]]:
+        r = record(
+            rig_file(), hidden, self.experiment, seed=self.seed, duration=self.duration, noise=0.0, forms=self.forms, day=day
+        )
+        return leftovers(rig_file(), r)
+
+    def standing(self, hidden: dict[str, Any]) -> Any:
+        return standing(self.model, self.rest, self.healthy, self._left(hidden, self.day))
+
+    def with_forms(self, forms: FormErrors) -> "_Scene":
+        return _Scene(forms, self.day, self.weight, (self.experiment, self.seed, self.duration))
+
+
+def _sized(rng: Rng, name: str, scene: _Scene) -> tuple[_Scene, dict[str, Any], Any] | None:
+    """Draw an effect that stands out of the rest; where it cannot, the form errors of its stage are drawn smaller.
+
+    Returns:
+        The scene, the sizes and how the effect stands out; None if not even then.
+    """
+    low, high = STANDS_OUT
+    target = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    drawn = [draw_effect(name, rng, rig_file()) for _ in range(CANDIDATES)]
+    found = [(scene.standing({name: sizes}), sizes) for sizes in drawn]
+    fit = [(s, sizes) for s, sizes in found if max(s.visibility.values()) >= low]
+    if fit:
+        s, sizes = min(fit, key=lambda pair: abs(np.log(max(pair[0].visibility.values()) / target)))
+        return scene, sizes, s
+    s, sizes = max(found, key=lambda pair: max(pair[0].visibility.values()))
+    stage = max(s.visibility, key=s.visibility.__getitem__)
+    # Against form errors alone, visibility is inversely proportional to them.
+    smaller = 0.9 * s.visibility[stage] / low
+    if scene.forms.sizes[stage] * smaller < LEAST_FORM:
+        smaller = LEAST_FORM / scene.forms.sizes[stage]
+    if smaller >= 1.0:
+        return None
+    scene = scene.with_forms(scene.forms.shrunk(stage, smaller))
+    s = scene.standing({name: sizes})
+    return (scene, sizes, s) if max(s.visibility.values()) >= low else None
+
+
+def _imperfect(
+    rng: Rng, name: str | None, duration: float, day: Day | None, weight: float, healthy: Sequence[tuple[str, int]] = ()
+) -> tuple[Any, ...]:
+    """Draw rig, experiment and size until the effect stands out; return them, how it does, and the draws rejected.
+
+    The form errors are of the size drawn in the first healthy recording, or in the recording itself if there is none.
+    """
+    for redrawn in range(MOST_DRAWS):
+        experiment, seed = _experiment(rng, name), _seed(rng)
+        first, first_seed = healthy[0] if healthy else (experiment, seed)
+        forms = draw_forms(rng, rig_file(), first, seed=first_seed, duration=duration)
+        if name is None:
+            return forms, experiment, seed, {}, None, redrawn
+        found = _sized(rng, name, _Scene(forms, day, weight, (experiment, seed, duration)))
+        if found is not None:
+            scene, sizes, s = found
+            return scene.forms, experiment, seed, {name: sizes}, s, redrawn
+    raise RuntimeError(f"{name}: stands out of no rig in {MOST_DRAWS} draws")
+
+
+def _case(kind: str, seed: int, number: int, duration: float, drawn: tuple[Any, ...], exam: str, **more: Any) -> Case:
+    forms, experiment, record_seed, hidden, s, redrawn = drawn
+    seen = {} if s is None else {name: {stage: round(v, 3) for stage, v in s.visibility.items()} for name in hidden}
+    share = None if s is None else round(s.share, 4)
+    return Case(
+        seed, number, kind, experiment, record_seed, duration, hidden, seen, redrawn, exam, forms=forms, share=share, **more
+    )  # fmt: skip
+
+
+def make_partial(seed: int, number: int, duration: float) -> Case:
+    """Draw a case of the exam `partial`."""
+    rng = np.random.default_rng([seed, number, 1])
+    drawn = _imperfect(rng, effect_of(seed, number), duration, None, 1.0)
+    how = draw_measurement(rng, (), jitter=float(rng.uniform(0.0, JITTER)))
+    return _case("singles", seed, number, duration, drawn, "partial", measurement=how)
+
+
+def make_baseline(seed: int, number: int, duration: float) -> Case:
+    """Draw a case of the exam `baseline`: one healthy recording of the same day, or three of other days."""
+    rng = np.random.default_rng([seed, number, 2])
+    kind = _alternating(number)
+    name = effect_of(seed, number // 2) if kind == "singles" else None
+    count = int(rng.choice([1, 3]))
+    days = tuple(draw_day(rng, SPREAD) for _ in range(1 + count)) if count > 1 else ()
+    healthy = tuple((_experiment(rng, name, HEALTHY), _seed(rng)) for _ in range(count))
+    drawn = _imperfect(rng, name, duration, days[0] if days else None, REMEMBERED, healthy)
+    how = draw_measurement(rng, (), jitter=float(rng.uniform(0.0, JITTER)))
+    return _case(kind, seed, number, duration, drawn, "baseline", measurement=how, healthy=healthy, days=days)
+
+
+# ------------------------------------------------------------------------------------------------------- skewed channels
+
+
+def make_skew(seed: int, number: int, duration: float) -> Case:
+    """Draw a case of the exam `skew`: each experiment with and without disturbance, with and without an effect, in turn."""
+    rng = np.random.default_rng([seed, number, 3])
+    kind = _alternating(number)
+    name = effect_of(seed, number // 2) if kind == "singles" else None
+    turn = number // 2
+    disturbed = turn // len(SKEW_EXPERIMENTS) % 2 == 0
+    experiment = "servo" if name == "coupling_stiffness" else SKEW_EXPERIMENTS[turn % len(SKEW_EXPERIMENTS)]
+    hidden: dict[str, dict[str, Any]] = {}
+    seen: dict[str, dict[str, float]] = {}
+    record_seed, redrawn = _seed(rng), 0
+    while name is not None:
+        hidden = {name: draw_effect(name, rng, rig_file())}
+        same = {"seed": record_seed, "duration": duration, "disturbed": disturbed}
+        without = background(rig_file(), experiment, **same)
+        alone = record(rig_file(), hidden, experiment, noise=0.0, **same)
+        seen = {name: {stage: round(value, 3) for stage, value in against(without, rig_file(), alone).items()}}
+        told_from_skew = name not in LATE or hidden[name]["delay"] >= LEAST_DELAY
+        if (told_from_skew and max(seen[name].values()) >= SHOWS) or redrawn >= MOST_DRAWS:
+            break
+        record_seed, redrawn = _seed(rng), redrawn + 1
+    columns = record(rig_file(), hidden, experiment, seed=record_seed, duration=0.01).columns
+    how = draw_measurement(rng, columns, skew=1.0, jitter=JITTER)
+    return Case(
+        seed, number, kind, experiment, record_seed, duration, hidden, seen, redrawn, "skew", measurement=how,
+        disturbed=disturbed,
+    )  # fmt: skip
+
+
+EXAMS: dict[str, Exam] = {
+    "clean": Exam(cases.KINDS, cases.kind_of, cases.make),
+    "partial": Exam(("singles",), lambda number: "singles", make_partial),
+    "baseline": Exam(("singles", "nothing"), _alternating, make_baseline),
+    "skew": Exam(("singles", "nothing"), _alternating, make_skew),
+}
+
+
+def numbers(exam: str, count: int, only: str | None) -> list[int]:
+    """Return the numbers of the first cases, optionally of one kind only."""
+    found, number = [], 0
+    while len(found) < count:
+        if only is None or EXAMS[exam].kind_of(number) == only:
+            found.append(number)
+        number += 1
+    return found

@@ -1,0 +1,122 @@
+"""`draw_forms`: a rig that is never the model, its form errors as large as drawn."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from .experiments import TICK
+from .forms import KINDS, LARGEST, PER_STAGE, SMALLEST, STAGES, FormErrors, Rng, Signals, draw_shapes
+from .recording import Recording, record
+from .visibility import leftovers
+
+ROUNDS, TOLERANCE, TRIES = 4, 0.05, 20
+
+
+def largest_terms(rig: Mapping[str, Any], r: Recording) -> dict[str, list[float]]:
+    """Return the rms of the largest term in each of the residuals of `visibility.leftovers`; 0 for that of the supply."""
+    plant, c = rig["plant"], r.columns
+    area = plant["piston_area"]
+    load, speed = _rms(area * c["load_pressure_pa"]), _rms(np.gradient(c["position_m"], TICK))
+    opening = c["spool_m"] * np.sqrt(
+        np.maximum(c["supply_pressure_pa"] - np.sign(c["spool_m"]) * c["load_pressure_pa"], 0.0) / plant["oil_density"]
+    )
+    flow = _rms(plant["discharge_coefficient"] * plant["valve_area_gradient"] * opening)
+    return {
+        "force_balance": [max(load, _rms(c["disturbance_force_n"]))],
+        "flow": [max(flow, area * speed), 0.0],
+        "valve": [_rms(c["spool_m"])],
+        "sensors": [load, speed],
+    }
+
+
+class Scale:
+    """The size of form errors in an experiment: the residuals they add to those of the model, against the largest terms."""
+
+    def __init__(self, rig: Mapping[str, Any], experiment: str, seed: int, duration: float) -> None:
+        """Run the experiment on the model itself."""
+        self.rig, self.experiment, self.same = rig, experiment, {"seed": seed, "duration": duration, "noise": 0.0}
+        plain = record(rig, {}, experiment, **self.same)
+        c = plain.columns
+        speed = np.gradient(c["position_m"], TICK)
+        self.signals = Signals(speed, c["load_pressure_pa"], c["force_n"], c["valve_command_m"], c["spool_m"])
+        self.terms, self.without = largest_terms(rig, plain), leftovers(rig, plain)
+
+    def rows(self, forms: FormErrors) -> dict[str, list[float]]:
+        """Return the size of form errors in each residual, as a fraction of its largest term."""
+        r = record(self.rig, {}, self.experiment, forms=forms, **self.same)
+        found = leftovers(self.rig, r)
+        return {
+            stage: [
+                _rms(a - b) / term if term > 0.0 else 0.0
+                for a, b, term in zip(found[stage], self.without[stage], self.terms[stage], strict=True)
+            ]
+            for stage in STAGES
+        }
+
+    def sizes(self, forms: FormErrors) -> dict[str, float]:
+        """Return the size of form errors in each stage: the root of the sum of squares over its residuals."""
+        return {stage: float(np.linalg.norm(rows)) for stage, rows in self.rows(forms).items()}
+
+
+def draw_forms(
+    rng: Rng,
+    rig: Mapping[str, Any],
+    experiment: str = "rich",
+    *,
+    seed: int = 1,
+    duration: float = 60.0,
+    smallest: float = SMALLEST,
+    largest: float = LARGEST,
+) -> FormErrors:
+    """Draw a rig's form errors, `smallest` to `largest` of the largest term in every stage, log-uniformly.
+
+    Args:
+        rng: random number generator.
+        rig: content of the rig file.
+        experiment: the experiment in which they are of that size; in others they are larger or smaller.
+        seed: its seed.
+        duration: its duration, s.
+        smallest: least size.
+        largest: largest size.
+
+    Sizes that the kinds drawn cannot reach are drawn again with other kinds.
+
+    Raises:
+        RuntimeError: they could not be reached in any draw.
+    """
+    scale = Scale(rig, experiment, seed, duration)
+    for _ in range(TRIES):
+        forms = _equal(draw_shapes(rng, scale.signals, smallest, largest), scale)
+        for _ in range(ROUNDS):
+            reached = scale.sizes(forms)
+            factors = {stage: forms.sizes[stage] / reached[stage] for stage in STAGES}
+            if all(abs(factor - 1.0) < TOLERANCE for factor in factors.values()):
+                return replace(forms, sizes=reached)
+            forms = _within(forms.scaled({kind: factors[stage] for stage in STAGES for kind in forms.kinds[stage]}))
+    raise RuntimeError(f"form errors of {smallest:g} to {largest:g} of the largest terms: not reached in {TRIES} draws")
+
+
+def _equal(forms: FormErrors, scale: Scale) -> FormErrors:
+    """Give the kinds in each stage equal sizes, which together are the size drawn, as far as they reach."""
+    for place in range(PER_STAGE):
+        chosen = tuple(forms.kinds[stage][place] for stage in STAGES)
+        rows = scale.rows(forms.only(chosen))
+        wanted = {kind: forms.sizes[KINDS[kind].stage] / PER_STAGE**0.5 for kind in chosen}
+        found = {kind: rows[KINDS[kind].stage][KINDS[kind].row] for kind in chosen}
+        forms = _within(forms.scaled({kind: wanted[kind] / max(found[kind], 1e-12) for kind in chosen}))
+    return forms
+
+
+def _within(forms: FormErrors) -> FormErrors:
+    """Return form errors with every kind no larger than a rig could have."""
+    most = {KINDS[kind].amplitude: KINDS[kind].most for kinds in forms.kinds.values() for kind in kinds}
+    fields = {
+        name: float(np.clip(value, -most[name], most[name])) if name in most else value for name, value in forms.fields.items()
+    }
+    return replace(forms, fields=fields)
+
+
+def _rms(a: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(a * a)))

@@ -1,0 +1,97 @@
+"""`measured`: the samples that converters take of a finely recorded experiment, with their skew, jitter and offsets."""
+
+import copy
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from .experiments import TICK
+from .recording import CHANNELS, Recording, sensor
+
+Rng = np.random.Generator
+FINE = 4000.0
+"""Sampling rate of a recording to be measured, 1/s; between its samples signals are straight to less than the noise."""
+
+STEPPED = ("valve_command_m",)
+"""Columns that hold their value for a cycle of the control."""
+
+OFFSETS = {
+    "position_m": 1.0e-5, "velocity_m_s": 2.0e-4, "load_pressure_pa": 3.0e3, "spool_m": 2.0e-6, "supply_pressure_pa": 1.0e4,
+    "force_n": 8.0, "oil_temperature_k": 0.5, "disturbance_force_n": 8.0,
+}  # fmt: skip
+"""Largest offsets by data sheet, two to four steps of resolution or standard deviations of noise."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """How the channels are sampled.
+
+    Attributes:
+        skew: by column, how much earlier than its time stamp a value was taken, in samples; negative is later.
+        held: columns whose converter runs in its own time, off by the skew: the row holds its last value.
+        jitter: standard deviation of the instants at which rows are sampled, in samples; all columns of a row together.
+        offset: by column, in its unit.
+    """
+
+    skew: Mapping[str, float] = field(default_factory=dict)
+    held: tuple[str, ...] = ()
+    jitter: float = 0.0
+    offset: Mapping[str, float] = field(default_factory=dict)
+
+
+def draw_measurement(
+    rng: Rng, columns: Iterable[str], *, skew: float = 0.0, jitter: float = 0.0, offset: float = 0.0
+) -> Measurement:
+    """Draw skews of 0 to `skew` samples, half the columns held, and offsets up to a multiple of the data sheet's bound."""
+    names = list(columns)
+    late = {name: float(rng.uniform(0.0, skew)) for name in names} if skew != 0.0 else {}
+    held = tuple(name for name in late if rng.random() < 0.5)
+    off = {name: float(offset * OFFSETS[name] * rng.uniform(-1.0, 1.0)) for name in names if name in OFFSETS and offset > 0.0}
+    return Measurement(late, held, jitter, off)
+
+
+def measured(fine: Recording, rig: Mapping[str, Any], seed: int, how: Measurement, rate: float = 1.0 / TICK) -> Recording:
+    """Sample a fine recording without noise as a data acquisition does; time stamps are nominal.
+
+    Args:
+        fine: a recording with perfect sensors at `FINE` or more.
+        rig: content of the rig file, for noise and resolution of the sensors.
+        seed: of noise and jitter.
+        how: skew, jitter and offsets.
+        rate: rows per second.
+
+    Raises:
+        ValueError: the recording has noise already, or a column is not in it.
+    """
+    if fine.truth["noise"] != 0.0:
+        raise ValueError(f"a recording with noise {fine.truth['noise']}: measure one with perfect sensors")
+    if unknown := {*how.skew, *how.held, *how.offset} - set(fine.columns):
+        raise ValueError(f"no columns {sorted(unknown)}; there are {sorted(fine.columns)}")
+    noise_of, jitter_of = (np.random.default_rng(s) for s in np.random.SeedSequence([seed, 3]).spawn(2))
+    period = 1.0 / rate
+    at = np.arange(math.floor(fine.time[-1] * rate + 1e-6) + 1) / rate
+    taken = at + how.jitter * period * jitter_of.standard_normal(at.size)
+    noise = {name: noise_of.standard_normal(at.size) for name in CHANNELS}
+    columns = {}
+    for name, a in fine.columns.items():
+        late = how.skew.get(name, 0.0) * period
+        # A converter in its own time has its instants at late, late + period and so on.
+        when = np.floor((taken - late) / period + 1e-9) * period + late if name in how.held else taken - late
+        columns[name] = _at(fine.time, a, when, name in STEPPED) + how.offset.get(name, 0.0)
+        if name in CHANNELS:
+            std, resolution = sensor(rig, name)
+            columns[name] = columns[name] + std * noise[name]
+            if resolution > 0.0:
+                columns[name] = np.floor(columns[name] / resolution + 0.5) * resolution
+    truth = copy.deepcopy(fine.truth) | {"rate": rate, "noise": 1.0, "measurement": asdict(how)}
+    return Recording(at, columns, truth)
+
+
+def _at(time: np.ndarray, a: np.ndarray, when: np.ndarray, stepped: bool) -> np.ndarray:
+    """Return a signal at given times: the last value of one that is stepped, else straight between samples."""
+    if not stepped:
+        return np.interp(when, time, a)
+    return a[np.clip(np.searchsorted(time, when + 1e-9, side="right") - 1, 0, a.size - 1)]
