@@ -10,14 +10,13 @@ from typing import Any, NamedTuple
 
 from benchmarks.diagnosis.cases import SHOWS
 from benchmarks.diagnosis.comparable import Quantity, quantities
-from benchmarks.diagnosis.exams import EXAMS
 
 Row = dict[str, Any]
 CONFIDENT = 0.9
 """Probability above which a wrong name is a confident one."""
 
-NAMED = {exam: ("effect",) if exam == "clean" else ("effect", "partial") for exam in EXAMS}
-"""Verdicts that name causes; where the rig is the model and nothing is skewed, no more than its causes may remain."""
+NAMED = ("effect", "partial")
+"""Verdicts that name causes."""
 
 
 class Judgement(NamedTuple):
@@ -70,18 +69,21 @@ def judge(row: Row) -> Judgement:
     if kind == "nothing":
         first = right = lenient = exact = verdict == "consistent"
     elif kind in ("singles", "pairs"):
-        first = verdict in NAMED[row.get("exam", "clean")] and (
+        first = verdict in NAMED and (
             hidden[0] in classes[0] if kind == "singles" else len(true) == len(hidden)
         )
         right = lenient = first and not not_there
         exact = sorted(names) == sorted(hidden)
     else:
         stages = row["visibility"][hidden[0]]
-        first = right = exact = verdict == "unknown" and ours["unknown_stage"] == row["appears_in"][hidden[0]]
+        # An effect on the list may explain most of one that is not: it may be named, but not held for certain.
+        unexplained = verdict == "unknown" or (verdict == "partial" and not confident)
+        first = right = unexplained and ours["unknown_stage"] == row["appears_in"][hidden[0]]
+        exact = right and verdict == "unknown"
         shows = {stage for stage, seen in stages.items() if seen >= SHOWS}
         lenient = (
             right
-            or (verdict == "unknown" and ours["unknown_stage"] in shows)
+            or (unexplained and ours["unknown_stage"] in shows)
             or (verdict == "effect" and bool(near) and set(names) <= near)
         )
     return Judgement(right, lenient, first, exact, confident, confident_lenient, not_there, worded(row), found)

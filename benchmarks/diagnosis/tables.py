@@ -143,7 +143,7 @@ def headline(judged: Judged, of: dict[str, Judged]) -> Table:
     alarms = [not j.right for _, j in nothing]
     row("nothing hidden: false alarms", "≤ 1 %", alarms, alarms, None, 0.01)
     right, lenient = [j.right for _, j in outside], [j.lenient for _, j in outside]
-    row("outside the list: unknown, right stage", "≥ 90 %", right, lenient, 0.9, None)
+    row("outside the list: unexplained in the right stage, nothing for certain", "≥ 90 %", right, lenient, 0.9, None)
     unknown = [r.get("ours", {}).get("verdict") == "unknown" for r, _ in outside]
     row("  unknown, whatever stage", "", unknown, [], None, None)
     wrong = [j.confident_wrong for _, j in outside]
