@@ -69,9 +69,7 @@ def judge(row: Row) -> Judgement:
     if kind == "nothing":
         first = right = lenient = exact = verdict == "consistent"
     elif kind in ("singles", "pairs"):
-        first = verdict in NAMED and (
-            hidden[0] in classes[0] if kind == "singles" else len(true) == len(hidden)
-        )
+        first = verdict in NAMED and (hidden[0] in classes[0] if kind == "singles" else len(true) == len(hidden))
         right = lenient = first and not not_there
         exact = sorted(names) == sorted(hidden)
     else:

@@ -86,9 +86,9 @@ def test_no_name_is_never_right_when_something_is_hidden(exam, verdict):
     assert not j.first
 
 
-@pytest.mark.parametrize(("exam", "right"), [("clean", False), ("partial", True), ("baseline", True), ("skew", True)])
-def test_a_partial_answer_counts_where_the_rig_is_not_the_model(exam, right):
-    assert judge(row(["mass_shift"], [cause("mass_shift")], "partial", exam)).right is right
+@pytest.mark.parametrize("exam", EXAMS)
+def test_a_partial_answer_counts_by_its_names(exam):
+    assert judge(row(["mass_shift"], [cause("mass_shift")], "partial", exam)).right
     assert not judge(row([], [cause("mass_shift")], "partial", exam)).right
     assert judge(row([], [], "consistent", exam)).right
 
