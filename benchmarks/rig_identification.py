@@ -87,17 +87,12 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1, help="cases at once (%(default)s)")
     options = parser.parse_args()
     work = partial(case, tuple(options.experiments), options.duration)
-    seeds = range(options.first, options.first + options.cases)
-    if options.processes > 1:
-        with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
-            runs = list(pool.map(work, seeds))
-    else:
-        runs = [work(seed) for seed in seeds]
-    for run in runs:
-        wrong = [f"{p} {(v - t) / s:+.1f}" for p, (v, s, t) in run["rows"].items() if abs(v - t) > 3.0 * s]
-        print(
-            f"{run['seed']:4d} {run['experiment']:12s}{run['wall']:6.1f} s  beyond 3 standard errors: {', '.join(wrong) or '-'}"
-        )
+    runs = []
+    with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
+        for run in pool.map(work, range(options.first, options.first + options.cases)):
+            far = [f"{path} {(v - t) / s:+.1f}" for path, (v, s, t) in run["rows"].items() if abs(v - t) > 3.0 * s]
+            print(f"{run['seed']:4d} {run['experiment']:12s}{run['wall']:6.1f} s  {', '.join(far)}", flush=True)
+            runs.append(run)
     print(f"{'':34s}{'told':>6s}{'median |error|':>16s}{'largest':>10s}{'median std':>12s}{'95 % holds':>12s}")
     held, errors = list[bool](), list[float]()
     for path in sorted({path for run in runs for path in run["rows"]}):

@@ -144,14 +144,10 @@ def placed(rig: Rig, values: Mapping[str, float]) -> Rig:
 
 
 def _with(uses: Sequence[EffectUse], changes: Mapping[str, Mapping[str, float]]) -> tuple[EffectUse, ...]:
-    """Return effects with other parameters; one that is neutral and was not there before is left out."""
-    out = [u._replace(parameters=u.parameters._replace(**changes.get(u.name, {}))) for u in uses]
-    for name in changes.keys() - {use.name for use in uses}:
-        neutral = EFFECTS.load(name).Parameters()
-        parameters = neutral._replace(**changes[name])
-        if parameters != neutral:
-            out.append(EffectUse(name, parameters))
-    return tuple(out)
+    """Return effects with other parameters; one that becomes neutral is left out."""
+    added = [EffectUse(name, EFFECTS.load(name).Parameters()) for name in changes if name not in {use.name for use in uses}]
+    out = [u._replace(parameters=u.parameters._replace(**changes.get(u.name, {}))) for u in (*uses, *added)]
+    return tuple(u for u in out if u.name not in changes or u.parameters != EFFECTS.load(u.name).Parameters())
 
 
 def coefficients(rig: Rig, sizes: Sizes) -> tuple[Coefficient, ...]:

@@ -43,10 +43,16 @@ FEWEST_CLUSTERS, SHORTEST_CLUSTER, LONGEST_CLUSTER = 90, 0.4, 2.5
 class Stack:
     """The evidence of several recordings as one vector of whitened residuals."""
 
-    def __init__(self, evidences: Sequence[Evidence]) -> None:
-        """Lay out the rows: recording after recording, channel after channel."""
+    def __init__(self, evidences: Sequence[Evidence], *, noisier: bool = False) -> None:
+        """Lay out the rows: recording after recording, channel after channel.
+
+        Args:
+            evidences: of the recordings.
+            noisier: whether the recordings with as much noise again as the sensors have are taken.
+        """
         self.evidences = tuple(evidences)
-        self._comparisons: tuple[Comparison, ...] = tuple(e.comparison() for e in evidences)
+        records = [e.noisy_record if noisier else e.record for e in evidences]
+        self._comparisons = tuple(Comparison(record, e.setup) for record, e in zip(records, evidences, strict=True))
         self.channels: tuple[Channel, ...] = tuple(dict.fromkeys(c for e in evidences for c in e.channels))
         total = sum(len(e.record.time) * e.record.period for e in evidences)
         length = float(np.clip(total / FEWEST_CLUSTERS, SHORTEST_CLUSTER, LONGEST_CLUSTER))
@@ -64,8 +70,8 @@ class Stack:
 
     def residuals(self, rig: Rig, known: Sequence[Residuals] | None = None) -> tuple[Residuals, ...]:
         """Return the whitened residuals of a model in each recording, reusing those of another that must be equal."""
-        other = [None] * len(self.evidences) if known is None else known
-        pairs = zip(self.evidences, self._comparisons, other, strict=True)
+        nothing = [Residuals({}, dict.fromkeys(e.channels)) for e in self.evidences]
+        pairs = zip(self.evidences, self._comparisons, nothing if known is None else known, strict=True)
         return tuple(e.residuals(comparison, rig, before) for e, comparison, before in pairs)
 
     def joined(self, residuals: Sequence[Residuals]) -> Array:
@@ -169,7 +175,7 @@ def fit(
         e = whole[rows] / scales
         for i in range(len(chosen)):
             up, down = min(z[i] + step_of[i], high[i]), max(z[i] - step_of[i], low[i])
-            if not rough[i]:
+            if iterations or not rough[i]:
                 up, down = (up, z[i]) if up > z[i] else (z[i], down)
             ends = [
                 whole if end == z[i] else stack.joined(stack.residuals(model(_moved(z, i, end)), residuals))
@@ -200,6 +206,8 @@ def fit(
                 break
         if taken is None:
             settled = True
+            if iteration:
+                break
             continue
         z, residuals, whole, after = taken
         now = stack.scales(whole)[rows]

@@ -30,7 +30,7 @@ from ehls_ros.identification.rig_coefficients import (
 )
 from ehls_ros.identification.rig_fit import Stack, fit
 from ehls_ros.identification.rig_result import ChannelFit, RigIdentification
-from ehls_ros.identification.rig_stages import SURE, sizes, stage_by_stage, without_signals
+from ehls_ros.identification.rig_stages import BANDWIDTH, SURE, sizes, stage_by_stage, without_signals
 from ehls_ros.identification.rig_told import estimated, untold
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
@@ -42,6 +42,9 @@ CONTRADICTS = 20.0
 """Increase of the loss above which a given value of a coefficient contradicts the data [nats]."""
 
 CONTRADICTED = "the given value contradicts the data, and one that fits is kept"
+
+OFF = 2.0
+"""Factor by which a first guess may be off."""
 
 ROUNDS = 5
 """Most times that coefficients are found to be none, or not to be told, and the others are fitted again."""
@@ -142,7 +145,9 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
 
 
 def _stack(records: Sequence[Record], rig: Rig, seed: int) -> Stack:
-    setups = [(record, setup(record, rig)) for record in records]
+    # With a guess of the bandwidth that is too high, the command would seem to be recorded too slowly.
+    slow = placed(rig, {BANDWIDTH: read(rig, BANDWIDTH) / OFF})
+    setups = [(record, setup(record, slow)) for record in records]
     return Stack([gather(record, rig, compared, seed) for record, compared in setups if compared.channels])
 
 

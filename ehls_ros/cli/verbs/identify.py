@@ -15,12 +15,14 @@ from ehls_ros.cli.folder import writable
 from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.compiling import COMPILING, compile_side_by_side, of_diagnosis
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.identification.identify import DEFAULT_OPTIMISER, identify
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.result import Identification, to_json
 from ehls_ros.identification.rig_result import RigIdentification, rig_to_json
 from ehls_ros.identification.whole_rig import identify_rig
+from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import Rig, rig_to_mapping
 from ehls_ros.recording.columns import read_columns
 from ehls_ros.recording.load import load
@@ -106,7 +108,8 @@ def _whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespac
     if options.elements is not None:
         what = "--elements is given, and the whole rig is identified"
         raise BadInput(what, "command line", "--only friction, which looks for the number of friction elements")
-    with progress_bar("identifying") as bar:
+    with Workers() as workers, progress_bar("identifying") as bar:
+        compile_side_by_side(of_diagnosis(rig), workers, lambda done, total: bar(done, total, COMPILING))
         found = identify_rig(recordings, rig, seed=options.seed, progress=lambda doing, done, total: bar(done, total, doing))
     result = rig_to_json(found)
     _write(folder, found.rig, result, options.data)
