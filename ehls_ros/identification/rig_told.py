@@ -153,18 +153,20 @@ class Estimated(NamedTuple):
     vague: tuple[str, ...]
 
 
-def estimated(stack: Stack, fit: RigFit, doubtful: int = 0) -> Estimated:
+def estimated(stack: Stack, fit: RigFit, doubtful: int = 0, spread: Mapping[str, float] | None = None) -> Estimated:
     """Return the values of a fit's coefficients with their standard errors.
 
     Args:
         stack: the recordings.
         fit: the fit.
         doubtful: number of leading coefficients that were not fitted; what depends on them is as doubtful.
+        spread: by path, further standard errors of coordinates.
     """
     values, slopes = values_at(fit.rig, fit.chosen, fit.z), slopes_at(fit.rig, fit.chosen, fit.z)
     slower = max([1.0, *((e.record.period / ACCURATE_PERIOD) ** 2 for e in stack.evidences)])
     wrong = np.array([slower * ACCURACY.get(c.path, 0.0) * values[c.path] for c in fit.chosen])
-    own: Array = slopes @ covariance(stack, fit, doubtful) @ slopes.T + np.diag(wrong**2)
+    apart = np.array([(spread or {}).get(path, 0.0) for path in fit.paths])
+    own: Array = slopes @ (covariance(stack, fit, doubtful) + np.diag(apart**2)) @ slopes.T + np.diag(wrong**2)
     std = np.sqrt(np.maximum(np.diag(own), 0.0))
     scales = [c.scale or abs(values[c.path]) for c in fit.chosen]
     by_path = {c.path: Estimate(values[c.path], float(s), c.unit) for c, s in zip(fit.chosen, std, strict=True)}

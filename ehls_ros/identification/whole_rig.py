@@ -12,7 +12,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.evidence import gather
-from ehls_ros.diagnosis.record import FORCE, SPOOL, VELOCITY, Record, prepare
+from ehls_ros.diagnosis.record import FORCE, POSITION, PRESSURE, SPOOL, VELOCITY, Record, prepare
 from ehls_ros.diagnosis.stages import Channel, setup
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
@@ -42,6 +42,9 @@ CONTRADICTS = 20.0
 """Increase of the loss above which a given value of a coefficient contradicts the data [nats]."""
 
 CONTRADICTED = "the given value contradicts the data, and one that fits is kept"
+
+MOVING = (SPOOL, PRESSURE, POSITION, VELOCITY, FORCE)
+"""Signals that a sensor in order never gives as one value throughout."""
 
 OFF = 2.0
 """Factor by which a first guess may be off."""
@@ -83,7 +86,9 @@ def identify_rig(
     records, remarks = _records(recordings, rig)
     names = tuple(record.name for record in records)
     try:
-        found = _identified(records, rig, seed, progress)
+        # A recording without any noise has no noise floor; what is divided by it is cut off as far.
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            found = _identified(records, rig, seed, progress)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         what = f"the numbers do not work out ({error}): nothing is identified"
         found = RigIdentification(rig, {}, np.empty((0, 0)), np.empty((0, 0)), {}, {**KEPT}, {}, names, (what,), 0.0)
@@ -97,8 +102,11 @@ def _records(recordings: Mapping[str, Trajectory], rig: Rig) -> tuple[list[Recor
         raise BadInput("there is no recording", "identification", "at least one recording")
     records, remarks, refused = list[Record](), list[str](), list[BadInput]()
     for name, trajectory in recordings.items():
+        stuck = [signal for signal in MOVING if signal in trajectory and _is_stuck(trajectory[signal])]
+        remarks += [f"{name}: {signal} is stuck at one value and is left out" for signal in stuck]
+        left = {signal: values for signal, values in trajectory.signals.items() if signal not in stuck}
         try:
-            record = prepare(trajectory, rig, name)
+            record = prepare(Trajectory(trajectory.time_s, left), rig, name)
         except BadInput as error:
             refused.append(error)
             remarks.append(f"{name} is left out: {error}")
@@ -110,6 +118,11 @@ def _records(recordings: Mapping[str, Trajectory], rig: Rig) -> tuple[list[Recor
     return records, remarks
 
 
+def _is_stuck(values: Array) -> bool:
+    finite = values[np.isfinite(values)]
+    return finite.size > 0 and float(np.ptp(finite)) == 0.0
+
+
 def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progress) -> RigIdentification:
     stack = _stack(records, rig, seed)
     known = {c.path: c for c in coefficients(rig, sizes(records, rig))}
@@ -118,15 +131,15 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
     least = _least(records)
 
     progress("stage by stage", 1, STEPS)
-    sensors = _fitted(stack, rig, rig, [free[path] for path in SENSORS if path in free], OF_SENSORS, least)
-    model = stage_by_stage(stack, sensors.rig, {p: c for p, c in free.items() if p not in SENSORS}, records)
+    sensors = _fitted(stack, rig, rig, [free[path] for path in SENSORS if path in free], OF_SENSORS, least, {})
+    model, spread = stage_by_stage(stack, sensors.rig, {p: c for p, c in free.items() if p not in SENSORS}, records)
 
     progress("all stages together", 2, STEPS)
     # The noise floor depends on the model, and the first guess was far off.
     stack = _stack(records, model, seed)
     chosen = [c for path, c in free.items() if path not in SENSORS and not _is_off(c, model)]
     others = tuple(c for c in stack.channels if c not in OF_SENSORS)
-    whole = _fitted(stack, rig, model, chosen, others, least)
+    whole = _fitted(stack, rig, model, chosen, others, least, spread)
 
     covariance = _block_diagonal([whole.covariance, sensors.covariance])
     std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -197,6 +210,7 @@ def _fitted(
     chosen: Sequence[Coefficient],
     channels: Collection[Channel],
     least: Mapping[str, float],
+    spread: Mapping[str, float],
 ) -> _Fitted:
     """Fit coefficients, give those that are not told their given values again, and drop those that are not told from none.
 
@@ -207,13 +221,14 @@ def _fitted(
         chosen: the coefficients.
         channels: the residuals to fit to.
         least: what biases must exceed, by path.
+        spread: further standard errors of coordinates, by path.
     """
     told, absent = list(chosen), dict[str, Estimate]()
     now = fit(stack, start, told, channels)
     reasons, doubtful = dict[str, str](), list[Coefficient]()
     for _ in range(ROUNDS):
         whole = fit(stack, now.rig, [*doubtful, *told], channels, iterations=0, steps=now.steps)
-        found = estimated(stack, whole, len(doubtful))
+        found = estimated(stack, whole, len(doubtful), spread)
         none = {c.path: c.neutral for c in told if c.neutral is not None and _is_none(c, found.by_path[c.path], given, least)}
         if none:
             absent |= {path: found.by_path[path] for path in none}
