@@ -170,7 +170,7 @@ def fit(
     whole = stack.joined(residuals)
     scales = stack.scales(whole)[rows]
     jacobian = np.empty((int(rows.sum()), len(chosen)))
-    settled = False
+    settled = not chosen
     for iteration in range(iterations + 1):
         e = whole[rows] / scales
         for i in range(len(chosen)):
@@ -185,7 +185,7 @@ def fit(
         jacobian[:] = np.nan_to_num(jacobian)
         size = np.sqrt(np.sum((jacobian * scales[:, np.newaxis]) ** 2, axis=0))
         step_of = np.clip(CHANGE / np.maximum(size, 1e-300), shortest, LONGEST_STEP)
-        if settled or iteration == iterations or not chosen:
+        if settled or iteration == iterations:
             break
         # The first guess counts as one measurement, of a factor of e; it decides where the data do not.
         with_guess, slopes = np.concatenate([e, z - guess]), np.vstack([jacobian, np.eye(len(chosen))])

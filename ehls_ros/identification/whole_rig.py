@@ -287,9 +287,11 @@ def _channels(stack: Stack, before: Rig, after: Rig) -> dict[Channel, ChannelFit
 
 def _nrmse(stack: Stack, residuals: Sequence[Mapping[Channel, Array]], channel: Channel) -> float:
     """Return the rms over all recordings, as a fraction of the largest term of the balance."""
-    parts = [
-        (len(e.block[channel]), e.nrmse(channel, r[channel]))
-        for e, r in zip(stack.evidences, residuals, strict=True)
-        if channel in e.channels
-    ]
-    return math.sqrt(sum(n * size**2 for n, size in parts) / sum(n for n, _ in parts))
+    total, count = 0.0, 0
+    for e, r in zip(stack.evidences, residuals, strict=True):
+        if channel in e.channels:
+            # Where no balance is formed, the velocity has no size in the evidence.
+            size = e.sizes[channel] or float(np.sqrt(np.mean(e.record.values(VELOCITY) ** 2))) or 1.0
+            total += float(np.sum((r[channel] * e.floor[channel] / size) ** 2))
+            count += len(e.block[channel])
+    return math.sqrt(total / count)

@@ -157,6 +157,15 @@ def test_a_stuck_recording_changes_nothing(rich, guess):
     assert {f"plant.{name}" for name in FACTORS} <= set(out.not_identifiable)
 
 
+def test_slow_data_tell_what_needs_no_fast_sampling(rich, guess, truth):
+    slow = Trajectory(rich.time_s[::10], {name: values[::10] for name, values in rich.signals.items()})
+    out = identify_rig({"slow": slow}, guess)
+    json.dumps(rig_to_json(out), allow_nan=False)
+    assert out.rig.plant.supply_pressure == pytest.approx(truth.plant.supply_pressure, rel=0.02)
+    assert out.rig.plant.moving_mass == guess.plant.moving_mass
+    assert "400 Hz" in out.not_identifiable["plant.moving_mass"]
+
+
 def test_without_a_recording_there_is_nothing_to_identify(guess):
     with pytest.raises(BadInput, match="no recording"):
         identify_rig({}, guess)
