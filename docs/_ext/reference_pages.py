@@ -95,7 +95,11 @@ API: Mapping[str, tuple[str, ...]] = {
         "ehls_ros.recording.bag_writer.write_trajectory",
         "ehls_ros.trajectory.Trajectory",
     ),
-    "Identification and diagnosis": ("ehls_ros.identification.identify.identify", "ehls_ros.diagnosis.diagnose.diagnose"),
+    "Identification and diagnosis": (
+        "ehls_ros.identification.identify.identify",
+        "ehls_ros.identification.whole_rig.identify_rig",
+        "ehls_ros.diagnosis.diagnose.diagnose",
+    ),
     "Simulation of the plant alone": ("ehls_ros.physics.simulator.Simulator",),
     "Errors": ("ehls_ros.errors.BadInput", "ehls_ros.errors.WorkFailed"),
 }

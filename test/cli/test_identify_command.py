@@ -9,7 +9,9 @@ import yaml
 
 from ehls_ros.cli.main import main
 from ehls_ros.experiments.spec import load_rig
+from truth_generator import record
 
+CONFIG = Path(__file__).parents[2] / "config"
 EXAMPLE = Path(__file__).parents[2] / "examples" / "emps"
 COULOMB, VISCOUS, MASS, OFFSET = 21.0, 205.0, 95.0, -3.0
 
@@ -94,3 +96,39 @@ def test_bad_input_ends_with_2_and_one_line(drive, tmp_path, capsys, arguments, 
 def test_unmapped_columns_are_named(drive, tmp_path, capsys):
     assert main(["identify", str(drive), "--rig", str(EXAMPLE / "rig.yaml"), "--out", str(tmp_path)]) == 2
     assert "time_s" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def rig_folder(tmp_path_factory) -> Path:
+    """A recording with hydraulic signals, identified from a rig file whose mass and flow gain are off by a factor of two."""
+    folder = tmp_path_factory.mktemp("rig")
+    truth = yaml.safe_load((CONFIG / "rig_paper_measured.yaml").read_text())
+    record(truth, {}, "random", seed=2, duration=12.0).write_csv(folder / "recording.csv")
+    guess = {**truth, "plant": {**truth["plant"], "moving_mass": 35.0, "discharge_coefficient": 1.24}}
+    (folder / "guess.yaml").write_text(yaml.safe_dump(guess))
+    arguments = ["identify", str(folder / "recording.csv"), "--rig", str(folder / "guess.yaml"), "--out", str(folder)]
+    assert main(arguments) == 0
+    return folder
+
+
+def test_the_whole_rig_is_identified_where_hydraulic_signals_are_recorded(rig_folder):
+    result = json.loads((rig_folder / "identification.json").read_text())
+    rig = load_rig(rig_folder / "rig_identified.yaml")
+    for path, true in (("plant.moving_mass", 70.0), ("plant.discharge_coefficient", 0.62)):
+        assert result["parameters"][path]["value"] == pytest.approx(true, rel=0.02)
+        assert getattr(rig.plant, path.partition(".")[2]) == result["parameters"][path]["value"]
+    assert "plant.total_volume" in result["not_identifiable"]
+    assert result["residuals"]["force"]["after"] < result["residuals"]["force"]["before"]
+
+
+def test_the_report_of_the_whole_rig_shows_coefficients_and_residuals(rig_folder):
+    text = (rig_folder / "report.html").read_text(encoding="utf-8")
+    assert "Rig identified" in text
+    assert "plant.moving_mass" in text
+    assert "volume balance" in text
+
+
+def test_the_whole_rig_needs_no_number_of_elements(rig_folder, capsys):
+    given = ["identify", str(rig_folder / "recording.csv"), "--rig", str(rig_folder / "guess.yaml"), "--out", str(rig_folder)]
+    assert main([*given, "--only", "rig", "--elements", "2"]) == 2
+    assert "--only friction" in capsys.readouterr().err

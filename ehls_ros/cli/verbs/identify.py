@@ -3,8 +3,9 @@
 import json
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, Literal, get_args
 
 import yaml
 from rich.console import Console
@@ -13,17 +14,27 @@ from rich.table import Table
 from ehls_ros.cli.folder import writable
 from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import BadInput
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.identification.identify import DEFAULT_OPTIMISER, identify
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.result import Identification, to_json
-from ehls_ros.physics.rig import rig_to_mapping
+from ehls_ros.identification.rig_result import RigIdentification, rig_to_json
+from ehls_ros.identification.whole_rig import identify_rig
+from ehls_ros.parallel import Workers
+from ehls_ros.physics.rig import Rig, rig_to_mapping
 from ehls_ros.recording.columns import ColumnMap, read_columns
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.identification import write_identification_report
+from ehls_ros.report.rig_identification import write_rig_report
 from ehls_ros.trajectory import Trajectory
 
-HELP = "Identify a rig's friction from recordings: a rig file, identification.json and a report."
+HELP = "Identify a rig, or its friction alone, from recordings: a rig file, identification.json and a report."
+
+Part = Literal["rig", "friction"]
+PARTS: tuple[Part, ...] = get_args(Part)
+"""What can be identified."""
 
 RIG, RESULT, REPORT = "rig_identified.yaml", "identification.json", "report.html"
 """What the folder receives."""
@@ -36,7 +47,12 @@ def arguments(parser: ArgumentParser) -> None:
         "--rig",
         type=Path,
         required=True,
-        help="rig file as known so far: friction model, mass and piston area are taken from it",
+        help="rig file as known so far, where the search starts: friction model, piston area and volume are taken from it",
+    )
+    parser.add_argument(
+        "--only",
+        choices=PARTS,
+        help="the whole rig or its friction (default: rig if load pressure and spool or command are recorded, else friction)",
     )
     parser.add_argument("--columns", type=Path, help="YAML that maps the files' own column names and units")
     parser.add_argument("--out", type=Path, default=Path("runs/identify"), help="folder of the results (%(default)s)")
@@ -58,24 +74,54 @@ def run(options: Namespace) -> int:
     columns = read_columns(options.columns) if options.columns else None
     folder = writable(options.out, RESULT)
     given = _recordings(recordings(options.data, columns), columns)
+    whole = options.elements is None and any(map(_is_hydraulic, given.values()))
+    part: Part = options.only or ("rig" if whole else "friction")
+    identified = _whole_rig(given, rig, options, folder) if part == "rig" else _friction(given, rig, options, folder)
+    if options.json:
+        print(json.dumps(identified))
+    return 0
+
+
+def _is_hydraulic(trajectory: Trajectory) -> bool:
+    """Tell whether a recording holds what the flow balance takes."""
+    return "load_pressure_pa" in trajectory and ("spool_m" in trajectory or "valve_command_m" in trajectory)
+
+
+def _friction(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespace, folder: Path) -> dict[str, Any]:
     with progress_bar("identifying") as bar:
         found = identify(
-            given,
+            recordings,
             rig,
             optimiser=options.optimiser,
             elements=options.elements,
             seed=options.seed,
             progress=lambda _, done, total: bar(done, total),
         )
-    plain = json.loads(json.dumps(rig_to_mapping(found.rig)))
-    (folder / RIG).write_text(_heading(options.data) + yaml.safe_dump(plain, sort_keys=False), encoding="utf-8")
     result = to_json(found)
-    (folder / RESULT).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    _write(folder, found.rig, result, options.data)
     write_identification_report(found, folder / REPORT, before=rig)
     _print(found, folder)
-    if options.json:
-        print(json.dumps(result))
-    return 0
+    return result
+
+
+def _whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespace, folder: Path) -> dict[str, Any]:
+    if options.elements is not None:
+        what = "--elements is given, and the whole rig is identified"
+        raise BadInput(what, "command line", "--only friction, which looks for the number of friction elements")
+    with Workers() as workers, progress_bar("identifying") as bar:
+        compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: bar(done, total, COMPILING))
+        found = identify_rig(recordings, rig, seed=options.seed, progress=lambda doing, done, total: bar(done, total, doing))
+    result = rig_to_json(found)
+    _write(folder, found.rig, result, options.data)
+    write_rig_report(found, folder / REPORT, before=rig)
+    _print_rig(found, folder)
+    return result
+
+
+def _write(folder: Path, rig: Rig, result: Mapping[str, Any], data: Sequence[Path]) -> None:
+    plain = json.loads(json.dumps(rig_to_mapping(rig)))
+    (folder / RIG).write_text(_heading(data) + yaml.safe_dump(plain, sort_keys=False), encoding="utf-8")
+    (folder / RESULT).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
 
 
 def _recordings(paths: Sequence[Path], columns: ColumnMap | None) -> dict[str, Trajectory]:
@@ -90,17 +136,36 @@ def _heading(data: Sequence[Path]) -> str:
 
 
 def _print(found: Identification, folder: Path) -> None:
+    _print_estimates(found.estimates)
+    if found.not_identifiable:
+        print(f"not identifiable from these data: {', '.join(found.not_identifiable)}")
+    _print_end(found.remarks, found.wall_s, folder)
+
+
+def _print_rig(found: RigIdentification, folder: Path) -> None:
+    _print_estimates(found.estimates)
+    if found.not_identifiable:
+        print("not identifiable from these data:")
+    for path, reason in found.not_identifiable.items():
+        print(f"  {path}: {reason}")
+    if found.absent:
+        print(f"looked for, and not told from none: {', '.join(found.absent)}")
+    _print_end(found.remarks, found.wall_s, folder)
+
+
+def _print_estimates(estimates: Mapping[str, Estimate]) -> None:
     table = Table(title="Identified")
     for heading in ("coefficient", "value", "standard error", "unit"):
         table.add_column(heading, justify="left" if heading in ("coefficient", "unit") else "right")
-    for name, estimate in found.estimates.items():
+    for name, estimate in estimates.items():
         table.add_row(name, f"{estimate.value:.5g}", f"{estimate.std:.2g}", estimate.unit)
     Console(file=sys.stdout, width=None if sys.stdout.isatty() else 140).print(table)
-    if found.not_identifiable:
-        print(f"not identifiable from these data: {', '.join(found.not_identifiable)}")
-    for remark in found.remarks:
+
+
+def _print_end(remarks: Sequence[str], wall: float, folder: Path) -> None:
+    for remark in remarks:
         print(f"  {remark}")
-    print(f"wall time {found.wall_s:.1f} s")
+    print(f"wall time {wall:.1f} s")
     print(f"  rig     {folder / RIG}")
     print(f"  result  {folder / RESULT}")
     print(f"  report  {folder / REPORT}")

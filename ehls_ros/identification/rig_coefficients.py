@@ -1,0 +1,252 @@
+"""The coefficients of a whole rig that recordings can tell: where each stands in a rig file, and how it is searched for."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.parameters import Plant, Sensor
+from ehls_ros.physics.rig import EffectUse, Rig
+from ehls_ros.schema import Declaration, declarations
+
+PLANT = (
+    "valve_bandwidth", "valve_gain", "supply_pressure", "discharge_coefficient", "leakage_coefficient", "bulk_modulus",
+    "moving_mass", "spring_stiffness",
+)  # fmt: skip
+"""Coefficients of the plant that are fitted."""
+
+KEPT: Mapping[str, str] = {
+    "plant.oil_density": "only plant.discharge_coefficient × plant.valve_area_gradient / √density is known; kept as given",
+    "plant.valve_area_gradient": "only its product with plant.discharge_coefficient is known; kept as given",
+    "plant.total_volume": "only its ratio to plant.bulk_modulus is known; kept as given",
+    "plant.piston_area": "it turns pressure into force and motion into flow; everything else is relative to it; kept as given",
+    "plant.viscous_damping": "only its sum with friction.viscous_coefficient is known; kept as given",
+    "plant.gravity": "only plant.moving_mass × gravity less effects.constant_load.force is known; kept as given",
+    "plant.arm_length": "no equation of the stages depends on it; kept as given",
+}
+"""What is not searched for, and why."""
+
+BIASES = ("effects.valve_null_bias.command", "effects.valve_null_bias.opening", "effects.constant_load.force")
+"""Effects without which no real rig is; they enter linearly."""
+
+DEAD_ZONE = ("effects.valve_dead_zone.positive", "effects.valve_dead_zone.negative")
+DELAY = "effects.command_delay.delay"
+
+OPTIONAL = (*DEAD_ZONE, DELAY)
+"""Effects that are fitted only where a stage cannot do without: at none, the residuals have a corner."""
+
+SENSORS = ("sensors.force.gain", "sensors.force.bias", "sensors.velocity.gain", "sensors.velocity.bias")
+"""Told where a second sensor measures the same: the load pressure and the piston area, the position."""
+
+STATIC, COULOMB, STIFFNESS = "friction.static_force", "friction.coulomb_force", "friction.element_stiffness"
+VISCOUS = "friction.viscous_coefficient"
+
+RANGE = math.log(30.0)
+"""Largest factor, as a logarithm, by which a positive coefficient may leave its given value."""
+
+LARGEST_RATIO = math.log(10.0)
+"""Largest ratio of static to Coulomb friction, as a logarithm."""
+
+LEAST_COULOMB = 1e-4
+"""Least Coulomb friction at which a search starts, as a fraction of the rig's largest force."""
+
+SMALL_LEAKAGE, SMALL_VISCOUS = 1e-3, 1e-2
+"""Leakage and viscous friction that count as none, as fractions of flow and force at the rig's limits."""
+
+SMALL_GAIN = 0.1
+"""A sensor's deviation of gain that counts as large."""
+
+
+class Sizes(NamedTuple):
+    """What counts as large in the recordings, in SI units.
+
+    Attributes:
+        spool: spool displacement [m].
+        force: driving force [N].
+        velocity: of the piston [m/s].
+    """
+
+    spool: float
+    force: float
+    velocity: float
+
+
+class Coefficient(NamedTuple):
+    """A coefficient and its coordinate, in which a change of 1 is large.
+
+    Attributes:
+        path: section and name in the rig file, with dots.
+        unit: of its value.
+        scale: value of a coordinate of 1; 0: the coordinate is the value's logarithm.
+        low, high: range of the coordinate.
+        given: the coordinate of the first guess.
+        neutral: value of an effect or a sensor without this error; None for what every rig has.
+    """
+
+    path: str
+    unit: str
+    scale: float
+    low: float
+    high: float
+    given: float = 0.0
+    neutral: float | None = None
+
+    def coordinate(self, rig: Rig) -> float:
+        """Return the coordinate in a rig."""
+        value = read(rig, self.path)
+        if self.path == STATIC:
+            value /= read(rig, COULOMB)
+        if self.scale:
+            return value / self.scale
+        return math.log(value) if value > 0.0 else self.low
+
+
+def read(rig: Rig, path: str) -> float:
+    """Return a coefficient's value; of a list of stiffnesses the sum, of an effect that the rig lacks the neutral one."""
+    section, name, *rest = path.split(".")
+    if section == "effects":
+        used = {use.name: use.parameters for use in rig.effects}
+        return float(getattr(used.get(name, EFFECTS.load(name).Parameters()), rest[0]))
+    if section == "sensors":
+        return float(getattr(rig.sensors.get(name, Sensor()), rest[0]))
+    value = getattr(getattr(rig, section), name)
+    return float(sum(value)) if isinstance(value, tuple) else float(value)
+
+
+def placed(rig: Rig, values: Mapping[str, float]) -> Rig:
+    """Return a rig with other values of some coefficients; effects that become neutral are switched off.
+
+    Args:
+        rig: the rig.
+        values: by path.
+    """
+    sections: dict[str, dict[str, float]] = {"plant": {}, "friction": {}}
+    effects, sensors = dict[str, dict[str, float]](), dict[str, dict[str, float]]()
+    for path, value in values.items():
+        section, name, *rest = path.split(".")
+        if rest:
+            (effects if section == "effects" else sensors).setdefault(name, {})[rest[0]] = value
+        else:
+            sections[section][name] = value
+    friction: dict[str, Any] = dict(sections["friction"])
+    if "element_stiffness" in friction:
+        factor = friction["element_stiffness"] / read(rig, STIFFNESS)
+        friction["element_stiffness"] = tuple(k * factor for k in rig.friction.element_stiffness)
+    return rig._replace(
+        plant=rig.plant._replace(**sections["plant"]),
+        friction=rig.friction._replace(**friction),
+        effects=_with(rig.effects, effects),
+        sensors={**rig.sensors, **{s: rig.sensors.get(s, Sensor())._replace(**new) for s, new in sensors.items()}},
+    )
+
+
+def _with(uses: Sequence[EffectUse], changes: Mapping[str, Mapping[str, float]]) -> tuple[EffectUse, ...]:
+    """Return effects with other parameters; one that becomes neutral is left out."""
+    added = [EffectUse(name, EFFECTS.load(name).Parameters()) for name in changes if name not in {use.name for use in uses}]
+    out = [u._replace(parameters=u.parameters._replace(**changes.get(u.name, {}))) for u in (*uses, *added)]
+    return tuple(u for u in out if u.name not in changes or u.parameters != EFFECTS.load(u.name).Parameters())
+
+
+def coefficients(rig: Rig, sizes: Sizes) -> tuple[Coefficient, ...]:
+    """Return the coefficients of a rig that can be fitted.
+
+    Args:
+        rig: the first guess.
+        sizes: what is large in the recordings.
+    """
+    paths = [f"plant.{name}" for name in PLANT if name != "spring_stiffness" or rig.plant.spring_stiffness > 0.0]
+    paths += _friction_paths(rig)
+    paths += [*BIASES, *DEAD_ZONE, DELAY, *SENSORS]
+    found = [_coefficient(path, rig, sizes) for path in paths]
+    return tuple(c._replace(given=min(max(c.coordinate(rig), c.low), c.high)) for c in found)
+
+
+def _friction_paths(rig: Rig) -> list[str]:
+    """Return the friction model's coefficients, those first that most data tell."""
+    values = rig.friction._asdict()
+    paths = [f"friction.{name}" for name, value in values.items() if isinstance(value, float)]
+    if "element_stiffness" in values:
+        paths.append(STIFFNESS)
+    return sorted(paths, key=lambda path: path not in (COULOMB, VISCOUS, STIFFNESS))
+
+
+def _declared(path: str, rig: Rig) -> Declaration:
+    section, name, *rest = path.split(".")
+    kinds: dict[str, type] = {"plant": Plant, "friction": type(rig.friction), "sensors": Sensor}
+    kind = EFFECTS.load(name).Parameters if section == "effects" else kinds[section]
+    return next(d for d in declarations(kind) if d.name == (rest or [name])[0])
+
+
+def _coefficient(path: str, rig: Rig, sizes: Sizes) -> Coefficient:
+    declared = _declared(path, rig)
+    low = -math.inf if declared.minimum is None else declared.minimum
+    high = math.inf if declared.maximum is None else declared.maximum
+    unit = declared.unit
+    limits, plant = rig.limits, rig.plant
+    if path == STATIC:
+        return Coefficient(path, unit, 0.0, 0.0, LARGEST_RATIO)
+    if path == STIFFNESS:
+        unit = "N/m"
+    scales = {
+        "plant.leakage_coefficient": SMALL_LEAKAGE * plant.piston_area * limits.velocity / plant.supply_pressure,
+        VISCOUS: SMALL_VISCOUS * limits.force / limits.velocity,
+        "effects.valve_null_bias.command": sizes.spool,
+        "effects.valve_null_bias.opening": sizes.spool,
+        "effects.valve_dead_zone.positive": sizes.spool,
+        "effects.valve_dead_zone.negative": sizes.spool,
+        "effects.constant_load.force": sizes.force,
+        DELAY: 1.0 / plant.valve_bandwidth,
+        "sensors.force.gain": SMALL_GAIN,
+        "sensors.force.bias": sizes.force,
+        "sensors.velocity.gain": SMALL_GAIN,
+        "sensors.velocity.bias": sizes.velocity,
+    }
+    value = read(rig, path)
+    neutral = None if path.startswith(("plant.", "friction.")) else float(declared.default)
+    if path in scales:
+        scale = max(scales[path], abs(value) if neutral is None else 0.0)
+        return Coefficient(path, _signal_unit(path, unit), scale, low / scale, high / scale, neutral=neutral)
+    if path == COULOMB:
+        value = max(value, LEAST_COULOMB * limits.force)
+    middle = math.log(value) if value > 0.0 else 0.0
+    bottom = math.log(low) if low > 0.0 else -math.inf
+    top = math.log(high) if 0.0 < high < math.inf else math.inf
+    return Coefficient(path, unit, 0.0, max(middle - RANGE, bottom), min(middle + RANGE, top), neutral=neutral)
+
+
+def _signal_unit(path: str, unit: str) -> str:
+    return {"sensors.force.bias": "N", "sensors.velocity.bias": "m/s"}.get(path, unit)
+
+
+def values_at(rig: Rig, chosen: Sequence[Coefficient], z: Array) -> dict[str, float]:
+    """Return the values of coefficients at coordinates ``z``, shape (coefficients,); others are those of the rig."""
+    out = {c.path: float(x) * c.scale if c.scale else math.exp(float(x)) for c, x in zip(chosen, z, strict=True)}
+    if STATIC in out:
+        out[STATIC] *= out.get(COULOMB, read(rig, COULOMB))
+    return out
+
+
+def model_at(rig: Rig, chosen: Sequence[Coefficient], z: Array) -> Rig:
+    """Return a rig with coefficients at coordinates ``z``; static friction keeps its ratio to Coulomb friction."""
+    return placed(rig, with_ratio(rig, values_at(rig, chosen, z)))
+
+
+def with_ratio(rig: Rig, values: Mapping[str, float]) -> dict[str, float]:
+    """Return values with a static friction that keeps its ratio to Coulomb friction, where only this changes."""
+    out = dict(values)
+    if COULOMB in out and STATIC not in out and "static_force" in rig.friction._fields:
+        out[STATIC] = out[COULOMB] * read(rig, STATIC) / read(rig, COULOMB)
+    return out
+
+
+def slopes_at(rig: Rig, chosen: Sequence[Coefficient], z: Array) -> Array:
+    """Return the derivatives of the values of coefficients by all coordinates, shape (coefficients, coefficients)."""
+    values = values_at(rig, chosen, z)
+    out = np.diag([c.scale or values[c.path] for c in chosen])
+    paths = [c.path for c in chosen]
+    if STATIC in paths and COULOMB in paths:
+        out[paths.index(STATIC), paths.index(COULOMB)] = values[STATIC]
+    return out

@@ -1,0 +1,225 @@
+"""Fitting the coefficients of a rig to the residuals of all stages of its recordings."""
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.evidence import Evidence, Residuals
+from ehls_ros.diagnosis.least_squares import gauss_newton, linear_loss
+from ehls_ros.diagnosis.loss import loss
+from ehls_ros.diagnosis.stages import Channel, Comparison
+from ehls_ros.identification.rig_coefficients import Coefficient, model_at
+from ehls_ros.physics.rig import Rig
+from ehls_ros.samples import GAUSS
+
+CHANGE = 5.0
+"""Norm of the change in whitened residuals that a difference quotient's step should make."""
+
+FIRST_STEP, LEAST_STEP, LONGEST_STEP = 1e-3, 1e-4, 0.03
+"""First, shortest and longest step of a difference quotient, in coordinates."""
+
+LEAST_FRICTION_STEP = 5e-3
+"""The shortest of a coefficient of friction: elements break away from one sample to the next, so that the loss is rough."""
+
+LONGEST_MOVE = 1.0
+"""Longest move of a logarithm in one step."""
+
+SETTLED, SETTLED_FRACTION = 0.01, 1e-6
+"""Decrease of the loss below which a fit has settled [nats], and the same as a fraction of the loss."""
+
+STEADY_SCALE = 0.02
+"""Relative change of a channel's scale below which it has settled."""
+
+DAMPING, DAMPINGS = 1e-8, (1e-8, 1e-4, 1e-2, 1.0, 100.0)
+"""Levenberg damping of a first step, and those tried one after the other."""
+
+FEWEST_CLUSTERS, SHORTEST_CLUSTER, LONGEST_CLUSTER = 90, 0.4, 2.5
+"""Stretches that count as independent: about how many there should be, and their shortest and longest duration [s]."""
+
+
+class Stack:
+    """The evidence of several recordings as one vector of whitened residuals."""
+
+    def __init__(self, evidences: Sequence[Evidence], *, noisier: bool = False) -> None:
+        """Lay out the rows: recording after recording, channel after channel.
+
+        Args:
+            evidences: of the recordings.
+            noisier: whether the recordings with as much noise again as the sensors have are taken.
+        """
+        self.evidences = tuple(evidences)
+        records = [e.noisy_record if noisier else e.record for e in evidences]
+        self._comparisons = tuple(Comparison(record, e.setup) for record, e in zip(records, evidences, strict=True))
+        self.channels: tuple[Channel, ...] = tuple(dict.fromkeys(c for e in evidences for c in e.channels))
+        total = sum(len(e.record.time) * e.record.period for e in evidences)
+        length = float(np.clip(total / FEWEST_CLUSTERS, SHORTEST_CLUSTER, LONGEST_CLUSTER))
+        channel, cluster, before = list[NDArray[np.intp]](), list[NDArray[np.intp]](), 0
+        for e in evidences:
+            first = e.record.time[0]
+            for c in e.channels:
+                channel.append(np.full(len(e.times[c]), self.channels.index(c)))
+                cluster.append(before + ((e.times[c] - first) / length).astype(np.intp))
+            before = max([before, *(int(np.max(k)) + 1 for k in cluster)])
+        self.channel = np.concatenate(channel) if channel else np.empty(0, dtype=np.intp)
+        """Number of the channel of each row, in ``channels``."""
+        self.cluster = np.concatenate(cluster) if cluster else np.empty(0, dtype=np.intp)
+        """Number of the stretch of each row."""
+
+    def residuals(self, rig: Rig, known: Sequence[Residuals] | None = None) -> tuple[Residuals, ...]:
+        """Return the whitened residuals of a model in each recording, reusing those of another that must be equal."""
+        nothing = [Residuals({}, dict.fromkeys(e.channels)) for e in self.evidences]
+        pairs = zip(self.evidences, self._comparisons, nothing if known is None else known, strict=True)
+        return tuple(e.residuals(comparison, rig, before) for e, comparison, before in pairs)
+
+    def joined(self, residuals: Sequence[Residuals]) -> Array:
+        """Return the rows of all recordings, shape (rows,)."""
+        parts = [r.joined(e.channels) for r, e in zip(residuals, self.evidences, strict=True)]
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    def rows(self, channels: Collection[Channel]) -> NDArray[np.bool_]:
+        """Tell which rows belong to some channels."""
+        numbers = [i for i, c in enumerate(self.channels) if c in channels]
+        inside: NDArray[np.bool_] = np.isin(self.channel, numbers)
+        return inside
+
+    def scales(self, e: Array) -> Array:
+        """Return the scale of each row's channel: its residuals in units of their noise, at least 1, shape (rows,)."""
+        out = np.ones(len(e))
+        for i in range(len(self.channels)):
+            inside = self.channel == i
+            if np.any(inside):
+                out[inside] = max(1.0, GAUSS * float(np.median(np.abs(e[inside]))))
+        return out
+
+
+class RigFit(NamedTuple):
+    """Coefficients fitted to recordings.
+
+    Attributes:
+        chosen: the coefficients.
+        z: their coordinates, shape (p,).
+        rig: the rig with them.
+        rows: which rows of the stack they were fitted to, shape (rows,).
+        e: residuals of these rows in units of their channels' scales, shape (n,).
+        jacobian: derivatives of ``e`` by the coordinates, shape (n, p).
+        scales: of these rows, shape (n,).
+        loss: of ``e`` [nats].
+        steps: of the difference quotients, by path.
+        settled: whether the loss decreased no further.
+    """
+
+    chosen: tuple[Coefficient, ...]
+    z: Array
+    rig: Rig
+    rows: NDArray[np.bool_]
+    e: Array
+    jacobian: Array
+    scales: Array
+    loss: float
+    steps: Mapping[str, float]
+    settled: bool
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """The coefficients' paths."""
+        return tuple(c.path for c in self.chosen)
+
+    @property
+    def comparable(self) -> float:
+        """The loss in units of the noise, to compare fits whose scales differ [nats]."""
+        return float(np.sum(loss(self.e * self.scales)))
+
+
+def fit(
+    stack: Stack,
+    rig: Rig,
+    chosen: Sequence[Coefficient],
+    channels: Collection[Channel],
+    iterations: int = 20,
+    steps: Mapping[str, float] | None = None,
+) -> RigFit:
+    """Fit coefficients by damped Gauss-Newton steps of Huber's loss.
+
+    Where a stage is linear in its coefficients the first step is their linear regression, however far the guess. The loss is
+    taken in units of each channel's own scatter, so that large residuals of a bad guess count as squares, not as outliers.
+
+    Args:
+        stack: the recordings.
+        rig: where the fit starts.
+        chosen: the coefficients to fit.
+        channels: the channels to fit to.
+        iterations: most steps; 0: the derivatives where it starts.
+        steps: of the difference quotients by path, from an earlier fit.
+    """
+    rows = stack.rows(channels)
+    low, high = np.array([c.low for c in chosen]), np.array([c.high for c in chosen])
+    guess = np.array([c.given for c in chosen])
+    logarithm = np.array([c.scale == 0.0 for c in chosen], dtype=np.bool_)
+    z = np.clip(np.array([c.coordinate(rig) for c in chosen]), low, high)
+    rough = np.array([c.path.startswith("friction.") for c in chosen], dtype=np.bool_)
+    shortest = np.where(rough, LEAST_FRICTION_STEP, LEAST_STEP)
+    step_of = np.maximum(np.array([(steps or {}).get(c.path, FIRST_STEP) for c in chosen]), shortest)
+
+    def model(at: Array) -> Rig:
+        return model_at(rig, chosen, at)
+
+    residuals = stack.residuals(model(z))
+    whole = stack.joined(residuals)
+    scales = stack.scales(whole)[rows]
+    jacobian = np.empty((int(rows.sum()), len(chosen)))
+    settled = not chosen
+    for iteration in range(iterations + 1):
+        e = whole[rows] / scales
+        for i in range(len(chosen)):
+            up, down = min(z[i] + step_of[i], high[i]), max(z[i] - step_of[i], low[i])
+            if iterations or not rough[i]:
+                up, down = (up, z[i]) if up > z[i] else (z[i], down)
+            ends = [
+                whole if end == z[i] else stack.joined(stack.residuals(model(_moved(z, i, end)), residuals))
+                for end in (up, down)
+            ]
+            jacobian[:, i] = (ends[0] - ends[1])[rows] / scales / (up - down)
+        jacobian[:] = np.nan_to_num(jacobian)
+        size = np.sqrt(np.sum((jacobian * scales[:, np.newaxis]) ** 2, axis=0))
+        step_of = np.clip(CHANGE / np.maximum(size, 1e-300), shortest, LONGEST_STEP)
+        if settled or iteration == iterations:
+            break
+        # The first guess counts as one measurement, of a factor of e; it decides where the data do not.
+        with_guess, slopes = np.concatenate([e, z - guess]), np.vstack([jacobian, np.eye(len(chosen))])
+        before = float(np.sum(loss(with_guess)))
+        taken = None
+        for damping in DAMPINGS:
+            step = gauss_newton(slopes, with_guess, damping, z, low, high)
+            longest = float(np.max(np.abs(step[logarithm]), initial=0.0))
+            step *= min(1.0, LONGEST_MOVE / longest) if longest > 0.0 else 1.0
+            trial = np.clip(z + step, low, high)
+            if before - linear_loss(with_guess, slopes, trial - z) < SETTLED + SETTLED_FRACTION * before:
+                break
+            new = stack.residuals(model(trial), residuals)
+            joined = stack.joined(new)
+            after = float(np.sum(loss(joined[rows] / scales)) + np.sum(loss(trial - guess)))
+            if after < before:
+                taken = trial, new, joined, after
+                break
+        if taken is None:
+            settled = True
+            if iteration:
+                break
+            continue
+        z, residuals, whole, after = taken
+        now = stack.scales(whole)[rows]
+        steady = bool(np.all(np.abs(now / scales - 1.0) < STEADY_SCALE))
+        scales = now
+        settled = steady and before - after < SETTLED + SETTLED_FRACTION * before
+    e = whole[rows] / scales
+    used = {c.path: float(step) for c, step in zip(chosen, step_of, strict=True)}
+    return RigFit(tuple(chosen), z, model(z), rows, e, jacobian, scales, float(np.sum(loss(e))), used, settled)
+
+
+def _moved(z: Array, index: int, value: float) -> Array:
+    out = z.copy()
+    out[index] = value
+    return out

@@ -1,0 +1,297 @@
+"""From recordings to the coefficients of a whole rig: stage by stage, then all of them together.
+
+The residuals are those of a diagnosis (:mod:`ehls_ros.diagnosis.stages`), in units of their noise floor.
+"""
+
+import math
+import time as clock
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.evidence import gather
+from ehls_ros.diagnosis.record import FORCE, POSITION, PRESSURE, SPOOL, VELOCITY, Record, prepare
+from ehls_ros.diagnosis.stages import Channel, setup
+from ehls_ros.errors import BadInput
+from ehls_ros.estimate import Estimate
+from ehls_ros.identification.rig_coefficients import (
+    COULOMB,
+    KEPT,
+    OPTIONAL,
+    SENSORS,
+    STATIC,
+    Coefficient,
+    coefficients,
+    placed,
+    read,
+    with_ratio,
+)
+from ehls_ros.identification.rig_fit import Stack, fit
+from ehls_ros.identification.rig_result import ChannelFit, RigIdentification
+from ehls_ros.identification.rig_stages import BANDWIDTH, SURE, sizes, stage_by_stage, without_signals
+from ehls_ros.identification.rig_told import estimated, untold
+from ehls_ros.physics.rig import Rig
+from ehls_ros.trajectory import Trajectory
+
+OF_SENSORS: tuple[Channel, ...] = ("cell", "velocity")
+"""Residuals of two sensors of one quantity; they need no model, and no model's error may blur them."""
+
+CONTRADICTS = 20.0
+"""Increase of the loss above which a given value of a coefficient contradicts the data [nats]."""
+
+CONTRADICTED = "the given value contradicts the data, and one that fits is kept"
+
+MOVING = (SPOOL, PRESSURE, POSITION, VELOCITY, FORCE)
+"""Signals that a sensor in order never gives as one value throughout."""
+
+OFF = 2.0
+"""Factor by which a first guess may be off."""
+
+ROUNDS = 5
+"""Most times that coefficients are found to be none, or not to be told, and the others are fitted again."""
+
+STEPS, DONE = 3, "done"
+"""Number of the steps that are reported, and the name of their end."""
+
+Progress = Callable[[str, int, int], None]
+
+
+def identify_rig(
+    recordings: Mapping[str, Trajectory],
+    rig: Rig,
+    *,
+    seed: int = 0,
+    progress: Progress = lambda what, done, total: None,
+) -> RigIdentification:
+    """Identify every coefficient of a rig that recordings tell.
+
+    Args:
+        recordings: by a name for messages, each with any of the data contract's signals.
+        rig: the first guess; a factor of two off will do. What only a product with another coefficient tells, such as piston
+            area and volume, is taken from it (:data:`ehls_ros.identification.rig_coefficients.KEPT`), and so are the friction
+            model and the weights of its elements.
+        seed: of the noise that is added to find the noise floor.
+        progress: called with the name of the step that begins, the steps done and the number of steps.
+
+    Returns:
+        The result; where the numbers do not work out it is the given rig, with a remark.
+
+    Raises:
+        BadInput: there is no recording, or none of them can be read as one of such a rig.
+    """
+    began = clock.perf_counter()
+    progress("reading the recordings", 0, STEPS)
+    records, remarks = _records(recordings, rig)
+    names = tuple(record.name for record in records)
+    try:
+        # A recording without any noise has no noise floor; what is divided by it is cut off as far.
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            found = _identified(records, rig, seed, progress)
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        what = f"the numbers do not work out ({error}): nothing is identified"
+        found = RigIdentification(rig, {}, np.empty((0, 0)), np.empty((0, 0)), {}, {**KEPT}, {}, names, (what,), 0.0)
+    progress(DONE, STEPS, STEPS)
+    return found._replace(recordings=names, remarks=(*remarks, *found.remarks), wall_s=clock.perf_counter() - began)
+
+
+def _records(recordings: Mapping[str, Trajectory], rig: Rig) -> tuple[list[Record], list[str]]:
+    """Return the recordings that can be used, and what is to be said of all."""
+    if not recordings:
+        raise BadInput("there is no recording", "identification", "at least one recording")
+    records, remarks, refused = list[Record](), list[str](), list[BadInput]()
+    for name, trajectory in recordings.items():
+        stuck = [signal for signal in MOVING if signal in trajectory and _is_stuck(trajectory[signal])]
+        remarks += [f"{name}: {signal} is stuck at one value and is left out" for signal in stuck]
+        left = {signal: values for signal, values in trajectory.signals.items() if signal not in stuck}
+        try:
+            record = prepare(Trajectory(trajectory.time_s, left), rig, name)
+        except BadInput as error:
+            refused.append(error)
+            remarks.append(f"{name} is left out: {error}")
+            continue
+        records.append(record)
+        remarks += [f"{name}: {remark}" for remark in record.remarks]
+    if not records:
+        raise refused[0]
+    return records, remarks
+
+
+def _is_stuck(values: Array) -> bool:
+    finite = values[np.isfinite(values)]
+    return finite.size > 0 and float(np.ptp(finite)) == 0.0
+
+
+def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progress) -> RigIdentification:
+    stack = _stack(records, rig, seed)
+    known = {c.path: c for c in coefficients(rig, sizes(records, rig))}
+    missing = without_signals(records, stack, known)
+    free = {path: c for path, c in known.items() if path not in missing}
+    least = _least(records)
+
+    progress("stage by stage", 1, STEPS)
+    sensors = _fitted(stack, rig, rig, [free[path] for path in SENSORS if path in free], OF_SENSORS, least, {})
+    model, spread = stage_by_stage(stack, sensors.rig, {p: c for p, c in free.items() if p not in SENSORS}, records)
+
+    progress("all stages together", 2, STEPS)
+    # The noise floor depends on the model, and the first guess was far off.
+    stack = _stack(records, model, seed)
+    chosen = [c for path, c in free.items() if path not in SENSORS and not _is_off(c, model)]
+    others = tuple(c for c in stack.channels if c not in OF_SENSORS)
+    whole = _fitted(stack, rig, model, chosen, others, least, spread)
+
+    covariance = _block_diagonal([whole.covariance, sensors.covariance])
+    std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    return RigIdentification(
+        rig=whole.rig,
+        estimates={**whole.estimates, **sensors.estimates},
+        covariance=covariance,
+        correlations=np.clip(covariance / np.outer(std, std), -1.0, 1.0),
+        absent={**whole.absent, **sensors.absent},
+        not_identifiable={**missing, **whole.untold, **sensors.untold, **KEPT},
+        channels=_channels(stack, rig, whole.rig),
+        recordings=(),
+        remarks=() if whole.settled else ("the fit had not settled after its last step",),
+        wall_s=0.0,
+    )
+
+
+def _stack(records: Sequence[Record], rig: Rig, seed: int) -> Stack:
+    # With a guess of the bandwidth that is too high, the command would seem to be recorded too slowly.
+    slow = placed(rig, {BANDWIDTH: read(rig, BANDWIDTH) / OFF})
+    setups = [(record, setup(record, slow)) for record in records]
+    return Stack([gather(record, rig, compared, seed) for record, compared in setups if compared.channels])
+
+
+def _least(records: Sequence[Record]) -> dict[str, float]:
+    """Return what biases must exceed to matter: the noise of the sensor that they would be read from."""
+
+    def noise(signal: str) -> float:
+        return max((record.noise[signal] for record in records if signal in record), default=0.0)
+
+    return {
+        "effects.valve_null_bias.command": noise(SPOOL),
+        "effects.valve_null_bias.opening": noise(SPOOL),
+        "sensors.force.bias": noise(FORCE),
+        "sensors.velocity.bias": noise(VELOCITY),
+    }
+
+
+def _is_off(coefficient: Coefficient, rig: Rig) -> bool:
+    """Tell whether a dead zone or a delay is not in a rig; biases start from none."""
+    return coefficient.path in OPTIONAL and read(rig, coefficient.path) == coefficient.neutral
+
+
+class _Fitted(NamedTuple):
+    """Coefficients that the data tell, fitted.
+
+    Attributes:
+        rig: the rig with them.
+        estimates: the coefficients that are told.
+        covariance: of these, shape (n, n).
+        untold: the coefficients that are not, with the reason.
+        absent: those that are not told from none.
+        settled: whether the fit decreased the loss no further.
+    """
+
+    rig: Rig
+    estimates: Mapping[str, Estimate]
+    covariance: Array
+    untold: Mapping[str, str]
+    absent: Mapping[str, Estimate]
+    settled: bool
+
+
+def _fitted(
+    stack: Stack,
+    given: Rig,
+    start: Rig,
+    chosen: Sequence[Coefficient],
+    channels: Collection[Channel],
+    least: Mapping[str, float],
+    spread: Mapping[str, float],
+) -> _Fitted:
+    """Fit coefficients, give those that are not told their given values again, and drop those that are not told from none.
+
+    Args:
+        stack: the recordings.
+        given: the rig as it was given.
+        start: where the fit starts.
+        chosen: the coefficients.
+        channels: the residuals to fit to.
+        least: what biases must exceed, by path.
+        spread: further standard errors of coordinates, by path.
+    """
+    told, absent = list(chosen), dict[str, Estimate]()
+    now = fit(stack, start, told, channels)
+    reasons, doubtful = dict[str, str](), list[Coefficient]()
+    for _ in range(ROUNDS):
+        whole = fit(stack, now.rig, [*doubtful, *told], channels, iterations=0, steps=now.steps)
+        found = estimated(stack, whole, len(doubtful), spread)
+        none = {c.path: c.neutral for c in told if c.neutral is not None and _is_none(c, found.by_path[c.path], given, least)}
+        if none:
+            absent |= {path: found.by_path[path] for path in none}
+            told = [c for c in told if c.path not in none]
+            now = fit(stack, placed(now.rig, none), told, channels, steps=now.steps)
+            continue
+        doubts = () if doubtful else untold(stack, now, {c.path: i for i, c in enumerate(chosen)})
+        if not doubts:
+            break
+        reasons = {d.path: d.reason for d in doubts}
+        doubtful = [c for c in told if c.path in reasons]
+        told = [c for c in told if c.path not in reasons]
+        again = fit(stack, _given_again(now.rig, given, list(reasons)), told, channels, steps=now.steps)
+        if again.comparable > now.comparable + CONTRADICTS:
+            # What no residual depends on is given again; of a combination, the values that fit are kept.
+            unseen = [d.path for d in doubts if not d.excited]
+            again = fit(stack, _given_again(now.rig, given, unseen), told, channels, steps=now.steps)
+            reasons |= {d.path: f"{d.reason}; {CONTRADICTED}" for d in doubts if d.excited}
+        now = again
+    vague = [c.path for c in told if c.path in found.vague]
+    because = f" as long as {', '.join(reasons)} are not" if reasons else ""
+    reasons |= dict.fromkeys(vague, f"its standard error is large{because}; the value that fits is kept")
+    kept = [i for i, c in enumerate(whole.chosen) if c.path not in reasons]
+    estimates = {whole.paths[i]: found.by_path[whole.paths[i]] for i in kept}
+    return _Fitted(now.rig, estimates, found.covariance[np.ix_(kept, kept)], reasons, absent, now.settled)
+
+
+def _is_none(c: Coefficient, found: Estimate, given: Rig, least: Mapping[str, float]) -> bool:
+    """Tell whether what a rig need not have is not told from none, and the given rig has none either."""
+    if c.neutral is None or read(given, c.path) != c.neutral:
+        return False
+    return abs(found.value - c.neutral) < max(SURE * found.std, least.get(c.path, 0.0))
+
+
+def _given_again(rig: Rig, given: Rig, paths: Sequence[str]) -> Rig:
+    """Return a rig with the given values of some coefficients; static friction by its ratio to Coulomb friction."""
+    values = {path: read(given, path) for path in paths}
+    if STATIC in values and COULOMB not in values:
+        values[STATIC] *= read(rig, COULOMB) / read(given, COULOMB)
+    return placed(rig, with_ratio(rig, values))
+
+
+def _block_diagonal(parts: Sequence[Array]) -> Array:
+    out, at = np.zeros((sum(map(len, parts)),) * 2), 0
+    for part in parts:
+        out[at : at + len(part), at : at + len(part)] = part
+        at += len(part)
+    return out
+
+
+def _channels(stack: Stack, before: Rig, after: Rig) -> dict[Channel, ChannelFit]:
+    rigs = [[r.values for r in stack.residuals(rig)] for rig in (before, after)]
+    noise = [e.noise for e in stack.evidences]
+    return {c: ChannelFit(*(_nrmse(stack, values, c) for values in (*rigs, noise))) for c in stack.channels}
+
+
+def _nrmse(stack: Stack, residuals: Sequence[Mapping[Channel, Array]], channel: Channel) -> float:
+    """Return the rms over all recordings, as a fraction of the largest term of the balance."""
+    total, count = 0.0, 0
+    for e, r in zip(stack.evidences, residuals, strict=True):
+        if channel in e.channels:
+            # Where no balance is formed, the velocity has no size in the evidence.
+            size = e.sizes[channel] or float(np.sqrt(np.mean(e.record.values(VELOCITY) ** 2))) or 1.0
+            total += float(np.sum((r[channel] * e.floor[channel] / size) ** 2))
+            count += len(e.block[channel])
+    return math.sqrt(total / count)

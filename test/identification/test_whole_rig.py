@@ -1,0 +1,171 @@
+"""A whole rig identified from recordings of the truth generator, nothing hidden, from a guess off by a factor of two."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from ehls_ros.errors import BadInput
+from ehls_ros.identification.rig_coefficients import read
+from ehls_ros.identification.rig_result import rig_to_json
+from ehls_ros.identification.whole_rig import identify_rig
+from ehls_ros.physics.rig import Rig, rig_from_mapping, rig_to_mapping
+from ehls_ros.trajectory import Trajectory
+from truth_generator import record
+
+RIG_FILE = Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml"
+FACTORS = {
+    "supply_pressure": 0.5,
+    "bulk_modulus": 2.0,
+    "discharge_coefficient": 2.0,
+    "leakage_coefficient": 0.5,
+    "moving_mass": 2.0,
+    "spring_stiffness": 0.5,
+    "valve_bandwidth": 2.0,
+    "valve_gain": 0.5,
+}
+
+
+@pytest.fixture(scope="module")
+def rig_file() -> dict[str, Any]:
+    return yaml.safe_load(RIG_FILE.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def truth(rig_file) -> Rig:
+    return rig_from_mapping(rig_file, RIG_FILE.name)
+
+
+@pytest.fixture(scope="module")
+def guess(truth) -> Rig:
+    """Every coefficient of plant and valve that can be told is twice or half the truth."""
+    return truth._replace(plant=truth.plant._replace(**{name: getattr(truth.plant, name) * by for name, by in FACTORS.items()}))
+
+
+def recording(rig_file, experiment, seed, duration=15.0, hidden=None, without=()) -> Trajectory:
+    made = record(rig_file, hidden or {}, experiment, seed=seed, duration=duration)
+    return Trajectory(made.time, {name: values for name, values in made.columns.items() if name not in without})
+
+
+@pytest.fixture(scope="module")
+def rich(rig_file) -> Trajectory:
+    return recording(rig_file, "rich", 3)
+
+
+@pytest.fixture(scope="module")
+def found(rich, guess):
+    return identify_rig({"rich": rich}, guess)
+
+
+@pytest.mark.parametrize("name", FACTORS)
+def test_a_guess_off_by_two_returns_to_the_truth(found, truth, name):
+    estimate, true = found.estimates[f"plant.{name}"], getattr(truth.plant, name)
+    assert abs(estimate.value - true) < 3.0 * estimate.std
+    assert estimate.value == pytest.approx(true, rel=0.02)
+    assert getattr(found.rig.plant, name) == estimate.value
+
+
+def test_nothing_is_put_into_the_rig_that_it_does_not_have(found):
+    assert not found.rig.effects
+    assert found.rig.sensors["velocity"].gain == 1.0
+    assert "effects.constant_load.force" in found.absent
+
+
+def test_what_is_left_is_noise(found):
+    for channel in found.channels.values():
+        assert channel.after < 1.5 * channel.noise
+    assert found.channels["force"].before > 10.0 * found.channels["force"].after
+
+
+def test_what_only_a_product_tells_is_kept_and_said(found, guess):
+    assert "plant.discharge_coefficient" in found.not_identifiable["plant.valve_area_gradient"]
+    assert "plant.bulk_modulus" in found.not_identifiable["plant.total_volume"]
+    assert found.rig.plant.total_volume == guess.plant.total_volume
+
+
+def test_the_rig_and_the_result_can_be_written_and_read(found):
+    assert rig_from_mapping(rig_to_mapping(found.rig), "rig") == found.rig
+    result = json.loads(json.dumps(rig_to_json(found), allow_nan=False))
+    assert list(result["parameters"]) == list(found.estimates)
+    matrix = np.array(result["correlations"]["matrix"])
+    assert np.allclose(np.diag(matrix), 1.0)
+    assert np.all(np.abs(matrix) <= 1.0 + 1e-9)
+
+
+def test_biases_and_a_delay_are_found(rig_file, guess, truth):
+    hidden = {"command_delay": {"delay": 4e-3}, "constant_load": {"force": 300.0}}
+    out = identify_rig({"rich": recording(rig_file, "rich", 5, hidden=hidden)}, guess)
+    delay = out.estimates["effects.command_delay.delay"]
+    assert abs(delay.value - 4e-3) < 3.0 * delay.std < 4e-4
+    assert abs(out.estimates["effects.constant_load.force"].value) == pytest.approx(300.0, rel=0.05)
+    assert out.estimates["plant.valve_bandwidth"].value == pytest.approx(truth.plant.valve_bandwidth, rel=0.02)
+
+
+def test_a_load_cell_that_reads_too_much_is_found(rich, guess):
+    louder = Trajectory(rich.time_s, {**rich.signals, "force_n": 1.05 * rich["force_n"] + 50.0})
+    out = identify_rig({"rich": louder}, guess)
+    assert out.estimates["sensors.force.gain"].value == pytest.approx(1.05, rel=1e-3)
+    assert out.estimates["sensors.force.bias"].value == pytest.approx(50.0, abs=2.0)
+    assert out.rig.sensors["force"].gain == out.estimates["sensors.force.gain"].value
+
+
+def test_a_coefficient_that_is_not_excited_is_named_and_left_alone(rig_file, guess):
+    out = identify_rig({"rest": recording(rig_file, "rest", 2, duration=8.0)}, guess)
+    assert "plant.moving_mass" in out.not_identifiable
+    assert "plant.moving_mass" not in out.estimates
+    assert out.rig.plant.moving_mass == guess.plant.moving_mass
+
+
+@pytest.mark.parametrize("missing", ["velocity_m_s", "load_pressure_pa", "spool_m"])
+def test_a_signal_may_be_missing(rich, guess, truth, missing):
+    without = {name: values for name, values in rich.signals.items() if name not in (missing, "supply_pressure_pa")}
+    out = identify_rig({"rich": Trajectory(rich.time_s, without)}, guess)
+    for name in ("moving_mass", "spring_stiffness", "bulk_modulus"):
+        assert read(out.rig, f"plant.{name}") == pytest.approx(getattr(truth.plant, name), rel=0.03)
+    if missing == "spool_m":
+        assert "product" in out.not_identifiable["plant.valve_gain"]
+        product = out.rig.plant.valve_gain * out.rig.plant.discharge_coefficient
+        assert product == pytest.approx(truth.plant.valve_gain * truth.plant.discharge_coefficient, rel=0.02)
+
+
+def test_two_recordings_tell_more_than_one(rig_file, guess, truth, found, rich):
+    out = identify_rig({"rich": rich, "random": recording(rig_file, "random", 4)}, guess)
+    assert out.recordings == ("rich", "random")
+    assert out.rig.plant.moving_mass == pytest.approx(truth.plant.moving_mass, rel=0.02)
+    assert out.estimates["plant.supply_pressure"].std < 1.2 * found.estimates["plant.supply_pressure"].std
+
+
+def test_a_spoilt_recording_is_left_out_and_named(rich, guess):
+    holes = np.where(np.arange(len(rich)) % 3 == 0, math.nan, rich["position_m"])
+    spoilt = Trajectory(rich.time_s, {**rich.signals, "position_m": holes})
+    with pytest.raises(BadInput, match="position_m"):
+        identify_rig({"spoilt": spoilt}, guess)
+    out = identify_rig({"spoilt": spoilt, "rich": rich}, guess)
+    assert out.recordings == ("rich",)
+    assert any("spoilt" in remark and "position_m" in remark for remark in out.remarks)
+
+
+def test_a_stuck_recording_changes_nothing(rich, guess):
+    stuck = {name: np.full(len(rich), values[0]) for name, values in rich.signals.items()}
+    out = identify_rig({"stuck": Trajectory(rich.time_s, stuck)}, guess)
+    assert out.rig.plant == guess.plant
+    assert out.rig.friction == guess.friction
+    assert {f"plant.{name}" for name in FACTORS} <= set(out.not_identifiable)
+
+
+def test_slow_data_tell_what_needs_no_fast_sampling(rich, guess, truth):
+    slow = Trajectory(rich.time_s[::10], {name: values[::10] for name, values in rich.signals.items()})
+    out = identify_rig({"slow": slow}, guess)
+    json.dumps(rig_to_json(out), allow_nan=False)
+    assert out.rig.plant.supply_pressure == pytest.approx(truth.plant.supply_pressure, rel=0.02)
+    assert out.rig.plant.moving_mass == guess.plant.moving_mass
+    assert "400 Hz" in out.not_identifiable["plant.moving_mass"]
+
+
+def test_without_a_recording_there_is_nothing_to_identify(guess):
+    with pytest.raises(BadInput, match="no recording"):
+        identify_rig({}, guess)
