@@ -47,7 +47,7 @@ OF_BALANCE: tuple[Channel, ...] = ("force",)
 NEEDED: Mapping[Channel, str] = {
     "spool": "the valve command and the spool, sampled fast enough for the valve",
     "volume": "load pressure or load cell, spool or command, and the motion",
-    "force": "load pressure or load cell, and the position, at 400 Hz or more",
+    "force": "load pressure or load cell, and the position, with its turns resolved",
     "cell": "load pressure and load cell",
     "velocity": "position and velocity",
 }
