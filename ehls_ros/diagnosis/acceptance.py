@@ -25,7 +25,8 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     main = mostly_in(more, less)
     beside = main in less.fit.channels
     apart = list(differences(evidence, more, less))
-    if gain < rules.NEEDED_GAIN or relevance(evidence, more, less) < (rules.RELEVANT_BESIDE if beside else rules.RELEVANT):
+    elsewhere = rules.RELEVANT_ELSEWHERE if evidence.imperfect and less.names else rules.RELEVANT
+    if gain < rules.NEEDED_GAIN or relevance(evidence, more, less) < (rules.RELEVANT_BESIDE if beside else elsewhere):
         return False
     if not beside and not shows(apart):
         return False

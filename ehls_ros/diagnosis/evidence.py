@@ -60,6 +60,7 @@ class Evidence:
         travel: range of the piston's motion [m].
         correlation: by channel, the number of windows over which residuals are alike; their losses count as those of so many
             fewer. Windows of noise alone count one by one.
+        imperfect: whether every stage of the model is taken to be off in its form, not only where causes act.
     """
 
     record: Record
@@ -77,6 +78,7 @@ class Evidence:
     noisy_record: Record = field(repr=False)
     travel: float
     correlation: Mapping[Channel, float] = field(default_factory=dict)
+    imperfect: bool = False
 
     def comparison(self) -> Comparison:
         """Return a new comparison, one for each thread."""

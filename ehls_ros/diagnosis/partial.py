@@ -73,6 +73,7 @@ def allowing(evidence: Evidence, left: Mapping[Channel, Array]) -> Evidence:
         base=Residuals({c: e * finer[c] for c, e in evidence.base.values.items()}, evidence.base.depends),
         noise={c: e * finer[c] for c, e in evidence.noise.items()},
         correlation=correlation,
+        imperfect=True,
     )
 
 

@@ -627,6 +627,16 @@ FORM_LEFT: Annotated[
     ),
 ] = 0.1
 
+RELEVANT_ELSEWHERE: Annotated[
+    float,
+    Rule(
+        "partial answer",
+        "1",
+        "Change of a balance, as a fraction of its largest term, that a cause must make where no other named cause acts.",
+        "models of real rigs are off by up to 5 % in any stage, and some effect of the list resembles that",
+    ),
+] = 0.05
+
 IMPERFECT: Annotated[
     float, Rule("partial answer", "1", "Largest probability of a cause that is named although more than noise remains.")
 ] = 0.85

@@ -1,11 +1,15 @@
 """Causes named while something remains: what remains is counted as noise, correlated as it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from plain_evidence import MASS, VISCOUS, evidence_of, linear_fit, nothing
+from plain_evidence import MASS, VALVE, VISCOUS, evidence_of, linear_fit, nothing
 
 from ehls_ros.diagnosis.acceptance import accepted
 from ehls_ros.diagnosis.causes import causes
+from ehls_ros.diagnosis.evidence import Residuals
+from ehls_ros.diagnosis.held_out import Assessment, HeldOut
 from ehls_ros.diagnosis.loss import power
 from ehls_ros.diagnosis.partial import allowing, closed, correlated, worthwhile
 from ehls_ros.diagnosis.search import Place, Searched, inflations
@@ -102,3 +106,34 @@ def test_shares_are_those_of_the_removable_error(rng):
     # Mean squares of 18 and 8.
     assert shares == pytest.approx({"mass_shift": 18.0 / 26.0, "viscous_shift": 8.0 / 26.0}, abs=0.02)
     assert all(cause.probability <= 0.5 for cause in causes(evidence, found, 0, most=0.5))
+
+
+@pytest.mark.parametrize(("size", "named"), [(2.0, False), (8.0, True)])
+def test_in_another_stage_a_cause_must_exceed_what_the_form_of_a_model_is_off_by(rng, size, named):
+    one, other = np.sin(np.arange(WINDOWS) / 9.0), np.sin(np.arange(WINDOWS) / 2.0)
+    noise = {c: rng.standard_normal(WINDOWS) for c in ("force", "spool")}
+    # In units of the noise; the largest term is 100.
+    evidence = evidence_of({"force": 20.0 * one + noise["force"], "spool": size * other + noise["spool"]})
+    less = linear_fit(evidence, (MASS,), one[:, None])
+    alone = linear_fit(evidence, (VALVE,), other[:, None], "spool")
+    more = both(less, alone)
+    for imperfect, expected in ((False, True), (True, named)):
+        known = replace(evidence, imperfect=imperfect)
+        assert accepted(known, more, less, inflations(known, [more])) is expected
+        assert accepted(known, alone, nothing(known), inflations(known, [alone]))
+
+
+def both(one, other):
+    """Return two hypotheses that act in different channels together."""
+    residuals, held_out = (
+        Residuals({"force": a.values["force"], "spool": b.values["spool"]})
+        for a, b in ((one.fit.residuals, other.fit.residuals), (one.held_out.residuals, other.held_out.residuals))
+    )
+    covariance = np.diag([one.held_out.covariance[0, 0], other.held_out.covariance[0, 0]])
+    fit = one.fit._replace(
+        hypothesis=(*one.hypothesis, *other.hypothesis),
+        values=np.concatenate([one.fit.values, other.fit.values]),
+        channels=("force", "spool"),
+        residuals=residuals,
+    )
+    return Assessment(fit, HeldOut({**one.held_out.gain, **other.held_out.gain}, held_out, covariance, 0.0))
