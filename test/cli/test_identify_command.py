@@ -106,12 +106,12 @@ def rig_folder(tmp_path_factory) -> Path:
     record(truth, {}, "random", seed=2, duration=12.0).write_csv(folder / "recording.csv")
     guess = {**truth, "plant": {**truth["plant"], "moving_mass": 35.0, "discharge_coefficient": 1.24}}
     (folder / "guess.yaml").write_text(yaml.safe_dump(guess))
-    arguments = ["identify", str(folder / "recording.csv"), "--rig", str(folder / "guess.yaml"), "--out", str(folder)]
-    assert main(arguments) == 0
+    given = ["identify", str(folder / "recording.csv"), "--rig", str(folder / "guess.yaml"), "--out", str(folder)]
+    assert main([*given, "--whole-rig"]) == 0
     return folder
 
 
-def test_the_whole_rig_is_identified_where_hydraulic_signals_are_recorded(rig_folder):
+def test_the_whole_rig_is_identified_when_asked_for(rig_folder):
     result = json.loads((rig_folder / "identification.json").read_text())
     rig = load_rig(rig_folder / "rig_identified.yaml")
     for path, true in (("plant.moving_mass", 70.0), ("plant.discharge_coefficient", 0.62)):
@@ -130,5 +130,5 @@ def test_the_report_of_the_whole_rig_shows_coefficients_and_residuals(rig_folder
 
 def test_the_whole_rig_needs_no_number_of_elements(rig_folder, capsys):
     given = ["identify", str(rig_folder / "recording.csv"), "--rig", str(rig_folder / "guess.yaml"), "--out", str(rig_folder)]
-    assert main([*given, "--only", "rig", "--elements", "2"]) == 2
-    assert "--only friction" in capsys.readouterr().err
+    assert main([*given, "--whole-rig", "--elements", "2"]) == 2
+    assert "--elements" in capsys.readouterr().err

@@ -5,7 +5,7 @@ import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import yaml
 from rich.console import Console
@@ -32,10 +32,6 @@ from ehls_ros.trajectory import Trajectory
 
 HELP = "Identify a rig, or its friction alone, from recordings: a rig file, identification.json and a report."
 
-Part = Literal["rig", "friction"]
-PARTS: tuple[Part, ...] = get_args(Part)
-"""What can be identified."""
-
 RIG, RESULT, REPORT = "rig_identified.yaml", "identification.json", "report.html"
 """What the folder receives."""
 
@@ -50,9 +46,9 @@ def arguments(parser: ArgumentParser) -> None:
         help="rig file as known so far, where the search starts: friction model, piston area and volume are taken from it",
     )
     parser.add_argument(
-        "--only",
-        choices=PARTS,
-        help="the whole rig or its friction (default: rig if load pressure and spool or command are recorded, else friction)",
+        "--whole-rig",
+        action="store_true",
+        help="identify valve, flow, mass, spring and sensors as well, as far as they are recorded, not the friction alone",
     )
     parser.add_argument("--columns", type=Path, help="YAML that maps the files' own column names and units")
     parser.add_argument("--out", type=Path, default=Path("runs/identify"), help="folder of the results (%(default)s)")
@@ -74,17 +70,10 @@ def run(options: Namespace) -> int:
     columns = read_columns(options.columns) if options.columns else None
     folder = writable(options.out, RESULT)
     given = _recordings(recordings(options.data, columns), columns)
-    whole = options.elements is None and any(map(_is_hydraulic, given.values()))
-    part: Part = options.only or ("rig" if whole else "friction")
-    identified = _whole_rig(given, rig, options, folder) if part == "rig" else _friction(given, rig, options, folder)
+    identified = (_whole_rig if options.whole_rig else _friction)(given, rig, options, folder)
     if options.json:
         print(json.dumps(identified))
     return 0
-
-
-def _is_hydraulic(trajectory: Trajectory) -> bool:
-    """Tell whether a recording holds what the flow balance takes."""
-    return "load_pressure_pa" in trajectory and ("spool_m" in trajectory or "valve_command_m" in trajectory)
 
 
 def _friction(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespace, folder: Path) -> dict[str, Any]:
@@ -106,8 +95,8 @@ def _friction(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespace
 
 def _whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespace, folder: Path) -> dict[str, Any]:
     if options.elements is not None:
-        what = "--elements is given, and the whole rig is identified"
-        raise BadInput(what, "command line", "--only friction, which looks for the number of friction elements")
+        what = "--elements and --whole-rig are given"
+        raise BadInput(what, "command line", "one of them: the whole rig keeps the rig file's number of friction elements")
     with Workers() as workers, progress_bar("identifying") as bar:
         compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: bar(done, total, COMPILING))
         found = identify_rig(recordings, rig, seed=options.seed, progress=lambda doing, done, total: bar(done, total, doing))
