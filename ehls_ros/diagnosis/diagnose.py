@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.causes import causes
@@ -34,6 +34,7 @@ def diagnose(
     seed: int = 0,
     threads: int | None = None,
     progress: Progress = lambda doing, part: None,
+    judge: Callable[[Evidence], Evidence] = lambda evidence: evidence,
 ) -> Diagnosis:
     """Find what a rig's model gets wrong.
 
@@ -44,6 +45,7 @@ def diagnose(
         seed: of the noise added to find the noise floor, and of resampling.
         threads: hypotheses tried at once; by default one for each processor.
         progress: called with what is being done and the fraction of the diagnosis that is done.
+        judge: makes the allowances a recording is judged with; by default none but the noise's.
 
     Returns:
         The diagnosis.
@@ -55,7 +57,7 @@ def diagnose(
     progress("reading the recording", 0.0)
     record = prepare(trajectory, rig, name)
     compared = setup(record, rig)
-    evidence = gather(record, rig, compared, seed) if compared.channels else None
+    evidence = judge(gather(record, rig, compared, seed)) if compared.channels else None
     if evidence is None or not evidence.channels:
         return _nothing_recorded(record, rig, seed, began)
     main = main_channel(evidence.channels)

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from typing import Annotated, Literal, NamedTuple, get_args, get_type_hints
 
-Step = Literal["record", "stages", "evidence", "hypotheses", "fit", "starts", "search", "verdict", "free run"]
+Step = Literal["record", "stages", "evidence", "hypotheses", "fit", "starts", "search", "verdict", "free run", "baseline"]
 STEPS: tuple[Step, ...] = get_args(Step)
 
 CHOSEN = "chosen"
@@ -597,3 +597,91 @@ MOVED: Annotated[
 BEYOND_STROKE: Annotated[
     float, Rule("free run", "1", "Distance beyond the stroke, relative to the stroke, at which a free run is stopped.")
 ] = 1.0
+
+# --- baseline ----------------------------------------------------------------------------------
+
+COEFFICIENT: Annotated[
+    float,
+    Rule("baseline", "1", "Relative error a rig's coefficient may have before the baselines say more, standard deviation."),
+] = 0.3
+
+COEFFICIENT_STEP: Annotated[
+    float, Rule("baseline", "1", "Relative change of a coefficient by which the derivative of a residual is taken.")
+] = 0.01
+
+SPREAD: Annotated[
+    float,
+    Rule("baseline", "1", "Relative change of a coefficient from recording to recording that is no fault, standard deviation."),
+] = 3e-3
+
+SPREAD_WITH_OIL: Annotated[
+    float, Rule("baseline", "1", "The same for friction and leakage, which follow the oil and its temperature.")
+] = 0.01
+
+SPREAD_OF_OFFSET: Annotated[
+    float, Rule("baseline", "1", "The same for a channel's offset, as a fraction of its largest term.")
+] = 2e-4
+
+FUNCTION_SPREAD: Annotated[
+    float, Rule("baseline", "1", "The same for the smooth remainder, as a fraction of its standard deviation.")
+] = 0.1
+
+SECTIONS: Annotated[
+    int, Rule("baseline", "1", "Sections of an only baseline that stand for recordings when the natural spread is estimated.")
+] = 3
+
+MOST_LEARNT: Annotated[int, Rule("baseline", "1", "Most windows of all baselines together that a channel is learnt from.")] = (
+    9000
+)
+
+TOGETHER: Annotated[
+    float, Rule("baseline", "1", "Number of neighbouring windows that err together, before it is known.", "windows overlap")
+] = 3.0
+
+LEAST_SCALE: Annotated[float, Rule("baseline", "1", "Least scale of a signal, as a fraction of its largest magnitude.")] = 1e-3
+
+SINGLE_CENTRES: Annotated[int, Rule("baseline", "1", "Most centres of the function of one signal.")] = 14
+
+JOINT_CENTRES: Annotated[int, Rule("baseline", "1", "Most centres of the function of all signals together.")] = 120
+
+SMOOTH: Annotated[
+    float, Rule("baseline", "1", "Length over which such a function varies, in units of a signal's scale near its median.")
+] = 0.8
+
+RESOLVED_KERNEL: Annotated[
+    float, Rule("baseline", "1", "Fraction of a function's variance that may be left out at any point.")
+] = 1e-3
+
+LEAST_FUNCTION: Annotated[
+    float, Rule("baseline", "1", "Least standard deviation of such a function, as a fraction of the one it starts from.")
+] = 1e-3
+
+FOLDS: Annotated[int, Rule("baseline", "1", "Parts in which blocks are held out when the remainder is learnt.")] = 5
+
+LEARNING_STEPS: Annotated[int, Rule("baseline", "1", "Rounds in which sizes and noise of the remainder are estimated.")] = 8
+
+ROBUST_STEPS: Annotated[int, Rule("baseline", "1", "Rounds of Huber's weights in each.")] = 3
+
+MEDIAN_SQUARE: Annotated[
+    float, Rule("baseline", "1", "Median of the square of a standard normal variable.", "chi-squared, one degree of freedom")
+] = 0.455
+
+LONGEST_MEMORY: Annotated[int, Rule("baseline", "1", "Windows over which what is left may be correlated, at most.")] = 150
+
+UNCORRELATED: Annotated[float, Rule("baseline", "1", "Correlation below which windows no longer err together.")] = 0.05
+
+TOLD: Annotated[
+    float, Rule("baseline", "1", "Fraction of a coefficient's variance that a recording must resolve to count for the spread.")
+] = 0.5
+
+LEAST_ALLOWED: Annotated[
+    float, Rule("baseline", "1", "Variance in units of the noise below which a direction is not allowed for.")
+] = 0.01
+
+UNSEEN: Annotated[
+    float, Rule("baseline", "1", "Fraction of the remainder's variance left open above which a window counts as never seen.")
+] = 0.5
+
+MENTIONED_UNSEEN: Annotated[
+    float, Rule("baseline", "1", "Fraction of such windows above which it is said that the baseline does not cover them.")
+] = 0.1

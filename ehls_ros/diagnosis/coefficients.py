@@ -1,0 +1,63 @@
+"""The coefficients of a rig's model, and what a small error of each does to the residuals."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.evidence import Evidence
+from ehls_ros.diagnosis.stages import Channel
+from ehls_ros.errors import BadInput
+from ehls_ros.physics.rig import Rig
+
+WITH_OIL = ("leakage_coefficient", "viscous_damping")
+"""Coefficients of the plant that follow the oil and its temperature, as all of the friction do."""
+
+
+class Term(NamedTuple):
+    """What a relative error of one coefficient adds to a channel's residual.
+
+    Attributes:
+        name: name of the coefficient.
+        column: change of the residual per relative change, in the channel's unit, shape (n,).
+        spread: relative change from recording to recording that is allowed for in any case, standard deviation.
+    """
+
+    name: str
+    column: Array
+    spread: float
+
+
+def varied(rig: Rig, part: float) -> Iterator[tuple[str, Rig]]:
+    """Yield the rig with one coefficient after the other enlarged by a fraction of itself, each with its name."""
+    for name, value in rig.plant._asdict().items():
+        if value != 0.0:
+            yield name, rig._replace(plant=rig.plant._replace(**{name: value * (1.0 + part)}))
+    for name, value in rig.friction._asdict().items():
+        larger = tuple(v * (1.0 + part) for v in value) if isinstance(value, tuple) else value * (1.0 + part)
+        if larger == value:
+            continue
+        friction = rig.friction._replace(**{name: larger})
+        try:
+            rig.friction_law.check(friction, name)
+        except BadInput:
+            # Not free by itself, as weights that sum to 1.
+            continue
+        yield name, rig._replace(friction=friction)
+
+
+def terms(evidence: Evidence) -> dict[Channel, tuple[Term, ...]]:
+    """Return what errors of the coefficients add to each channel's residual."""
+    comparison = evidence.comparison()
+    found: dict[Channel, list[Term]] = {c: [] for c in evidence.channels}
+    for name, rig in varied(evidence.rig, rules.COEFFICIENT_STEP):
+        residuals = evidence.residuals(comparison, rig)
+        for c in evidence.channels:
+            moved = (residuals.values[c] - evidence.base.values[c]) * evidence.floor[c]
+            if np.any(moved) and np.all(np.isfinite(moved)):
+                oily = name in WITH_OIL or name in rig.friction._fields
+                spread = rules.SPREAD_WITH_OIL if oily else rules.SPREAD
+                found[c].append(Term(name, moved / rules.COEFFICIENT_STEP, spread))
+    return {c: tuple(items) for c, items in found.items()}
