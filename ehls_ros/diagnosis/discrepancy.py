@@ -59,14 +59,11 @@ class Expected(NamedTuple):
         mean: expected residual, shape (n,).
         directions: factor of its covariance: directions directionsᵀ, shape (n, m).
         variance: what else each window may be off by, weighted for the windows that err together, shape (n,).
-        unseen: fraction of the functions' variance that the recordings leave open: 0 where they have been, 1 where they
-            have never been, shape (n,).
     """
 
     mean: Array
     directions: Array
     variance: Array
-    unseen: Array
 
 
 class Learnt(NamedTuple):
@@ -83,6 +80,8 @@ class Learnt(NamedTuple):
         spread: standard deviation of each coefficient from recording to recording, relative, shape (terms,).
         changing: the same of each function, relative to its size, shape (signals + 1,).
         power: mean square of the residual, and of what is left of it on blocks that were held out.
+        errors: error of each coefficient that the recordings tell, relative, shape (terms,).
+        deviations: standard error of each, shape (terms,).
     """
 
     windows: Windows
@@ -95,6 +94,8 @@ class Learnt(NamedTuple):
     spread: Array
     changing: Array
     power: tuple[float, float]
+    errors: Array
+    deviations: Array
 
     def expected(self, terms: Array, signals: Array) -> Expected:
         """Return what a healthy rig would leave in other windows.
@@ -106,21 +107,16 @@ class Learnt(NamedTuple):
         known = len(self.windows.residual)
         features = _features(self.warped(np.vstack([self.windows.signals, signals])))
         functions, own = features.sized(self.sizes)
-        columns = np.hstack([np.vstack([self.windows.terms, terms]) * rules.COEFFICIENT, functions])
-        variance = self.together * (self.windows.noise**2 + self.left**2 + own[:known])
+        columns = np.hstack([np.vstack([self.windows.terms, terms]) * rules.LEFT_ERROR, functions])
+        variance = rules.TOGETHER * self.windows.noise**2 + self.together * (self.left**2 + own[:known])
         mean, inverse = _posterior(columns[:known], self.windows.residual, variance)
-        changing = np.concatenate([self.spread / rules.COEFFICIENT, self.changing[features.group]])
+        changing = np.concatenate([self.spread / rules.LEFT_ERROR, self.changing[features.group]])
         covariance = inverse + np.diag(changing**2)
         here = columns[known:]
-        of_functions = slice(terms.shape[1], None)
-        functions, own = functions[known:], own[known:]
-        still_open = np.einsum("ni,ni->n", functions @ inverse[of_functions, of_functions], functions)
-        prior = np.sum(functions**2, axis=1) + own
         return Expected(
             mean=here @ mean,
             directions=here @ np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance))),
-            variance=self.together * (self.left**2 + own),
-            unseen=(still_open + own) / np.maximum(prior, 1e-300),
+            variance=self.together * (self.left**2 + own[known:]),
         )
 
     def warped(self, signals: Array) -> Array:
@@ -149,15 +145,16 @@ def learn(recordings: Sequence[Windows], default_spread: Array) -> Learnt:
     count = data.signals.shape[1] + 1
     size = float(np.sqrt(np.mean(data.residual**2) / count))
     now = Learnt(
-        data, recording, middle, scale, np.full(count, size), size, rules.TOGETHER / stride,
+        data, recording, middle, scale, np.full(count, size), size, rules.TOGETHER,
         default_spread, np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
+        np.zeros_like(default_spread), np.full_like(default_spread, rules.LEFT_ERROR),
     )  # fmt: skip
     features, fold, y = _features(now.warped(data.signals)), data.block % rules.FOLDS, data.residual
     members = np.bincount(features.group, minlength=count)
     for _ in range(rules.LEARNING_STEPS):
         functions, own = features.sized(now.sizes)
-        columns = np.hstack([data.terms * rules.COEFFICIENT, functions])
-        variance = now.together * (data.noise**2 + now.left**2 + own)
+        columns = np.hstack([data.terms * rules.LEFT_ERROR, functions])
+        variance = rules.TOGETHER * data.noise**2 + now.together * (now.left**2 + own)
         mean, inverse = _posterior(columns, y, variance)
         after = _held_out(columns, y, variance, fold)
         capped = np.minimum(after**2, rules.MOST_SQUARE * float(np.median(after**2)) / rules.MEDIAN_SQUARE)
@@ -265,9 +262,10 @@ def _with_spread(found: Learnt, default_spread: Array) -> Learnt:
     data, terms = found.windows, found.windows.terms.shape[1]
     features = _features(found.warped(data.signals))
     functions, own = features.sized(found.sizes)
-    columns = np.hstack([data.terms * rules.COEFFICIENT, functions])
-    variance = found.together * (data.noise**2 + found.left**2 + own)
-    mean, _ = _posterior(columns, data.residual, variance)
+    columns = np.hstack([data.terms * rules.LEFT_ERROR, functions])
+    variance = rules.TOGETHER * data.noise**2 + found.together * (found.left**2 + own)
+    mean, inverse = _posterior(columns, data.residual, variance)
+    errors, deviations = mean[:terms], np.sqrt(np.diag(inverse)[:terms])
     rest = data.residual - columns @ mean
     members = np.unique(found.recording)
     group = np.concatenate([np.arange(terms), terms + features.group])
@@ -282,6 +280,8 @@ def _with_spread(found: Learnt, default_spread: Array) -> Learnt:
         excess += np.maximum(np.bincount(group, beyond, len(excess)), 0.0) / np.maximum(counted, 1)
     between = np.sqrt(excess / max(len(members) - 1, 1))
     return found._replace(
-        spread=np.hypot(default_spread, between[:terms] * rules.COEFFICIENT),
+        spread=np.hypot(default_spread, between[:terms] * rules.LEFT_ERROR),
         changing=np.hypot(rules.FUNCTION_SPREAD, between[terms:]),
+        errors=-errors * rules.LEFT_ERROR,
+        deviations=deviations * rules.LEFT_ERROR,
     )

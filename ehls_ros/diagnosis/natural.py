@@ -11,24 +11,30 @@ from ehls_ros.diagnosis.coefficients import Term, terms
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.discrepancy import Expected, Learnt, Windows, learn
 from ehls_ros.diagnosis.evidence import Allowance, Evidence, allowing
-from ehls_ros.diagnosis.record import COMMAND, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
+from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Channel
 
 DIRECTION, ACCELERATION, PRESSURE_RATE = "direction", "acceleration_m_s2", "load_pressure_rate_pa_s"
 
 SIGNALS: Mapping[Channel, tuple[str, ...]] = {
-    "spool": (COMMAND, SPOOL, PRESSURE, VELOCITY, TEMPERATURE),
-    "volume": (SPOOL, PRESSURE, PRESSURE_RATE, VELOCITY, POSITION, SUPPLY, TEMPERATURE),
-    "supply": (SPOOL, PRESSURE, VELOCITY, TEMPERATURE),
-    "force": (VELOCITY, DIRECTION, POSITION, ACCELERATION, PRESSURE, TEMPERATURE),
+    "spool": (COMMAND, PRESSURE, TEMPERATURE),
+    "volume": (SPOOL, PRESSURE, POSITION, SUPPLY, TEMPERATURE),
+    "supply": (SPOOL, PRESSURE, TEMPERATURE),
+    "force": (VELOCITY, DIRECTION, POSITION, ACCELERATION, LOAD, TEMPERATURE),
     "cell": (PRESSURE, PRESSURE_RATE, POSITION, TEMPERATURE),
-    "velocity": (VELOCITY, ACCELERATION, POSITION, TEMPERATURE),
+    "velocity": (VELOCITY, POSITION, TEMPERATURE),
 }
-"""Signals the rig's own remainder may depend on, by channel; those that were not recorded are left out."""
+"""Signals the rig's own remainder may depend on, by channel; those that were not recorded are left out.
 
+One term of each balance is missing. All of them together would tell the residual itself, whatever is wrong.
+"""
 
 OFFSET = "offset"
 """Name of a channel's constant error, which is a sensor's and no coefficient's."""
+
+
+SCALE = "piston_area"
+"""The coefficient in whose units the balances are weighed. It is measured, and no fault changes it."""
 
 
 class OfChannel(NamedTuple):
@@ -83,7 +89,7 @@ class Natural(NamedTuple):
 
 def learn_natural(baselines: Sequence[Evidence]) -> Natural:
     """Learn what a healthy rig leaves, from its recordings compared with one and the same model."""
-    columns, signals = [terms(e) for e in baselines], [signals_of(e) for e in baselines]
+    columns, signals = [_learnable(terms(e)) for e in baselines], [signals_of(e) for e in baselines]
     out = dict[Channel, OfChannel]()
     for c in dict.fromkeys(c for e in baselines for c in e.channels):
         have = [i for i, e in enumerate(baselines) if c in e.channels]
@@ -106,9 +112,9 @@ def learn_natural(baselines: Sequence[Evidence]) -> Natural:
     return Natural(out)
 
 
-def unseen(expected: Expected) -> float:
-    """Return the fraction of windows in which the baselines leave the remainder open."""
-    return float(np.mean(expected.unseen > rules.UNSEEN))
+def _learnable(found: Mapping[Channel, tuple[Term, ...]]) -> dict[Channel, tuple[Term, ...]]:
+    """Return the terms without the one that fixes the scale of the balances: all coefficients at zero close them, too."""
+    return {c: tuple(term for term in items if term.name != SCALE) for c, items in found.items()}
 
 
 def signals_of(evidence: Evidence) -> dict[Channel, dict[str, Array]]:

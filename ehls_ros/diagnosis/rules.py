@@ -609,6 +609,17 @@ COEFFICIENT_STEP: Annotated[
     float, Rule("baseline", "1", "Relative change of a coefficient by which the derivative of a residual is taken.")
 ] = 0.01
 
+LEFT_ERROR: Annotated[
+    float,
+    Rule("baseline", "1", "Relative error of a coefficient after that fit, standard deviation, where the data do not tell."),
+] = 0.05
+
+REFITS: Annotated[int, Rule("baseline", "1", "Most steps in which the coefficients are fitted to the baselines.")] = 6
+
+LONGEST_REFIT: Annotated[float, Rule("baseline", "1", "Largest relative change of a coefficient in one such step.")] = 0.3
+
+REFITTED: Annotated[float, Rule("baseline", "1", "Relative decrease of the loss below which that fit has settled.")] = 3e-3
+
 SPREAD: Annotated[
     float,
     Rule("baseline", "1", "Relative change of a coefficient from recording to recording that is no fault, standard deviation."),
@@ -635,7 +646,7 @@ MOST_LEARNT: Annotated[int, Rule("baseline", "1", "Most windows of all baselines
 )
 
 TOGETHER: Annotated[
-    float, Rule("baseline", "1", "Number of neighbouring windows that err together, before it is known.", "windows overlap")
+    float, Rule("baseline", "1", "Number of neighbouring windows that the sensors' noise moves together.", "windows overlap")
 ] = 3.0
 
 LEAST_SCALE: Annotated[float, Rule("baseline", "1", "Least scale of a signal, as a fraction of its largest magnitude.")] = 1e-3
@@ -677,10 +688,6 @@ TOLD: Annotated[
 LEAST_ALLOWED: Annotated[
     float, Rule("baseline", "1", "Variance in units of the noise below which a direction is not allowed for.")
 ] = 0.01
-
-UNSEEN: Annotated[
-    float, Rule("baseline", "1", "Fraction of the remainder's variance left open above which a window counts as never seen.")
-] = 0.5
 
 MENTIONED_UNSEEN: Annotated[
     float, Rule("baseline", "1", "Fraction of such windows above which it is said that the baseline does not cover them.")

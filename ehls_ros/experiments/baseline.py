@@ -4,6 +4,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 
+from ehls_ros.diagnosis.coefficients import refit
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.natural import learn_natural
@@ -52,8 +53,9 @@ def diagnose_against(
     names = tuple(f"baseline {i}" for i in range(1, len(baselines) + 1))
     progress("learning the baselines", 0.0)
     healthy = tuple(_evidence(recording, rig, called, seed) for recording, called in zip(baselines, names, strict=True))
+    rig = refit(healthy)
+    healthy = tuple(_evidence(recording, rig, called, seed) for recording, called in zip(baselines, names, strict=True))
     natural = learn_natural(healthy)
-
     found = diagnose(
         new,
         rig,
