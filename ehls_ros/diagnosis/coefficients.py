@@ -13,6 +13,7 @@ from ehls_ros.diagnosis.loss import loss, weights
 from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import declarations
 
 WITH_OIL = ("leakage_coefficient", "viscous_damping")
 """Coefficients of the plant that follow the oil and its temperature, as all of the friction do."""
@@ -48,6 +49,18 @@ def varied(rig: Rig, part: float) -> Iterator[tuple[str, Rig]]:
             # Not free by itself, as weights that sum to 1.
             continue
         yield name, rig._replace(friction=friction)
+
+
+def value_of(rig: Rig, name: str) -> float | None:
+    """Return a coefficient of the plant or the friction; None for a list of them."""
+    value = rig.plant._asdict().get(name, rig.friction._asdict().get(name))
+    return None if isinstance(value, tuple) or value is None else float(value)
+
+
+def unit_of(rig: Rig, name: str) -> str:
+    """Return the unit of a coefficient."""
+    declared = (*declarations(type(rig.plant)), *declarations(type(rig.friction)))
+    return next((d.unit for d in declared if d.name == name), "1")
 
 
 def terms(evidence: Evidence) -> dict[Channel, tuple[Term, ...]]:

@@ -689,6 +689,14 @@ LEAST_ALLOWED: Annotated[
     float, Rule("baseline", "1", "Variance in units of the noise below which a direction is not allowed for.")
 ] = 0.01
 
+MARGIN: Annotated[
+    float, Rule("baseline", "1", "Fraction of a signal's range in the baselines by which it may leave it and still be covered.")
+] = 0.05
+
+NOISE_MARGIN: Annotated[
+    float, Rule("baseline", "1", "Standard deviations of its noise by which it may leave it beside that.")
+] = 5.0
+
 MENTIONED_UNSEEN: Annotated[
-    float, Rule("baseline", "1", "Fraction of such windows above which it is said that the baseline does not cover them.")
+    float, Rule("baseline", "1", "Fraction of samples that are not covered above which that is said.")
 ] = 0.1
