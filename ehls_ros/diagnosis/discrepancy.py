@@ -75,11 +75,11 @@ class Learnt(NamedTuple):
         middle: of each signal, shape (signals,).
         scale: of each signal, shape (signals,).
         sizes: standard deviation of the function of each signal, and of all together, shape (signals + 1,).
-        left: standard deviation of what no function tells, on blocks that were held out.
+        left: standard deviation of what no function tells, on stretches that were held out.
         together: number of windows that err together.
         spread: standard deviation of each coefficient from recording to recording, relative, shape (terms,).
         changing: the same of each function, relative to its size, shape (signals + 1,).
-        power: mean square of the residual, and of what is left of it on blocks that were held out.
+        power: mean square of the residual, and of what is left of it on stretches that were held out.
         errors: error of each coefficient that the recordings tell, relative, shape (terms,).
         deviations: standard error of each, shape (terms,).
     """
@@ -149,7 +149,8 @@ def learn(recordings: Sequence[Windows], default_spread: Array) -> Learnt:
         default_spread, np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
         np.zeros_like(default_spread), np.full_like(default_spread, rules.LEFT_ERROR),
     )  # fmt: skip
-    features, fold, y = _features(now.warped(data.signals)), data.block % rules.FOLDS, data.residual
+    features, y = _features(now.warped(data.signals)), data.residual
+    fold = np.arange(len(y)) // rules.STRETCH % rules.FOLDS
     members = np.bincount(features.group, minlength=count)
     for _ in range(rules.LEARNING_STEPS):
         functions, own = features.sized(now.sizes)
@@ -244,7 +245,8 @@ def _held_out(columns: Array, y: Array, variance: Array, fold: NDArray[np.intp])
 
 def _together(e: Array, block: NDArray[np.intp]) -> float:
     """Return how many neighbouring windows err together, from the correlation of what is left."""
-    e = np.clip(e, -(limit := 5.0 * float(np.median(np.abs(e))) + 1e-300), limit)
+    limit = rules.HUBER * float(np.median(np.abs(e))) / rules.MEDIAN_SQUARE**0.5
+    e = np.clip(e, -limit, limit)
     total, power = 1.0, float(np.mean(e * e))
     for lag in range(1, rules.LONGEST_MEMORY):
         same = block[lag:] == block[:-lag]

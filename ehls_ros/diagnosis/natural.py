@@ -56,6 +56,20 @@ class OfChannel(NamedTuple):
         """Return what errors of the coefficients add, a column each, zero where one changes nothing, shape (windows, terms)."""
         return _columns(found, self.terms, self.size, windows)
 
+    def unseen(self, signals: Array) -> Array:
+        """Return how far the remainder may have grown where no baseline has been, standard deviation, shape (windows,).
+
+        Nothing tells how it goes on there: it is taken to grow as the cube of the distance. The oil's temperature does not
+        count, as it moves from day to day.
+        """
+        known = [i for i, name in enumerate(self.signals) if name != TEMPERATURE]
+        low, high = np.quantile(self.learnt.windows.signals[:, known], (rules.SEEN, 1.0 - rules.SEEN), axis=0)
+        middle, half = 0.5 * (low + high), 0.5 * (1.0 + rules.MARGIN) * (high - low)
+        away = np.abs(signals[:, known] - middle) / np.maximum(half, 1e-300)
+        beyond = np.max(np.clip(away, 1.0, rules.FARTHEST_UNSEEN), axis=1, initial=1.0)
+        grown: Array = np.sqrt(self.learnt.power[0]) * (beyond**3 - 1.0)
+        return grown
+
 
 class Natural(NamedTuple):
     """What a healthy rig leaves in each channel."""
@@ -68,7 +82,9 @@ class Natural(NamedTuple):
         for c in evidence.channels:
             if c in self.channels:
                 own, count = self.channels[c], len(evidence.floor[c])
-                out[c] = own.learnt.expected(own.columns(found[c], count), _table(signals[c], own.signals, count))
+                table = _table(signals[c], own.signals, count)
+                healthy = own.learnt.expected(own.columns(found[c], count), table)
+                out[c] = healthy._replace(variance=healthy.variance + own.unseen(table) ** 2)
         return out
 
     def judged(self, evidence: Evidence) -> Evidence:

@@ -552,6 +552,10 @@ TELLING: Annotated[
     float, Rule("verdict", "1", "Smallest detectable change of a stage's key parameter, as a fraction of its nominal value.")
 ] = 0.3
 
+TELLING_BESIDE_SPREAD: Annotated[
+    float, Rule("verdict", "1", "The same of a recording judged against baselines, whose natural spread may hide more.")
+] = 1.0
+
 ENOUGH_STAGES: Annotated[
     float, Rule("verdict", "1", "Fraction of the recorded stages that must be excited for the model to be called consistent.")
 ] = 0.5
@@ -667,7 +671,14 @@ LEAST_FUNCTION: Annotated[
     float, Rule("baseline", "1", "Least standard deviation of such a function, as a fraction of the one it starts from.")
 ] = 1e-3
 
-FOLDS: Annotated[int, Rule("baseline", "1", "Parts in which blocks are held out when the remainder is learnt.")] = 5
+STRETCH: Annotated[
+    int,
+    Rule(
+        "baseline", "1", "Windows in each such stretch: longer than what is left remembers, too short to hold all that is rare."
+    ),
+] = 40
+
+FOLDS: Annotated[int, Rule("baseline", "1", "Parts in which stretches are held out when the remainder is learnt.")] = 5
 
 LEARNING_STEPS: Annotated[int, Rule("baseline", "1", "Rounds in which sizes and noise of the remainder are estimated.")] = 8
 
@@ -677,7 +688,7 @@ MEDIAN_SQUARE: Annotated[
     float, Rule("baseline", "1", "Median of the square of a standard normal variable.", "chi-squared, one degree of freedom")
 ] = 0.455
 
-LONGEST_MEMORY: Annotated[int, Rule("baseline", "1", "Windows over which what is left may be correlated, at most.")] = 150
+LONGEST_MEMORY: Annotated[int, Rule("baseline", "1", "Windows over which what is left may be correlated, at most.")] = 40
 
 UNCORRELATED: Annotated[float, Rule("baseline", "1", "Correlation below which windows no longer err together.")] = 0.05
 
@@ -688,6 +699,16 @@ TOLD: Annotated[
 LEAST_ALLOWED: Annotated[
     float, Rule("baseline", "1", "Variance in units of the noise below which a direction is not allowed for.")
 ] = 0.01
+
+SEEN: Annotated[
+    float,
+    Rule("baseline", "1", "Fraction of a signal's samples at each end of its range that do not count as having been there."),
+] = 1e-3
+
+FARTHEST_UNSEEN: Annotated[
+    float,
+    Rule("baseline", "1", "Distance from the middle, in half ranges of the baselines, beyond which nothing is judged anyway."),
+] = 10.0
 
 MARGIN: Annotated[
     float, Rule("baseline", "1", "Fraction of a signal's range in the baselines by which it may leave it and still be covered.")

@@ -9,14 +9,15 @@ import numpy as np
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.coefficients import refit, unit_of, value_of
+from ehls_ros.diagnosis.coverage import covered, remarks
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.discrepancy import Expected
 from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.natural import Natural, learn_natural
 from ehls_ros.diagnosis.pool import Progress
-from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, TEMPERATURE, prepare
-from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Coverage, Diagnosis, Fitted, Healthy
+from ehls_ros.diagnosis.record import prepare
+from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis, Fitted, Healthy
 from ehls_ros.diagnosis.stages import CHANNELS, UNITS, Channel, setup
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
@@ -25,12 +26,6 @@ from ehls_ros.trajectory import Trajectory
 
 LEARNING = 0.35
 """Fraction of the work that learning the baselines takes."""
-
-COVERED = (POSITION, "velocity_m_s", PRESSURE, SPOOL, COMMAND, LOAD, TEMPERATURE)
-"""Signals that tell an operating point."""
-
-WITHOUT_OUTLIERS = (0.001, 0.999)
-"""Quantiles taken as the ends of a signal's range."""
 
 
 def diagnose_against(
@@ -89,7 +84,7 @@ def diagnose_against(
         judge=judge,
     )
     evidence, expected = judged[0] if judged else (None, {})
-    coverage = () if evidence is None else _coverage(healthy, evidence)
+    coverage = () if evidence is None else covered(healthy, evidence)
     not_compared = () if evidence is None else tuple(c for c in evidence.channels if c not in natural.channels)
     summary = BaselineSummary(
         recordings=called,
@@ -100,8 +95,8 @@ def diagnose_against(
         old=_traces(healthy[0], natural.expected(healthy[0]), natural),
         new={} if evidence is None else _traces(evidence, expected, natural),
     )
-    remarks = (*found.remarks, *_remarks(coverage))
-    return replace(found, baseline=summary, remarks=remarks, wall_s=time.perf_counter() - began)
+    said = (*found.remarks, *remarks(coverage))
+    return replace(found, baseline=summary, remarks=said, wall_s=time.perf_counter() - began)
 
 
 def _evidence(recording: Trajectory, rig: Rig, name: str, seed: int) -> Evidence:
@@ -139,32 +134,6 @@ def _channels(natural: Natural, expected: Mapping[Channel, Expected]) -> dict[Ch
         noise = float(np.sqrt(np.mean(own.learnt.windows.noise**2)))
         out[c] = Healthy(CHANNELS[c], math.sqrt(before), math.sqrt(after), noise, allowed, own.learnt.together)
     return out
-
-
-def _coverage(healthy: Sequence[Evidence], new: Evidence) -> tuple[Coverage, ...]:
-    """Tell how much of the new recording lies where no baseline has been, signal by signal."""
-    known = [signals_along(e.comparison(), e.rig) for e in healthy]
-    out = []
-    for name, values in signals_along(new.comparison(), new.rig).items():
-        ranges = [np.quantile(k[name], WITHOUT_OUTLIERS) for k in known if name in k]
-        if name not in COVERED or not ranges:
-            continue
-        low, high = min(float(r[0]) for r in ranges), max(float(r[1]) for r in ranges)
-        margin = rules.MARGIN * (high - low) + rules.NOISE_MARGIN * new.record.noise.get(name, 0.0)
-        beyond = float(np.mean((values < low - margin) | (values > high + margin)))
-        here = np.quantile(values, WITHOUT_OUTLIERS)
-        out.append(Coverage(name, (low, high), (float(here[0]), float(here[1])), beyond))
-    return tuple(out)
-
-
-def _remarks(coverage: Sequence[Coverage]) -> list[str]:
-    return [
-        f"{100.0 * item.beyond:.0f} % of the recording lie outside what the baseline covers: {item.signal} from"
-        f" {item.new[0]:.3g} to {item.new[1]:.3g}, in the baseline from {item.baseline[0]:.3g} to {item.baseline[1]:.3g};"
-        " a change that shows there only is not told from the rig's own remainder"
-        for item in coverage
-        if item.beyond > rules.MENTIONED_UNSEEN
-    ]
 
 
 def _traces(evidence: Evidence, expected: Mapping[Channel, Expected], natural: Natural) -> dict[Channel, ChannelTrace]:

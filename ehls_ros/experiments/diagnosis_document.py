@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 from ehls_ros import __version__
 from ehls_ros.diagnosis.free_run import FreeRun
-from ehls_ros.diagnosis.result import Cause, Diagnosis, Sensitivity, StageResult, Verdict
+from ehls_ros.diagnosis.result import Cause, Coverage, Diagnosis, Fitted, Healthy, Sensitivity, StageResult, Verdict
 from ehls_ros.diagnosis.stages import Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.consequences import Consequences
@@ -130,6 +130,16 @@ class FreeRunEntry(NamedTuple):
     remarks: tuple[str, ...]
 
 
+class BaselineEntry(NamedTuple):
+    """What the recording was judged against; attributes as in :class:`ehls_ros.diagnosis.result.BaselineSummary`."""
+
+    recordings: tuple[str, ...]
+    coefficients: Mapping[str, Fitted]
+    channels: Mapping[Channel, Healthy]
+    coverage: tuple[Coverage, ...]
+    not_compared: tuple[Channel, ...]
+
+
 class DiagnosisDocument(NamedTuple):
     """What ``diagnosis.json`` holds.
 
@@ -154,6 +164,7 @@ class DiagnosisDocument(NamedTuple):
         remarks: on the data, and on results that are missing.
         diagnosis_s: wall time of the diagnosis alone [s].
         wall_s: wall time of everything [s].
+        baseline: what the recording was judged against; None where it was judged by itself.
     """
 
     verdict: Verdict
@@ -176,6 +187,7 @@ class DiagnosisDocument(NamedTuple):
     remarks: tuple[str, ...]
     diagnosis_s: float
     wall_s: float
+    baseline: BaselineEntry | None
 
 
 def diagnosis_document(
@@ -212,6 +224,7 @@ def diagnosis_document(
         remarks=(*diagnosis.remarks, *follows.all_remarks),
         diagnosis_s=diagnosis.wall_s,
         wall_s=wall_s,
+        baseline=None if diagnosis.baseline is None else BaselineEntry(*diagnosis.baseline[:5]),
     )
 
 
