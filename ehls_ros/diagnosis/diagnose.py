@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
@@ -37,6 +37,7 @@ def diagnose(
     seed: int = 0,
     threads: int | None = None,
     progress: Progress = lambda doing, part: None,
+    judge: Callable[[Evidence], Evidence] = lambda evidence: evidence,
 ) -> Diagnosis:
     """Find what a rig's model gets wrong.
 
@@ -47,6 +48,7 @@ def diagnose(
         seed: of the noise added to find the noise floor, and of resampling.
         threads: hypotheses tried at once; by default one for each processor.
         progress: called with what is being done and the fraction of the diagnosis that is done.
+        judge: makes the allowances a recording is judged with; by default none but the noise's.
 
     Returns:
         The diagnosis.
@@ -58,7 +60,7 @@ def diagnose(
     progress("reading the recording", 0.0)
     record = prepare(trajectory, rig, name)
     compared = setup(record, rig)
-    evidence = gather(record, rig, compared, seed) if compared.channels else None
+    evidence = judge(gather(record, rig, compared, seed)) if compared.channels else None
     if evidence is None or not evidence.channels:
         return _nothing_recorded(record, rig, compared, seed, began)
     main = main_channel(evidence.channels)
@@ -71,7 +73,9 @@ def diagnose(
     findings = _findings(evidence, sizes, remainders(evidence, found))
     named = causes(evidence, found, seed)
     verdict, unknown = decide(findings, [cause.stage for cause in named])
-    answer = partial_answer(evidence, found, tried, workers, progress) if verdict == "unknown" else None
+    # Beside baselines, what the rig's own form leaves is allowed for already.
+    alone = verdict == "unknown" and not evidence.allowed
+    answer = partial_answer(evidence, found, tried, workers, progress) if alone else None
     known, best = (evidence, found.best) if answer is None else (answer.evidence, answer.found.best)
     if answer is not None:
         verdict, named = "partial", causes(answer.evidence, answer.found, seed, most=rules.IMPERFECT)
@@ -101,8 +105,10 @@ def diagnose(
 
 def _findings(evidence: Evidence, sizes: Sequence[Sensitivity], left: Sequence[Remainder]) -> dict[Stage, Finding]:
     slid = sliding(evidence)
+    # What hides in the natural spread is no lack of the data.
+    telling = rules.TELLING_BESIDE_SPREAD if evidence.allowed else rules.TELLING
     return {
-        stage: Finding(tuple(item for item in left if CHANNELS[item.channel] == stage), excited(stage, sizes, slid))
+        stage: Finding(tuple(item for item in left if CHANNELS[item.channel] == stage), excited(stage, sizes, slid, telling))
         for stage in STAGES
     }
 

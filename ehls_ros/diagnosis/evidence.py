@@ -5,8 +5,8 @@ no model of a rig reaches. Windows are grouped into blocks of a few seconds; a m
 coefficients fitted to the others.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +39,38 @@ class Residuals(NamedTuple):
         return np.concatenate([self.values[c] for c in channels]) if channels else np.empty(0)
 
 
+class Allowance(NamedTuple):
+    """What a channel's residual is expected to be without any fault, and how far it may vary around that.
+
+    Attributes:
+        mean: expected residual of each usable window, in the channel's unit, shape (n,).
+        directions: factor of the covariance of what may vary for all windows together, in the channel's unit, shape (n, m).
+        variance: of what varies beside that from window to window, in the square of the channel's unit, shape (n,).
+    """
+
+    mean: Array
+    directions: Array
+    variance: Array
+
+
+class Allowed(NamedTuple):
+    """An allowance as whitened residuals need it.
+
+    Attributes:
+        mean: expected residual, in the channel's unit, shape (n,).
+        basis: orthonormal directions that may vary, of residuals divided by their floor, shape (n, m).
+        reduced: fraction by which a residual is reduced along each, so that its variance is 1, shape (m,).
+    """
+
+    mean: Array
+    basis: Array
+    reduced: Array
+
+    def whitened(self, e: Array) -> Array:
+        """Return residuals divided by their floor with less weight on the directions that may vary."""
+        return e - self.basis @ (self.reduced * (self.basis.T @ e))
+
+
 @dataclass(frozen=True)
 class Evidence:
     """One recording compared with the given model.
@@ -61,6 +93,8 @@ class Evidence:
         correlation: by channel, the number of windows over which residuals are alike; their losses count as those of so many
             fewer. Windows of noise alone count one by one.
         imperfect: whether every stage of the model is taken to be off in its form, not only where causes act.
+        allowed: what is allowed for without any fault, by channel; empty where a recording is judged by itself.
+        judge: makes the same allowances for evidence from a part of the recording.
     """
 
     record: Record
@@ -79,6 +113,8 @@ class Evidence:
     travel: float
     correlation: Mapping[Channel, float] = field(default_factory=dict)
     imperfect: bool = False
+    allowed: Mapping[Channel, Allowed] = field(default_factory=dict, repr=False)
+    judge: "Callable[[Evidence], Evidence] | None" = field(default=None, repr=False)
 
     def comparison(self) -> Comparison:
         """Return a new comparison, one for each thread."""
@@ -96,7 +132,7 @@ class Evidence:
         reused = self.base if known is None else known
         now = comparison.relevant(rig)
         changed = tuple(c for c in self.channels if now[c] != reused.depends[c])
-        fresh = whitened(comparison.residuals(rig, changed), self.masks, self.floor) if changed else {}
+        fresh = whitened(comparison.residuals(rig, changed), self.masks, self.floor, self.allowed) if changed else {}
         return Residuals({c: fresh[c] if c in changed else reused.values[c] for c in self.channels}, now)
 
     def averaged_noise(
@@ -110,7 +146,7 @@ class Evidence:
             residuals: its residuals without the added noise.
             channels: where it differs from the given model.
         """
-        noisy = whitened(comparison.residuals(rig, tuple(channels)), self.masks, self.floor)
+        noisy = whitened(comparison.residuals(rig, tuple(channels)), self.masks, self.floor, self.allowed)
         saved = {}
         for c in channels:
             before = float(np.sum(loss(self.noise[c])))
@@ -176,15 +212,52 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int) -> Evidence:
     )
 
 
+def allowing(evidence: Evidence, allowances: Mapping[Channel, Allowance], judge: Callable[[Evidence], Evidence]) -> Evidence:
+    """Return evidence that is measured against what is expected and may vary without any fault.
+
+    Args:
+        evidence: the recording compared with the given model, nothing allowed for yet.
+        allowances: by channel; channels without one are left out.
+        judge: makes the same allowances for evidence from a part of the recording.
+    """
+    channels = tuple(c for c in evidence.channels if c in allowances)
+    allowed, floor = dict[Channel, Allowed](), dict[Channel, Array]()
+    for c in channels:
+        given = allowances[c]
+        floor[c] = np.sqrt(evidence.floor[c] ** 2 + given.variance)
+        directions = given.directions / floor[c][:, None]
+        squares, along = np.linalg.eigh(directions.T @ directions)
+        kept = squares > rules.LEAST_ALLOWED
+        basis = directions @ along[:, kept] / np.sqrt(squares[kept])
+        allowed[c] = Allowed(given.mean, basis, 1.0 - 1.0 / np.sqrt(1.0 + squares[kept]))
+    before = {c: evidence.base.values[c] * evidence.floor[c] for c in channels}
+    base = {c: allowed[c].whitened((before[c] - allowed[c].mean) / floor[c]) for c in channels}
+    noise = {c: allowed[c].whitened(evidence.noise[c] * evidence.floor[c] / floor[c]) for c in channels}
+    return replace(
+        evidence,
+        channels=channels,
+        floor=floor,
+        base=Residuals(base, evidence.base.depends),
+        noise=noise,
+        allowed=allowed,
+        judge=judge,
+    )
+
+
 def whitened(
-    raw: Mapping[Channel, Array], masks: Mapping[Channel, Mask], floor: Mapping[Channel, Array]
+    raw: Mapping[Channel, Array],
+    masks: Mapping[Channel, Mask],
+    floor: Mapping[Channel, Array],
+    allowed: Mapping[Channel, Allowed] | None = None,
 ) -> dict[Channel, Array]:
     """Return the residuals of the usable windows in units of their noise floor; a diverged model's are finite and large."""
     far = rules.FARTHEST
     out = {}
     for channel, values in raw.items():
-        e = values[masks[channel]] / floor[channel]
-        out[channel] = np.clip(np.nan_to_num(e, nan=far, posinf=far, neginf=-far), -far, far)
+        given = (allowed or {}).get(channel)
+        e = (values[masks[channel]] - (0.0 if given is None else given.mean)) / floor[channel]
+        e = np.clip(np.nan_to_num(e, nan=far, posinf=far, neginf=-far), -far, far)
+        out[channel] = e if given is None else given.whitened(e)
     return out
 
 

@@ -84,17 +84,18 @@ def sliding(evidence: Evidence) -> Sliding:
     return Sliding(evidence.travel, presliding, rig.friction_level(math.inf))
 
 
-def excited(stage: Stage, found: Sequence[Sensitivity], slid: Sliding) -> bool:
+def excited(stage: Stage, found: Sequence[Sensitivity], slid: Sliding, telling: float = rules.TELLING) -> bool:
     """Tell whether the data could show an error of a stage's key parameter; for friction, whether the piston slides.
 
     Args:
         stage: the stage.
         found: the smallest detectable sizes.
         slid: how the piston moved.
+        telling: largest change that may go unseen, as a fraction of the parameter's nominal value.
     """
     if stage not in KEYS:
         return True
     if stage == "force_balance" and slid.travel < rules.SLIDING * slid.presliding:
         return False
     nominal = slid.coulomb if stage == "force_balance" else 1.0
-    return any(s.smallest < rules.TELLING * nominal for s in found if Key(s.name, s.parameter) == KEYS[stage])
+    return any(s.smallest < telling * nominal for s in found if Key(s.name, s.parameter) == KEYS[stage])

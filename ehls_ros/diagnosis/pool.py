@@ -26,6 +26,8 @@ class Pool:
         """Start the threads."""
         ranges = informative_blocks(evidence)
         few = None if ranges is None else gather(evidence.record.parts(ranges), evidence.rig, evidence.setup, seed=0)
+        if few is not None and evidence.judge is not None:
+            few = evidence.judge(few)
         self.subset = few or evidence
         self._free: SimpleQueue[Worker] = SimpleQueue()
         for _ in range(threads):

@@ -147,6 +147,78 @@ class Sensitivity(NamedTuple):
     unit: str
 
 
+class Coverage(NamedTuple):
+    """How far the baselines cover a signal of the new recording.
+
+    Attributes:
+        signal: name of the signal.
+        baseline: its range in the baselines.
+        new: its range in the new recording.
+        beyond: fraction of the new recording outside the baselines' range.
+    """
+
+    signal: str
+    baseline: tuple[float, float]
+    new: tuple[float, float]
+    beyond: float
+
+
+class Healthy(NamedTuple):
+    """What a healthy rig leaves in a channel, as fractions of the largest term of its balance.
+
+    Attributes:
+        stage: the stage the channel belongs to.
+        fitted: rms residual of the model fitted to the baselines.
+        left: the same less the rig's own remainder, on blocks it was not learnt from.
+        noise_floor: the same of the sensors' noise alone.
+        allowed: rms by which the expected remainder of the new recording may be off; None where it lacks the channel.
+        together: number of windows that err together.
+    """
+
+    stage: Stage
+    fitted: float
+    left: float
+    noise_floor: float
+    allowed: float | None
+    together: float
+
+
+class Fitted(NamedTuple):
+    """A coefficient fitted to the baselines.
+
+    Attributes:
+        given: its value in the rig file.
+        fitted: its value for the baselines, with its standard error.
+        spread: standard deviation from recording to recording that counts as no change, relative.
+    """
+
+    given: float
+    fitted: Estimate
+    spread: float
+
+
+class BaselineSummary(NamedTuple):
+    """What a recording was judged against.
+
+    Attributes:
+        recordings: names of the baselines.
+        coefficients: those that the baselines tell.
+        channels: what a healthy rig leaves in each channel.
+        coverage: the operating points, by signal.
+        not_compared: channels of the new recording that no baseline has.
+        old: residuals of the fitted model in the first baseline, and what its remainder leaves of them.
+        new: the same in the new recording.
+    """
+
+    recordings: tuple[str, ...]
+    coefficients: Mapping[str, Fitted]
+    channels: Mapping[Channel, Healthy]
+    coverage: tuple[Coverage, ...]
+    not_compared: tuple[Channel, ...]
+    old: Mapping[Channel, ChannelTrace]
+    new: Mapping[Channel, ChannelTrace]
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """What a rig's model gets wrong, why, and what correcting it gains.
@@ -168,6 +240,7 @@ class Diagnosis:
         remarks: remarks about the data, one sentence each.
         seed: seed of the noise added to find the noise floor, and of resampling.
         wall_s: wall time [s].
+        baseline: what the recording was judged against; None where it was judged by itself.
     """
 
     verdict: Verdict
@@ -186,6 +259,7 @@ class Diagnosis:
     remarks: tuple[str, ...]
     seed: int
     wall_s: float
+    baseline: BaselineSummary | None = None
 
     @property
     def names_causes(self) -> bool:

@@ -8,7 +8,9 @@ import sys
 from collections.abc import Iterator
 from typing import Annotated, Literal, NamedTuple, get_args, get_type_hints
 
-Step = Literal["record", "stages", "evidence", "hypotheses", "fit", "starts", "search", "verdict", "partial answer", "free run"]
+Step = Literal[
+    "record", "stages", "evidence", "hypotheses", "fit", "starts", "search", "verdict", "partial answer", "free run", "baseline"
+]
 STEPS: tuple[Step, ...] = get_args(Step)
 
 CHOSEN = "chosen"
@@ -575,6 +577,10 @@ TELLING: Annotated[
     float, Rule("verdict", "1", "Smallest detectable change of a stage's key parameter, as a fraction of its nominal value.")
 ] = 0.3
 
+TELLING_BESIDE_SPREAD: Annotated[
+    float, Rule("verdict", "1", "The same of a recording judged against baselines, whose natural spread may hide more.")
+] = 1.0
+
 ENOUGH_STAGES: Annotated[
     float, Rule("verdict", "1", "Fraction of the recorded stages that must be excited for the model to be called consistent.")
 ] = 0.5
@@ -655,3 +661,123 @@ MOVED: Annotated[
 BEYOND_STROKE: Annotated[
     float, Rule("free run", "1", "Distance beyond the stroke, relative to the stroke, at which a free run is stopped.")
 ] = 1.0
+
+# --- baseline ----------------------------------------------------------------------------------
+
+COEFFICIENT: Annotated[
+    float,
+    Rule("baseline", "1", "Relative error a rig's coefficient may have before the baselines say more, standard deviation."),
+] = 0.3
+
+COEFFICIENT_STEP: Annotated[
+    float, Rule("baseline", "1", "Relative change of a coefficient by which the derivative of a residual is taken.")
+] = 0.01
+
+LEFT_ERROR: Annotated[
+    float,
+    Rule("baseline", "1", "Relative error of a coefficient after that fit, standard deviation, where the data do not tell."),
+] = 0.05
+
+REFITS: Annotated[int, Rule("baseline", "1", "Most steps in which the coefficients are fitted to the baselines.")] = 6
+
+LONGEST_REFIT: Annotated[float, Rule("baseline", "1", "Largest relative change of a coefficient in one such step.")] = 0.3
+
+REFITTED: Annotated[float, Rule("baseline", "1", "Relative decrease of the loss below which that fit has settled.")] = 3e-3
+
+SPREAD: Annotated[
+    float,
+    Rule("baseline", "1", "Relative change of a coefficient from recording to recording that is no fault, standard deviation."),
+] = 3e-3
+
+SPREAD_WITH_OIL: Annotated[
+    float, Rule("baseline", "1", "The same for friction and leakage, which follow the oil and its temperature.")
+] = 0.01
+
+SPREAD_OF_OFFSET: Annotated[
+    float, Rule("baseline", "1", "The same for a channel's offset, as a fraction of its largest term.")
+] = 2e-4
+
+FUNCTION_SPREAD: Annotated[
+    float, Rule("baseline", "1", "The same for the smooth remainder, as a fraction of its standard deviation.")
+] = 0.1
+
+SECTIONS: Annotated[
+    int, Rule("baseline", "1", "Sections of an only baseline that stand for recordings when the natural spread is estimated.")
+] = 3
+
+MOST_LEARNT: Annotated[int, Rule("baseline", "1", "Most windows of all baselines together that a channel is learnt from.")] = (
+    9000
+)
+
+TOGETHER: Annotated[
+    float, Rule("baseline", "1", "Number of neighbouring windows that the sensors' noise moves together.", "windows overlap")
+] = 3.0
+
+LEAST_SCALE: Annotated[float, Rule("baseline", "1", "Least scale of a signal, as a fraction of its largest magnitude.")] = 1e-3
+
+SINGLE_CENTRES: Annotated[int, Rule("baseline", "1", "Most centres of the function of one signal.")] = 14
+
+JOINT_CENTRES: Annotated[int, Rule("baseline", "1", "Most centres of the function of all signals together.")] = 120
+
+SMOOTH: Annotated[
+    float, Rule("baseline", "1", "Length over which such a function varies, in units of a signal's scale near its median.")
+] = 0.8
+
+RESOLVED_KERNEL: Annotated[
+    float, Rule("baseline", "1", "Fraction of a function's variance that may be left out at any point.")
+] = 1e-3
+
+LEAST_FUNCTION: Annotated[
+    float, Rule("baseline", "1", "Least standard deviation of such a function, as a fraction of the one it starts from.")
+] = 1e-3
+
+STRETCH: Annotated[
+    int,
+    Rule(
+        "baseline", "1", "Windows in each such stretch: longer than what is left remembers, too short to hold all that is rare."
+    ),
+] = 40
+
+FOLDS: Annotated[int, Rule("baseline", "1", "Parts in which stretches are held out when the remainder is learnt.")] = 5
+
+LEARNING_STEPS: Annotated[int, Rule("baseline", "1", "Rounds in which sizes and noise of the remainder are estimated.")] = 8
+
+ROBUST_STEPS: Annotated[int, Rule("baseline", "1", "Rounds of Huber's weights in each.")] = 3
+
+MEDIAN_SQUARE: Annotated[
+    float, Rule("baseline", "1", "Median of the square of a standard normal variable.", "chi-squared, one degree of freedom")
+] = 0.455
+
+LONGEST_MEMORY: Annotated[int, Rule("baseline", "1", "Windows over which what is left may be correlated, at most.")] = 40
+
+UNCORRELATED: Annotated[float, Rule("baseline", "1", "Correlation below which windows no longer err together.")] = 0.05
+
+TOLD: Annotated[
+    float, Rule("baseline", "1", "Fraction of a coefficient's variance that a recording must resolve to count for the spread.")
+] = 0.5
+
+LEAST_ALLOWED: Annotated[
+    float, Rule("baseline", "1", "Variance in units of the noise below which a direction is not allowed for.")
+] = 0.01
+
+SEEN: Annotated[
+    float,
+    Rule("baseline", "1", "Fraction of a signal's samples at each end of its range that do not count as having been there."),
+] = 1e-3
+
+FARTHEST_UNSEEN: Annotated[
+    float,
+    Rule("baseline", "1", "Distance from the middle, in half ranges of the baselines, beyond which nothing is judged anyway."),
+] = 10.0
+
+MARGIN: Annotated[
+    float, Rule("baseline", "1", "Fraction of a signal's range in the baselines by which it may leave it and still be covered.")
+] = 0.05
+
+NOISE_MARGIN: Annotated[
+    float, Rule("baseline", "1", "Standard deviations of its noise by which it may leave it beside that.")
+] = 5.0
+
+MENTIONED_UNSEEN: Annotated[
+    float, Rule("baseline", "1", "Fraction of samples that are not covered above which that is said.")
+] = 0.1

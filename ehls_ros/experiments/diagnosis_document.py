@@ -8,13 +8,16 @@ from typing import Literal, NamedTuple
 
 from ehls_ros import __version__
 from ehls_ros.diagnosis.free_run import FreeRun
-from ehls_ros.diagnosis.result import Cause, Diagnosis, Sensitivity, StageResult, Verdict
+from ehls_ros.diagnosis.result import Cause, Coverage, Diagnosis, Fitted, Healthy, Sensitivity, StageResult, Verdict
 from ehls_ros.diagnosis.stages import Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.consequences import Consequences
 from ehls_ros.experiments.controller_benefit import ControllerBenefit
 from ehls_ros.experiments.next_experiment import NextExperiment
 from ehls_ros.physics.effects import EFFECTS
+
+NORMAL_95 = 1.959964
+"""Half of the 95 % interval of a normal distribution, in standard deviations."""
 
 
 class RivalEntry(NamedTuple):
@@ -49,6 +52,22 @@ class Evidence(NamedTuple):
     rivals: tuple[RivalEntry, ...]
 
 
+class ParameterEntry(NamedTuple):
+    """A parameter of a cause.
+
+    Attributes:
+        value: fitted value.
+        std: standard error.
+        unit: unit of both.
+        ci95: 95 % interval, of a normal distribution.
+    """
+
+    value: float
+    std: float
+    unit: str
+    ci95: tuple[float, float]
+
+
 class CauseEntry(NamedTuple):
     """A named cause; attributes as in :class:`ehls_ros.diagnosis.result.Cause`."""
 
@@ -58,7 +77,7 @@ class CauseEntry(NamedTuple):
     equivalent_to: tuple[str, ...]
     stage: Stage
     group: str
-    parameters: Mapping[str, Estimate]
+    parameters: Mapping[str, ParameterEntry]
     fixed: Mapping[str, float]
     evidence: Evidence
 
@@ -88,6 +107,20 @@ class UnknownEntry(NamedTuple):
     stage: Stage
     parameters: Mapping[str, Estimate]
     evidence: UnknownEvidence
+
+
+class RemainderEntry(NamedTuple):
+    """What remains of a stage's residual when all that is named is in the model.
+
+    Attributes:
+        nrmse: rms on held-out data, as a fraction of the stage's largest term.
+        noise_floor: the same of noise alone.
+        depends_on: signals that predict it, strongest first.
+    """
+
+    nrmse: float | None
+    noise_floor: float | None
+    depends_on: tuple[str, ...]
 
 
 class GainEntry(NamedTuple):
@@ -131,6 +164,16 @@ class FreeRunEntry(NamedTuple):
     remarks: tuple[str, ...]
 
 
+class BaselineEntry(NamedTuple):
+    """What the recording was judged against; attributes as in :class:`ehls_ros.diagnosis.result.BaselineSummary`."""
+
+    recordings: tuple[str, ...]
+    coefficients: Mapping[str, Fitted]
+    channels: Mapping[Channel, Healthy]
+    coverage: tuple[Coverage, ...]
+    not_compared: tuple[Channel, ...]
+
+
 class DiagnosisDocument(NamedTuple):
     """What ``diagnosis.json`` holds.
 
@@ -139,7 +182,8 @@ class DiagnosisDocument(NamedTuple):
         summary: the verdict in one or two sentences.
         stages: every stage of the model.
         causes: best first; empty when the model agrees with the recording.
-        depends_on: for ``unknown``, signals that predict the residual.
+        remainder: what remains of every stage that is judged.
+        depends_on: for ``unknown`` and ``partial``, signals that predict what is not explained.
         gain: what the extension gains.
         next_experiment: what would separate the open causes; None where nothing is open or nothing would.
         extended_rig: file name of the extended rig.
@@ -155,12 +199,14 @@ class DiagnosisDocument(NamedTuple):
         remarks: on the data, and on results that are missing.
         diagnosis_s: wall time of the diagnosis alone [s].
         wall_s: wall time of everything [s].
+        baseline: what the recording was judged against; None where it was judged by itself.
     """
 
-    verdict: Verdict
+    verdict: Verdict | Literal["unchanged", "changed"]
     summary: str
     stages: Mapping[Stage, StageResult]
     causes: tuple[CauseEntry | UnknownEntry, ...]
+    remainder: Mapping[Stage, RemainderEntry]
     depends_on: tuple[str, ...]
     gain: GainEntry
     next_experiment: NextExperiment | None
@@ -177,6 +223,7 @@ class DiagnosisDocument(NamedTuple):
     remarks: tuple[str, ...]
     diagnosis_s: float
     wall_s: float
+    baseline: BaselineEntry | None
 
 
 def diagnosis_document(
@@ -193,10 +240,15 @@ def diagnosis_document(
     """
     unknown = _unknown(diagnosis)
     return DiagnosisDocument(
-        verdict=diagnosis.verdict,
+        verdict=_verdict(diagnosis),
         summary=summary,
         stages=diagnosis.stages,
         causes=tuple(_cause(cause) for cause in diagnosis.causes) or (() if unknown is None else (unknown,)),
+        remainder={
+            stage: RemainderEntry(result.nrmse_after, result.noise_floor, result.depends_on)
+            for stage, result in diagnosis.stages.items()
+            if result.judged
+        },
         depends_on=diagnosis.depends_on,
         gain=_gain(diagnosis),
         next_experiment=follows.next_experiment,
@@ -213,7 +265,17 @@ def diagnosis_document(
         remarks=(*diagnosis.remarks, *follows.all_remarks),
         diagnosis_s=diagnosis.wall_s,
         wall_s=wall_s,
+        baseline=None if diagnosis.baseline is None else BaselineEntry(*diagnosis.baseline[:5]),
     )
+
+
+def _verdict(diagnosis: Diagnosis) -> Verdict | Literal["unchanged", "changed"]:
+    """Return the verdict in one word; beside baselines it says whether the rig has changed."""
+    if diagnosis.baseline is None:
+        return diagnosis.verdict
+    if diagnosis.verdict == "consistent":
+        return "unchanged"
+    return "changed" if diagnosis.names_causes else diagnosis.verdict
 
 
 def _cause(cause: Cause) -> CauseEntry:
@@ -225,7 +287,10 @@ def _cause(cause: Cause) -> CauseEntry:
         cause.equivalent_to,
         cause.stage,
         cause.group,
-        cause.parameters,
+        {
+            name: ParameterEntry(*e, (e.value - NORMAL_95 * e.std, e.value + NORMAL_95 * e.std))
+            for name, e in cause.parameters.items()
+        },
         cause.fixed,
         Evidence(cause.gain, cause.sigmas, EFFECTS.load(cause.name).EQUATION, rivals),
     )

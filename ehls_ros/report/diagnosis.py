@@ -14,6 +14,7 @@ from ehls_ros.physics.effects.base import Group
 from ehls_ros.report import diagnosis_figures as drawn
 from ehls_ros.report import diagnosis_findings as findings
 from ehls_ros.report import page
+from ehls_ros.report.diagnosis_baseline import changes, since_sentence
 from ehls_ros.report.diagnosis_causes import causes, insufficient, rivals, unexplained
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
 from ehls_ros.report.diagnosis_units import likely, percent, quantity
@@ -28,6 +29,21 @@ TITLES = {
 }
 """Heading of the page by verdict."""
 
+SINCE = {
+    "effect": "What has changed",
+    "partial": "What has changed",
+    "unknown": "Something has changed, the cause unknown",
+    "consistent": "Nothing has changed",
+    "insufficient": "The data are insufficient",
+}
+"""The same of a recording judged against baselines."""
+
+
+def answer(found: Diagnosis) -> tuple[str, bool | None]:
+    """Return the result in a sentence or two, and whether all is well; None where the data do not tell."""
+    sentence, good = findings.verdict_sentence(found)
+    return (sentence if found.baseline is None else since_sentence(found)), good
+
 
 def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences = NOTHING, source: str = "") -> None:
     """Write one self-contained HTML file that shows a diagnosis.
@@ -38,8 +54,9 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
         follows: what follows from it; a result that is None is not shown.
         source: what was diagnosed, for the line below the heading.
     """
-    sentence, good = findings.verdict_sentence(found)
+    sentence, good = answer(found)
     parts = [
+        ("Old and new", changes(found)),
         ("The cause" if len(found.causes) < 2 else "The causes", causes(found)),
         ("What remains" if found.names_causes else "Unexplained", unexplained(found)),
         ("What to record", insufficient(found)),
@@ -55,7 +72,7 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
     ]
     page.write_page(
         path,
-        title=TITLES[found.verdict],
+        title=(TITLES if found.baseline is None else SINCE)[found.verdict],
         subtitle=source,
         blocks=[page.verdict(sentence, good=good), page.facts(_facts(found)), *page.sections(parts)],
     )

@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple, get_type_hints
 
-from ehls_ros.diagnosis.result import Gain, Sensitivity, StageResult
+from ehls_ros.diagnosis.result import BaselineSummary, Coverage, Fitted, Gain, Healthy, Sensitivity, StageResult
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments import diagnosis_document as document
 from ehls_ros.experiments.controller_benefit import BenefitCase, ControllerBenefit, Steady
@@ -15,10 +15,16 @@ from ehls_ros.experiments.reproduction.results import CellResult
 
 SCHEMA = {
     document.DiagnosisDocument: (
-        "verdict summary stages causes depends_on gain next_experiment extended_rig seed version unknown_stage partial missing"
-        " not_judged sensitivities controller_gain free_run remarks diagnosis_s wall_s"
+        "verdict summary stages causes remainder depends_on gain next_experiment extended_rig seed version unknown_stage partial missing"
+        " not_judged sensitivities controller_gain free_run remarks diagnosis_s wall_s baseline"
     ),
     StageResult: ("judged why_not nrmse_before nrmse_after noise_floor exceeds unexplained leaves_much incident depends_on"),
+    document.BaselineEntry: "recordings coefficients channels coverage not_compared",
+    Fitted: "given fitted spread",
+    Healthy: "stage fitted left noise_floor allowed together",
+    Coverage: "signal baseline new beyond",
+    document.ParameterEntry: "value std unit ci95",
+    document.RemainderEntry: "nrmse noise_floor depends_on",
     document.CauseEntry: "name probability share equivalent_to stage group parameters fixed evidence",
     document.Evidence: "gain_nats standard_errors_from_neutral equation rivals",
     document.RivalEntry: "name behind_nats closed_fraction parameters",
@@ -50,6 +56,10 @@ def test_public_documents_keep_their_keys():
 
 def test_a_gain_becomes_its_entry_field_by_field():
     assert document.GainEntry._fields == Gain._fields
+
+
+def test_a_baseline_becomes_its_entry_field_by_field():
+    assert document.BaselineEntry._fields == BaselineSummary._fields[: len(document.BaselineEntry._fields)]
 
 
 class Inner(NamedTuple):

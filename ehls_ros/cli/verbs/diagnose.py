@@ -7,7 +7,8 @@ import sys
 import tempfile
 import time
 from argparse import ArgumentParser, Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from ehls_ros.cli.progress import progress_bar
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.baseline import diagnose_against
 from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
 from ehls_ros.experiments.consequences import Consequences, consequences
 from ehls_ros.experiments.diagnosis_document import diagnosis_document
@@ -27,10 +29,9 @@ from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import rig_to_mapping
-from ehls_ros.recording.columns import read_columns
+from ehls_ros.recording.columns import ColumnMap, read_columns
 from ehls_ros.recording.load import load, recordings
-from ehls_ros.report.diagnosis import write_diagnosis_report
-from ehls_ros.report.diagnosis_findings import verdict_sentence
+from ehls_ros.report.diagnosis import answer, write_diagnosis_report
 from ehls_ros.report.diagnosis_units import estimate, likely, percent
 from ehls_ros.trajectory import Trajectory
 
@@ -53,6 +54,14 @@ def arguments(parser: ArgumentParser) -> None:
         help="one recording: a bag, a run folder, a .csv, .mat or .parquet file, or the tables that the map lists",
     )
     parser.add_argument("--rig", type=Path, required=True, help="rig file that the simulation runs with")
+    parser.add_argument(
+        "--baseline",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="OLD",
+        help="recordings from when the rig was well: find what has changed since, whatever the rig file has wrong",
+    )
     parser.add_argument("--columns", type=Path, help="YAML that maps the file's own column names and units")
     parser.add_argument("--out", type=Path, default=Path("runs/diagnose"), help="folder of the results (%(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="seed of noise and resampling (%(default)s)")
@@ -79,17 +88,23 @@ def run(options: Namespace) -> int:
     name = data.name or str(data)
     with Workers() as workers, progress_bar("diagnosing") as bar:
         bar(0, BAR, "reading")
-        bag = data / "bag"
-        trajectory = load(bag if bag.is_dir() else data, columns)
+        trajectory = _load(data, columns)
+        baselines = {str(path): _load(path, columns) for path in options.baseline}
         compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: bar(done, total, COMPILING))
-        found = diagnose(
-            trajectory,
-            rig,
-            name,
-            seed=options.seed,
-            threads=options.threads,
-            progress=lambda doing, done: bar(round(CORE * BAR * done), BAR, doing),
-        )
+        told = partial(_told, bar)
+        if baselines:
+            found = diagnose_against(
+                trajectory,
+                list(baselines.values()),
+                rig,
+                name,
+                seed=options.seed,
+                threads=options.threads,
+                progress=told,
+                names=list(baselines),
+            )
+        else:
+            found = diagnose(trajectory, rig, name, seed=options.seed, threads=options.threads, progress=told)
         follows = consequences(
             found,
             trajectory,
@@ -98,17 +113,28 @@ def run(options: Namespace) -> int:
             progress=lambda doing, done: bar(round(BAR * (CORE + (1.0 - CORE) * done)), BAR, doing),
         )
         wall = time.perf_counter() - began
-        document = json_document(diagnosis_document(found, follows, verdict_sentence(found)[0], RIG, wall))
-        _write(folder, found, follows, document, options.rig, _source(data, options.rig, trajectory))
+        document = json_document(diagnosis_document(found, follows, answer(found)[0], RIG, wall))
+        _write(folder, found, follows, document, options.rig, _source(data, options, trajectory))
     _print(found, follows, folder, time.perf_counter() - began)
     if options.json:
         print(json.dumps(document))
     return 0
 
 
-def _source(data: Path, rig: Path, trajectory: Trajectory) -> str:
+def _load(data: Path, columns: ColumnMap | None) -> Trajectory:
+    """Read a recording; of a run's folder, its bag."""
+    bag = data / "bag"
+    return load(bag if bag.is_dir() else data, columns)
+
+
+def _told(bar: Callable[[int, int, str], None], doing: str, done: float) -> None:
+    bar(round(CORE * BAR * done), BAR, doing)
+
+
+def _source(data: Path, options: Namespace, trajectory: Trajectory) -> str:
     seconds = float(trajectory.time_s[-1] - trajectory.time_s[0])
-    return f"{data.name or data}, {seconds:.4g} s, {len(trajectory)} samples, against {rig.name}"
+    fitted = f" fitted to {', '.join(path.name for path in options.baseline)}" if options.baseline else ""
+    return f"{data.name or data}, {seconds:.4g} s, {len(trajectory)} samples, against {options.rig.name}{fitted}"
 
 
 # --- results -----------------------------------------------------------------------------------
@@ -143,7 +169,7 @@ def _yaml(mapping: Mapping[str, Any]) -> str:
 def _rig_file(found: Diagnosis, rig: Path, source: str) -> str:
     """Return the extended rig file; without an extension, the given file with its comments."""
     heading = f"# Written by `ehls diagnose` from {source}.\n"
-    if found.extended == found.rig:
+    if found.extended == found.rig and found.baseline is None:
         return f"{heading}# Nothing was added: the verdict is '{found.verdict}'.\n{rig.read_text(encoding='utf-8')}"
     added = "".join(
         f"#   {cause.name}: {', '.join(f'{name} {estimate(e)}' for name, e in cause.parameters.items())};"
@@ -151,7 +177,9 @@ def _rig_file(found: Diagnosis, rig: Path, source: str) -> str:
         f"{', or ' + ' or '.join(cause.equivalent_to) if cause.equivalent_to else ''}\n"
         for cause in found.causes
     )
-    return f"{heading}# Added at the end of `effects`:\n{added}{_yaml(rig_to_mapping(found.extended))}"
+    fitted = "" if found.baseline is None else f"# Coefficients fitted to {', '.join(found.baseline.recordings)}.\n"
+    end = f"# Added at the end of `effects`:\n{added}" if added else f"# Nothing was added: the verdict is '{found.verdict}'.\n"
+    return f"{heading}{fitted}{end}{_yaml(rig_to_mapping(found.extended))}"
 
 
 def _next_heading(purpose: str) -> str:
@@ -162,7 +190,7 @@ def _next_heading(purpose: str) -> str:
 
 
 def _print(found: Diagnosis, follows: Consequences, folder: Path, wall: float) -> None:
-    print(verdict_sentence(found)[0])
+    print(answer(found)[0])
     console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 140)
     if found.causes:
         console.print(_causes_table(found.causes))

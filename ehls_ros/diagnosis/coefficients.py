@@ -1,0 +1,137 @@
+"""The coefficients of a rig's model, and what a small error of each does to the residuals."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.evidence import Evidence, Residuals
+from ehls_ros.diagnosis.loss import loss, weights
+from ehls_ros.diagnosis.stages import Channel
+from ehls_ros.errors import BadInput
+from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import declarations
+
+WITH_OIL = ("leakage_coefficient", "viscous_damping")
+"""Coefficients of the plant that follow the oil and its temperature, as all of the friction do."""
+
+
+class Term(NamedTuple):
+    """What a relative error of one coefficient adds to a channel's residual.
+
+    Attributes:
+        name: name of the coefficient.
+        column: change of the residual per relative change, in the channel's unit, shape (n,).
+        spread: relative change from recording to recording that is allowed for in any case, standard deviation.
+    """
+
+    name: str
+    column: Array
+    spread: float
+
+
+def varied(rig: Rig, part: float) -> Iterator[tuple[str, Rig]]:
+    """Yield the rig with one coefficient after the other enlarged by a fraction of itself, each with its name."""
+    for name, value in rig.plant._asdict().items():
+        if value != 0.0:
+            yield name, rig._replace(plant=rig.plant._replace(**{name: value * (1.0 + part)}))
+    for name, value in rig.friction._asdict().items():
+        larger = tuple(v * (1.0 + part) for v in value) if isinstance(value, tuple) else value * (1.0 + part)
+        if larger == value:
+            continue
+        friction = rig.friction._replace(**{name: larger})
+        try:
+            rig.friction_law.check(friction, name)
+        except BadInput:
+            # Not free by itself, as weights that sum to 1.
+            continue
+        yield name, rig._replace(friction=friction)
+
+
+def value_of(rig: Rig, name: str) -> float | None:
+    """Return a coefficient of the plant or the friction; None for a list of them."""
+    value = rig.plant._asdict().get(name, rig.friction._asdict().get(name))
+    return None if isinstance(value, tuple) or value is None else float(value)
+
+
+def unit_of(rig: Rig, name: str) -> str:
+    """Return the unit of a coefficient."""
+    declared = (*declarations(type(rig.plant)), *declarations(type(rig.friction)))
+    return next((d.unit for d in declared if d.name == name), "1")
+
+
+def terms(evidence: Evidence) -> dict[Channel, tuple[Term, ...]]:
+    """Return what errors of the coefficients add to each channel's residual."""
+    comparison = evidence.comparison()
+    found: dict[Channel, list[Term]] = {c: [] for c in evidence.channels}
+    for name, rig in varied(evidence.rig, rules.COEFFICIENT_STEP):
+        residuals = evidence.residuals(comparison, rig)
+        for c in evidence.channels:
+            moved = (residuals.values[c] - evidence.base.values[c]) * evidence.floor[c]
+            if np.any(moved) and np.all(np.isfinite(moved)):
+                oily = name in WITH_OIL or name in rig.friction._fields
+                spread = rules.SPREAD_WITH_OIL if oily else rules.SPREAD
+                found[c].append(Term(name, moved / rules.COEFFICIENT_STEP, spread))
+    return {c: tuple(items) for c, items in found.items()}
+
+
+def changed(rig: Rig, parts: Mapping[str, float]) -> Rig:
+    """Return a rig with coefficients changed by fractions of themselves; a change that contradicts the others is left out."""
+    for name, part in parts.items():
+        rig = next((other for found, other in varied(rig, part) if found == name), rig)
+    return rig
+
+
+def refit(baselines: Sequence[Evidence]) -> Rig:
+    """Return the rig with the coefficients that fit recordings best, those the recordings do not tell as they were.
+
+    Args:
+        baselines: recordings compared with one and the same rig.
+    """
+    comparisons = [e.comparison() for e in baselines]
+    rig, columns = baselines[0].rig, [terms(e) for e in baselines]
+    names = tuple(dict.fromkeys(t.name for found in columns for items in found.values() for t in items))
+
+    def whitened(rig: Rig) -> list[Residuals]:
+        return [e.residuals(c, rig) for e, c in zip(baselines, comparisons, strict=True)]
+
+    now = [e.base for e in baselines]
+    total = np.zeros(len(names))
+    for _ in range(rules.REFITS):
+        normal, gradient = np.eye(len(names)) / rules.COEFFICIENT**2, -total / rules.COEFFICIENT**2
+        scales = list[dict[Channel, float]]()
+        for e, residuals, found in zip(baselines, now, columns, strict=True):
+            scales.append(
+                {c: max(1.0, float(np.median(np.abs(residuals.values[c]))) / rules.MEDIAN_SQUARE**0.5) for c in found}
+            )
+            for c, items in found.items():
+                r = residuals.values[c] / scales[-1][c]
+                matrix = np.zeros((len(r), len(names)))
+                for item in items:
+                    matrix[:, names.index(item.name)] = item.column / (e.floor[c] * scales[-1][c])
+                w = weights(r)
+                normal += matrix.T @ (matrix * w[:, None])
+                gradient -= matrix.T @ (w * r)
+        step = np.clip(np.linalg.solve(normal, gradient), -rules.LONGEST_REFIT, rules.LONGEST_REFIT)
+
+        def cost(residuals: Sequence[Residuals], scales: Sequence[Mapping[Channel, float]] = tuple(scales)) -> float:
+            return sum(
+                float(np.sum(loss(r.values[c] / s))) for r, own in zip(residuals, scales, strict=True) for c, s in own.items()
+            )
+
+        before = cost(now)
+        for part in (1.0, 0.5, 0.25):
+            other = changed(rig, dict(zip(names, (part * step).tolist(), strict=True)))
+            after = whitened(other)
+            if cost(after) < before:
+                break
+        else:
+            break
+        rig, now, total = other, after, total + part * step
+        if before - cost(now) < rules.REFITTED * before:
+            break
+        columns = [terms(replace(e, rig=rig, base=r)) for e, r in zip(baselines, now, strict=True)]
+    return rig

@@ -1,0 +1,289 @@
+"""What a model leaves on healthy recordings, learnt as a function of the stage's own signals.
+
+A residual is taken as a sum: errors of the model's coefficients, whose derivatives are given, a smooth function of each signal,
+one of all signals together, and what no function of them tells. The functions are Gaussian processes, so that the expectation
+returns to zero and its variance to all of theirs where the recordings have never been (Kennedy, O'Hagan, Bayesian calibration
+of computer models, 2001). Everything here works on plain arrays.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.loss import weights
+
+
+class Windows(NamedTuple):
+    """One channel of one recording, window by window, in units of the channel's largest term.
+
+    Attributes:
+        residual: of the model, shape (n,).
+        noise: standard deviation that the sensors give it, shape (n,).
+        terms: change of the residual by each coefficient, per relative change, shape (n, terms).
+        signals: what the residual may depend on, shape (n, signals).
+        block: number of the block, shape (n,).
+    """
+
+    residual: Array
+    noise: Array
+    terms: Array
+    signals: Array
+    block: NDArray[np.intp]
+
+    def every(self, stride: int) -> "Windows":
+        """Return one window in so many."""
+        s = slice(None, None, stride)
+        return Windows(self.residual[s], self.noise[s], self.terms[s], self.signals[s], self.block[s])
+
+
+def joined(recordings: Sequence[Windows]) -> Windows:
+    """Return the windows of several recordings in one row."""
+    return Windows(
+        np.concatenate([r.residual for r in recordings]),
+        np.concatenate([r.noise for r in recordings]),
+        np.concatenate([r.terms for r in recordings]),
+        np.concatenate([r.signals for r in recordings]),
+        np.concatenate([r.block for r in recordings]),
+    )
+
+
+class Expected(NamedTuple):
+    """What a healthy rig would leave in windows of another recording.
+
+    Attributes:
+        mean: expected residual, shape (n,).
+        directions: factor of its covariance: directions directionsᵀ, shape (n, m).
+        variance: what else each window may be off by, weighted for the windows that err together, shape (n,).
+    """
+
+    mean: Array
+    directions: Array
+    variance: Array
+
+
+class Learnt(NamedTuple):
+    """What was learnt of one channel from healthy recordings.
+
+    Attributes:
+        windows: of all recordings.
+        recording: recording, or section of the only one, that each window is from, shape (n,).
+        middle: of each signal, shape (signals,).
+        scale: of each signal, shape (signals,).
+        sizes: standard deviation of the function of each signal, and of all together, shape (signals + 1,).
+        left: standard deviation of what no function tells, on stretches that were held out.
+        together: number of windows that err together.
+        spread: standard deviation of each coefficient from recording to recording, relative, shape (terms,).
+        changing: the same of each function, relative to its size, shape (signals + 1,).
+        power: mean square of the residual, and of what is left of it on stretches that were held out.
+        errors: error of each coefficient that the recordings tell, relative, shape (terms,).
+        deviations: standard error of each, shape (terms,).
+    """
+
+    windows: Windows
+    recording: NDArray[np.intp]
+    middle: Array
+    scale: Array
+    sizes: Array
+    left: float
+    together: float
+    spread: Array
+    changing: Array
+    power: tuple[float, float]
+    errors: Array
+    deviations: Array
+
+    def expected(self, terms: Array, signals: Array) -> Expected:
+        """Return what a healthy rig would leave in other windows.
+
+        Args:
+            terms: change of the residual by each coefficient there, shape (n, terms).
+            signals: what the residual may depend on there, shape (n, signals).
+        """
+        known = len(self.windows.residual)
+        features = _features(self.warped(np.vstack([self.windows.signals, signals])))
+        functions, own = features.sized(self.sizes)
+        columns = np.hstack([np.vstack([self.windows.terms, terms]) * rules.LEFT_ERROR, functions])
+        variance = rules.TOGETHER * self.windows.noise**2 + self.together * (self.left**2 + own[:known])
+        mean, inverse = _posterior(columns[:known], self.windows.residual, variance)
+        changing = np.concatenate([self.spread / rules.LEFT_ERROR, self.changing[features.group]])
+        covariance = inverse + np.diag(changing**2)
+        here = columns[known:]
+        return Expected(
+            mean=here @ mean,
+            directions=here @ np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance))),
+            variance=self.together * (self.left**2 + own[known:]),
+        )
+
+    def warped(self, signals: Array) -> Array:
+        """Return signals with their scale taken out and their tails drawn in, shape (n, signals)."""
+        return np.arcsinh((signals - self.middle) / self.scale)
+
+
+def learn(recordings: Sequence[Windows], default_spread: Array) -> Learnt:
+    """Learn what a model leaves on healthy recordings.
+
+    Args:
+        recordings: one channel of each.
+        default_spread: standard deviation of each coefficient from recording to recording that is allowed for in any case,
+            relative, shape (terms,).
+    """
+    data = joined(recordings)
+    if len(recordings) > 1:
+        recording = np.repeat(np.arange(len(recordings)), [len(r.residual) for r in recordings])
+    else:
+        recording = data.block * rules.SECTIONS // (int(np.max(data.block)) + 1)
+    stride = -(-len(data.residual) // rules.MOST_LEARNT)
+    data, recording = data.every(stride), recording[::stride]
+    middle = np.median(data.signals, axis=0)
+    largest = np.maximum(np.max(np.abs(data.signals), axis=0), 1e-300)
+    scale = np.maximum(np.median(np.abs(data.signals - middle), axis=0), rules.LEAST_SCALE * largest)
+    count = data.signals.shape[1] + 1
+    size = float(np.sqrt(np.mean(data.residual**2) / count))
+    now = Learnt(
+        data, recording, middle, scale, np.full(count, size), size, rules.TOGETHER,
+        default_spread, np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
+        np.zeros_like(default_spread), np.full_like(default_spread, rules.LEFT_ERROR),
+    )  # fmt: skip
+    features, y = _features(now.warped(data.signals)), data.residual
+    fold = np.arange(len(y)) // rules.STRETCH % rules.FOLDS
+    members = np.bincount(features.group, minlength=count)
+    for _ in range(rules.LEARNING_STEPS):
+        functions, own = features.sized(now.sizes)
+        columns = np.hstack([data.terms * rules.LEFT_ERROR, functions])
+        variance = rules.TOGETHER * data.noise**2 + now.together * (now.left**2 + own)
+        mean, inverse = _posterior(columns, y, variance)
+        after = _held_out(columns, y, variance, fold)
+        capped = np.minimum(after**2, rules.MOST_SQUARE * float(np.median(after**2)) / rules.MEDIAN_SQUARE)
+        # The size a function had at first counts as one more of its weights, so that none vanishes for want of data.
+        energy = np.bincount(features.group, (mean**2 + np.diag(inverse))[data.terms.shape[1] :], count)
+        grown = (energy + (size / now.sizes) ** 2) / (members + 1.0)
+        now = now._replace(
+            sizes=np.maximum(now.sizes * np.sqrt(grown), rules.LEAST_FUNCTION * size),
+            left=float(np.sqrt(max(float(np.mean(capped)) - float(np.mean(data.noise**2)), 0.0))),
+            together=_together(after, data.block),
+            power=(float(np.mean(y**2)), float(np.mean(after**2))),
+        )
+    return _with_spread(now, default_spread)
+
+
+class _Features(NamedTuple):
+    """Functions of the signals in terms of independent standard normal weights.
+
+    Attributes:
+        columns: of functions of unit variance, shape (n, m).
+        group: the function each column is a part of, shape (m,).
+        own: variance of each function that its columns do not hold, shape (n, functions).
+    """
+
+    columns: Array
+    group: NDArray[np.intp]
+    own: Array
+
+    def sized(self, sizes: Array) -> tuple[Array, Array]:
+        """Return columns, and the variance they do not hold, of functions of these standard deviations."""
+        return self.columns * sizes[self.group], self.own @ sizes**2
+
+
+def _features(warped: Array) -> _Features:
+    """Return features of a function of each signal and of one of all together."""
+    single = warped.shape[1]
+    made = [_kernel_columns(warped[:, g : g + 1], rules.SINGLE_CENTRES) for g in range(single)]
+    made.append(_kernel_columns(warped / np.sqrt(max(single, 1)), rules.JOINT_CENTRES))
+    group = np.repeat(np.arange(single + 1), [part.shape[1] for part, _ in made])
+    return _Features(np.hstack([part for part, _ in made]), group, np.column_stack([rest for _, rest in made]))
+
+
+def _kernel_columns(inputs: Array, most: int) -> tuple[Array, Array]:
+    """Return columns whose products approximate a squared-exponential kernel, and the variance they lack.
+
+    A pivoted Cholesky factor: each centre is the point that the ones before describe worst.
+    """
+    n = len(inputs)
+    columns = np.zeros((n, most))
+    rest = np.ones(n)
+    count = 0
+    while count < most:
+        worst = int(np.argmax(rest))
+        if rest[worst] < rules.RESOLVED_KERNEL:
+            break
+        distance = np.sum((inputs - inputs[worst]) ** 2, axis=1) / rules.SMOOTH**2
+        column = np.exp(-0.5 * distance) - columns[:, :count] @ columns[worst, :count]
+        columns[:, count] = column / np.sqrt(rest[worst])
+        rest = np.maximum(rest - columns[:, count] ** 2, 0.0)
+        count += 1
+    return columns[:, :count], rest
+
+
+def _posterior(columns: Array, y: Array, variance: Array) -> tuple[Array, Array]:
+    """Return mean and covariance of standard normal weights, under Huber's loss."""
+    mean = np.zeros(columns.shape[1])
+    factor = None
+    for _ in range(rules.ROBUST_STEPS):
+        w = weights((y - columns @ mean) / np.sqrt(variance)) / variance
+        factor = cho_factor(columns.T @ (columns * w[:, None]) + np.eye(columns.shape[1]))
+        mean = cho_solve(factor, columns.T @ (w * y))
+    return mean, cho_solve(factor, np.eye(columns.shape[1]))
+
+
+def _held_out(columns: Array, y: Array, variance: Array, fold: NDArray[np.intp]) -> Array:
+    """Return what is left in each fold with the weights fitted to the others."""
+    left = y.copy()
+    whole = columns.T @ (columns / variance[:, None]) + np.eye(columns.shape[1])
+    moment = columns.T @ (y / variance)
+    for f in np.unique(fold):
+        inside = fold == f
+        part = columns[inside] / variance[inside, None]
+        rest = cho_factor(whole - columns[inside].T @ part)
+        left[inside] -= columns[inside] @ cho_solve(rest, moment - part.T @ y[inside])
+    return left
+
+
+def _together(e: Array, block: NDArray[np.intp]) -> float:
+    """Return how many neighbouring windows err together, from the correlation of what is left."""
+    limit = rules.HUBER * float(np.median(np.abs(e))) / rules.MEDIAN_SQUARE**0.5
+    e = np.clip(e, -limit, limit)
+    total, power = 1.0, float(np.mean(e * e))
+    for lag in range(1, rules.LONGEST_MEMORY):
+        same = block[lag:] == block[:-lag]
+        if not np.any(same) or power == 0.0:
+            break
+        correlation = float(np.mean((e[lag:] * e[:-lag])[same])) / power
+        if correlation < rules.UNCORRELATED:
+            break
+        total += 2.0 * correlation
+    return total
+
+
+def _with_spread(found: Learnt, default_spread: Array) -> Learnt:
+    """Return what was learnt with the spread of coefficients and functions from recording to recording."""
+    data, terms = found.windows, found.windows.terms.shape[1]
+    features = _features(found.warped(data.signals))
+    functions, own = features.sized(found.sizes)
+    columns = np.hstack([data.terms * rules.LEFT_ERROR, functions])
+    variance = rules.TOGETHER * data.noise**2 + found.together * (found.left**2 + own)
+    mean, inverse = _posterior(columns, data.residual, variance)
+    errors, deviations = mean[:terms], np.sqrt(np.diag(inverse)[:terms])
+    rest = data.residual - columns @ mean
+    members = np.unique(found.recording)
+    group = np.concatenate([np.arange(terms), terms + features.group])
+    excess = np.zeros(terms + len(found.sizes))
+    for k in members:
+        inside = found.recording == k
+        shift, inverse = _posterior(columns[inside], rest[inside], variance[inside])
+        told = 1.0 - np.diag(inverse)
+        # Only what this recording tells counts, less what chance gives.
+        beyond = np.where(told > rules.TOLD, (shift**2 - np.diag(inverse) * told) / np.maximum(told, rules.TOLD) ** 2, 0.0)
+        counted = np.bincount(group[told > rules.TOLD], minlength=len(excess))
+        excess += np.maximum(np.bincount(group, beyond, len(excess)), 0.0) / np.maximum(counted, 1)
+    between = np.sqrt(excess / max(len(members) - 1, 1))
+    return found._replace(
+        spread=np.hypot(default_spread, between[:terms] * rules.LEFT_ERROR),
+        changing=np.hypot(rules.FUNCTION_SPREAD, between[terms:]),
+        errors=-errors * rules.LEFT_ERROR,
+        deviations=deviations * rules.LEFT_ERROR,
+    )

@@ -1,0 +1,156 @@
+"""What changed since a rig was well: a recording judged against earlier ones of the same rig."""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.coefficients import refit, unit_of, value_of
+from ehls_ros.diagnosis.coverage import covered, remarks
+from ehls_ros.diagnosis.dependence import signals_along
+from ehls_ros.diagnosis.diagnose import diagnose
+from ehls_ros.diagnosis.discrepancy import Expected
+from ehls_ros.diagnosis.evidence import Evidence, gather
+from ehls_ros.diagnosis.natural import Natural, learn_natural
+from ehls_ros.diagnosis.pool import Progress
+from ehls_ros.diagnosis.record import prepare
+from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis, Fitted, Healthy
+from ehls_ros.diagnosis.stages import CHANNELS, UNITS, Channel, setup
+from ehls_ros.errors import BadInput
+from ehls_ros.estimate import Estimate
+from ehls_ros.physics.rig import Rig
+from ehls_ros.trajectory import Trajectory
+
+LEARNING = 0.35
+"""Fraction of the work that learning the baselines takes."""
+
+
+def diagnose_against(
+    new: Trajectory,
+    baselines: Sequence[Trajectory],
+    rig: Rig,
+    name: str,
+    *,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Progress = lambda doing, part: None,
+    names: Sequence[str] | None = None,
+) -> Diagnosis:
+    """Find what changed on a rig since its baselines were recorded.
+
+    Args:
+        new: the recording to be judged.
+        baselines: recordings from when the rig was well.
+        rig: the rig as its file describes it.
+        name: name of the new recording in errors.
+        seed: of the noise added to find the noise floor, and of resampling.
+        threads: hypotheses tried at once; by default one for each processor.
+        progress: called with what is being done and the fraction of the work that is done.
+        names: names of the baselines in errors and in the result.
+
+    Returns:
+        The diagnosis; ``consistent`` means that nothing has changed.
+
+    Raises:
+        BadInput: there is no baseline, one shows nothing of the rig, or a recording cannot be read as one of such a rig.
+    """
+    began = time.perf_counter()
+    if not baselines:
+        raise BadInput("no baseline is given", name, "at least one recording of the rig from when it was well")
+    called = tuple(names or (f"baseline {i}" for i in range(1, len(baselines) + 1)))
+    progress("learning the baselines", 0.0)
+    first = [_evidence(recording, rig, what, seed) for recording, what in zip(baselines, called, strict=True)]
+    fitted = refit(first)
+    progress("learning the baselines", 0.3 * LEARNING)
+    healthy = [_evidence(recording, fitted, what, seed) for recording, what in zip(baselines, called, strict=True)]
+    natural = learn_natural(healthy)
+    judged = list[tuple[Evidence, dict[Channel, Expected]]]()
+
+    def judge(evidence: Evidence) -> Evidence:
+        expected = natural.expected(evidence)
+        judged.append((evidence, expected))
+        return natural.judged_by(evidence, expected)
+
+    found = diagnose(
+        new,
+        fitted,
+        name,
+        seed=seed,
+        threads=threads,
+        progress=lambda doing, part: progress(doing, LEARNING + (1.0 - LEARNING) * part),
+        judge=judge,
+    )
+    evidence, expected = judged[0] if judged else (None, {})
+    coverage = () if evidence is None else covered(healthy, evidence)
+    not_compared = () if evidence is None else tuple(c for c in evidence.channels if c not in natural.channels)
+    summary = BaselineSummary(
+        recordings=called,
+        coefficients=_coefficients(rig, fitted, natural),
+        channels=_channels(natural, expected),
+        coverage=coverage,
+        not_compared=not_compared,
+        old=_traces(healthy[0], natural.expected(healthy[0]), natural),
+        new={} if evidence is None else _traces(evidence, expected, natural),
+    )
+    said = (*found.remarks, *remarks(coverage))
+    return replace(found, baseline=summary, remarks=said, wall_s=time.perf_counter() - began)
+
+
+def _evidence(recording: Trajectory, rig: Rig, name: str, seed: int) -> Evidence:
+    record = prepare(recording, rig, name)
+    compared = setup(record, rig)
+    if not compared.channels:
+        raise BadInput("no stage of the model can be compared with it", name, "a baseline with the new recording's signals")
+    return gather(record, rig, compared, seed)
+
+
+def _coefficients(given: Rig, fitted: Rig, natural: Natural) -> dict[str, Fitted]:
+    """Return the coefficients that the baselines tell, each with what all channels say of it together."""
+    precision, spread = dict[str, float](), dict[str, float]()
+    for own in natural.channels.values():
+        for name, deviation, varies in zip(own.terms, own.learnt.deviations, own.learnt.spread, strict=True):
+            if deviation < rules.TOLD * rules.LEFT_ERROR:
+                precision[name] = precision.get(name, 0.0) + 1.0 / max(float(deviation), 1e-12) ** 2
+                spread[name] = max(spread.get(name, 0.0), float(varies))
+    out = {}
+    for name, told in precision.items():
+        before, after = value_of(given, name), value_of(fitted, name)
+        if before is not None and after is not None:
+            out[name] = Fitted(before, Estimate(after, abs(after) / math.sqrt(told), unit_of(given, name)), spread[name])
+    return out
+
+
+def _channels(natural: Natural, expected: Mapping[Channel, Expected]) -> dict[Channel, Healthy]:
+    out = {}
+    for c, own in natural.channels.items():
+        allowed = None
+        if c in expected:
+            variance = np.sum(expected[c].directions ** 2, axis=1) + expected[c].variance
+            allowed = float(np.sqrt(np.mean(variance)))
+        before, after = own.learnt.power
+        noise = float(np.sqrt(np.mean(own.learnt.windows.noise**2)))
+        out[c] = Healthy(CHANNELS[c], math.sqrt(before), math.sqrt(after), noise, allowed, own.learnt.together)
+    return out
+
+
+def _traces(evidence: Evidence, expected: Mapping[Channel, Expected], natural: Natural) -> dict[Channel, ChannelTrace]:
+    """Return the residuals of the fitted model, and what the expected remainder leaves of them."""
+    signals = {k: v for k, v in signals_along(evidence.comparison(), evidence.rig).items() if k != "time_s"}
+    out = {}
+    for c, healthy in expected.items():
+        floor = evidence.floor[c]
+        before = evidence.base.values[c] * floor
+        out[c] = ChannelTrace(
+            channel=c,
+            unit=UNITS[c],
+            time=evidence.times[c],
+            before=before,
+            after=before - healthy.mean * natural.channels[c].size,
+            floor=floor,
+            noise=evidence.noise[c] * floor,
+            against={name: evidence.means(c, values) for name, values in signals.items()},
+        )
+    return out

@@ -1,0 +1,114 @@
+"""What changed since a baseline: rigs whose file is wrong, or that are no rig of the model at all, against their own past."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ehls_ros.diagnosis.diagnose import diagnose
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.baseline import diagnose_against
+from ehls_ros.physics.rig import rig_from_mapping
+from ehls_ros.trajectory import Trajectory
+
+COLUMNS = ("position_m", "load_pressure_pa", "disturbance_force_n")
+SECONDS = 12.0
+
+
+@pytest.fixture(scope="module")
+def wrong_rig(rig_file):
+    """The rig file 30 % off in three coefficients."""
+    data = copy.deepcopy(rig_file)
+    data["friction"]["coulomb_force"] *= 1.3
+    data["friction"]["static_force"] *= 1.3
+    data["friction"]["viscous_coefficient"] *= 0.7
+    data["plant"]["moving_mass"] *= 1.3
+    return rig_from_mapping(data, "wrong.yaml")
+
+
+@pytest.fixture(scope="module")
+def run(recorded):
+    """Record the true rig: hidden effects, experiment, seed."""
+
+    def run(effects, experiment, seed, seconds=SECONDS):
+        made = recorded(effects, experiment, seed=seed, duration=seconds, columns=COLUMNS)
+        return Trajectory(made.time, made.columns)
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def healthy(run):
+    return run({}, "rich", 1)
+
+
+def against(new, baselines, rig):
+    return diagnose_against(new, baselines, rig, "new", threads=1)
+
+
+def test_a_wrong_rig_file_is_no_change(run, healthy, wrong_rig, rig):
+    found = against(run({}, "rich", 2), [healthy], wrong_rig)
+    assert (found.verdict, found.causes) == ("consistent", ())
+    fitted = found.baseline.coefficients["coulomb_force"]
+    assert fitted.given == wrong_rig.friction.coulomb_force
+    assert fitted.fitted.value == pytest.approx(rig.friction.coulomb_force, rel=0.02)
+    assert found.rig.plant.moving_mass == pytest.approx(rig.plant.moving_mass, rel=0.02)
+
+
+def test_what_changed_is_named_with_its_size(run, healthy, wrong_rig):
+    found = against(run({"coulomb_shift": {"offset": -200.0}}, "rich", 3), [healthy], wrong_rig)
+    assert (found.verdict, found.causes[0].name) == ("effect", "coulomb_shift")
+    offset = found.causes[0].parameters["offset"]
+    assert offset.value == pytest.approx(-200.0, abs=12.0)
+    assert abs(offset.value + 200.0) < 4.0 * offset.std
+    assert [use.name for use in found.extended.effects] == ["coulomb_shift"]
+
+
+def imperfect(trajectory, rig):
+    """Return a recording of a rig with a force along the stroke and a drag that are no effect of the list."""
+    x = trajectory["position_m"]
+    v = np.gradient(x, trajectory.time_s)
+    v = np.convolve(v, np.ones(15) / 15.0, mode="same")
+    more = 120.0 * np.sin(60.0 * x) + 2.0e4 * v**3
+    pressure = trajectory["load_pressure_pa"] + more / rig.plant.piston_area
+    return replace(trajectory, signals={**trajectory.signals, "load_pressure_pa": pressure})
+
+
+def test_an_imperfect_rig_agrees_with_its_own_past(run, healthy, rig):
+    new = imperfect(run({}, "rich", 4), rig)
+    alone = diagnose(new, rig, threads=1)
+    assert alone.verdict != "consistent"
+    found = against(new, [imperfect(healthy, rig)], rig)
+    assert found.verdict == "consistent"
+    channel = found.baseline.channels["force"]
+    assert channel.left < 0.5 * channel.fitted
+
+
+def test_operating_points_never_seen_are_said_and_raise_no_alarm(run, rig):
+    slow = imperfect(run({}, "slow_sweep", 5), rig)
+    found = against(imperfect(run({}, "random", 5), rig), [slow], rig)
+    assert found.verdict in ("consistent", "insufficient")
+    beyond = {item.signal: item.beyond for item in found.baseline.coverage}
+    assert beyond["velocity_m_s"] > 0.1
+    assert any("outside what the baseline covers" in remark and "velocity_m_s" in remark for remark in found.remarks)
+
+
+def test_a_level_within_the_spread_of_two_baselines_is_no_change(run, rig):
+    levels = [run({"coulomb_shift": {"offset": offset}}, "rich", seed) for offset, seed in ((-60.0, 7), (60.0, 8))]
+    new = run({"coulomb_shift": {"offset": 40.0}}, "rich", 9)
+    assert against(new, levels, rig).verdict == "consistent"
+    one = against(new, levels[:1], rig)
+    assert (one.verdict, one.causes[0].name) == ("effect", "coulomb_shift")
+    assert one.causes[0].parameters["offset"].value == pytest.approx(100.0, abs=15.0)
+
+
+def test_no_baseline_is_refused(healthy, rig):
+    with pytest.raises(BadInput, match="no baseline"):
+        against(healthy, [], rig)
+
+
+def test_a_baseline_that_shows_nothing_is_refused(healthy, rig):
+    blind = Trajectory(healthy.time_s, {"position_m": healthy["position_m"]})
+    with pytest.raises(BadInput, match="baseline 1"):
+        against(healthy, [blind], rig)
