@@ -287,13 +287,15 @@ def _cause(cause: Cause) -> CauseEntry:
         cause.equivalent_to,
         cause.stage,
         cause.group,
-        {
-            name: ParameterEntry(*e, (e.value - NORMAL_95 * e.std, e.value + NORMAL_95 * e.std))
-            for name, e in cause.parameters.items()
-        },
+        {name: _parameter(e) for name, e in cause.parameters.items()},
         cause.fixed,
         Evidence(cause.gain, cause.sigmas, EFFECTS.load(cause.name).EQUATION, rivals),
     )
+
+
+def _parameter(e: Estimate) -> ParameterEntry:
+    half = NORMAL_95 * e.std
+    return ParameterEntry(e.value, e.std, e.unit, (e.value - half, e.value + half))
 
 
 def _unknown(diagnosis: Diagnosis) -> UnknownEntry | None:

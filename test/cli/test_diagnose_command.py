@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 RIG = ROOT / "config" / "rig_paper_measured.yaml"
 OFFSET = -234.6
 CONTRACT = {
-    "verdict", "stages", "causes", "depends_on", "gain", "next_experiment", "extended_rig", "seed", "version",
+    "verdict", "stages", "causes", "remainder", "depends_on", "gain", "next_experiment", "extended_rig", "seed", "version",
 }  # fmt: skip
 STAGES = {"force_balance", "flow", "valve", "sensors"}
 
@@ -73,6 +73,11 @@ def test_diagnosis_json_keeps_the_contract(diagnosed):
     assert cause["parameters"]["offset"]["value"] == pytest.approx(OFFSET, rel=0.02)
     assert cause["parameters"]["offset"]["unit"] == "N"
     assert 0.0 < cause["parameters"]["offset"]["std"] < 5.0
+    low, high = cause["parameters"]["offset"]["ci95"]
+    assert low < OFFSET < high
+    assert cause["share"] == pytest.approx(1.0, abs=0.02)
+    assert set(result["remainder"]) <= STAGES
+    assert result["remainder"]["force_balance"]["nrmse"] == result["stages"]["force_balance"]["nrmse_after"]
     gain = result["gain"]
     assert gain["heldout_nrmse_after"] < 0.1 * gain["heldout_nrmse_before"]
     low, high = gain["ci95"]
