@@ -29,7 +29,8 @@ def since_sentence(found: Diagnosis) -> str:
     since = _since(found.baseline)
     if found.verdict == "consistent":
         judged = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if result.judged])
-        return f"Nothing has changed since {since}: {judged} differ by no more than noise and natural spread."
+        text = f"Nothing has changed since {since} that shows: {judged} differ by no more than noise and natural spread"
+        return f"{text}. The smallest changes that would have shown are listed under 'Sensitivity'."
     if found.verdict == "effect":
         said = listed([_change(found, index) for index in range(len(found.causes))])
         return f"Since {since}, there is a change: {said}."
