@@ -18,7 +18,7 @@ from ehls_ros.diagnosis.partial import partial_answer
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.remainder import Remainder, remainders
-from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis, Sensitivity, StageResult
+from ehls_ros.diagnosis.result import NAMING, ChannelTrace, Diagnosis, Sensitivity, StageResult
 from ehls_ros.diagnosis.search import search
 from ehls_ros.diagnosis.spectrum import spectral_lines
 from ehls_ros.diagnosis.stage_results import Nrmse, not_recorded, stage_result
@@ -80,7 +80,7 @@ def diagnose(
     if answer is not None:
         verdict, named = "partial", causes(answer.evidence, answer.found, seed, most=rules.IMPERFECT)
         model = extended(rig, best.hypothesis, best.fit.values)
-    names = verdict in ("effect", "partial")
+    names = verdict in NAMING
     signals = signals_along(evidence.comparison(), model)
     stages = _stage_results(known, best, findings, signals)
     return Diagnosis(

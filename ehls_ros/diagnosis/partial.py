@@ -48,12 +48,12 @@ def partial_answer(
     """
     if not found.best.names:
         return None
-    known = allowing(evidence, found.best.held_out.residuals.values)
+    known = remainder_as_noise(evidence, found.best.held_out.residuals.values)
     again = search(known, tried, threads, progress, found.best.fit)
     return PartialAnswer(known, again) if again.best.names and worthwhile(known, again.best) else None
 
 
-def allowing(evidence: Evidence, left: Mapping[Channel, Array]) -> Evidence:
+def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evidence:
     """Return the comparison with what a hypothesis leaves counted as noise, channel by channel.
 
     Args:

@@ -11,6 +11,9 @@ from ehls_ros.physics.rig import Rig
 
 Verdict = Literal["consistent", "effect", "partial", "unknown", "insufficient"]
 
+NAMING: tuple[Verdict, ...] = ("effect", "partial")
+"""Verdicts that name causes."""
+
 
 class StageResult(NamedTuple):
     """How one stage of the model does.
@@ -264,4 +267,4 @@ class Diagnosis:
     @property
     def names_causes(self) -> bool:
         """Whether causes are named, with or without a remainder that they do not explain."""
-        return self.verdict in ("effect", "partial")
+        return self.verdict in NAMING

@@ -31,7 +31,6 @@ TITLES = {
 
 SINCE = {
     "effect": "What has changed",
-    "partial": "What has changed",
     "unknown": "Something has changed, the cause unknown",
     "consistent": "Nothing has changed",
     "insufficient": "The data are insufficient",

@@ -9,11 +9,12 @@ from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import page
+from ehls_ros.report.diagnosis_figures import curve
 from ehls_ros.report.diagnosis_findings import CHANNEL_NAMES, STAGE_NAMES, parameters_text, words
 from ehls_ros.report.diagnosis_units import estimate, percent, quantity, shown_signal, unit_for
 from ehls_ros.report.diagnosis_views import BINS, NATURAL, classes, explained
 from ehls_ros.report.page import Entry, Panel, Row, listed, number
-from ehls_ros.report.plot import BLACK, BLUE, GREY, VERMILION, Axis, Trace, Unit, packed, plane_layout
+from ehls_ros.report.plot import BLACK, BLUE, GREY, VERMILION, Axis, Trace, packed, plane_layout
 
 OLD, NEW, OWN = "baseline", "new recording", "the rig's own remainder, as learnt, at the new recording's points"
 
@@ -73,7 +74,7 @@ def side_by_side(found: Diagnosis, baseline: BaselineSummary, channel: Channel) 
     unit = unit_for(new.unit, float(np.quantile(np.abs(np.concatenate([old.before, new.before])), 0.98)))
     traces: list[Trace] = []
     for trace, name, color in ((old, OLD, GREY), (new, NEW, VERMILION)):
-        x = shown_signal(signal, _values(trace, signal)).values
+        x = shown_signal(signal, trace.against[signal]).values
         thinned = slice(None, None, max(1, -(-len(x) // POINTS)))
         marker = {"color": color, "size": 3.5, "opacity": 0.3}
         dots = {"type": "scatter", "mode": "markers", "name": name, "marker": marker, "hoverinfo": "skip"}
@@ -83,10 +84,11 @@ def side_by_side(found: Diagnosis, baseline: BaselineSummary, channel: Channel) 
         (new, new.before, f"mean, {NEW}", VERMILION),
         (new, new.before - new.after, OWN, BLUE),
     ):
-        x = shown_signal(signal, _values(trace, signal)).values
+        x = shown_signal(signal, trace.against[signal]).values
         means, middles, _ = classes(x, residual * unit.factor, BINS)
-        traces.append(_line(middles, means, name, unit, color))
-    both = np.concatenate([_values(old, signal), _values(new, signal)])
+        line = {"color": color, "width": 2.2, "dash": "dash" if name == OWN else "solid"}
+        traces.append(curve(middles, means, name, unit, color) | {"line": line})
+    both = np.concatenate([old.against[signal], new.against[signal]])
     shown = shown_signal(signal, both)
     span = _span([old.before * unit.factor, new.before * unit.factor])
     layout = plane_layout(
@@ -98,28 +100,10 @@ def side_by_side(found: Diagnosis, baseline: BaselineSummary, channel: Channel) 
     return Panel("Old and new", traces, layout, note, height=460, over_time=False)
 
 
-def _line(x: Array, y: Array, name: str, unit: Unit, color: str) -> Trace:
-    shown = f"%{{y:,.4~g}} {unit.symbol}<extra></extra>"
-    line = {"color": color, "width": 2.2, "dash": "dash" if name == OWN else "solid"}
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": packed(x),
-        "y": packed(y),
-        "name": name,
-        "line": line,
-        "hovertemplate": shown,
-    }
-
-
 def _span(residuals: Sequence[Array]) -> tuple[float, float]:
     low, high = (float(np.quantile(np.concatenate(residuals), part)) for part in (0.002, 0.998))
     air = 0.1 * (high - low) or 1.0
     return low - air, high + air
-
-
-def _values(trace: ChannelTrace, signal: str) -> Array:
-    return trace.against[signal]
 
 
 def _main_channel(found: Diagnosis, baseline: BaselineSummary) -> Channel | None:

@@ -76,7 +76,7 @@ def residual_against(found: Diagnosis, view: View, title: str) -> Panel:
         traces.append(_cloud(x.values[kept], (residual * sign)[kept] * unit.factor, name, unit, color))
     for residual, name, color in residuals:
         means, middles, _ = classes(x.values, residual * sign * unit.factor, BINS)
-        traces.append(_curve(middles, means, f"mean, {name}", unit, color) | {"showlegend": False})
+        traces.append(curve(middles, means, f"mean, {name}", unit, color) | {"showlegend": False})
     quantity = f"{CHANNEL_SHORT[view.channel]}: residual{' along the motion' if view.along else ''}"
     layout = plane_layout(
         Axis(x.quantity, x.unit, _whole(x.values)), Axis(quantity, unit, _span([r * sign * unit.factor for r, *_ in residuals]))
@@ -139,7 +139,8 @@ def _cloud(x: Array, y: Array, name: str, unit: Unit, color: str) -> Trace:
     }
 
 
-def _curve(x: Array, y: Array, name: str, unit: Unit, color: str) -> Trace:
+def curve(x: Array, y: Array, name: str, unit: Unit, color: str) -> Trace:
+    """Return a line over a signal, in a darker shade of its color."""
     return {
         "type": "scatter",
         "mode": "lines",
@@ -259,11 +260,11 @@ def _small(
             "hoverinfo": "skip",
             **axes,
         }
-        out += [band, _curve(middles, mean, name, unit, color) | axes | {"showlegend": number_of == 1, "legendgroup": name}]
+        out += [band, curve(middles, mean, name, unit, color) | axes | {"showlegend": number_of == 1, "legendgroup": name}]
         out[-1]["line"] = {"color": color, "width": 1.8}
     for sign in (1.0, -1.0):
         out.append(
-            _curve(middles, sign * noise, FLOOR, unit, GREEN)
+            curve(middles, sign * noise, FLOOR, unit, GREEN)
             | axes
             | {"line": {"color": GREEN, "width": 1.0, "dash": "dash"}, "showlegend": number_of == 1 and sign > 0.0}
             | {"legendgroup": FLOOR, "hoverinfo": "skip"}
@@ -279,7 +280,7 @@ def _spectra(
     for residual, name, color in (*residuals, (trace.noise, FLOOR, GREEN)):
         frequency, density = spectrum(trace.time, residual * unit.factor)
         largest, smallest = max(largest, float(density.max())), min(smallest, float(np.quantile(density, 0.02)))
-        line = _curve(frequency, density, name, unit, color)
+        line = curve(frequency, density, name, unit, color)
         width = {"color": color, "width": 1.4, "dash": "dash" if color == GREEN else "solid"}
         out.append(line | {"line": width, "xaxis": f"x{number_of}", "yaxis": f"y{number_of}", "showlegend": False})
     low = max(0.7 * smallest, 1e-6 * largest, 1e-12)

@@ -11,7 +11,7 @@ from ehls_ros.diagnosis.causes import causes
 from ehls_ros.diagnosis.evidence import Residuals
 from ehls_ros.diagnosis.held_out import Assessment, HeldOut
 from ehls_ros.diagnosis.loss import power
-from ehls_ros.diagnosis.partial import allowing, closed, correlated, worthwhile
+from ehls_ros.diagnosis.partial import closed, correlated, remainder_as_noise, worthwhile
 from ehls_ros.diagnosis.search import Place, Searched, inflations
 
 WINDOWS = 4000
@@ -45,7 +45,7 @@ def test_what_cannot_be_correlated_counts_once():
 def test_what_remains_is_counted_as_noise_and_nothing_else_changes(rng):
     e = 5.0 * autoregressive(rng, 0.8, WINDOWS)
     evidence = evidence_of({"force": 3.0 * e, "volume": rng.standard_normal(WINDOWS)})
-    known = allowing(evidence, {"force": e, "volume": evidence.base.values["volume"]})
+    known = remainder_as_noise(evidence, {"force": e, "volume": evidence.base.values["volume"]})
     # 5 beside noise of 1.
     assert power(e * evidence.floor["force"] / known.floor["force"]) == pytest.approx(1.0, abs=0.05)
     assert known.correlation["force"] == pytest.approx(9.0, rel=0.4)
@@ -92,7 +92,7 @@ def test_what_only_fits_the_form_of_the_remainder_is_not_a_cause(rng):
 
     first, second, less = judged(evidence)
     assert (first, second) == (True, True)
-    first, second, _ = judged(allowing(evidence, less.held_out.residuals.values))
+    first, second, _ = judged(remainder_as_noise(evidence, less.held_out.residuals.values))
     assert (first, second) == (True, False)
 
 
