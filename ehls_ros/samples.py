@@ -59,7 +59,12 @@ def noise(values: Array) -> float:
     The mean square without the largest differences is used rather than the median, which is zero for a quantised signal at
     rest.
     """
-    differences = np.abs(np.diff(values, 3))
+    return noise_of(np.diff(values, 3))
+
+
+def noise_of(third_differences: Array) -> float:
+    """Return the same from some of the third differences, wherever they were taken."""
+    differences = np.abs(third_differences)
     if not differences.size:
         return 0.0
     kept = differences[differences <= np.quantile(differences, KEPT)]

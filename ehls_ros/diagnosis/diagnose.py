@@ -13,6 +13,7 @@ from ehls_ros.diagnosis.excitation import excited, sensitivities, sliding
 from ehls_ros.diagnosis.gain import gain
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
+from ehls_ros.diagnosis.measurement import beyond_measurement
 from ehls_ros.diagnosis.missing_signals import merged
 from ehls_ros.diagnosis.partial import partial_answer
 from ehls_ros.diagnosis.pool import Progress
@@ -37,7 +38,7 @@ def diagnose(
     seed: int = 0,
     threads: int | None = None,
     progress: Progress = lambda doing, part: None,
-    judge: Callable[[Evidence], Evidence] = lambda evidence: evidence,
+    judge: Callable[[Evidence], Evidence] = beyond_measurement,
 ) -> Diagnosis:
     """Find what a rig's model gets wrong.
 
@@ -74,7 +75,7 @@ def diagnose(
     named = causes(evidence, found, seed)
     verdict, unknown = decide(findings, [cause.stage for cause in named])
     # Beside baselines, what the rig's own form leaves is allowed for already.
-    alone = verdict == "unknown" and not evidence.allowed
+    alone = verdict == "unknown"
     answer = partial_answer(evidence, found, tried, workers, progress) if alone else None
     known, best = (evidence, found.best) if answer is None else (answer.evidence, answer.found.best)
     if answer is not None:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.allowance import Allowance, Allowed
 from ehls_ros.diagnosis.loss import loss
-from ehls_ros.diagnosis.noise import largest_terms, scatter, with_noise
+from ehls_ros.diagnosis.noise import deviations, largest_terms, scatter, with_noise
 from ehls_ros.diagnosis.record import POSITION, VELOCITY, Record
 from ehls_ros.diagnosis.resolution import coarseness
 from ehls_ros.diagnosis.stages import Channel, Comparison, Setup, usable
@@ -37,38 +38,6 @@ class Residuals(NamedTuple):
     def joined(self, channels: Sequence[Channel]) -> Array:
         """Return the residuals of some channels in one array, channel after channel."""
         return np.concatenate([self.values[c] for c in channels]) if channels else np.empty(0)
-
-
-class Allowance(NamedTuple):
-    """What a channel's residual is expected to be without any fault, and how far it may vary around that.
-
-    Attributes:
-        mean: expected residual of each usable window, in the channel's unit, shape (n,).
-        directions: factor of the covariance of what may vary for all windows together, in the channel's unit, shape (n, m).
-        variance: of what varies beside that from window to window, in the square of the channel's unit, shape (n,).
-    """
-
-    mean: Array
-    directions: Array
-    variance: Array
-
-
-class Allowed(NamedTuple):
-    """An allowance as whitened residuals need it.
-
-    Attributes:
-        mean: expected residual, in the channel's unit, shape (n,).
-        basis: orthonormal directions that may vary, of residuals divided by their floor, shape (n, m).
-        reduced: fraction by which a residual is reduced along each, so that its variance is 1, shape (m,).
-    """
-
-    mean: Array
-    basis: Array
-    reduced: Array
-
-    def whitened(self, e: Array) -> Array:
-        """Return residuals divided by their floor with less weight on the directions that may vary."""
-        return e - self.basis @ (self.reduced * (self.basis.T @ e))
 
 
 @dataclass(frozen=True)
@@ -93,7 +62,8 @@ class Evidence:
         correlation: by channel, the number of windows over which residuals are alike; their losses count as those of so many
             fewer. Windows of noise alone count one by one.
         imperfect: whether every stage of the model is taken to be off in its form, not only where causes act.
-        allowed: what is allowed for without any fault, by channel; empty where a recording is judged by itself.
+        allowances: what is allowed for without any fault, by channel.
+        allowed: the same as whitened residuals need it.
         judge: makes the same allowances for evidence from a part of the recording.
     """
 
@@ -113,6 +83,7 @@ class Evidence:
     travel: float
     correlation: Mapping[Channel, float] = field(default_factory=dict)
     imperfect: bool = False
+    allowances: Mapping[Channel, Allowance] = field(default_factory=dict, repr=False)
     allowed: Mapping[Channel, Allowed] = field(default_factory=dict, repr=False)
     judge: "Callable[[Evidence], Evidence] | None" = field(default=None, repr=False)
 
@@ -134,6 +105,10 @@ class Evidence:
         changed = tuple(c for c in self.channels if now[c] != reused.depends[c])
         fresh = whitened(comparison.residuals(rig, changed), self.masks, self.floor, self.allowed) if changed else {}
         return Residuals({c: fresh[c] if c in changed else reused.values[c] for c in self.channels}, now)
+
+    def whole(self, channel: Channel, e: Array) -> Array:
+        """Return a channel's whitened residuals with what is allowed for in full, in units of the noise floor."""
+        return self.allowed[channel].whole(e) if channel in self.allowed else e
 
     def averaged_noise(
         self, comparison: Comparison, rig: Rig, residuals: Residuals, channels: Sequence[Channel]
@@ -178,7 +153,8 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int) -> Evidence:
     masks = {channel: usable(comparison, channel) for channel in setup.channels}
     channels: tuple[Channel, ...] = tuple(c for c in setup.channels if np.any(masks[c]))
     raw = comparison.residuals(rig, channels)
-    deviation = scatter(comparison, rig, raw, seed)
+    noise = deviations(record)
+    deviation = scatter(comparison, rig, raw, noise, seed)
     sizes = largest_terms(comparison, rig)
     tolerance = rules.TOLERANCE * coarseness(record)
     floor = {c: np.sqrt(deviation[c][masks[c]] ** 2 + (tolerance * sizes[c]) ** 2) for c in channels}
@@ -191,7 +167,7 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int) -> Evidence:
         block[c] = np.minimum(starts * blocks // len(record.time), blocks - 1)
         times[c] = record.time[np.minimum(starts + window.weights.size // 2, len(record.time) - 1)]
     base = whitened(raw, masks, floor)
-    noisy_record = with_noise(record, np.random.default_rng(seed + 1))
+    noisy_record = with_noise(record, noise, np.random.default_rng(seed + 1))
     noisy = whitened(Comparison(noisy_record, setup).residuals(rig, channels), masks, floor)
     moving = POSITION in record or VELOCITY in record
     return Evidence(
@@ -221,27 +197,22 @@ def allowing(evidence: Evidence, allowances: Mapping[Channel, Allowance], judge:
         judge: makes the same allowances for evidence from a part of the recording.
     """
     channels = tuple(c for c in evidence.channels if c in allowances)
-    allowed, floor = dict[Channel, Allowed](), dict[Channel, Array]()
-    for c in channels:
-        given = allowances[c]
-        floor[c] = np.sqrt(evidence.floor[c] ** 2 + given.variance)
-        directions = given.directions / floor[c][:, None]
-        squares, along = np.linalg.eigh(directions.T @ directions)
-        kept = squares > rules.LEAST_ALLOWED
-        basis = directions @ along[:, kept] / np.sqrt(squares[kept])
-        allowed[c] = Allowed(given.mean, basis, 1.0 - 1.0 / np.sqrt(1.0 + squares[kept]))
-    before = {c: evidence.base.values[c] * evidence.floor[c] for c in channels}
-    base = {c: allowed[c].whitened((before[c] - allowed[c].mean) / floor[c]) for c in channels}
-    noise = {c: allowed[c].whitened(evidence.noise[c] * evidence.floor[c] / floor[c]) for c in channels}
-    return replace(
-        evidence,
-        channels=channels,
-        floor=floor,
-        base=Residuals(base, evidence.base.depends),
-        noise=noise,
-        allowed=allowed,
-        judge=judge,
-    )
+    floor = {c: np.sqrt(evidence.floor[c] ** 2 + allowances[c].variance) for c in channels}
+    return measured_in(replace(evidence, channels=channels, allowances=allowances, judge=judge), floor)
+
+
+def measured_in(evidence: Evidence, floor: Mapping[Channel, Array]) -> Evidence:
+    """Return evidence in units of another noise floor, with its allowances."""
+    allowed = {c: a.whitening(floor[c]) for c, a in evidence.allowances.items() if c in floor}
+    base, noise = dict[Channel, Array](), dict[Channel, Array]()
+    for c in evidence.channels:
+        e, n = (evidence.whole(c, part[c]) * evidence.floor[c] for part in (evidence.base.values, evidence.noise))
+        if c in allowed:
+            was = evidence.allowed[c].mean if c in evidence.allowed else 0.0
+            base[c], noise[c] = allowed[c].whitened((e + was - allowed[c].mean) / floor[c]), allowed[c].whitened(n / floor[c])
+        else:
+            base[c], noise[c] = e / floor[c], n / floor[c]
+    return replace(evidence, floor=floor, base=Residuals(base, evidence.base.depends), noise=noise, allowed=allowed)
 
 
 def whitened(

@@ -1,45 +1,105 @@
 """What the sensors' noise does to each residual, found by adding more of it to the recording."""
 
+import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.record import COMMAND, LOAD, SERVO_POSITION, SERVO_VELOCITY, Record
+from ehls_ros.diagnosis.record import COMMAND, HELD, LOAD, SERVO_POSITION, SERVO_VELOCITY, Record
 from ehls_ros.diagnosis.stages import Channel, Comparison
 from ehls_ros.physics.rig import Rig
+from ehls_ros.samples import noise_of
 
 EXACT = (COMMAND, LOAD, SERVO_POSITION, SERVO_VELOCITY)
 """Signals that are commanded, not measured, unless the record says otherwise: they carry no sensor noise."""
 
 
-def with_noise(record: Record, rng: np.random.Generator) -> Record:
-    """Return the record with as much noise added as its sensors have."""
-    noisy = {
-        name: values
-        if name in EXACT and name not in record.measured
-        else values + record.noise[name] * rng.standard_normal(len(values))
-        for name, values in record.signals.items()
+def deviations(record: Record) -> dict[str, Array]:
+    """Return the standard deviation of each sample's noise, by signal, shape (n,).
+
+    Where the moments of sampling jitter, noise grows with the signal's rate. That is read off the signals that move fast beside
+    their noise; in others, third differences hold more than noise, and no more is taken for jitter than those have.
+    """
+    exact = {name for name in EXACT if name not in record.measured}
+    sampling = {
+        name: _sampling(values) for name, values in record.signals.items() if name not in HELD and name not in record.own
     }
+    most = max((found.jitter for found in sampling.values() if found.clear), default=0.0)
+    out = {}
+    for name, values in record.signals.items():
+        level, jitter = 0.0 if name in exact else record.noise[name], 0.0
+        found = sampling.get(name)
+        if found is not None and most > 0.0:
+            jitter = found.jitter if found.clear else min(found.jitter, most)
+            level = min(level, found.steady) if jitter > 0.0 else level
+        out[name] = np.hypot(level, jitter * np.gradient(values))
+    return out
+
+
+class Sampling(NamedTuple):
+    """What a signal says of how it was sampled.
+
+    Attributes:
+        jitter: standard deviation of the moments of sampling, in sampling periods; 0 where none shows.
+        steady: standard deviation of the noise that does not grow with the signal's rate.
+        clear: whether the signal moves fast enough beside its noise to tell.
+    """
+
+    jitter: float
+    steady: float
+    clear: bool
+
+
+def _sampling(values: Array) -> Sampling:
+    """Tell noise that grows with a signal's rate from the rest."""
+    rate = np.gradient(values)
+    speed = 0.5 * np.abs(rate[1:-2] + rate[2:-1])
+    fast, slow = speed >= np.quantile(speed, rules.FAST_SAMPLES), speed <= np.quantile(speed, rules.SLOW_SAMPLES)
+    quickly, slowly = (float(np.mean(speed[part] ** 2)) for part in (fast, slow))
+    differences = np.diff(values, 3)
+    more, less = (noise_of(differences[part]) ** 2 for part in (fast, slow))
+    if quickly <= slowly:
+        return Sampling(0.0, math.sqrt(less), clear=False)
+    jitter = min(math.sqrt(max(more - less, 0.0) / (quickly - slowly)), rules.MOST_JITTER)
+    clear = quickly > rules.FAST_RATE**2 * less
+    if jitter < rules.LEAST_JITTER:
+        return Sampling(0.0, math.sqrt(less), clear)
+    return Sampling(jitter, math.sqrt(max(less - jitter**2 * slowly, 0.0)), clear)
+
+
+def with_noise(record: Record, deviation: Mapping[str, Array], rng: np.random.Generator) -> Record:
+    """Return the record with as much noise added as its sensors have.
+
+    Args:
+        record: the recording.
+        deviation: of each sample's noise, by signal, as :func:`deviations` gives it.
+        rng: the source of the noise.
+    """
+    noisy = {name: values + deviation[name] * rng.standard_normal(len(values)) for name, values in record.signals.items()}
     return record._replace(signals=noisy)
 
 
-def scatter(comparison: Comparison, rig: Rig, raw: Mapping[Channel, Array], seed: int) -> dict[Channel, Array]:
+def scatter(
+    comparison: Comparison, rig: Rig, raw: Mapping[Channel, Array], deviation: Mapping[str, Array], seed: int
+) -> dict[Channel, Array]:
     """Return the standard deviation of each window's residual that is no error of the model, by channel.
 
     Args:
         comparison: of the recording.
         rig: the given model.
         raw: its residuals, in each channel's unit.
+        deviation: of each sample's noise, by signal.
         seed: of the noise that is added.
     """
     rng = np.random.default_rng(seed)
     record, channels = comparison.record, tuple(raw)
     squares = {c: np.zeros(len(raw[c])) for c in channels}
     for _ in range(rules.REALISATIONS):
-        again = Comparison(with_noise(record, rng), comparison.setup).residuals(rig, channels)
+        again = Comparison(with_noise(record, deviation, rng), comparison.setup).residuals(rig, channels)
         for c in channels:
             squares[c] += (again[c] - raw[c]) ** 2
     led: Mapping[Channel, Array] = raw

@@ -13,7 +13,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.evidence import Evidence, Residuals
+from ehls_ros.diagnosis.evidence import Evidence, measured_in
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate
 from ehls_ros.diagnosis.loss import power
@@ -66,15 +66,7 @@ def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evi
         beyond = max(0.0, power(remains) - power(noise))
         floor[c] = np.sqrt(evidence.floor[c] ** 2 + beyond)
         correlation[c] = correlated(remains) if beyond > power(noise) else 1.0
-    finer = {c: evidence.floor[c] / floor[c] for c in evidence.channels}
-    return replace(
-        evidence,
-        floor=floor,
-        base=Residuals({c: e * finer[c] for c, e in evidence.base.values.items()}, evidence.base.depends),
-        noise={c: e * finer[c] for c, e in evidence.noise.items()},
-        correlation=correlation,
-        imperfect=True,
-    )
+    return replace(measured_in(evidence, floor), correlation=correlation, imperfect=True)
 
 
 def correlated(e: Array) -> float:

@@ -488,13 +488,13 @@ def _friction_known(comparison: Comparison) -> Mask:
 
 NEEDED: Mapping[Channel, tuple[str, ...]] = {
     "spool": (SPOOL, COMMAND),
-    "volume": (SPOOL, PRESSURE, FORCE, POSITION, VELOCITY),
+    "volume": (POSITION, VELOCITY, SPOOL, PRESSURE, FORCE),
     "supply": (SUPPLY,),
-    "force": (PRESSURE, FORCE, POSITION, VELOCITY, LOAD),
+    "force": (POSITION, VELOCITY, PRESSURE, FORCE, LOAD),
     "cell": (PRESSURE, FORCE),
     "velocity": (POSITION, VELOCITY),
 }
-"""Signals whose gaps make a hole in a channel."""
+"""Signals whose gaps make a hole in a channel; first those whose noise its residual shows most."""
 
 
 def usable(comparison: Comparison, channel: Channel) -> Mask:

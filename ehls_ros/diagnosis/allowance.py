@@ -1,0 +1,82 @@
+"""What is allowed for without any fault: an expectation, and directions in which a residual may vary around it.
+
+An allowance is a normal prior on what is nobody's fault: a skew between two channels, the natural spread of a healthy rig. It is
+marginalised once: along its directions, residuals are reduced so that their variance is 1. Every hypothesis is then compared
+by residuals of unit variance, and gains nothing from what is allowed for.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+
+
+class Allowance(NamedTuple):
+    """What a channel's residual is expected to be without any fault, and how far it may vary around that.
+
+    Attributes:
+        mean: expected residual of each usable window, in the channel's unit, shape (n,).
+        directions: factor of the covariance of what may vary for all windows together, in the channel's unit, shape (n, m).
+        variance: of what varies beside that from window to window, in the square of the channel's unit, shape (n,).
+        most: standard deviations beyond which a variation counts in full.
+    """
+
+    mean: Array
+    directions: Array
+    variance: Array
+    most: float = math.inf
+
+    def whitening(self, floor: Array) -> "Allowed":
+        """Return the allowance as residuals divided by a floor need it.
+
+        Args:
+            floor: noise floor of each window, the allowance's own variance included, shape (n,).
+        """
+        directions = self.directions / floor[:, None]
+        squares, along = np.linalg.eigh(directions.T @ directions)
+        kept = squares > rules.LEAST_ALLOWED
+        basis = directions @ along[:, kept] / np.sqrt(squares[kept])
+        return Allowed(self.mean, basis, np.sqrt(1.0 + squares[kept]), self.most)
+
+
+class Allowed(NamedTuple):
+    """An allowance as whitened residuals need it.
+
+    Attributes:
+        mean: expected residual, in the channel's unit, shape (n,).
+        basis: orthonormal directions that may vary, of residuals divided by their floor, shape (n, m).
+        deviations: standard deviation of a residual along each, noise included, shape (m,).
+        most: standard deviations beyond which a variation counts in full.
+    """
+
+    mean: Array
+    basis: Array
+    deviations: Array
+    most: float
+
+    def whitened(self, e: Array) -> Array:
+        """Return residuals divided by their floor with less weight on what is allowed for."""
+        along = self.basis.T @ e
+        within = np.clip(along, -self.most * self.deviations, self.most * self.deviations)
+        reduced: Array = e - self.basis @ (within - within / self.deviations)
+        return reduced
+
+    def whole(self, e: Array) -> Array:
+        """Return residuals with what the whitening took off again."""
+        along = np.clip(self.basis.T @ e, -self.most, self.most)
+        full: Array = e + self.basis @ (along * self.deviations - along)
+        return full
+
+
+def together(allowances: Sequence[Allowance]) -> Allowance:
+    """Return what several independent allowances make together; it is bounded only if all are."""
+    return Allowance(
+        np.sum([a.mean for a in allowances], axis=0),
+        np.hstack([a.directions for a in allowances]),
+        np.sum([a.variance for a in allowances], axis=0),
+        max(a.most for a in allowances),
+    )
