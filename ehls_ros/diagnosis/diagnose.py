@@ -13,12 +13,12 @@ from ehls_ros.diagnosis.excitation import excited, sensitivities, sliding
 from ehls_ros.diagnosis.gain import gain
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
-from ehls_ros.diagnosis.measurement import beyond_measurement
+from ehls_ros.diagnosis.measurement import allowed_for, beyond_measurement
 from ehls_ros.diagnosis.missing_signals import merged
 from ehls_ros.diagnosis.partial import partial_answer
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import Record, prepare
-from ehls_ros.diagnosis.remainder import Remainder, remainders
+from ehls_ros.diagnosis.remainder import Remainder, in_full, remainders
 from ehls_ros.diagnosis.result import NAMING, ChannelTrace, Diagnosis, Sensitivity, StageResult
 from ehls_ros.diagnosis.search import search
 from ehls_ros.diagnosis.spectrum import spectral_lines
@@ -49,7 +49,7 @@ def diagnose(
         seed: of the noise added to find the noise floor, and of resampling.
         threads: hypotheses tried at once; by default one for each processor.
         progress: called with what is being done and the fraction of the diagnosis that is done.
-        judge: makes the allowances a recording is judged with; by default none but the noise's.
+        judge: makes the allowances a recording is judged with; by default those for what the measurement may add.
 
     Returns:
         The diagnosis.
@@ -71,18 +71,20 @@ def diagnose(
     found = search(evidence, tried, workers, progress)
     model = extended(rig, found.best.hypothesis, found.best.fit.values)
     sizes = sensitivities(evidence, found.screened)
-    findings = _findings(evidence, sizes, remainders(evidence, found))
-    named = causes(evidence, found, seed)
+    seen, told = in_full(evidence, found)
+    findings = _findings(seen, sizes, remainders(seen, told))
+    named = causes(seen, told, seed)
     verdict, unknown = decide(findings, [cause.stage for cause in named])
     # Beside baselines, what the rig's own form leaves is allowed for already.
-    alone = verdict == "unknown"
+    alone = verdict == "unknown" and not evidence.against_baselines
     answer = partial_answer(evidence, found, tried, workers, progress) if alone else None
-    known, best = (evidence, found.best) if answer is None else (answer.evidence, answer.found.best)
+    known, best = (seen, told.best) if answer is None else (answer.evidence, answer.found.best)
     if answer is not None:
         verdict, named = "partial", causes(answer.evidence, answer.found, seed, most=rules.IMPERFECT)
         model = extended(rig, best.hypothesis, best.fit.values)
     names = verdict in NAMING
     signals = signals_along(evidence.comparison(), model)
+    said = allowed_for(known, best.held_out.residuals.values)
     stages = _stage_results(known, best, findings, signals)
     return Diagnosis(
         verdict=verdict,
@@ -95,10 +97,10 @@ def diagnose(
         gain=gain(known, best, seed) if names else None,
         rig=rig,
         extended=model if names else rig,
-        traces={c: _trace(evidence, signals, known.floor[c] * best.held_out.residuals.values[c], c) for c in evidence.channels},
+        traces={c: _trace(seen, signals, known.floor[c] * best.held_out.residuals.values[c], c) for c in evidence.channels},
         sensitivities=sizes,
         not_judged=not_tried,
-        remarks=(*record.remarks, *_incidents(findings), *merged(record.signals)),
+        remarks=(*record.remarks, said, *_incidents(findings), *merged(record.signals)),
         seed=seed,
         wall_s=time.perf_counter() - began,
     )
@@ -107,7 +109,7 @@ def diagnose(
 def _findings(evidence: Evidence, sizes: Sequence[Sensitivity], left: Sequence[Remainder]) -> dict[Stage, Finding]:
     slid = sliding(evidence)
     # What hides in the natural spread is no lack of the data.
-    telling = rules.TELLING_BESIDE_SPREAD if evidence.allowed else rules.TELLING
+    telling = rules.TELLING_BESIDE_SPREAD if evidence.against_baselines else rules.TELLING
     return {
         stage: Finding(tuple(item for item in left if CHANNELS[item.channel] == stage), excited(stage, sizes, slid, telling))
         for stage in STAGES

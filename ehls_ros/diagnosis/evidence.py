@@ -65,6 +65,7 @@ class Evidence:
         allowances: what is allowed for without any fault, by channel.
         allowed: the same as whitened residuals need it.
         judge: makes the same allowances for evidence from a part of the recording.
+        against_baselines: whether recordings of the rig from when it was well tell what to expect.
     """
 
     record: Record
@@ -86,6 +87,7 @@ class Evidence:
     allowances: Mapping[Channel, Allowance] = field(default_factory=dict, repr=False)
     allowed: Mapping[Channel, Allowed] = field(default_factory=dict, repr=False)
     judge: "Callable[[Evidence], Evidence] | None" = field(default=None, repr=False)
+    against_baselines: bool = False
 
     def comparison(self) -> Comparison:
         """Return a new comparison, one for each thread."""

@@ -7,7 +7,7 @@ by up to one of its samples, more so at the end than at the beginning or less, a
 channels is two allowances, so that an error in one stage does not spread to others through it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -15,8 +15,9 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.allowance import Allowance
 from ehls_ros.diagnosis.evidence import Evidence, allowing
+from ehls_ros.diagnosis.loss import power
 from ehls_ros.diagnosis.record import HELD, Record
-from ehls_ros.diagnosis.stages import NEEDED, Channel, Comparison
+from ehls_ros.diagnosis.stages import CHANNELS, NEEDED, Channel, Comparison, Stage
 
 
 def beyond_measurement(evidence: Evidence) -> Evidence:
@@ -45,6 +46,29 @@ def measurement(evidence: Evidence) -> dict[Channel, Allowance]:
             for c in seen:
                 off[c].append(higher[c] - evidence.base.values[c] * evidence.floor[c])
     return {c: _allowance(late[c], off[c], evidence.times[c]) for c in evidence.channels}
+
+
+def allowed_for(evidence: Evidence, left: Mapping[Channel, Array]) -> str:
+    """Say what was allowed for, and where it takes off more than noise.
+
+    Args:
+        evidence: the recording compared with the given model.
+        left: whitened residuals of the model with the causes.
+    """
+    record = evidence.record
+    samples = [1e3 * pick(record.sampled(signal) for signal in record.signals) for pick in (min, max)]
+    sample = " to ".join(f"{value:.3g}" for value in dict.fromkeys(samples))
+    said = (
+        f"allowed for: signals late or early by up to a sample ({sample} ms) against each other, and drifting;"
+        f" zeros off by up to {100.0 * rules.MOST_ALLOWED * rules.OFFSET:.2g} % of their signals"
+    )
+    explained = dict[Stage, float]()
+    for c, e in left.items():
+        taken = evidence.whole(c, e) - e
+        if power(taken) > power(evidence.noise[c]):
+            explained[CHANNELS[c]] = max(explained.get(CHANNELS[c], 0.0), evidence.nrmse(c, taken))
+    parts = [f"{100.0 * part:.2g} % in the {stage.replace('_', ' ')}" for stage, part in explained.items()]
+    return f"{said}; that explains {', '.join(parts)}" if parts else said
 
 
 def _allowance(late: Sequence[Array], off: Sequence[Array], times: Array) -> Allowance:

@@ -1,16 +1,19 @@
 """What a healthy rig leaves and how far it varies without fault, learnt on baselines; evidence judged against that."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.allowance import Allowance, together
 from ehls_ros.diagnosis.coefficients import Term, terms
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.discrepancy import Expected, Learnt, Windows, learn
-from ehls_ros.diagnosis.evidence import Allowance, Evidence, allowing
+from ehls_ros.diagnosis.evidence import Evidence, allowing
+from ehls_ros.diagnosis.measurement import measurement
 from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Channel
 
@@ -96,11 +99,12 @@ class Natural(NamedTuple):
 
     def judged_by(self, evidence: Evidence, expected: Mapping[Channel, Expected]) -> Evidence:
         """Return the same with the expectation given."""
-        allowances = {}
+        allowances, measured = {}, measurement(evidence)
         for c, healthy in expected.items():
             size = self.channels[c].size
-            allowances[c] = Allowance(healthy.mean * size, healthy.directions * size, healthy.variance * size**2)
-        return allowing(evidence, allowances, self.judged)
+            natural = Allowance(healthy.mean * size, healthy.directions * size, healthy.variance * size**2)
+            allowances[c] = together([natural, measured[c]])
+        return replace(allowing(evidence, allowances, self.judged), against_baselines=True)
 
 
 def learn_natural(baselines: Sequence[Evidence]) -> Natural:

@@ -79,7 +79,10 @@ def with_noise(record: Record, deviation: Mapping[str, Array], rng: np.random.Ge
         deviation: of each sample's noise, by signal, as :func:`deviations` gives it.
         rng: the source of the noise.
     """
-    noisy = {name: values + deviation[name] * rng.standard_normal(len(values)) for name, values in record.signals.items()}
+    noisy = {
+        name: values + deviation[name] * rng.standard_normal(len(values)) if np.any(deviation[name]) else values
+        for name, values in record.signals.items()
+    }
     return record._replace(signals=noisy)
 
 

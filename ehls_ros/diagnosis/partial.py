@@ -18,6 +18,7 @@ from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate
 from ehls_ros.diagnosis.loss import power
 from ehls_ros.diagnosis.pool import Progress
+from ehls_ros.diagnosis.remainder import in_full
 from ehls_ros.diagnosis.search import Searched, search
 from ehls_ros.diagnosis.stages import Channel
 
@@ -49,7 +50,7 @@ def partial_answer(
     if not found.best.names:
         return None
     known = remainder_as_noise(evidence, found.best.held_out.residuals.values)
-    again = search(known, tried, threads, progress, found.best.fit)
+    known, again = in_full(known, search(known, tried, threads, progress, found.best.fit))
     return PartialAnswer(known, again) if again.best.names and worthwhile(known, again.best) else None
 
 

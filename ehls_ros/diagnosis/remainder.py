@@ -1,6 +1,7 @@
 """What remains of each channel's residual with the causes named: noise, an incident, or an error that no cause explains."""
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,11 +10,11 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import mostly_in
-from ehls_ros.diagnosis.evidence import Evidence, noise_power
+from ehls_ros.diagnosis.evidence import Evidence, Residuals, noise_power
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate, parts
 from ehls_ros.diagnosis.loss import power
-from ehls_ros.diagnosis.search import Searched
+from ehls_ros.diagnosis.search import Place, Searched
 from ehls_ros.diagnosis.stages import Channel
 
 
@@ -155,6 +156,24 @@ def remainder_in(evidence: Evidence, best: Assessment, channel: Channel, *, imit
         changed=channel in best.held_out.gain,
         imitated=imitated,
     )
+
+
+def in_full(evidence: Evidence, found: Searched) -> tuple[Evidence, Searched]:
+    """Return what was compared and found with all allowances taken as the best hypothesis has them.
+
+    To be named, a delay or an offset must exceed what is allowed for, and residuals hold only what exceeds it. Once it is
+    named, what is wrong without it counts in full.
+    """
+    taken = {c: evidence.whole(c, e) - e for c, e in found.best.held_out.residuals.values.items()}
+
+    def full(residuals: Residuals) -> Residuals:
+        return residuals._replace(values={c: evidence.whole(c, e) - taken[c] for c, e in residuals.values.items()})
+
+    def seen(assessed: Assessment) -> Assessment:
+        return assessed._replace(held_out=assessed.held_out._replace(residuals=full(assessed.held_out.residuals)))
+
+    places = tuple(Place(seen(place.without), tuple(seen(rival) for rival in place.rivals)) for place in found.places)
+    return replace(evidence, base=full(evidence.base)), found._replace(places=places)
 
 
 def remainders(evidence: Evidence, found: Searched) -> tuple[Remainder, ...]:

@@ -238,7 +238,8 @@ FAST_SAMPLES: Annotated[
 ] = 0.75
 
 FAST_RATE: Annotated[
-    float, Rule("evidence", "1", "Rms rate of these samples, in the noise of the slow ones per sample, from which jitter is told.")
+    float,
+    Rule("evidence", "1", "Rms rate of these samples, in the noise of the slow ones per sample, from which jitter is told."),
 ] = 7.0
 
 LEAST_JITTER: Annotated[

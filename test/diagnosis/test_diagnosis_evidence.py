@@ -10,7 +10,7 @@ from plain_evidence import evidence_of
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Residuals, gather, sections, whitened
 from ehls_ros.diagnosis.loss import inflation, loss, power, weights
-from ehls_ros.diagnosis.noise import with_noise
+from ehls_ros.diagnosis.noise import deviations, with_noise
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import CHANNELS, setup
 from ehls_ros.trajectory import Trajectory
@@ -69,7 +69,7 @@ def test_the_noise_floor_is_that_of_two_averaged_sensors(rig, force_noise, press
 def test_commanded_signals_carry_no_noise(rig):
     t, signals = two_force_sensors(rig, 5.0, 1e3, seconds=1.0)
     record = prepare(Trajectory(t, signals | {"valve_command_m": 1e-4 * np.sin(t)}), rig, "it")
-    noisy = with_noise(record, np.random.default_rng(0))
+    noisy = with_noise(record, deviations(record), np.random.default_rng(0))
     np.testing.assert_array_equal(noisy.signals["valve_command_m"], record.signals["valve_command_m"])
     added = noisy.signals["force_n"] - record.signals["force_n"]
     assert np.std(added) == pytest.approx(record.noise["force_n"], rel=0.1)

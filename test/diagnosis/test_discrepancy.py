@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from plain_evidence import evidence_of
 
+from ehls_ros.diagnosis.allowance import Allowance
 from ehls_ros.diagnosis.discrepancy import Windows, learn
-from ehls_ros.diagnosis.evidence import Allowance, allowing
+from ehls_ros.diagnosis.evidence import allowing
 
 NOISE, SPREAD = 0.01, np.array([1e-3])
 
