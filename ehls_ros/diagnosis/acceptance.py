@@ -8,7 +8,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, noise_power
 from ehls_ros.diagnosis.held_out import Assessment
-from ehls_ros.diagnosis.loss import power
+from ehls_ros.diagnosis.loss import loss, power, weights
 from ehls_ros.diagnosis.stages import Channel
 
 
@@ -28,7 +28,7 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     elsewhere = rules.RELEVANT_ELSEWHERE if evidence.imperfect and less.names else rules.RELEVANT
     if gain < rules.NEEDED_GAIN or relevance(evidence, more, less) < (rules.RELEVANT_BESIDE if beside else elsewhere):
         return False
-    if not beside and not shows(apart):
+    if (not beside and not shows(apart)) or earned(evidence, more, less) < rules.EARNED:
         return False
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
     if beside and corrects_form(evidence.base.values[main], before, after, noise_power(evidence, main)):
@@ -56,6 +56,20 @@ def relevance(evidence: Evidence, more: Assessment, less: Assessment) -> float:
         rare = float(np.quantile(apart, rules.RARE_QUANTILE)) / rules.RARE_FACTOR
         largest = max(largest, float(np.sqrt(np.mean(apart**2))) / size, rare / size)
     return largest
+
+
+def earned(evidence: Evidence, more: Assessment, less: Assessment) -> float:
+    """Return what a hypothesis gains beyond another, as a fraction of what its change of the residuals could gain.
+
+    A change that is fitted to the residuals gains half its square. One that moves noise from window to window, as a delay does
+    that skews within their bounds make up for, gains or loses by chance, and little of that.
+    """
+    gained, changed = 0.0, 0.0
+    for c, difference in zip(evidence.channels, differences(evidence, more, less), strict=True):
+        before = less.fit.residuals.values[c]
+        gained += float(np.sum(loss(before) - loss(before + difference)))
+        changed += 0.5 * float(np.sum(weights(before) * difference**2))
+    return gained / changed if changed > 0.0 else 0.0
 
 
 def shows(apart: Sequence[Array]) -> bool:

@@ -487,6 +487,15 @@ RELEVANT_BESIDE: Annotated[
     Rule("search", "1", "The same where another cause already acts in the channel, whose form need not be exactly its file's."),
 ] = 1e-3
 
+EARNED: Annotated[
+    float,
+    Rule(
+        "search",
+        "1",
+        "Fraction of what a cause's change of the residuals could gain that it must gain; 1 where it is fitted and linear.",
+    ),
+] = 0.1
+
 SHOWN: Annotated[
     float,
     Rule("search", "1", "Rms change in units of the noise below which a cause may be an error of the noise floor itself."),
