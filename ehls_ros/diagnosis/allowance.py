@@ -62,14 +62,20 @@ class Allowed(NamedTuple):
         """Return residuals divided by their floor with less weight on what is allowed for."""
         along = self.basis.T @ e
         within = np.clip(along, -self.most * self.deviations, self.most * self.deviations)
-        reduced: Array = e - self.basis @ (within - within / self.deviations)
+        counted = within / self.deviations + (along - within) / self._beyond()
+        reduced: Array = e - self.basis @ (along - counted)
         return reduced
 
     def whole(self, e: Array) -> Array:
         """Return residuals with what the whitening took off again."""
-        along = np.clip(self.basis.T @ e, -self.most, self.most)
-        full: Array = e + self.basis @ (along * self.deviations - along)
+        counted = self.basis.T @ e
+        within = np.clip(counted, -self.most, self.most)
+        full: Array = e + self.basis @ (within * self.deviations + (counted - within) * self._beyond() - counted)
         return full
+
+    def _beyond(self) -> Array:
+        """Return by how much a variation is reduced beyond the standard deviations that are allowed for."""
+        return np.maximum(1.0, self.deviations / rules.EDGE)
 
 
 def together(allowances: Sequence[Allowance]) -> Allowance:

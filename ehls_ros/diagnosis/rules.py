@@ -296,6 +296,10 @@ MOST_ALLOWED: Annotated[
     Rule("evidence", "1", "Standard deviations of what the measurement may add beyond which it counts in full."),
 ] = 3.0
 
+EDGE: Annotated[
+    float, Rule("evidence", "1", "Multiple of what it counts within those that each further standard deviation counts beyond.")
+] = 30.0
+
 LEAST_ALLOWED: Annotated[
     float, Rule("evidence", "1", "Variance in units of the noise below which a direction is not allowed for.")
 ] = 0.01
