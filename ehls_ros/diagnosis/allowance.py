@@ -22,7 +22,7 @@ class Allowance(NamedTuple):
         mean: expected residual of each usable window, in the channel's unit, shape (n,).
         directions: factor of the covariance of what may vary for all windows together, in the channel's unit, shape (n, m).
         variance: of what varies beside that from window to window, in the square of the channel's unit, shape (n,).
-        most: standard deviations beyond which a variation counts in full.
+        most: standard deviations beyond which a variation counts :data:`rules.EDGE` times as much, or in full.
     """
 
     mean: Array
@@ -50,7 +50,7 @@ class Allowed(NamedTuple):
         mean: expected residual, in the channel's unit, shape (n,).
         basis: orthonormal directions that may vary, of residuals divided by their floor, shape (n, m).
         deviations: standard deviation of a residual along each, noise included, shape (m,).
-        most: standard deviations beyond which a variation counts in full.
+        most: standard deviations beyond which a variation counts :data:`rules.EDGE` times as much, or in full.
     """
 
     mean: Array

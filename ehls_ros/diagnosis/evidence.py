@@ -200,21 +200,21 @@ def allowing(evidence: Evidence, allowances: Mapping[Channel, Allowance], judge:
     """
     channels = tuple(c for c in evidence.channels if c in allowances)
     floor = {c: np.sqrt(evidence.floor[c] ** 2 + allowances[c].variance) for c in channels}
-    return measured_in(replace(evidence, channels=channels, allowances=allowances, judge=judge), floor)
+    unexpected = {c: evidence.base.values[c] - allowances[c].mean / evidence.floor[c] for c in channels}
+    base = Residuals(unexpected, evidence.base.depends)
+    return measured_in(replace(evidence, channels=channels, base=base, allowances=allowances, judge=judge), floor)
 
 
 def measured_in(evidence: Evidence, floor: Mapping[Channel, Array]) -> Evidence:
-    """Return evidence in units of another noise floor, with its allowances."""
-    allowed = {c: a.whitening(floor[c]) for c, a in evidence.allowances.items() if c in floor}
-    base, noise = dict[Channel, Array](), dict[Channel, Array]()
-    for c in evidence.channels:
-        e, n = (evidence.whole(c, part[c]) * evidence.floor[c] for part in (evidence.base.values, evidence.noise))
-        if c in allowed:
-            was = evidence.allowed[c].mean if c in evidence.allowed else 0.0
-            base[c], noise[c] = allowed[c].whitened((e + was - allowed[c].mean) / floor[c]), allowed[c].whitened(n / floor[c])
-        else:
-            base[c], noise[c] = e / floor[c], n / floor[c]
-    return replace(evidence, floor=floor, base=Residuals(base, evidence.base.depends), noise=noise, allowed=allowed)
+    """Return evidence in units of another noise floor, with the same allowances."""
+    allowed = {c: evidence.allowances[c].whitening(floor[c]) for c in evidence.channels if c in evidence.allowances}
+
+    def again(values: Mapping[Channel, Array]) -> dict[Channel, Array]:
+        whole = {c: evidence.whole(c, values[c]) * evidence.floor[c] / floor[c] for c in evidence.channels}
+        return {c: allowed[c].whitened(e) if c in allowed else e for c, e in whole.items()}
+
+    base = Residuals(again(evidence.base.values), evidence.base.depends)
+    return replace(evidence, floor=floor, base=base, noise=again(evidence.noise), allowed=allowed)
 
 
 def whitened(

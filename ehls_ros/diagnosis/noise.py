@@ -22,7 +22,7 @@ def deviations(record: Record) -> dict[str, Array]:
     """Return the standard deviation of each sample's noise, by signal, shape (n,).
 
     Where the moments of sampling jitter, noise grows with the signal's rate. That is read off the signals that move fast beside
-    their noise; in others, third differences hold more than noise, and no more is taken for jitter than those have.
+    their noise; the others' third differences hold more than noise, and no more is taken for jitter than these have.
     """
     exact = {name for name in EXACT if name not in record.measured}
     sampling = {
@@ -34,8 +34,8 @@ def deviations(record: Record) -> dict[str, Array]:
         level, jitter = 0.0 if name in exact else record.noise[name], 0.0
         found = sampling.get(name)
         if found is not None and most > 0.0:
-            jitter = found.jitter if found.clear else min(found.jitter, most)
-            level = min(level, found.steady) if jitter > 0.0 else level
+            jitter = min(found.jitter, most)
+            level = found.steady if found.clear and jitter > 0.0 else level
         out[name] = np.hypot(level, jitter * np.gradient(values))
     return out
 

@@ -292,12 +292,17 @@ OFFSET: Annotated[
 ] = 3e-4
 
 MOST_ALLOWED: Annotated[
-    float,
-    Rule("evidence", "1", "Standard deviations of what the measurement may add beyond which it counts in full."),
+    float, Rule("evidence", "1", "Standard deviations of what the measurement may add that are nobody's fault.")
 ] = 3.0
 
 EDGE: Annotated[
-    float, Rule("evidence", "1", "Multiple of what it counts within those that each further standard deviation counts beyond.")
+    float,
+    Rule(
+        "evidence",
+        "1",
+        "Times what each of these counts that any further one counts; a hard edge would stop fits.",
+        "a second-order valve told from a delay: 10 and 30 find it, 100 and more do not where signals are skewed",
+    ),
 ] = 30.0
 
 LEAST_ALLOWED: Annotated[

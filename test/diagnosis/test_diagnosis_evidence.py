@@ -183,3 +183,20 @@ def test_joined_channels_are_found_again_in_their_sections():
     for channel, rows in sections(evidence.block, channels).items():
         np.testing.assert_array_equal(joined[rows], evidence.base.values[channel])
     assert evidence.base.joined(()).size == 0
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.1])
+def test_noise_that_grows_with_the_rate_is_jitter(jitter, rig):
+    rng = np.random.default_rng(4)
+    k = np.arange(20000.0)
+    moments = k + jitter * rng.standard_normal(len(k))
+    signals = {
+        "position_m": 0.05 * np.sin(2e-3 * moments) + 2e-6 * rng.standard_normal(len(k)),
+        "supply_pressure_pa": 7e6 + 1e3 * rng.standard_normal(len(k)),
+    }
+    found = deviations(prepare(Trajectory(PERIOD * k, signals), rig, "it"))
+    speed = 1e-4 * np.abs(np.cos(2e-3 * k))
+    for part in (speed < 3e-5, speed > 9e-5):
+        said, true = (np.sqrt(np.mean(x[part] ** 2)) for x in (found["position_m"], np.hypot(2e-6, jitter * speed)))
+        assert said == pytest.approx(true, rel=0.1)
+    np.testing.assert_allclose(found["supply_pressure_pa"], 1e3, rtol=0.05)

@@ -9,7 +9,7 @@ from plain_evidence import MASS, SIZE, VISCOUS, assessed, candidate, evidence_of
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis import search as searching
-from ehls_ros.diagnosis.acceptance import accepted, corrects_form, mostly_in, relevance, shows
+from ehls_ros.diagnosis.acceptance import accepted, corrects_form, earned, mostly_in, relevance, shows
 from ehls_ros.diagnosis.evidence import Residuals
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.hypotheses import at_lines, bounds, candidates, extended, parts
@@ -182,6 +182,17 @@ def test_relevance_is_the_change_of_the_balance_and_rare_events_count():
     rare = np.where(np.arange(1000) < 20, 10.0, 0.0)
     assert relevance(evidence, assessed((VISCOUS,), {"force": np.full(1000, 0.3)}, [0.0]), less) == pytest.approx(0.3 / SIZE)
     assert relevance(evidence, assessed((VISCOUS,), {"force": rare}, [0.0]), less) == pytest.approx(10.0 / 5.0 / SIZE)
+
+
+def test_a_fitted_change_earns_all_it_could_and_reshuffled_noise_little():
+    rng = np.random.default_rng(8)
+    column, noise = rng.standard_normal((720, 1)), 0.3 * rng.standard_normal(720)
+    evidence = evidence_of({"force": noise + 0.5 * column[:, 0]})
+    assert earned(evidence, linear_fit(evidence, (VISCOUS,), column), nothing(evidence)) == pytest.approx(1.0)
+    noisy = evidence_of({"force": 5.0 * noise})
+    moved = assessed((MASS,), {"force": 5.0 * np.roll(noise, 1)}, [1.0])
+    assert abs(earned(noisy, moved, nothing(noisy))) < rules.EARNED
+    assert earned(noisy, nothing(noisy), nothing(noisy)) == 0.0
 
 
 # Rms of the given model's error, of what the others leave of it, of what the cause leaves then; whether that is form.

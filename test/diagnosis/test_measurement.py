@@ -1,0 +1,102 @@
+"""What a recording cannot be blamed for: skew within a sample and small offsets are nobody's fault, larger ones are."""
+
+import math
+
+import numpy as np
+import pytest
+from plain_evidence import MASS, assessed, evidence_of
+from scipy.ndimage import shift
+
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.allowance import Allowance, together
+from ehls_ros.diagnosis.evidence import allowing
+from ehls_ros.diagnosis.partial import remainder_as_noise
+from ehls_ros.diagnosis.remainder import in_full
+from ehls_ros.diagnosis.search import Place, Searched
+
+WINDOWS = 600
+SHAPE = np.sin(np.arange(WINDOWS) / 30.0)
+UNIT = SHAPE / np.linalg.norm(SHAPE)
+
+
+def allowance(size=40.0, most=rules.MOST_ALLOWED):
+    """Return an allowance of a size along one direction, in units of the noise."""
+    return Allowance(np.zeros(WINDOWS), size * UNIT[:, None], np.zeros(WINDOWS), most)
+
+
+def beyond(e, given):
+    return allowing(evidence_of({"force": e}), {"force": given}, lambda evidence: evidence)
+
+
+# ---------------------------------------------------------------------------------------------------------- plain arrays
+
+
+@pytest.mark.parametrize("size", [0.0, 2.9, -2.9, 3.1, -50.0])
+def test_what_the_whitening_takes_off_is_found_again(size):
+    e = np.random.default_rng(1).standard_normal(WINDOWS)
+    e += (size * 40.0 - e @ UNIT) * UNIT
+    allowed = allowance().whitening(np.ones(WINDOWS))
+    np.testing.assert_allclose(allowed.whole(allowed.whitened(e)), e, atol=1e-9)
+    # Within the bounds the size counts in prior standard deviations; what is not allowed for counts as it did.
+    counted = math.copysign(min(abs(size), 3.0) + rules.EDGE * max(abs(size) - 3.0, 0.0), size)
+    assert allowed.whitened(e) @ UNIT == pytest.approx(counted, rel=2e-2)
+    np.testing.assert_allclose(allowed.whitened(e) - (allowed.whitened(e) @ UNIT) * UNIT, e - (e @ UNIT) * UNIT, atol=1e-9)
+
+
+def test_independent_allowances_add_their_variances_and_are_bounded_only_together():
+    both = together([allowance(30.0), allowance(40.0)])
+    np.testing.assert_allclose(both.whitening(np.ones(WINDOWS)).deviations, [math.hypot(50.0, 1.0)], rtol=1e-9)
+    assert both.most == rules.MOST_ALLOWED
+    assert together([allowance(), allowance(most=math.inf)]).most == math.inf
+
+
+def test_allowances_stay_what_they_are_when_a_remainder_counts_as_noise():
+    rng = np.random.default_rng(2)
+    e = 5.0 * rng.standard_normal(WINDOWS) + 80.0 * UNIT
+    known = remainder_as_noise(judged := beyond(e, allowance()), judged.base.values)
+    assert np.std(known.base.values["force"]) == pytest.approx(1.0, abs=0.1)
+    np.testing.assert_allclose(known.whole("force", known.base.values["force"]) * known.floor["force"], e, atol=1e-9)
+    # Two prior standard deviations, with noise as large as it is now counted.
+    expected = e @ UNIT / math.hypot(40.0, known.floor["force"][0])
+    assert known.base.values["force"] @ UNIT == pytest.approx(expected, rel=1e-6)
+
+
+def test_what_is_wrong_without_a_named_cause_counts_in_full():
+    noise = np.random.default_rng(3).standard_normal(WINDOWS)
+    noise -= (noise @ UNIT) * UNIT
+    judged = beyond(noise + 320.0 * UNIT, allowance())
+    # The cause accounts for 280, and a skew for the rest.
+    left = judged.allowed["force"].whitened(noise + 40.0 * UNIT)
+    best = assessed((MASS,), {"force": left}, [1.0])
+    seen, told = in_full(judged, Searched(best, (Place(assessed((), {"force": judged.base.values["force"]}), ()),), (), {}))
+    assert seen.base.values["force"] @ UNIT == pytest.approx(281.0, abs=0.1)
+    np.testing.assert_array_equal(told.places[0].without.held_out.residuals.values["force"], seen.base.values["force"])
+    np.testing.assert_array_equal(told.best.held_out.residuals.values["force"], left)
+
+
+# ------------------------------------------------------------------------------------------------------------ recordings
+
+
+def skewed(r, **samples):
+    """Return a recording in which some columns are late by numbers of samples, early where negative."""
+    columns = {name: values.copy() for name, values in r.columns.items()}
+    for name, late in samples.items():
+        columns[name] = shift(columns[name], late, order=5, mode="nearest")
+    return r.__class__(r.time, columns, r.truth)
+
+
+def test_a_disturbance_recorded_half_a_sample_early_is_no_cause(recorded, diagnosed):
+    d = diagnosed(skewed(recorded({}, "rich", seed=301, duration=8.0), disturbance_force_n=-0.5))
+    assert (d.verdict, d.causes) == ("consistent", ())
+    (said,) = [remark for remark in d.remarks if remark.startswith("allowed for")]
+    assert "up to a sample (1 ms)" in said
+    assert "in the force balance" in said
+
+
+def test_a_delay_of_three_samples_is_a_fault_beside_a_skew(recorded, diagnosed):
+    hidden = {"sensor_delay": {"delay": 3.4e-3, "signals": "position"}}
+    d = diagnosed(skewed(recorded(hidden, "random", seed=101, duration=8.0), load_pressure_pa=0.5))
+    assert [c.name for c in d.causes] == ["sensor_delay"]
+    # A skew may have contributed to the delay.
+    assert d.causes[0].parameters["position"].value == pytest.approx(3.4e-3, abs=0.6e-3)
+    assert d.gain.closed_fraction > 0.9
