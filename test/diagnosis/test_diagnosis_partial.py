@@ -10,8 +10,8 @@ from ehls_ros.diagnosis.acceptance import accepted
 from ehls_ros.diagnosis.causes import causes
 from ehls_ros.diagnosis.evidence import Residuals
 from ehls_ros.diagnosis.held_out import Assessment, HeldOut
-from ehls_ros.diagnosis.loss import power
-from ehls_ros.diagnosis.partial import closed, correlated, remainder_as_noise, worthwhile
+from ehls_ros.diagnosis.loss import closed, power
+from ehls_ros.diagnosis.partial import correlated, remainder_as_noise, worthwhile
 from ehls_ros.diagnosis.search import Place, Searched, inflations
 
 WINDOWS = 4000

@@ -32,7 +32,8 @@ from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.columns import ColumnMap, read_columns
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
-from ehls_ros.report.diagnosis_units import estimate, likely, percent
+from ehls_ros.report.diagnosis_findings import gain_sentence
+from ehls_ros.report.diagnosis_units import estimate, likely
 from ehls_ros.trajectory import Trajectory
 
 HELP = "Find what is wrong in the simulation of a rig, from a recording: diagnosis.json, a report, an extended rig file."
@@ -196,14 +197,8 @@ def _print(found: Diagnosis, follows: Consequences, folder: Path, wall: float) -
         console.print(_causes_table(found.causes))
     for sentence in found.missing if found.verdict == "insufficient" else ():
         print(f"  {sentence}")
-    gain = found.gain
-    if gain is not None:
-        low, high = gain.ci95
-        print(
-            f"held-out NRMSE {percent(gain.heldout_nrmse_before)} -> {percent(gain.heldout_nrmse_after)}, noise floor"
-            f" {percent(gain.noise_floor)}; {percent(gain.closed_fraction)} of the removable error is closed"
-            f" ({percent(low)} to {percent(high)})"
-        )
+    if found.gain is not None:
+        print(gain_sentence(found))
     proposed = follows.next_experiment
     if proposed is not None:
         print(f"next experiment: {proposed.name}, {proposed.purpose}")
