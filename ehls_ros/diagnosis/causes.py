@@ -85,7 +85,7 @@ def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0) ->
 def _share(evidence: Evidence, best: Assessment, without: Assessment, channel: Channel) -> float:
     """Return the fraction of a channel's removable error that returns without a cause."""
     before, noise = evidence.base.values[channel], evidence.noise[channel]
-    with_it, without_it = (closed(before, j.held_out.residuals.values[channel], noise) for j in (best, without))
+    with_it, without_it = (min(closed(before, j.held_out.residuals.values[channel], noise), 1.0) for j in (best, without))
     return with_it - without_it
 
 

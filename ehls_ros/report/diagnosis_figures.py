@@ -317,7 +317,7 @@ def share_bars(found: Diagnosis) -> Panel | None:
 
 
 def _bars(found: Diagnosis, channel: Channel, gain: ChannelGain) -> list[_Bar]:
-    closed = min(max(gain.closed, 0.0), 1.0)
+    closed = max(gain.closed, 0.0)
     own = [cause for cause in found.causes if cause.channel == channel]
     sizes = f"{percent(closed)} closed, {percent(1.0 - closed)} remains, noise {percent(gain.noise)}"
     first = _Bar(f"{CHANNEL_SHORT[channel]}: {sizes}", {CLOSED: closed, REMAINS: 1.0 - closed, NOISE: gain.noise})

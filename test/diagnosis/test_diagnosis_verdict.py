@@ -311,7 +311,7 @@ def test_only_smooth_effects_of_one_parameter_have_a_smallest_size():
     smooth = assessed((one,), {"force": np.zeros(100)}, [0.0]).fit._replace(jacobian=np.full((100, 1), 2.0))
     away = smooth._replace(values=np.array([0.5]))
     many = assessed((two,), {"force": np.zeros(100)}, [0.0, 0.0]).fit._replace(jacobian=np.full((100, 2), 2.0))
-    bounded = one._replace(lower=np.array([-1.0]), upper=np.array([1.0]))
+    bounded = candidate("mass_shift", "factor", lower=-1.0, upper=1.0)
     out_of_reach = smooth._replace(hypothesis=(bounded,), jacobian=np.full((100, 1), 1e-20))
     (found,) = sensitivities(evidence, [smooth, away, many, out_of_reach])
     assert (found.name, found.parameter, found.unit) == ("mass_shift", "factor", "1")

@@ -33,7 +33,7 @@ from ehls_ros.recording.columns import ColumnMap, read_columns
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
 from ehls_ros.report.diagnosis_findings import gain_sentence
-from ehls_ros.report.diagnosis_units import estimate, likely
+from ehls_ros.report.diagnosis_units import estimate, likely, percent
 from ehls_ros.trajectory import Trajectory
 
 HELP = "Find what is wrong in the simulation of a rig, from a recording: diagnosis.json, a report, an extended rig file."
@@ -216,15 +216,16 @@ def _causes_table(causes: Sequence[Cause]) -> Table:
     table = Table(title="Causes")
     table.add_column("cause", no_wrap=True)
     table.add_column("probability", justify="right")
+    table.add_column("share", justify="right")
     table.add_column("parameter")
     table.add_column("value ± error", justify="right", no_wrap=True)
     equivalents = any(cause.equivalent_to for cause in causes)
     if equivalents:
         table.add_column("or")
     for cause in causes:
-        said = [cause.name, likely(cause.probability)]
+        said = [cause.name, likely(cause.probability), percent(cause.share)]
         others = [", ".join(cause.equivalent_to)] if equivalents else []
         for name, e in cause.parameters.items():
             table.add_row(*said, name, estimate(e), *others)
-            said, others = ["", ""], [""] * len(others)
+            said, others = [""] * len(said), [""] * len(others)
     return table
