@@ -458,6 +458,8 @@ def test_channels_without_an_error_do_not_dilute_the_closed_fraction():
     found = gain(evidence, half, 0)
     assert found.channel == "force"
     assert found.closed_fraction == pytest.approx(0.5)
+    assert found.channels.keys() == {"force"}
+    assert found.channels["force"] == pytest.approx((0.5, 1.0 / 25.0), rel=1e-6)
 
 
 @pytest.mark.parametrize("closed", [0.3, 0.9, 1.0])
