@@ -31,7 +31,15 @@ def causes(found: Diagnosis) -> list[str]:
     views = dict.fromkeys(view for cause in found.causes if (view := view_of_cause(found, cause)) is not None)
     blocks = [page.figures(drawn.before_and_after(found, view), columns=2) for view in views]
     if found.causes:
-        header = ["cause", "stage", "probability", "share of the error", "parameter", "value ± standard error", "in SI units"]
+        header = [
+            "cause",
+            "stage",
+            "probability",
+            "share of the removable error",
+            "parameter",
+            "value ± standard error",
+            "in SI units",
+        ]
         header.append("significance")
         blocks.append(page.table(header, [row for cause in found.causes for row in _parameters(cause)]))
         about: list[Row] = [

@@ -283,9 +283,10 @@ def caveats(found: Diagnosis, remarks: Sequence[str] = ()) -> list[str]:
         if any(cause.fixed for cause in found.causes):
             out.append("Parameters that were not fitted have the values that their form prescribes in the extended rig file.")
     if found.verdict == "consistent":
+        proves = "no proof that the model is right" if found.baseline is None else "no proof that nothing has changed"
         out.append(
-            "Agreement does not prove the model right: no effect larger than the sizes under 'Sensitivity' acts in the motions"
-            " of this recording."
+            f"Agreement is {proves}: effects smaller than the sizes under 'Sensitivity', or in motions that this recording does"
+            " not contain, would not have been seen."
         )
     return [*out, *(f"{capital(remark)}." for remark in (*found.remarks, *remarks))]
 
