@@ -199,8 +199,8 @@ def gain_sentence(found: Diagnosis) -> str:
 def odds(rival: Rival) -> str:
     """Write the odds for a cause against a rival on held-out data; where there is no question, only their order."""
     if rival.behind > math.log(HOPELESS):
-        return f"> {number(int(HOPELESS))} : 1"
-    return f"{number(math.exp(max(rival.behind, 0.0)), 2)} : 1"
+        return f">\u202f{number(int(HOPELESS))}\u202f:\u202f1"
+    return f"{number(math.exp(max(rival.behind, 0.0)), 2)}\u202f:\u202f1"
 
 
 def runner_up_sentences(found: Diagnosis) -> list[str]:

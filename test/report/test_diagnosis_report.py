@@ -431,7 +431,7 @@ def test_causes_rivals_and_gain_are_in_the_tables(report):
     assert twin[1] == "equal"
     assert "cannot be distinguished" in twin[4]
     rival = row(text, "Alternatives", "valve_gain_shift")
-    assert (rival[1], rival[2]) == ("> 1\u202f000\u202f000 : 1", "52 %")
+    assert (rival[1], rival[2]) == (">\u202f1\u202f000\u202f000\u202f:\u202f1", "52 %")
     assert "The runner-up to a dead zone of the valve is the gain of the valve: it leaves 48 % of the error" in shown(text)
     assert "falls from 7.7 % to 0.30 % of its largest term, noise 0.29 %" in shown(text)
     assert "99.8 % of the mean square beyond the noise is closed (95 % interval 99.6 % to 99.9 %)" in shown(text)
