@@ -58,7 +58,7 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
     parts = [
         ("Old and new", old_and_new(found)),
         ("Before and after", before_and_after(found)),
-        ("Shares", shares(found)),
+        ("Shares and sizes", shares(found)),
         ("Unexplained", [] if found.names_causes else rest),
         ("What to record", insufficient(found)),
         ("Runner-up and caveats" if found.names_causes else "Caveats", _limits(found, follows)),

@@ -6,8 +6,8 @@ from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import page
-from ehls_ros.report.diagnosis_figures import Cloud, planes
 from ehls_ros.report.diagnosis_findings import CHANNEL_NAMES, STAGE_NAMES, comes_from, depends, named, rest
+from ehls_ros.report.diagnosis_residuals import Cloud, planes
 from ehls_ros.report.diagnosis_units import estimate, percent, shown_signal, value
 from ehls_ros.report.diagnosis_views import NATURAL, explained
 from ehls_ros.report.page import Entry, Row, listed, number

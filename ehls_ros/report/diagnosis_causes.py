@@ -2,10 +2,11 @@
 
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.report import diagnosis_figures as drawn
 from ehls_ros.report import diagnosis_findings as findings
 from ehls_ros.report import page
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
+from ehls_ros.report.diagnosis_residuals import over_signal, over_time, remaining
+from ehls_ros.report.diagnosis_shares import share_bars
 from ehls_ros.report.diagnosis_units import estimate, likely, percent, quantity
 from ehls_ros.report.diagnosis_views import view_of_cause, views_of_rest
 from ehls_ros.report.page import Entry, Row, listed, number
@@ -17,31 +18,33 @@ RIVALS = 4
 def before_and_after(found: Diagnosis) -> list[str]:
     """Show the residuals that the causes explain, without and with them."""
     channels = dict.fromkeys(cause.channel for cause in found.causes)
-    return [page.figures(drawn.over_time(found, channel) for channel in channels if channel in found.traces)]
+    return [page.figures(over_time(found, channel) for channel in channels if channel in found.traces)]
 
 
 def shares(found: Diagnosis) -> list[str]:
-    """Show what the causes close, each one's share, and what remains."""
-    bars = drawn.share_bars(found)
-    return [] if bars is None else [page.figures([bars]), page.paragraph(findings.gain_sentence(found))]
-
-
-def causes(found: Diagnosis) -> list[str]:
-    """Show the named causes: the residual each one explains, its parameters, and what to check on the rig."""
-    views = dict.fromkeys(view for cause in found.causes if (view := view_of_cause(found, cause)) is not None)
-    blocks = [page.figures(drawn.before_and_after(found, view), columns=2) for view in views]
+    """Show what the causes close, each one's share and size, and what remains."""
+    bars = share_bars(found)
+    blocks = [] if bars is None else [page.figures([bars]), page.paragraph(findings.gain_sentence(found))]
     if found.causes:
         header = [
             "cause",
             "stage",
             "probability",
-            "share of the removable error",
+            "share",
             "parameter",
             "value ± standard error",
             "in SI units",
+            "significance",
         ]
-        header.append("significance")
         blocks.append(page.table(header, [row for cause in found.causes for row in _parameters(cause)]))
+    return blocks
+
+
+def causes(found: Diagnosis) -> list[str]:
+    """Show the named causes: the residual each one explains, its equation, and what to check on the rig."""
+    views = dict.fromkeys(view for cause in found.causes if (view := view_of_cause(found, cause)) is not None)
+    blocks = [page.figures(over_signal(found, view), columns=2) for view in views]
+    if found.causes:
         about: list[Row] = [
             [
                 cause.name,
@@ -110,7 +113,7 @@ def unexplained(found: Diagnosis) -> list[str]:
     """Show an error that no effect explains: what it depends on, and where to look."""
     if found.verdict not in ("partial", "unknown") or found.unknown_stage is None:
         return []
-    blocks = [page.figures(drawn.remaining(found, views_of_rest(found)), columns=2)]
+    blocks = [page.figures(remaining(found, views_of_rest(found)), columns=2)]
     if found.depends_on:
         signals = listed([quantity(signal) for signal in found.depends_on])
         text = (

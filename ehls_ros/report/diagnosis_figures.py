@@ -1,29 +1,24 @@
-"""The figures of the diagnosis report."""
+"""The other figures of the diagnosis report: all stages, a channel's residual over every signal, the free run."""
 
-from collections.abc import Callable, Mapping, Sequence
-from html import escape
-from types import MappingProxyType
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.signal import welch
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.free_run import FreeRun
-from ehls_ros.diagnosis.result import ChannelGain, ChannelTrace, Diagnosis
+from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.report.diagnosis_findings import (
     CHANNEL_NAMES,
-    CHANNEL_SHORT,
     STAGE_NAMES,
     after_name,
     before_name,
-    capital,
     compares,
-    words,
 )
-from ehls_ros.report.diagnosis_units import Shown, percent, quantity, shown_signal, unit_for
-from ehls_ros.report.diagnosis_views import BINS, LEAST_IN_BIN, View, classes, members, signals_of
+from ehls_ros.report.diagnosis_residuals import FLOOR, SMALL_BINS, SPREAD, curve, span, whole
+from ehls_ros.report.diagnosis_units import Shown, shown_signal, unit_for
+from ehls_ros.report.diagnosis_views import LEAST_IN_BIN, members, signals_of
 from ehls_ros.report.page import LeftOut, Panel, number
 from ehls_ros.report.plot import (
     BLACK,
@@ -36,43 +31,20 @@ from ehls_ros.report.plot import (
     Layout,
     Trace,
     Unit,
-    band,
     packed,
     plane_layout,
     time_layout,
     time_line,
 )
 
-POINTS = 2000
-"""Largest number of dots of one residual in the main picture."""
-
-SMALL_BINS = 24
-"""Classes in the small pictures."""
-
 ROW_HEIGHT, COLUMN_WIDTH, MOST_COLUMNS = 190, 190, 4
 """Height and least width of the small pictures in pixels, and most of them side by side."""
-
-ROW_OF_BAR, BAR_WIDTH = 52, 0.5
-"""Height of a bar of shares with its label in pixels, and the fraction of it that the bar takes."""
 
 ROW_OF_STAGE = 76
 """Height of a stage's bars in pixels."""
 
-MOST_SHOWN = 2.0
-"""Longest bar that is drawn in full, as a multiple of the removable error; noise may exceed it."""
-
-GAP = 3.0
-"""Time between two windows over which no line is drawn, as a multiple of the usual one."""
-
 LINES = 600
 """Number of intervals a line of a free run is reduced to."""
-
-FLOOR = "noise, 95 %"
-
-BESIDE = ((BLACK, "dash"), (GREEN, "dot"))
-"""Colour and pattern of further means in a picture."""
-
-_SPREAD = 2.0
 
 SMALL: tuple[tuple[str, ...], ...] = (
     ("time_s",),
@@ -86,245 +58,6 @@ SMALL: tuple[tuple[str, ...], ...] = (
 
 LAST: Mapping[str, str] = {"volume": "load_pressure_rate_pa_s", "supply": "load_pressure_rate_pa_s"}
 """Last signal of a channel's small pictures; the acceleration for all others."""
-
-
-# --- the main picture --------------------------------------------------------------------------
-
-
-class Cloud(NamedTuple):
-    """The residuals of one model along one recording, for a picture over a signal.
-
-    Attributes:
-        title: heading of the picture.
-        color: of the dots and their mean.
-        signal: the signal over the windows, in SI, shape (n,).
-        residual: the residual, in the unit of its channel, shape (n,).
-        floor: noise floor, shape (n,).
-        beside: other means to compare with, by name: signal and residual, shape (m,) each.
-    """
-
-    title: str
-    color: str
-    signal: Array
-    residual: Array
-    floor: Array
-    beside: Mapping[str, tuple[Array, Array]] = MappingProxyType({})
-
-
-def over_time(found: Diagnosis, channel: Channel) -> Panel:
-    """Draw a channel's residual over time, without and with the causes, and the band of noise."""
-    trace = found.traces[channel]
-    unit = unit_for(trace.unit, float(np.quantile(np.abs(trace.before), 0.98)))
-    traces = band(trace.time, _SPREAD * trace.floor, FLOOR, unit)
-    gaps = np.flatnonzero(np.diff(trace.time) > GAP * np.median(np.diff(trace.time))) + 1
-    time = np.insert(trace.time, gaps, trace.time[gaps - 1])
-    for name, color, residual in ((before_name(found), VERMILION, trace.before), (after_name(found), BLUE, trace.after)):
-        broken = np.insert(residual, gaps, np.nan)
-        traces.append(time_line(time, broken, f"{name}, {_rms(residual, unit)}", unit, color, width=1.2))
-    layout = time_layout(float(trace.time[-1]), [Axis(f"{CHANNEL_SHORT[channel]}, residual", unit)])
-    title = f"{capital(CHANNEL_SHORT[channel])}, without and with the {'cause' if len(found.causes) == 1 else 'causes'}"
-    note = "" if found.baseline is None else "Less what the baselines lead to expect, and what varies without a fault."
-    return Panel(title, traces, layout, note, height=360)
-
-
-def _rms(residual: Array, unit: Unit) -> str:
-    return f"rms {number(float(np.sqrt(np.mean(residual**2))) * unit.factor, 2)} {unit.symbol}"
-
-
-def before_and_after(found: Diagnosis, view: View) -> list[Panel]:
-    """Draw a channel's residual over a signal, without and with the causes."""
-    trace = found.traces[view.channel]
-    models = ((capital(before_name(found)), VERMILION, trace.before), (capital(after_name(found)), BLUE, trace.after))
-    clouds = [_cloud_of(trace, view, *model) for model in models]
-    return planes(view.channel, view.signal, trace.unit, clouds, along=view.along)
-
-
-def remaining(found: Diagnosis, views: Sequence[View]) -> list[Panel]:
-    """Draw what remains of a channel's residual over each signal."""
-    drawn = []
-    for view in views:
-        trace = found.traces[view.channel]
-        cloud = _cloud_of(trace, view, f"Unexplained, over the {quantity(view.signal)}", BLUE, trace.after)
-        drawn += planes(view.channel, view.signal, trace.unit, [cloud], along=view.along)
-    return drawn
-
-
-def _cloud_of(trace: ChannelTrace, view: View, title: str, color: str, residual: Array) -> Cloud:
-    sign = np.sign(trace.against["velocity_m_s"]) if view.along else 1.0
-    return Cloud(title, color, signals_of(trace)[view.signal], residual * sign, trace.floor)
-
-
-def planes(channel: Channel, signal: str, unit: str, clouds: Sequence[Cloud], *, along: bool = False) -> list[Panel]:
-    """Draw residuals over a signal, a picture each, all with the same axes.
-
-    Args:
-        channel: channel of the residuals.
-        signal: name of the signal.
-        unit: unit of the residuals.
-        clouds: what to draw.
-        along: the residuals are counted along the motion.
-    """
-    y_unit = unit_for(unit, max(float(np.quantile(np.abs(cloud.residual), 0.98)) for cloud in clouds))
-    largest = max(float(np.max(np.abs(cloud.signal))) for cloud in clouds)
-
-    def scaled(values: Array) -> Shown:
-        return shown_signal(signal, values, largest)
-
-    x = scaled(np.concatenate([cloud.signal for cloud in clouds]))
-    name = f"{CHANNEL_SHORT[channel]}, residual{' × sign of velocity' if along else ''}"
-    axes = (
-        Axis(x.quantity, x.unit, _whole(x.values)),
-        Axis(name, y_unit, span([cloud.residual * y_unit.factor for cloud in clouds])),
-    )
-    return [_plane(cloud, scaled, axes) for cloud in clouds]
-
-
-def _plane(cloud: Cloud, scaled: Callable[[Array], Shown], axes: tuple[Axis, Axis]) -> Panel:
-    x, unit = scaled(cloud.signal), axes[1].unit
-    kept = _thinned(len(x.values))
-    traces = _band(x, cloud.floor, unit)
-    traces.append(_dots(x.values[kept], cloud.residual[kept] * unit.factor, unit, cloud.color))
-    lines = {"mean": (cloud.signal, cloud.residual), **cloud.beside}
-    styles = ((_dark(cloud.color), "solid"), *BESIDE)
-    for (name, (signal, residual)), (color, dash) in zip(lines.items(), styles, strict=False):
-        means, middles, _ = classes(scaled(signal).values, residual * unit.factor, BINS)
-        traces.append(curve(middles, means, name, unit, color) | {"line": {"color": color, "width": 2.2, "dash": dash}})
-    layout = plane_layout(*axes)
-    layout["legend"] |= {"itemsizing": "constant"}
-    return Panel(f"{cloud.title}: {_rms(cloud.residual, unit)}", traces, layout, height=400, over_time=False)
-
-
-def _thinned(count: int) -> slice:
-    return slice(None, None, max(1, -(-count // POINTS)))
-
-
-def _whole(values: Array) -> tuple[float, float]:
-    low, high = float(np.min(values)), float(np.max(values))
-    air = 0.02 * (high - low) or 1.0
-    return low - air, high + air
-
-
-def span(residuals: Sequence[Array], part: float = 0.002) -> tuple[float, float]:
-    """Return the ends of an axis for residuals, without the fraction ``part`` at either end that lies farthest out."""
-    low = min(float(np.quantile(r, part)) for r in residuals)
-    high = max(float(np.quantile(r, 1.0 - part)) for r in residuals)
-    air = 0.12 * (high - low) or 1.0
-    return low - air, high + air
-
-
-def _band(x: Shown, floor: Array, unit: Unit) -> list[Trace]:
-    squares, middles, _ = classes(x.values, floor**2, SMALL_BINS)
-    half = _SPREAD * np.sqrt(squares) * unit.factor
-    at = np.concatenate([middles, middles[::-1]])
-    return [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "x": packed(at),
-            "y": packed(np.concatenate([half, -half[::-1]])),
-            "fill": "toself",
-            "fillcolor": "rgba(0, 158, 115, 0.22)",
-            "line": {"color": GREEN, "width": 0.8},
-            "name": FLOOR,
-            "hoverinfo": "skip",
-        }
-    ]
-
-
-def _dots(x: Array, y: Array, unit: Unit, color: str) -> Trace:
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "x": packed(x),
-        "y": packed(y),
-        "name": "windows",
-        "marker": {"color": color, "size": 3.5, "opacity": 0.35},
-        "hovertemplate": f"%{{y:,.4~g}} {unit.symbol}<extra></extra>",
-    }
-
-
-def curve(x: Array, y: Array, name: str, unit: Unit, color: str) -> Trace:
-    """Return a line over a signal."""
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": packed(x),
-        "y": packed(y),
-        "name": name,
-        "line": {"color": color, "width": 2.4},
-        "hovertemplate": f"%{{y:,.4~g}} {unit.symbol}<extra></extra>",
-    }
-
-
-def _dark(color: str) -> str:
-    return {VERMILION: "#8a3c00", BLUE: "#003e63"}.get(color, color)
-
-
-# --- the shares ----------------------------------------------------------------------------------
-
-
-class _Bar(NamedTuple):
-    """A bar of shares of the removable error: its label, and the length of each part, by the part's name."""
-
-    label: str
-    parts: Mapping[str, float]
-
-
-CLOSED, RETURNS, REMAINS, NOISE = "closed by the causes", "returns without that cause", "remains", "noise"
-_PARTS = ((CLOSED, BLUE), (RETURNS, SKY), (REMAINS, VERMILION), (NOISE, GREEN))
-
-
-def share_bars(found: Diagnosis) -> Panel | None:
-    """Draw what the causes close of each channel's removable error, what remains, the noise, and the share of each cause."""
-    gains = {} if found.gain is None else found.gain.channels
-    bars = [bar for channel, closed in gains.items() for bar in _bars(found, channel, closed)]
-    if not bars:
-        return None
-    rows = list(range(len(bars), 0, -1))
-    traces: list[Trace] = [
-        {
-            "type": "bar",
-            "orientation": "h",
-            "x": [100.0 * bar.parts.get(part, 0.0) for bar in bars],
-            "y": rows,
-            "width": BAR_WIDTH,
-            "name": part,
-            "marker": {"color": color},
-            "hovertemplate": f"{part}: %{{x:,.3~g}} %<extra></extra>",
-        }
-        for part, color in _PARTS
-        if any(part in bar.parts for bar in bars)
-    ]
-    longest = min(max(sum(bar.parts.values()) for bar in bars), MOST_SHOWN)
-    layout = plane_layout(
-        Axis("share of the removable error", Unit("%"), (0.0, 102.0 * max(longest, 1.0))),
-        Axis("", PURE_NUMBER, (0.4, len(bars) + 0.8)),
-    )
-    layout["yaxis"]["visible"] = False
-    label = {"x": 0.0, "xanchor": "left", "yanchor": "bottom", "showarrow": False, "font": {"size": 11}}
-    layout |= {
-        "barmode": "stack",
-        "margin": layout["margin"] | {"l": 14},
-        "annotations": [
-            label | {"y": row + 0.5 * BAR_WIDTH, "text": escape(bar.label)} for row, bar in zip(rows, bars, strict=True)
-        ],
-    }
-    note = (
-        "100 % is the mean square of the given model's residual beyond the noise. A cause's share is what returns without it,"
-        " all others fitted again; shares need not add up, as causes may replace or need each other."
-    )
-    return Panel("Shares of the error", traces, layout, note, height=100 + ROW_OF_BAR * len(bars), over_time=False)
-
-
-def _bars(found: Diagnosis, channel: Channel, gain: ChannelGain) -> list[_Bar]:
-    closed = max(gain.closed, 0.0)
-    own = [cause for cause in found.causes if cause.channel == channel]
-    sizes = f"{percent(closed)} closed, {percent(1.0 - closed)} remains, noise {percent(gain.noise)}"
-    first = _Bar(f"{CHANNEL_SHORT[channel]}: {sizes}", {CLOSED: closed, REMAINS: 1.0 - closed, NOISE: gain.noise})
-    if len(own) < 2:
-        return [first]
-    shares = [(words(cause.name).noun, max(cause.share or 0.0, 0.0)) for cause in own]
-    return [first, *(_Bar(f"{percent(share)}: {noun}", {RETURNS: share}) for noun, share in shares)]
 
 
 # --- the stages ----------------------------------------------------------------------------------
@@ -393,7 +126,7 @@ def residuals_of(found: Diagnosis, channel: Channel) -> Panel | LeftOut:
     for place, signal in enumerate(against):
         x = shown_signal(signal, signals[signal])
         traces += _small(x, trace, residuals, unit, place + 1)
-        _place(layout, place, (rows, columns), Axis(x.quantity, x.unit, _whole(x.values)), y)
+        _place(layout, place, (rows, columns), Axis(x.quantity, x.unit, whole(x.values)), y)
     lines, axes = _spectra(trace, residuals, unit, len(against) + 1)
     traces += lines
     _place(layout, len(against), (rows, columns), *axes)
@@ -405,7 +138,7 @@ def residuals_of(found: Diagnosis, channel: Channel) -> Panel | LeftOut:
 
 def _small_span(trace: ChannelTrace, residuals: Sequence[Array], unit: Unit) -> tuple[float, float]:
     low, high = span([r * unit.factor for r in residuals], 0.02)
-    noise = 1.3 * _SPREAD * float(np.sqrt(np.mean(trace.floor**2))) * unit.factor
+    noise = 1.3 * SPREAD * float(np.sqrt(np.mean(trace.floor**2))) * unit.factor
     return min(low, -noise), max(high, noise)
 
 
@@ -416,7 +149,7 @@ def _small(
     out: list[Trace] = []
     groups = members(x.values, SMALL_BINS)
     middles = np.array([float(np.mean(x.values[group])) for group in groups])
-    noise = np.array([_SPREAD * float(np.sqrt(np.mean(trace.floor[group] ** 2))) for group in groups]) * unit.factor
+    noise = np.array([SPREAD * float(np.sqrt(np.mean(trace.floor[group] ** 2))) for group in groups]) * unit.factor
     for residual, name, color in residuals:
         low, mean, high = (
             np.array([float(f(residual[group])) for group in groups]) * unit.factor

@@ -290,7 +290,7 @@ MADE = {
         make_found,
         [
             "Before and after",
-            "Shares",
+            "Shares and sizes",
             "Runner-up and caveats",
             "The cause",
             "Stage by stage",
@@ -381,7 +381,7 @@ def test_the_shares_are_bars_of_the_removable_error(report):
 def test_a_partial_answer_shows_what_remains_over_each_signal_it_depends_on(report):
     found = make_found(verdict="partial", unknown_stage="flow", depends_on=("spool_m", "load_pressure_pa"))
     text = report(found)
-    assert parts(text)[:5] == ["Before and after", "Shares", "Runner-up and caveats", "What remains", "The cause"]
+    assert parts(text)[:5] == ["Before and after", "Shares and sizes", "Runner-up and caveats", "What remains", "The cause"]
     titles = [title for title in panels(text) if title.startswith("Unexplained")]
     assert [title.split(":")[0] for title in titles] == ["Unexplained, over the spool", "Unexplained, over the load pressure"]
 
@@ -425,7 +425,7 @@ def test_small_pictures_of_every_channel(report):
 
 def test_causes_rivals_and_gain_are_in_the_tables(report):
     text = report(make_found(causes=(CAUSE._replace(equivalent_to=("valve_hysteresis",), rivals=(TWIN, RIVAL), share=0.87),)))
-    cause = row(text, "The cause", "valve_dead_zone")
+    cause = row(text, "Shares and sizes", "valve_dead_zone")
     assert (cause[3], cause[5]) == ("87 %", "91.20 ± 0.40 µm")
     twin = row(text, "Alternatives", "valve_hysteresis")
     assert twin[1] == "equal"
