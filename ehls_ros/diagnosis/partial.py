@@ -16,7 +16,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, measured_in
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate
-from ehls_ros.diagnosis.loss import power
+from ehls_ros.diagnosis.loss import closed, power
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.remainder import in_full
 from ehls_ros.diagnosis.search import Searched, search
@@ -91,8 +91,3 @@ def worthwhile(evidence: Evidence, best: Assessment) -> bool:
     main = max(evidence.channels, key=lambda c: float(np.sum(evidence.base.values[c] ** 2 - after[c] ** 2)))
     little = evidence.nrmse(main, after[main]) <= rules.FORM_LEFT
     return little and closed(evidence.base.values[main], after[main], evidence.noise[main]) >= rules.WORTHWHILE
-
-
-def closed(before: Array, after: Array, noise: Array) -> float:
-    """Return the fraction of the error beyond noise that is gone, of whitened residuals."""
-    return (power(before) - power(after)) / max(power(before) - power(noise), 1e-300)

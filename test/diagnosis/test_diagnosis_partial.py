@@ -10,8 +10,8 @@ from ehls_ros.diagnosis.acceptance import accepted
 from ehls_ros.diagnosis.causes import causes
 from ehls_ros.diagnosis.evidence import Residuals
 from ehls_ros.diagnosis.held_out import Assessment, HeldOut
-from ehls_ros.diagnosis.loss import power
-from ehls_ros.diagnosis.partial import closed, correlated, remainder_as_noise, worthwhile
+from ehls_ros.diagnosis.loss import closed, power
+from ehls_ros.diagnosis.partial import correlated, remainder_as_noise, worthwhile
 from ehls_ros.diagnosis.search import Place, Searched, inflations
 
 WINDOWS = 4000
@@ -96,9 +96,11 @@ def test_what_only_fits_the_form_of_the_remainder_is_not_a_cause(rng):
     assert (first, second) == (True, False)
 
 
-def test_shares_are_those_of_the_removable_error(rng):
+@pytest.mark.parametrize("floor", [1.0, 10.0], ids=["of the noise", "far above the noise"])
+def test_shares_are_those_of_the_removable_error(rng, floor):
     one, other = np.sin(np.arange(WINDOWS) / 9.0), np.sin(np.arange(WINDOWS) / 2.0)
-    evidence = evidence_of({"force": 6.0 * one + 4.0 * other + rng.standard_normal(WINDOWS)})
+    noise = rng.standard_normal(WINDOWS)
+    evidence = evidence_of({"force": (6.0 * one + 4.0 * other + noise) / floor}, {"force": noise / floor})
     best = linear_fit(evidence, (MASS, VISCOUS), np.column_stack([one, other]))
     without = (linear_fit(evidence, (VISCOUS,), other[:, None]), linear_fit(evidence, (MASS,), one[:, None]))
     found = Searched(best, tuple(Place(j, ()) for j in without), (), {"force": 1.0})
