@@ -13,6 +13,7 @@ from . import kernel
 from .effects import EFFECTS, LISTED, Sizes, hang, wander
 from .experiments import EXPERIMENTS, TICK, Plan
 from .forms import Day, FormErrors
+from .other_forms import OTHER_FORMS
 
 CHANNELS = {
     "position_m": kernel.POSITION,
@@ -49,7 +50,7 @@ class Recording:
     """Samples by the data contract's column names, and the truth behind them.
 
     truth: effects (their sizes), forms (kinds and sizes of the rig's form errors, by stage), natural (the effects' sizes for
-    comparison with estimates), stages (their groups), appears_in (the stage whose residual shows them), outside, near,
+    comparison with estimates; none for another form), stages (their groups), appears_in (the stage whose residual shows them), outside, near,
     experiment, seed, rate, noise, duration, degraded.
     states: the kernel's state at every sample, if requested.
     """
@@ -165,7 +166,7 @@ def record(
 
     Args:
         rig: content of the rig file.
-        effects: sizes by the effects' names, as `draw_effect` gives them; sizes left out are neutral.
+        effects: sizes by the effects' names, as `draw_effect` and `draw_other_form` give them; sizes left out are neutral.
         experiment: name in `EXPERIMENTS`.
         seed: of the experiment, the noise and random effects; noise and experiment do not depend on the effects.
         duration: duration, s.
@@ -206,17 +207,19 @@ def record(
     if {"hinge_backlash", "flexible_mode"} <= set(effects):
         raise ValueError("hinge_backlash and flexible_mode: there is one second body, not two")
     for name, given in effects.items():
-        effect = EFFECTS[name]
-        if unknown := set(given) - set(effect.neutral) - {"site", "signals", "phase"}:
+        form = given.get("form")
+        effect = EFFECTS[name] if form is None else OTHER_FORMS[name][form]
+        if form is None and (unknown := set(given) - set(effect.neutral) - {"site", "signals", "phase"}):
             raise ValueError(f"{name}: no size {sorted(unknown)}; there are {sorted(effect.neutral)}")
-        sizes = effect.neutral | given
+        sizes = given if form else effect.neutral | given
         effect.apply(p[0], sizes)
         if name == "pressure_zero_wander":
             zero += wander(sizes, np.random.default_rng([seed, 1]), n_ticks + 1, TICK)
         elif name == "held_dropouts":
             held |= hang(sizes, np.random.default_rng([seed, 2]), n_ticks + 1, TICK)
         truth["effects"][name] = dict(sizes)
-        truth["natural"][name] = effect.natural(sizes, rig)
+        if form is None:
+            truth["natural"][name] = effect.natural(sizes, rig)
         truth["stages"][name] = effect.stage
         truth["appears_in"][name] = "flow" if sizes.get("site") == "ports" else effect.stage
         truth["near"][name] = list(effect.near)
