@@ -40,20 +40,22 @@ FIELDS: dict[str, float] = {
     "null_ports": 0.0, "ports_pos": 1.0, "ports_neg": 1.0, "dead_pos": 0.0, "dead_neg": 0.0, "dead_corner": 0.0, "dead_smooth": 0.0,
     # flow
     "droop": 0.0, "droop_square": 0.0, "droop_time": 0.1, "air": 0.0, "air_exponent": 1.3, "air_square": 0.0,
-    "air_dissolved_at": 0.0, "air_half": 0.0, "turbulent": 0.0, "external": 0.0, "external_side": 1.0,
+    "air_dissolved_at": 0.0, "air_half": 0.0, "turbulent": 0.0, "turbulent_exponent": 0.5,
+    "external": 0.0, "external_side": 1.0,
     "laminar": 0.0, "relief": 0.0, "relief_crack": 0.0, "relief_corner": 1.0, "rate_limit": 0.0, "hose": 0.0,
     "hose_time": 1.0, "seal": 0.0, "seal_speed": 1.0, "line": 0.0,
     # friction
     "asymmetry": 0.0, "viscous_asymmetry": 0.0, "per_pressure": 0.0, "per_position": 0.0, "position_scale": 0.3,
     "level_side": 0.0, "level_forward": 0.0, "viscous_forward": 0.0, "viscous_side": 0.0, "viscous_side_speed": 1.0,
     "per_chamber": 0.0, "pressure_rise": 0.0, "pressure_scale": 1.0e6,
+    "pressure_power": 0.0, "pressure_exponent": 1.0, "stribeck_lorentz": 0.0,
     "curve_level_per_pressure": 0.0, "curve_viscous_per_pressure": 0.0, "position_bow": 0.0,
     "per_kelvin": 0.0, "linear_per_kelvin": 0.0, "vogel": 0.0, "vogel_at": 0.0, "level_per_kelvin": 0.0, "level_now": 1.0,
     "warming": 0.0, "warming_time": 30.0, "temperature": 313.15,
     # mechanics
-    "hardening": 0.0, "hardening_scale": 0.15, "two_body": 0.0, "second_share": 0.0, "second_stiffness": 0.0,
+    "hardening": 0.0, "hardening_scale": 0.15, "quintic": 0.0, "two_body": 0.0, "second_share": 0.0, "second_stiffness": 0.0,
     "second_loss": 0.0, "gap": 0.0, "load_on_second": 0.0, "stop_side": 0.0, "stop_at": 0.0, "stop_stiffness": 0.0,
-    "stop_loss": 0.0,
+    "stop_loss": 0.0, "stop_exponent": 1.0,
     # environment
     "periodic": 0.0, "periodic_rate": 0.0, "periodic_phase": 0.0, "constant": 0.0, "coupling": 0.0,
     # force balance, outside the list
@@ -166,7 +168,8 @@ def own_friction(v, remembered, x, p):
 @nb.njit(cache=True)
 def sliding_level(v, side, x, p_load, p):
     """Return s: the steady-state friction of sliding to one side, without the viscous part, N."""
-    s = p.fc + (p.fs - p.fc) * math.exp(-((abs(v) / p.vs) ** p.exponent))
+    bump = math.exp(-((abs(v) / p.vs) ** p.exponent)) if p.stribeck_lorentz == 0.0 else 1.0 / (1.0 + (v / p.vs) ** 2)
+    s = p.fc + (p.fs - p.fc) * bump
     if p.per_position != 0.0:
         s *= 1.0 + p.per_position * p.position_scale * math.tanh(x / p.position_scale)
     if p.position_bow != 0.0:
@@ -177,6 +180,8 @@ def sliding_level(v, side, x, p_load, p):
         s *= 1.0 + p.curve_level_per_pressure * abs(p_load)
     if p.pressure_rise != 0.0:
         s += p.pressure_rise * (1.0 - math.exp(-abs(p_load) / p.pressure_scale))
+    if p.pressure_power != 0.0:
+        s += p.pressure_power * (1.0e-6 * math.sqrt(p_load * p_load + 1.0e8)) ** p.pressure_exponent
     if p.per_chamber != 0.0:
         s += p.per_chamber * p_load
     if p.patch != 0.0:
@@ -280,7 +285,7 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
         dy[PS] = (p.supply - p.droop * abs(q) - p.droop_square * q * q - ps) / p.droop_time
     q -= p.area * v + p.leakage * p_load
     if p.turbulent != 0.0:  # laminar below about 0.2 MPa
-        q -= p.turbulent * p_load / (p_load * p_load + 4.0e10) ** 0.25
+        q -= p.turbulent * p_load / (p_load * p_load + 4.0e10) ** (0.5 - 0.5 * p.turbulent_exponent)
     if p.external != 0.0:  # one rod seal leaks to the tank; half of that leakage appears in the load flow
         q -= 0.5 * p.external * p.external_side * max(0.5 * (ps + p.external_side * p_load), 0.0)
     if p.relief != 0.0:
@@ -341,9 +346,11 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
         z = xl / p.hardening_scale
         shape = 6.0 * (math.sinh(z) - z) if p.hardening > 0.0 else 3.0 * (z - math.atan(z))
         load += p.hardening * p.hardening_scale**3 * shape
+    if p.quintic != 0.0:
+        load += p.quintic * xl**5
     if p.stop_side != 0.0:
         depth = softplus(p.stop_side * xl - p.stop_at, 1.0e-4)
-        load += p.stop_side * p.stop_stiffness * depth * max(1.0 + p.stop_loss * p.stop_side * vl, 0.0)
+        load += p.stop_side * p.stop_stiffness * depth**p.stop_exponent * max(1.0 + p.stop_loss * p.stop_side * vl, 0.0)
     if p.periodic != 0.0:
         phase = p.periodic_rate * t + p.periodic_phase
         load += p.periodic * (math.sin(phase) + 0.1 * math.sin(2.0 * phase + 1.0))

@@ -7,7 +7,7 @@ not those of another formula, so that estimates cannot be compared with them.
 from dataclasses import replace
 from typing import Any
 
-from .effects import LISTED, Rng, Sizes, hinge_backlash, log_uniform, put, signed, warm
+from .effects import LISTED, Rng, Sizes, end_stop, hinge_backlash, log_uniform, put, signed, stribeck_shift, warm
 
 Draw = Any
 OTHER_FORMS: dict[str, dict[str, Any]] = {}
@@ -55,6 +55,18 @@ another(
     lambda rng, rig: {"resistance": log_uniform(rng, 2e11, 8e12), "time_constant": log_uniform(rng, 0.02, 0.5)},
     put(droop_square="resistance", droop_time="time_constant"),
     "0.2..8 TPa s^2/m^6 (0.05..2 MPa at 0.2 m/s), behind an accumulator of 20..500 ms",
+)  # fmt: skip
+
+
+def between(p, sizes):
+    p["turbulent"] = sizes["coefficient"] * 1e6 ** (0.5 - sizes["exponent"])
+    p["turbulent_exponent"] = sizes["exponent"]
+
+
+another(
+    "turbulent_leakage", "power",
+    lambda rng, rig: {"coefficient": log_uniform(rng, 1e-9, 2e-8), "exponent": rng.uniform(0.55, 0.75)}, between,
+    "c pL^n of 1..20 cm^3/s at 1 MPa, n = 0.55..0.75: a gap between laminar and turbulent",
 )  # fmt: skip
 
 
@@ -124,12 +136,28 @@ another(
     put(pressure_rise="rise", pressure_scale="scale"), "s(v) + r (1 - exp(-|pL|/p1)), r = 30..300 N, p1 = 0.3..2 MPa",
 )  # fmt: skip
 another(
+    "pressure_dependent_friction", "power",
+    lambda rng, rig: {"rise": log_uniform(rng, 20.0, 150.0), "exponent": rng.uniform(0.4, 0.8)},
+    put(pressure_power="rise", pressure_exponent="exponent"), "s(v) + r (|pL|/MPa)^n, r = 20..150 N, n = 0.4..0.8",
+)  # fmt: skip
+another(
     "pressure_dependent_friction", "one chamber", lambda rng, rig: {"coefficient": signed(rng, 1e-5, 1.5e-4)},
     put(per_chamber="coefficient"), "s(v) changes by 10..150 N per MPa of pL: the rod seal of one chamber",
 )  # fmt: skip
 another(
     "position_dependent_friction", "bow", lambda rng, rig: {"bow": signed(rng, 15.0, 150.0)}, put(position_bow="bow"),
     "s(v) x(1 + q x^2), q = +-15..150 1/m^2",
+)  # fmt: skip
+
+
+def lorentzian(p, sizes):
+    stribeck_shift(p, sizes)
+    p["stribeck_lorentz"] = 1.0
+
+
+another(
+    "stribeck_shift", "Lorentzian", LISTED["stribeck_shift"].draw, lorentzian,
+    "Fc + (Fs - Fc)/(1 + (v/Vs)^2), Vs x1.2..8 and Fs + 0.2..3 of Fs - Fc",
 )  # fmt: skip
 
 
@@ -169,6 +197,25 @@ another(
 )  # fmt: skip
 
 # ------------------------------------------------------------------------------------------------------------- mechanics
+
+another(
+    "spring_hardening", "quintic", lambda rng, rig: {"quintic": signed(rng, 2e7, 5e8)}, put(quintic="quintic"),
+    "c x^5, c = +-2e7..5e8 N/m^5",
+)  # fmt: skip
+
+
+def hertz(p, sizes):
+    end_stop(p, sizes)
+    p["stop_exponent"] = 1.5
+
+
+def draw_hertz(rng: Rng, rig: dict[str, Any]) -> Sizes:
+    sizes = LISTED["end_stop"].draw(rng, rig)
+    return {**sizes, "stiffness": 30.0 * sizes["stiffness"]}  # equal at 1 mm
+
+
+another("end_stop", "Hertz", draw_hertz, hertz, "on one side at 20..45 mm: k d^1.5, 0.1..1.5 kN at 1 mm, loss 2 s/m")
+
 
 
 def soft_contact(p, sizes):

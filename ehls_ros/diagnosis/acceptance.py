@@ -26,7 +26,9 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     beside = main in less.fit.channels
     apart = list(differences(evidence, more, less))
     elsewhere = rules.RELEVANT_ELSEWHERE if evidence.imperfect and less.names else rules.RELEVANT
-    if gain < rules.NEEDED_GAIN or relevance(evidence, more, less) < (rules.RELEVANT_BESIDE if beside else elsewhere):
+    matters = relevance(evidence, more, less) >= (rules.RELEVANT_BESIDE if beside else elsewhere)
+    clear = not less.names and shows(apart, rules.CLEAR)
+    if gain < rules.NEEDED_GAIN or not (matters or clear):
         return False
     if not beside and not shows(apart):
         return False
@@ -58,13 +60,14 @@ def relevance(evidence: Evidence, more: Assessment, less: Assessment) -> float:
     return largest
 
 
-def shows(apart: Sequence[Array]) -> bool:
+def shows(apart: Sequence[Array], least: float = rules.SHOWN) -> bool:
     """Tell whether the difference between two hypotheses is comparable with the noise in any channel.
 
     Args:
         apart: difference of their whitened residuals, one array a channel.
+        least: its least rms.
     """
-    return any(float(np.sqrt(np.mean(a * a))) >= rules.SHOWN for a in apart)
+    return any(float(np.sqrt(np.mean(a * a))) >= least for a in apart)
 
 
 def corrects_form(given: Array, before: Array, after: Array, noise: float) -> bool:

@@ -505,6 +505,16 @@ RARE_SCATTER: Annotated[
     ),
 ] = 7.0
 
+CLEAR: Annotated[
+    float,
+    Rule(
+        "verdict",
+        "1",
+        "Multiple of the noise's rms by which a residual stands clear of it: that matters without a cause, however small it is.",
+        "an effect of 2.5 times the noise is 2.2 times it over the windows; 10 healthy recordings of benchmarks/diagnosis reach 0",
+    ),
+] = 1.5
+
 LITTLE: Annotated[
     float, Rule("verdict", "1", "Ratio of residual power to noise power up to which a cause has left nothing in its channel.")
 ] = 1.5
