@@ -34,8 +34,8 @@ Conventions:
 * Stages are the groups of the effects. An effect with a `site` can act in more than one place: port-side valve faults (dead
   zone, and half the draws of null bias and gain asymmetry) leave the path from command to spool intact and show in the flow.
 
-Files: `kernel` (everything compiled), `effects`, `other_forms`, `forms`, `experiments`, `recording`, `measurement`, `variants`, `degrade`,
-`visibility`, `calibration`.
+Files: `kernel` (everything compiled), `effects`, `other_forms`, `forms`, `experiments`, `recording`, `measurement`, `variants`,
+`degrade`, `visibility`, `calibration`.
 """
 
 from . import degrade, variants
@@ -49,7 +49,7 @@ from .recording import COLUMNS, SENSORS, SERVO_COLUMNS, Recording, record
 from .visibility import visibility
 
 __all__ = [
-    "COLUMNS", "EFFECTS", "EXPERIMENTS", "FINE", "LISTED", "OTHER_FORMS", "OUTSIDE", "SENSORS", "SERVO_COLUMNS", "Day", "Effect", "FormErrors",
-    "Measurement", "Recording", "degrade", "draw_day", "draw_effect", "draw_forms", "draw_measurement", "draw_other_form", "measured", "record",
-    "variants", "visibility",
+    "COLUMNS", "EFFECTS", "EXPERIMENTS", "FINE", "LISTED", "OTHER_FORMS", "OUTSIDE", "SENSORS", "SERVO_COLUMNS", "Day",
+    "Effect", "FormErrors", "Measurement", "Recording", "degrade", "draw_day", "draw_effect", "draw_forms", "draw_measurement",
+    "draw_other_form", "measured", "record", "variants", "visibility",
 ]  # fmt: skip

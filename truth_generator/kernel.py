@@ -37,7 +37,8 @@ FIELDS: dict[str, float] = {
     "stiction": 0.0, "slew": 0.0, "power": 1.0, "power_at": 1.0e-3, "hum": 0.0, "hum_rate": 0.0, "hum_phase": 0.0,
     "null_drift": 0.0, "null_drift_time": 1.0, "sticky": 0.0, "sticky_at": 0.0, "sticky_width": 1.0, "flow_force": 0.0,
     # valve: between spool and flow
-    "null_ports": 0.0, "ports_pos": 1.0, "ports_neg": 1.0, "dead_pos": 0.0, "dead_neg": 0.0, "dead_corner": 0.0, "dead_smooth": 0.0,
+    "null_ports": 0.0, "ports_pos": 1.0, "ports_neg": 1.0, "dead_pos": 0.0, "dead_neg": 0.0, "dead_corner": 0.0,
+    "dead_smooth": 0.0,
     # flow
     "droop": 0.0, "droop_square": 0.0, "droop_time": 0.1, "air": 0.0, "air_exponent": 1.3, "air_square": 0.0,
     "air_dissolved_at": 0.0, "air_half": 0.0, "turbulent": 0.0, "turbulent_exponent": 0.5,

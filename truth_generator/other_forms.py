@@ -85,7 +85,7 @@ def draw_fraction(rng: Rng, rig: dict[str, Any]) -> Sizes:
 another("entrained_air", "isothermal", draw_fraction, air(1.0), "0.8..12 % of free air, compressed isothermally")
 another(
     "entrained_air", "Nykänen", draw_fraction, air(1.4, 1.0),
-    "0.8..12 % of free air, Nykänen's two-phase fluid (2000): ((1 - a) + a (p0/p)^(1/n))^2 over the sum of compliances, n = 1.4",
+    "0.8..12 % of free air, Nykänen's two-phase fluid (2000): (1 - a + a (p0/p)^(1/n))^2 over the sum of compliances, n = 1.4",
 )  # fmt: skip
 another(
     "entrained_air", "dissolving", lambda rng, rig: draw_fraction(rng, rig) | {"dissolved_at": log_uniform(rng, 5e6, 2e7)},
@@ -215,7 +215,6 @@ def draw_hertz(rng: Rng, rig: dict[str, Any]) -> Sizes:
 
 
 another("end_stop", "Hertz", draw_hertz, hertz, "on one side at 20..45 mm: k d^1.5, 0.1..1.5 kN at 1 mm, loss 2 s/m")
-
 
 
 def soft_contact(p, sizes):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from . import kernel
-from .effects import EFFECTS, LISTED, Sizes, hang, wander
+from .effects import EFFECTS, LISTED, Effect, Sizes, hang, wander
 from .experiments import EXPERIMENTS, TICK, Plan
 from .forms import Day, FormErrors
 from .other_forms import OTHER_FORMS
@@ -50,8 +50,8 @@ class Recording:
     """Samples by the data contract's column names, and the truth behind them.
 
     truth: effects (their sizes), forms (kinds and sizes of the rig's form errors, by stage), natural (the effects' sizes for
-    comparison with estimates; none for another form), stages (their groups), appears_in (the stage whose residual shows them), outside, near,
-    experiment, seed, rate, noise, duration, degraded.
+    comparison with estimates; none for another form), stages (their groups), appears_in (the stage whose residual shows
+    them), outside, near, experiment, seed, rate, noise, duration, degraded.
     states: the kernel's state at every sample, if requested.
     """
 
@@ -127,6 +127,21 @@ def sensor(rig: Mapping[str, Any], column: str) -> tuple[float, float]:
     if faults := {name for name in ("bias", "bandwidth", "delay") if given.get(name)}:
         raise ValueError(f"sensors: {key}: {sorted(faults)} is not among what the truth starts from")
     return given.get("noise_std", 0.0), given.get("resolution", 0.0)
+
+
+def effect_of(name: str, given: Sizes) -> tuple[Effect, Sizes]:
+    """Return an effect by the formula that its sizes name, if they do, and the sizes with neutral ones for those left out.
+
+    Raises:
+        KeyError: unknown effect or formula.
+        ValueError: unknown size.
+    """
+    if "form" in given:
+        return OTHER_FORMS[name][given["form"]], given
+    effect = EFFECTS[name]
+    if unknown := set(given) - set(effect.neutral) - {"site", "signals", "phase"}:
+        raise ValueError(f"{name}: no size {sorted(unknown)}; there are {sorted(effect.neutral)}")
+    return effect, effect.neutral | given
 
 
 def start(p: np.ndarray, plan: Plan, rig: Mapping[str, Any]) -> np.ndarray:
@@ -207,19 +222,14 @@ def record(
     if {"hinge_backlash", "flexible_mode"} <= set(effects):
         raise ValueError("hinge_backlash and flexible_mode: there is one second body, not two")
     for name, given in effects.items():
-        form = given.get("form")
-        effect = EFFECTS[name] if form is None else OTHER_FORMS[name][form]
-        if form is None and (unknown := set(given) - set(effect.neutral) - {"site", "signals", "phase"}):
-            raise ValueError(f"{name}: no size {sorted(unknown)}; there are {sorted(effect.neutral)}")
-        sizes = given if form else effect.neutral | given
+        effect, sizes = effect_of(name, given)
         effect.apply(p[0], sizes)
         if name == "pressure_zero_wander":
             zero += wander(sizes, np.random.default_rng([seed, 1]), n_ticks + 1, TICK)
         elif name == "held_dropouts":
             held |= hang(sizes, np.random.default_rng([seed, 2]), n_ticks + 1, TICK)
         truth["effects"][name] = dict(sizes)
-        if form is None:
-            truth["natural"][name] = effect.natural(sizes, rig)
+        truth["natural"] |= {} if "form" in sizes else {name: effect.natural(sizes, rig)}
         truth["stages"][name] = effect.stage
         truth["appears_in"][name] = "flow" if sizes.get("site") == "ports" else effect.stage
         truth["near"][name] = list(effect.near)

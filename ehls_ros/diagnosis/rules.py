@@ -510,8 +510,9 @@ CLEAR: Annotated[
     Rule(
         "verdict",
         "1",
-        "Multiple of the noise's rms by which a residual stands clear of it: that matters without a cause, however small it is.",
-        "an effect of 2.5 times the noise is 2.2 times it over the windows; 10 healthy recordings of benchmarks/diagnosis reach 0",
+        "Multiple of the noise's rms by which a residual stands clear of it: where no cause is named, that matters however"
+        " small it is beside the largest term.",
+        "an effect of 2.5 times the noise of its stage is about 2.2 times that of the windows",
     ),
 ] = 1.5
 

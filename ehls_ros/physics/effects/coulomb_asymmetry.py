@@ -12,9 +12,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "friction"
-EQUATION = (
-    "s(v) -> s(v) + offset sgn(v), + forward for v > 0, + backward for v < 0, at least 1 N; unchanged at standstill"
-)
+EQUATION = "s(v) -> s(v) + offset sgn(v), + forward for v > 0, + backward for v < 0, at least 1 N; unchanged at standstill"
 SOURCE = "Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models, ... machines with friction, Automatica 30, 1994"
 WORDS = Words(
     "a Coulomb friction that differs between the directions",
