@@ -25,14 +25,16 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     main = mostly_in(more, less)
     beside = main in less.fit.channels
     apart = list(differences(evidence, more, less))
-    elsewhere = rules.RELEVANT_ELSEWHERE if evidence.imperfect and less.names else rules.RELEVANT
+    before, after = (j.held_out.residuals.values[main] for j in (less, more))
+    # What an effect closes is no error of form, however small it is.
+    remains = power(before) - power(after) < rules.CLOSED * (power(before) - power(evidence.noise[main]))
+    elsewhere = rules.RELEVANT_ELSEWHERE if evidence.imperfect and less.names and remains else rules.RELEVANT
     matters = relevance(evidence, more, less) >= (rules.RELEVANT_BESIDE if beside else elsewhere)
     clear = not less.names and shows(apart, rules.CLEAR)
     if gain < rules.NEEDED_GAIN or not (matters or clear):
         return False
     if not beside and not shows(apart):
         return False
-    before, after = (j.held_out.residuals.values[main] for j in (less, more))
     if beside and corrects_form(evidence.base.values[main], before, after, noise_power(evidence, main)):
         return False
     # A cause that removes little of what remains beside it corrects the form of another, not the model.
