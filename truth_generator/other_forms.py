@@ -34,7 +34,8 @@ def draw_other_form(name: str, form: str, rng: Rng, rig: dict[str, Any]) -> Size
 # ----------------------------------------------------------------------------------------------------------------- valve
 
 another(
-    "valve_dead_zone", "smooth", lambda rng, rig: {"width": log_uniform(rng, 5e-6, 150e-6)}, put(dead_smooth="width"),
+    "valve_dead_zone", "smooth", lambda rng, rig: {"width": log_uniform(rng, 5e-6, 150e-6), "site": "ports"},
+    put(dead_smooth="width"),
     "x - w tanh(x/w): worn lands with clearance, w = 5..150 um",
 )  # fmt: skip
 
