@@ -200,8 +200,8 @@ another(
 # ------------------------------------------------------------------------------------------------------------- mechanics
 
 another(
-    "spring_hardening", "quintic", lambda rng, rig: {"quintic": signed(rng, 2e7, 5e8)}, put(quintic="quintic"),
-    "c x^5, c = +-2e7..5e8 N/m^5",
+    "spring_hardening", "quintic", lambda rng, rig: {"quintic": log_uniform(rng, 2e7, 5e8)}, put(quintic="quintic"),
+    "c x^5, c = 2e7..5e8 N/m^5",
 )  # fmt: skip
 
 

@@ -84,6 +84,7 @@ WORKED = [
     ("pressure_dependent_friction", {"growth": 1e-7, "viscous_part": 5e3}, "friction_level", 800.0, {"pL": -2e6}, 960.0),
     ("pressure_dependent_friction", {"growth": 1e-7, "viscous_part": 5e3}, "force", 7.0, {"pL": -2e6, "v": 0.1}, -93.0),
     ("position_dependent_friction", {"slope": 1e3, "curvature": 1e4}, "friction_level", 800.0, {"x": -0.2}, 1000.0),
+    ("position_dependent_friction", {"cubic": -1e4}, "friction_level", 800.0, {"x": -0.2}, 880.0),
     ("position_dependent_friction", {"slope": -1e4}, "friction_level", 800.0, {"x": 0.2}, 1.0),
     ("position_dependent_friction", {"sine": 30.0, "wavelength": 0.4}, "friction_level", 800.0, {"x": 0.1}, 830.0),
     ("position_dependent_friction", {"cosine": 30.0, "wavelength": 0.4}, "friction_level", 800.0, {"x": 0.2}, 770.0),
