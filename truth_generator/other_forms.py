@@ -146,8 +146,8 @@ another(
     put(per_chamber="coefficient"), "s(v) changes by 10..150 N per MPa of pL: the rod seal of one chamber",
 )  # fmt: skip
 another(
-    "position_dependent_friction", "bow", lambda rng, rig: {"bow": signed(rng, 15.0, 150.0)}, put(position_bow="bow"),
-    "s(v) x(1 + q x^2), q = +-15..150 1/m^2",
+    "position_dependent_friction", "bow", lambda rng, rig: {"bow": signed(rng, 1.5, 15.0)}, put(position_bow="bow"),
+    "s(v) x(1 + q x^2), q = +-1.5..15 1/m^2",
 )  # fmt: skip
 
 

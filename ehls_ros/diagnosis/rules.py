@@ -173,7 +173,15 @@ SETTLING: Annotated[
 
 END_SETTLING: Annotated[float, Rule("stages", "s", "Time left out at the end of a recording.")] = 0.06
 
-MEMORY_STEP: Annotated[float, Rule("stages", "s", "Longest integration step of an effect's own states.")] = 5e-4
+MEMORY_STEP: Annotated[
+    float,
+    Rule(
+        "stages",
+        "s",
+        "Longest integration step of an effect's own states.",
+        "at twice that, the plays of a hysteresis lag by what looks like a command delay of 0.13 ms",
+    ),
+] = 2.5e-4
 
 FRICTION_STEP: Annotated[float, Rule("stages", "s", "Longest integration step of a friction model.")] = 1e-3
 
@@ -294,6 +302,16 @@ OUTER: Annotated[
         "Fraction of a signal's samples that must lie below a threshold sought at the upper end of its range.",
     ),
 ] = 0.5
+
+FASTEST_LINE: Annotated[
+    float,
+    Rule(
+        "hypotheses",
+        "1",
+        "Periods within a window of the balances up to which a spectral line is sought.",
+        "the mean over the window then is a sixth of the line's amplitude, and soon zero",
+    ),
+] = 2.0
 
 # --- fit ---------------------------------------------------------------------------------------
 
