@@ -9,6 +9,8 @@ nothing hidden, a recording is the rig file's model to numerical precision, plus
     r.time, r.columns["spool_m"], r.truth["natural"]["valve_dead_zone"]["positive"]
     r.write_csv("data.csv")
 
+`draw_other_form` draws an effect by another formula; `OTHER_FORMS` has the effects and their formulas.
+
 No rig is its model: `draw_forms` draws form errors of a given size in every stage, which `record(..., forms=...)` adds, and
 `draw_day` the condition of a healthy rig. `measured` samples a fine recording with skew, jitter and offsets, and `variants` has
 the tables that a rig's data acquisition may give instead.
@@ -32,8 +34,8 @@ Conventions:
 * Stages are the groups of the effects. An effect with a `site` can act in more than one place: port-side valve faults (dead
   zone, and half the draws of null bias and gain asymmetry) leave the path from command to spool intact and show in the flow.
 
-Files: `kernel` (everything compiled), `effects`, `forms`, `experiments`, `recording`, `measurement`, `variants`, `degrade`,
-`visibility`, `calibration`.
+Files: `kernel` (everything compiled), `effects`, `other_forms`, `forms`, `experiments`, `recording`, `measurement`, `variants`,
+`degrade`, `visibility`, `calibration`.
 """
 
 from . import degrade, variants
@@ -42,11 +44,12 @@ from .effects import EFFECTS, LISTED, OUTSIDE, Effect, draw_effect
 from .experiments import EXPERIMENTS
 from .forms import Day, FormErrors, draw_day
 from .measurement import FINE, Measurement, draw_measurement, measured
+from .other_forms import OTHER_FORMS, draw_other_form
 from .recording import COLUMNS, SENSORS, SERVO_COLUMNS, Recording, record
 from .visibility import visibility
 
 __all__ = [
-    "COLUMNS", "EFFECTS", "EXPERIMENTS", "FINE", "LISTED", "OUTSIDE", "SENSORS", "SERVO_COLUMNS", "Day", "Effect", "FormErrors",
-    "Measurement", "Recording", "degrade", "draw_day", "draw_effect", "draw_forms", "draw_measurement", "measured", "record",
-    "variants", "visibility",
+    "COLUMNS", "EFFECTS", "EXPERIMENTS", "FINE", "LISTED", "OTHER_FORMS", "OUTSIDE", "SENSORS", "SERVO_COLUMNS", "Day",
+    "Effect", "FormErrors", "Measurement", "Recording", "degrade", "draw_day", "draw_effect", "draw_forms", "draw_measurement",
+    "draw_other_form", "measured", "record", "variants", "visibility",
 ]  # fmt: skip

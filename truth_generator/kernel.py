@@ -33,22 +33,30 @@ FIELDS: dict[str, float] = {
     "n_elements": 0.0,
     # valve: between command and spool
     "gain_pos": 1.0, "gain_neg": 1.0, "null_command": 0.0, "pilot_dead_pos": 0.0, "pilot_dead_neg": 0.0,
-    "play": 0.0, "command_delay": 0.0, "second_rate": 0.0, "second_damping": 0.7, "spool_stop": 1.0e9,
+    "play": 0.0, "play_spread": 0.4, "command_delay": 0.0, "second_rate": 0.0, "second_damping": 0.7, "spool_stop": 1.0e9,
     "stiction": 0.0, "slew": 0.0, "power": 1.0, "power_at": 1.0e-3, "hum": 0.0, "hum_rate": 0.0, "hum_phase": 0.0,
     "null_drift": 0.0, "null_drift_time": 1.0, "sticky": 0.0, "sticky_at": 0.0, "sticky_width": 1.0, "flow_force": 0.0,
     # valve: between spool and flow
     "null_ports": 0.0, "ports_pos": 1.0, "ports_neg": 1.0, "dead_pos": 0.0, "dead_neg": 0.0, "dead_corner": 0.0,
+    "dead_smooth": 0.0,
     # flow
-    "droop": 0.0, "droop_time": 0.1, "air": 0.0, "turbulent": 0.0, "external": 0.0, "external_side": 1.0,
+    "droop": 0.0, "droop_square": 0.0, "droop_time": 0.1, "air": 0.0, "air_exponent": 1.3, "air_square": 0.0,
+    "air_dissolved_at": 0.0, "air_half": 0.0, "turbulent": 0.0, "turbulent_exponent": 0.5,
+    "external": 0.0, "external_side": 1.0,
     "laminar": 0.0, "relief": 0.0, "relief_crack": 0.0, "relief_corner": 1.0, "rate_limit": 0.0, "hose": 0.0,
     "hose_time": 1.0, "seal": 0.0, "seal_speed": 1.0, "line": 0.0,
     # friction
     "asymmetry": 0.0, "viscous_asymmetry": 0.0, "per_pressure": 0.0, "per_position": 0.0, "position_scale": 0.3,
-    "per_kelvin": 0.0, "warming": 0.0, "warming_time": 30.0, "temperature": 313.15,
+    "level_side": 0.0, "level_forward": 0.0, "viscous_forward": 0.0, "viscous_side": 0.0, "viscous_side_speed": 1.0,
+    "per_chamber": 0.0, "pressure_rise": 0.0, "pressure_scale": 1.0e6,
+    "pressure_power": 0.0, "pressure_exponent": 1.0, "stribeck_lorentz": 0.0,
+    "curve_level_per_pressure": 0.0, "curve_viscous_per_pressure": 0.0, "position_bow": 0.0,
+    "per_kelvin": 0.0, "linear_per_kelvin": 0.0, "vogel": 0.0, "vogel_at": 0.0, "level_per_kelvin": 0.0, "level_now": 1.0,
+    "warming": 0.0, "warming_time": 30.0, "temperature": 313.15,
     # mechanics
-    "hardening": 0.0, "hardening_scale": 0.15, "two_body": 0.0, "second_share": 0.0, "second_stiffness": 0.0,
+    "hardening": 0.0, "hardening_scale": 0.15, "quintic": 0.0, "two_body": 0.0, "second_share": 0.0, "second_stiffness": 0.0,
     "second_loss": 0.0, "gap": 0.0, "load_on_second": 0.0, "stop_side": 0.0, "stop_at": 0.0, "stop_stiffness": 0.0,
-    "stop_loss": 0.0,
+    "stop_loss": 0.0, "stop_exponent": 1.0,
     # environment
     "periodic": 0.0, "periodic_rate": 0.0, "periodic_phase": 0.0, "constant": 0.0, "coupling": 0.0,
     # force balance, outside the list
@@ -161,16 +169,32 @@ def own_friction(v, remembered, x, p):
 @nb.njit(cache=True)
 def sliding_level(v, side, x, p_load, p):
     """Return s: the steady-state friction of sliding to one side, without the viscous part, N."""
-    s = p.fc + (p.fs - p.fc) * math.exp(-((abs(v) / p.vs) ** p.exponent))
+    bump = math.exp(-((abs(v) / p.vs) ** p.exponent)) if p.stribeck_lorentz == 0.0 else 1.0 / (1.0 + (v / p.vs) ** 2)
+    s = p.fc + (p.fs - p.fc) * bump
     if p.per_position != 0.0:
         s *= 1.0 + p.per_position * p.position_scale * math.tanh(x / p.position_scale)
+    if p.position_bow != 0.0:
+        s *= 1.0 + p.position_bow * x * x
     if p.per_pressure != 0.0:
         s += p.per_pressure * (math.sqrt(p_load * p_load + 4.0e10) - 2.0e5)
+    if p.curve_level_per_pressure != 0.0:
+        s *= 1.0 + p.curve_level_per_pressure * abs(p_load)
+    if p.pressure_rise != 0.0:
+        s += p.pressure_rise * (1.0 - math.exp(-abs(p_load) / p.pressure_scale))
+    if p.pressure_power != 0.0:
+        s += p.pressure_power * (1.0e-6 * math.sqrt(p_load * p_load + 1.0e8)) ** p.pressure_exponent
+    if p.per_chamber != 0.0:
+        s += p.per_chamber * p_load
     if p.patch != 0.0:
         z = (x - p.patch_at) / p.patch_width
         s += p.patch * math.exp(-z * z)
     if p.asymmetry != 0.0:
         s += side * p.asymmetry
+    if p.level_side != 0.0:
+        s *= 1.0 + side * p.level_side
+    if p.level_forward != 0.0 and side > 0.0:
+        s += p.level_forward
+    s *= p.level_now
     return max(s, 0.05 * p.fc)
 
 
@@ -180,6 +204,8 @@ def orifice_flow(xv, ps, p_load, p):
     x = xv + p.null_ports
     if p.dead_pos != 0.0 or p.dead_neg != 0.0:
         x = softplus(x - p.dead_pos, p.dead_corner) - softplus(-x - p.dead_neg, p.dead_corner)
+    if p.dead_smooth > 0.0:
+        x -= p.dead_smooth * math.tanh(x / p.dead_smooth)
     if p.ports_pos != 1.0 or p.ports_neg != 1.0:
         x *= p.ports_pos if x > 0.0 else p.ports_neg
     if p.flow_wave != 0.0:
@@ -200,10 +226,18 @@ def orifice_flow(xv, ps, p_load, p):
 
 @nb.njit(cache=True)
 def air_modulus(pressure, p):
-    """Return the modulus of oil with free air in it at a gauge pressure, the air compressed at n = 1.3, Pa."""
+    """Return the modulus of oil with free air in it at a gauge pressure, the air compressed polytropically, Pa."""
     absolute = max(pressure, 0.0) + ATMOSPHERE
-    shrunk = p.air * (ATMOSPHERE / absolute) ** (1.0 / 1.3)
-    return (1.0 - p.air + shrunk) / ((1.0 - p.air) / p.bulk + shrunk / (1.3 * absolute))
+    if p.air_half > 0.0:  # half of the oil's at that pressure
+        return p.bulk * absolute / (absolute + p.air_half)
+    air = p.air
+    if p.air_dissolved_at > 0.0:  # Henry: less is free the higher the pressure
+        air *= max(1.0 - max(pressure, 0.0) / p.air_dissolved_at, 0.0)
+    shrunk = air * (ATMOSPHERE / absolute) ** (1.0 / p.air_exponent)
+    volume = 1.0 - air + shrunk
+    if p.air_square != 0.0:
+        volume *= volume
+    return volume / ((1.0 - air) / p.bulk + shrunk / (p.air_exponent * absolute))
 
 
 @nb.njit(cache=True)
@@ -216,7 +250,7 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
     for i in range(N_BASE):
         dy[i] = 0.0
     x, v, p_load, xv = y[X], y[V], y[PL], y[XV]
-    ps = y[PS] if p.droop != 0.0 else p.supply
+    ps = y[PS] if p.droop + p.droop_square != 0.0 else p.supply
 
     # (4) valve
     if p.hum != 0.0:
@@ -248,11 +282,11 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
     q = orifice_flow(xv, ps, p_load, p)
     if p.warm_flow != 0.0:
         q *= 1.0 + p.warm_flow * warmth(t, p)
-    if p.droop != 0.0:
-        dy[PS] = (p.supply - p.droop * abs(q) - ps) / p.droop_time
+    if p.droop + p.droop_square != 0.0:
+        dy[PS] = (p.supply - p.droop * abs(q) - p.droop_square * q * q - ps) / p.droop_time
     q -= p.area * v + p.leakage * p_load
     if p.turbulent != 0.0:  # laminar below about 0.2 MPa
-        q -= p.turbulent * p_load / (p_load * p_load + 4.0e10) ** 0.25
+        q -= p.turbulent * p_load / (p_load * p_load + 4.0e10) ** (0.5 - 0.5 * p.turbulent_exponent)
     if p.external != 0.0:  # one rod seal leaks to the tank; half of that leakage appears in the load flow
         q -= 0.5 * p.external * p.external_side * max(0.5 * (ps + p.external_side * p_load), 0.0)
     if p.relief != 0.0:
@@ -268,7 +302,7 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
         dy[QM] = (p.mount * p.mount_pressure * math.asinh(p_load / p.mount_pressure) - y[QM]) / p.mount_time
         q -= dy[QM]
     bulk = p.bulk
-    if p.air != 0.0:
+    if p.air != 0.0 or p.air_half != 0.0:
         bulk = 0.5 * (air_modulus(0.5 * (ps + p_load), p) + air_modulus(0.5 * (ps - p_load), p))
     pressure_rate = 4.0 * bulk / p.volume * q
     if p.mount != 0.0:  # the rig file's modulus has the mean of it
@@ -286,6 +320,16 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
     viscous = p.viscous
     if p.per_kelvin != 0.0:
         viscous *= math.exp(-p.per_kelvin * (temperature - p.temperature))
+    if p.linear_per_kelvin != 0.0:
+        viscous *= 1.0 - p.linear_per_kelvin * (temperature - p.temperature)
+    if p.vogel != 0.0:
+        viscous *= math.exp(p.vogel / (temperature - p.vogel_at) - p.vogel / (p.temperature - p.vogel_at))
+    if p.curve_viscous_per_pressure != 0.0:
+        viscous *= 1.0 + p.curve_viscous_per_pressure * abs(p_load)
+    if p.viscous_forward != 0.0 and vl > 0.0:
+        viscous += p.viscous_forward
+    if p.viscous_side != 0.0:
+        viscous += p.viscous_side * math.tanh(vl / p.viscous_side_speed)
     if p.viscous_asymmetry != 0.0:
         viscous += p.viscous_asymmetry if vl > 0.0 else -p.viscous_asymmetry
     if p.warm_viscous != 0.0:
@@ -303,9 +347,11 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
         z = xl / p.hardening_scale
         shape = 6.0 * (math.sinh(z) - z) if p.hardening > 0.0 else 3.0 * (z - math.atan(z))
         load += p.hardening * p.hardening_scale**3 * shape
+    if p.quintic != 0.0:
+        load += p.quintic * xl**5
     if p.stop_side != 0.0:
         depth = softplus(p.stop_side * xl - p.stop_at, 1.0e-4)
-        load += p.stop_side * p.stop_stiffness * depth * max(1.0 + p.stop_loss * p.stop_side * vl, 0.0)
+        load += p.stop_side * p.stop_stiffness * depth**p.stop_exponent * max(1.0 + p.stop_loss * p.stop_side * vl, 0.0)
     if p.periodic != 0.0:
         phase = p.periodic_rate * t + p.periodic_phase
         load += p.periodic * (math.sin(phase) + 0.1 * math.sin(2.0 * phase + 1.0))
@@ -517,7 +563,7 @@ def true_signals(t, y, p, out):
     out[VELOCITY] = y[V]
     out[PRESSURE] = y[PM] if p.p_lag != 0.0 else y[PL]
     out[SPOOL] = y[XV]
-    out[SUPPLY] = y[PS] if p.droop != 0.0 else p.supply
+    out[SUPPLY] = y[PS] if p.droop + p.droop_square != 0.0 else p.supply
     out[FORCE] = p.area * y[PL]
     out[TEMPERATURE] = temperature_at(t, p)
 
@@ -586,7 +632,7 @@ def spool_target(u, t, plays, p):
     if p.play > 0.0:
         mean = 0.0
         for i in range(N_PLAYS):
-            half = p.play * (0.2 + 0.4 * i)  # 0.2 ... 1.8 of the mean
+            half = p.play * (1.0 + p.play_spread * (i - 2))  # 0.2 ... 1.8 of the mean
             plays[i] = min(max(plays[i], u - half), u + half)
             mean += plays[i] / N_PLAYS
         u = mean
@@ -667,6 +713,8 @@ def simulate(  # noqa: PLR0912 - the loop is the algorithm
         fd_rate = 0.0 if hold else (fd[k + 1] - fd[k]) / dt
         servo_rate = 0.0 if hold else (servo[k + 1] - servo[k]) / dt
         temperature = history[k, TEMPERATURE]
+        if p.level_per_kelvin != 0.0:
+            p.level_now = math.exp(-p.level_per_kelvin * (temperature - p.temperature))
         arrival = t + part
         arrived = False
         while t < end - 1.0e-12:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from . import kernel
-from .effects import EFFECTS, LISTED, Sizes, hang, wander
+from .effects import EFFECTS, LISTED, Effect, Sizes, hang, wander
 from .experiments import EXPERIMENTS, TICK, Plan
 from .forms import Day, FormErrors
+from .other_forms import OTHER_FORMS
 
 CHANNELS = {
     "position_m": kernel.POSITION,
@@ -49,8 +50,8 @@ class Recording:
     """Samples by the data contract's column names, and the truth behind them.
 
     truth: effects (their sizes), forms (kinds and sizes of the rig's form errors, by stage), natural (the effects' sizes for
-    comparison with estimates), stages (their groups), appears_in (the stage whose residual shows them), outside, near,
-    experiment, seed, rate, noise, duration, degraded.
+    comparison with estimates; none for another form), stages (their groups), appears_in (the stage whose residual shows
+    them), outside, near, experiment, seed, rate, noise, duration, degraded.
     states: the kernel's state at every sample, if requested.
     """
 
@@ -128,6 +129,21 @@ def sensor(rig: Mapping[str, Any], column: str) -> tuple[float, float]:
     return given.get("noise_std", 0.0), given.get("resolution", 0.0)
 
 
+def effect_of(name: str, given: Sizes) -> tuple[Effect, Sizes]:
+    """Return an effect by the formula that its sizes name, if they do, and the sizes with neutral ones for those left out.
+
+    Raises:
+        KeyError: unknown effect or formula.
+        ValueError: unknown size.
+    """
+    if "form" in given:
+        return OTHER_FORMS[name][given["form"]], given
+    effect = EFFECTS[name]
+    if unknown := set(given) - set(effect.neutral) - {"site", "signals", "phase"}:
+        raise ValueError(f"{name}: no size {sorted(unknown)}; there are {sorted(effect.neutral)}")
+    return effect, effect.neutral | given
+
+
 def start(p: np.ndarray, plan: Plan, rig: Mapping[str, Any]) -> np.ndarray:
     """Return the initial state: at rest with the nominal load in balance."""
     y = np.zeros(kernel.N_BASE + int(p["n_elements"]))
@@ -165,7 +181,7 @@ def record(
 
     Args:
         rig: content of the rig file.
-        effects: sizes by the effects' names, as `draw_effect` gives them; sizes left out are neutral.
+        effects: sizes by the effects' names, as `draw_effect` and `draw_other_form` give them; sizes left out are neutral.
         experiment: name in `EXPERIMENTS`.
         seed: of the experiment, the noise and random effects; noise and experiment do not depend on the effects.
         duration: duration, s.
@@ -206,17 +222,14 @@ def record(
     if {"hinge_backlash", "flexible_mode"} <= set(effects):
         raise ValueError("hinge_backlash and flexible_mode: there is one second body, not two")
     for name, given in effects.items():
-        effect = EFFECTS[name]
-        if unknown := set(given) - set(effect.neutral) - {"site", "signals", "phase"}:
-            raise ValueError(f"{name}: no size {sorted(unknown)}; there are {sorted(effect.neutral)}")
-        sizes = effect.neutral | given
+        effect, sizes = effect_of(name, given)
         effect.apply(p[0], sizes)
         if name == "pressure_zero_wander":
             zero += wander(sizes, np.random.default_rng([seed, 1]), n_ticks + 1, TICK)
         elif name == "held_dropouts":
             held |= hang(sizes, np.random.default_rng([seed, 2]), n_ticks + 1, TICK)
         truth["effects"][name] = dict(sizes)
-        truth["natural"][name] = effect.natural(sizes, rig)
+        truth["natural"] |= {} if "form" in sizes else {name: effect.natural(sizes, rig)}
         truth["stages"][name] = effect.stage
         truth["appears_in"][name] = "flow" if sizes.get("site") == "ports" else effect.stage
         truth["near"][name] = list(effect.near)

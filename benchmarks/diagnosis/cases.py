@@ -4,7 +4,7 @@ A case depends only on the run's seed and its own number, not on how many cases 
 """
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, is_dataclass
 from functools import cache
 from itertools import combinations
@@ -37,6 +37,10 @@ ONE_BODY = {"hinge_backlash", "flexible_mode"}
 """Effects that the truth generator cannot combine."""
 
 
+Hidden = dict[str, dict[str, Any]]
+"""Sizes of hidden effects by name."""
+
+
 class Case(NamedTuple):
     """What is to be diagnosed.
 
@@ -65,7 +69,7 @@ class Case(NamedTuple):
     experiment: str
     record_seed: int
     duration: float
-    hidden: dict[str, dict[str, Any]]
+    hidden: Hidden
     visibility: dict[str, dict[str, float]]
     redrawn: int
     exam: str = "clean"
@@ -136,13 +140,31 @@ def make(seed: int, number: int, duration: float) -> Case:
     """Draw a case."""
     rng = np.random.default_rng([seed, number])
     names = names_of(seed, number)
+
+    def draw() -> Hidden:
+        return {name: draw_effect(name, rng, rig_file()) for name in names}
+
+    return shown(rng, seed, number, kind_of(number), duration, draw)
+
+
+def shown(rng: np.random.Generator, seed: int, number: int, kind: str, duration: float, draw: Callable[[], Hidden]) -> Case:
+    """Draw experiment and hidden effects until all of them show.
+
+    Args:
+        rng: random number generator, which `draw` uses too.
+        seed: seed of the run.
+        number: number of the case.
+        kind: its kind.
+        duration: duration of the recording [s].
+        draw: draws the hidden effects.
+    """
     redrawn = 0
     while True:
         experiment = str(rng.choice(list(EXPERIMENTS), p=list(EXPERIMENTS.values())))
-        if "coupling_stiffness" in names:
-            experiment = "servo"
         record_seed = int(rng.integers(2**31))
-        hidden = {name: draw_effect(name, rng, rig_file()) for name in names}
+        hidden = draw()
+        if "coupling_stiffness" in hidden:
+            experiment = "servo"
         seen: dict[str, dict[str, float]] = {}
         if hidden:
             without = background(rig_file(), experiment, seed=record_seed, duration=duration)
@@ -150,7 +172,7 @@ def make(seed: int, number: int, duration: float) -> Case:
             alone = record(rig_file(), {name: sizes}, experiment, seed=record_seed, duration=duration, noise=0.0)
             seen[name] = {stage: round(value, 3) for stage, value in against(without, rig_file(), alone).items()}
         if all(max(stages.values()) >= SHOWS for stages in seen.values()) or redrawn >= MOST_DRAWS:
-            return Case(seed, number, kind_of(number), experiment, record_seed, duration, hidden, seen, redrawn)
+            return Case(seed, number, kind, experiment, record_seed, duration, hidden, seen, redrawn)
         redrawn += 1
 
 

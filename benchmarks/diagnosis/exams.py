@@ -2,7 +2,8 @@
 
 clean: the rig is the model, the hidden effects apart. partial: the rig has form errors in every stage, which no model has, and
 one hidden effect; the rig file is the nominal one. baseline: the same, with recordings from when the rig was well, and in half
-of the cases nothing has changed since. skew: the rig is the model, but every channel is skewed and jittered.
+of the cases nothing has changed since. skew: the rig is the model, but every channel is skewed and jittered. forms: clean, but
+the hidden effect, or one of a hidden pair, follows another formula of the same physics.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,8 +12,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.diagnosis import cases
-from benchmarks.diagnosis.cases import EXPERIMENTS, MOST_DRAWS, SHOWS, Case, rig_file
-from truth_generator import LISTED, Day, FormErrors, draw_day, draw_effect, draw_forms, draw_measurement, record
+from benchmarks.diagnosis.cases import EXPERIMENTS, MOST_DRAWS, ONE_BODY, SHOWS, Case, Hidden, rig_file, shown
+from truth_generator import (
+    LISTED,
+    OTHER_FORMS,
+    Day,
+    FormErrors,
+    draw_day,
+    draw_effect,
+    draw_forms,
+    draw_measurement,
+    draw_other_form,
+    record,
+)
 from truth_generator.visibility import Background, against, background, leftovers, rows_between, standing
 
 Rng = np.random.Generator
@@ -216,11 +228,36 @@ def make_skew(seed: int, number: int, duration: float) -> Case:
     )  # fmt: skip
 
 
+# ------------------------------------------------------------------------------------------------------- other forms
+
+
+def _with_pairs(number: int) -> str:
+    return ("singles", "pairs")[number % 2]
+
+
+def make_forms(seed: int, number: int, duration: float) -> Case:
+    """Draw a case of the exam `forms`: all formulas equally often, every other one beside an effect in its usual form."""
+    rng = np.random.default_rng([seed, number, 4])
+    kind = _with_pairs(number)
+    pool = sorted((name, form) for name, of in OTHER_FORMS.items() for form in of)
+    turn, place = divmod(number // 2, len(pool))
+    name, form = pool[int(np.random.default_rng([seed, turn, number % 2, 17]).permutation(len(pool))[place])]
+    others = [other for other in sorted(LISTED) if other != name and {other, name} != ONE_BODY]
+    beside = [str(rng.choice(others))] if kind == "pairs" else []
+
+    def draw() -> Hidden:
+        usual = {other: draw_effect(other, rng, rig_file()) for other in beside}
+        return {name: draw_other_form(name, form, rng, rig_file()), **usual}
+
+    return shown(rng, seed, number, kind, duration, draw)._replace(exam="forms")
+
+
 EXAMS: dict[str, Exam] = {
     "clean": Exam(cases.KINDS, cases.kind_of, cases.make),
     "partial": Exam(("singles",), lambda number: "singles", make_partial),
     "baseline": Exam(("singles", "nothing"), _alternating, make_baseline),
     "skew": Exam(("singles", "nothing"), _alternating, make_skew),
+    "forms": Exam(("singles", "pairs"), _with_pairs, make_forms),
 }
 
 

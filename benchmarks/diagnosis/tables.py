@@ -69,6 +69,7 @@ def _verdict(good: bool) -> str:
 
 MARKS: dict[str, tuple[float, float | None, float | None]] = {
     "partial": (0.9, 0.02, 0.02), "baseline": (0.95, None, None), "skew": (0.96, None, None),
+    "forms": (0.94, None, None),
 }  # fmt: skip
 """By exam: least share of right names, most of confident wrong ones, most of names beside a true one that are not there."""
 
@@ -84,10 +85,13 @@ def hard_headline(exam: str, judged: Judged, of: dict[str, Judged]) -> Table:
         mark = f"≥ {100 * at_least:g} %" if at_least is not None else f"≤ {100 * at_most:g} %" if at_most is not None else ""
         table.add_row(what, mark, share(values), _mark(values, at_least, at_most))
 
-    single, nothing = of["singles"], of["nothing"]
+    single, pair, nothing = of["singles"], of["pairs"], of["nothing"]
     row("right cause first, no other that is not there", [j.right for _, j in single], least)
     row("  right cause first, whatever is named beside it", [j.first for _, j in single])
     row("a true cause and one that is not there", [bool(j.not_there) for _, j in single], None, beside)
+    if pair:
+        row("pair: both named, no other", [j.right for _, j in pair], 0.9)
+        row("  both named, whatever is named beside them", [j.first for _, j in pair])
     row("confident wrong name", [j.confident_wrong for _, j in judged], None, confident)
     if nothing:
         row("nothing hidden: false alarms", [not j.right for _, j in nothing], None, 0.01)

@@ -25,12 +25,16 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     main = mostly_in(more, less)
     beside = main in less.fit.channels
     apart = list(differences(evidence, more, less))
-    elsewhere = rules.RELEVANT_ELSEWHERE if evidence.imperfect and less.names else rules.RELEVANT
-    if gain < rules.NEEDED_GAIN or relevance(evidence, more, less) < (rules.RELEVANT_BESIDE if beside else elsewhere):
+    before, after = (j.held_out.residuals.values[main] for j in (less, more))
+    # What an effect closes is no error of form, however small it is.
+    remains = power(before) - power(after) < rules.CLOSED * (power(before) - power(evidence.noise[main]))
+    elsewhere = rules.RELEVANT_ELSEWHERE if evidence.imperfect and less.names and remains else rules.RELEVANT
+    matters = relevance(evidence, more, less) >= (rules.RELEVANT_BESIDE if beside else elsewhere)
+    clear = not less.names and shows(apart, rules.CLEAR)
+    if gain < rules.NEEDED_GAIN or not (matters or clear):
         return False
     if (not beside and not shows(apart)) or earned(evidence, more, less) < rules.EARNED:
         return False
-    before, after = (j.held_out.residuals.values[main] for j in (less, more))
     if beside and corrects_form(evidence.base.values[main], before, after, noise_power(evidence, main)):
         return False
     # A cause that removes little of what remains beside it corrects the form of another, not the model.
@@ -72,13 +76,14 @@ def earned(evidence: Evidence, more: Assessment, less: Assessment) -> float:
     return gained / changed if changed > 0.0 else 0.0
 
 
-def shows(apart: Sequence[Array]) -> bool:
+def shows(apart: Sequence[Array], least: float = rules.SHOWN) -> bool:
     """Tell whether the difference between two hypotheses is comparable with the noise in any channel.
 
     Args:
         apart: difference of their whitened residuals, one array a channel.
+        least: its least rms.
     """
-    return any(float(np.sqrt(np.mean(a * a))) >= rules.SHOWN for a in apart)
+    return any(float(np.sqrt(np.mean(a * a))) >= least for a in apart)
 
 
 def corrects_form(given: Array, before: Array, after: Array, noise: float) -> bool:

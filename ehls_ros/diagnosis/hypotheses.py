@@ -155,6 +155,10 @@ def _candidate(name: str, number: int, form: Form, record: Record, lines: Sequen
                 lower[column] = max(lower[column], float(np.quantile(values, rules.OUTER)))
             elif max(q.fraction for q in quantiles) < 0.5:
                 upper[column] = min(upper[column], float(np.quantile(values, 1.0 - rules.OUTER)))
+        elif form.free[parameter] and all(isinstance(start, Peak) for start in form.free[parameter]):
+            # A faster one shows nowhere but in the state that the friction starts from.
+            window = max(rules.WINDOW, rules.LEAST_WINDOW * record.period)
+            upper[column] = min(upper[column], rules.FASTEST_LINE / window)
     if all(form.free.values()):
         # A small effect is found from the neutral values, provided the loss has a gradient there.
         rows = np.vstack([neutral, rows])

@@ -152,7 +152,7 @@ def remainder_in(evidence: Evidence, best: Assessment, channel: Channel, *, imit
         evidence.base.values[channel],
         best.held_out.residuals.values[channel],
         blocks_of(evidence, channel),
-        relevance_in(evidence, channel),
+        relevance_in(evidence, channel, alone=not best.names),
         changed=channel in best.held_out.gain,
         imitated=imitated,
     )
@@ -187,12 +187,19 @@ def blocks_of(evidence: Evidence, channel: Channel) -> Blocks:
     return Blocks(evidence.block[channel], evidence.blocks, evidence.times[channel])
 
 
-def relevance_in(evidence: Evidence, channel: Channel) -> Relevance:
-    """Return when a channel's residual is more than noise by enough to matter."""
+def relevance_in(evidence: Evidence, channel: Channel, *, alone: bool = False) -> Relevance:
+    """Return when a channel's residual is more than noise by enough to matter.
+
+    Args:
+        evidence: the recording compared with the given model.
+        channel: the channel.
+        alone: whether no cause is named, whose form might leave what stands clear of the noise and yet is small.
+    """
+    noise = noise_power(evidence, channel)
     typical = float(np.sqrt(np.mean(evidence.floor[channel] ** 2)))
     size = max(evidence.sizes[channel], 1e-300)
     limit = rules.RELEVANT_BESIDE * size / typical if typical > 0.0 else math.inf
-    return Relevance(noise_power(evidence, channel), limit)
+    return Relevance(noise, min(limit, rules.CLEAR * math.sqrt(noise)) if alone else limit)
 
 
 def imitated_channels(evidence: Evidence, found: Searched) -> frozenset[Channel]:

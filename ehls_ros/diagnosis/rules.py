@@ -173,7 +173,15 @@ SETTLING: Annotated[
 
 END_SETTLING: Annotated[float, Rule("stages", "s", "Time left out at the end of a recording.")] = 0.06
 
-MEMORY_STEP: Annotated[float, Rule("stages", "s", "Longest integration step of an effect's own states.")] = 5e-4
+MEMORY_STEP: Annotated[
+    float,
+    Rule(
+        "stages",
+        "s",
+        "Longest integration step of an effect's own states.",
+        "at twice that, the plays of a hysteresis lag by what looks like a command delay of 0.13 ms",
+    ),
+] = 2.5e-4
 
 FRICTION_STEP: Annotated[float, Rule("stages", "s", "Longest integration step of a friction model.")] = 1e-3
 
@@ -362,6 +370,16 @@ OUTER: Annotated[
         "Fraction of a signal's samples that must lie below a threshold sought at the upper end of its range.",
     ),
 ] = 0.5
+
+FASTEST_LINE: Annotated[
+    float,
+    Rule(
+        "hypotheses",
+        "1",
+        "Periods within a window of the balances up to which a spectral line is sought.",
+        "the mean over the window then is a sixth of the line's amplitude, and soon zero",
+    ),
+] = 2.0
 
 # --- fit ---------------------------------------------------------------------------------------
 
@@ -581,6 +599,17 @@ RARE_SCATTER: Annotated[
         "rounded up from 6.6, that quantile of the squares of Gaussian noise",
     ),
 ] = 7.0
+
+CLEAR: Annotated[
+    float,
+    Rule(
+        "verdict",
+        "1",
+        "Multiple of the noise's rms by which a residual stands clear of it: where no cause is named, that matters however"
+        " small it is beside the largest term.",
+        "an effect of 2.5 times the noise of its stage is about 2.2 times that of the windows",
+    ),
+] = 1.5
 
 LITTLE: Annotated[
     float, Rule("verdict", "1", "Ratio of residual power to noise power up to which a cause has left nothing in its channel.")

@@ -110,12 +110,12 @@ def test_shares_are_those_of_the_removable_error(rng, floor):
     assert all(cause.probability <= 0.5 for cause in causes(evidence, found, 0, most=0.5))
 
 
-@pytest.mark.parametrize(("size", "named"), [(2.0, False), (8.0, True)])
-def test_in_another_stage_a_cause_must_exceed_what_the_form_of_a_model_is_off_by(rng, size, named):
-    one, other = np.sin(np.arange(WINDOWS) / 9.0), np.sin(np.arange(WINDOWS) / 2.0)
+@pytest.mark.parametrize(("size", "left", "named"), [(2.0, 1.0, False), (8.0, 4.0, True), (2.0, 0.0, True)])
+def test_in_another_stage_a_cause_must_close_what_is_there_or_exceed_what_the_form_of_a_model_is_off_by(rng, size, left, named):
+    one, other, third = (np.sin(np.arange(WINDOWS) / samples) for samples in (9.0, 2.0, 4.0))
     noise = {c: rng.standard_normal(WINDOWS) for c in ("force", "spool")}
     # In units of the noise; the largest term is 100.
-    evidence = evidence_of({"force": 20.0 * one + noise["force"], "spool": size * other + noise["spool"]})
+    evidence = evidence_of({"force": 20.0 * one + noise["force"], "spool": size * other + left * third + noise["spool"]})
     less = linear_fit(evidence, (MASS,), one[:, None])
     alone = linear_fit(evidence, (VALVE,), other[:, None], "spool")
     more = both(less, alone)

@@ -136,12 +136,12 @@ def test_a_sure_cause_with_too_little_gain_is_not_accepted(beyond, taken):
     assert accepted(evidence, more, nothing(evidence), FORCE) is taken
 
 
-def test_a_large_gain_that_matters_to_nobody_is_not_accepted():
-    rng = np.random.default_rng(3)
-    evidence, more, less = with_and_without(rng, 3.0)
-    # The same, where the balance's largest term is so large that the difference is irrelevant.
-    evidence.sizes["force"] = 2.0 * 3.0 / rules.RELEVANT
-    assert not accepted(evidence, more, less, FORCE)
+@pytest.mark.parametrize(("size", "taken"), [(1.2, False), (3.0, True)])
+def test_a_large_gain_that_matters_to_nobody_is_accepted_only_if_it_stands_clear_of_the_noise(size, taken):
+    evidence, more, less = with_and_without(np.random.default_rng(3), size)
+    # The balance's largest term is so large that the difference is irrelevant.
+    evidence.sizes["force"] = 2.0 * size / rules.RELEVANT
+    assert accepted(evidence, more, less, FORCE) is taken
 
 
 def test_a_gain_from_averaging_noise_is_not_accepted():

@@ -12,7 +12,16 @@ from ehls_ros.diagnosis.dependence import depends_on, explained_fraction
 from ehls_ros.diagnosis.excitation import Sliding, excited, sensitivities, smallest_detectable
 from ehls_ros.diagnosis.gain import closed_fraction, gain
 from ehls_ros.diagnosis.probability import probability_of_first
-from ehls_ros.diagnosis.remainder import Blocks, Relevance, Remainder, at_a_bound, imitated_channels, remainder, remainders
+from ehls_ros.diagnosis.remainder import (
+    Blocks,
+    Relevance,
+    Remainder,
+    at_a_bound,
+    imitated_channels,
+    remainder,
+    remainder_in,
+    remainders,
+)
 from ehls_ros.diagnosis.result import Sensitivity
 from ehls_ros.diagnosis.search import Place, Searched
 from ehls_ros.diagnosis.stage_results import NEEDED_MOTION, NEEDED_SIGNALS, Nrmse, stage_result
@@ -212,6 +221,15 @@ def test_what_is_too_small_to_matter_does_not_remain():
     assert not any((item.exceeded, item.remains, item.unexplained))
     # But a cause that acts in the channel has to close it.
     assert remaining(NOISE + ERROR, NOISE + ERROR, changed=True, relevance=large).unexplained
+
+
+@pytest.mark.parametrize(("size", "alone", "unexplained"), [(2.5, True, True), (1.0, True, False), (2.5, False, False)])
+def test_what_stands_clear_of_the_noise_remains_where_no_cause_is_named_however_small_it_is(size, alone, unexplained):
+    evidence = evidence_of({"force": NOISE + 0.1 * size * ERROR, "volume": NOISE})
+    evidence.sizes["force"] = 1e6
+    named = () if alone else (VALVE,)
+    best = assessed(named, dict(evidence.base.values), [1.0] * len(named), {"volume": np.ones(BLOCKS)} if named else {})
+    assert remainder_in(evidence, best, "force").unexplained is unexplained
 
 
 @pytest.mark.parametrize(("blocks", "incident"), [((4,), (8.0, 9.98)), ((4, 9), None)])

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 import truth_generator
-from truth_generator import EFFECTS, EXPERIMENTS, LISTED, OUTSIDE, degrade, draw_effect, record
+from truth_generator import EFFECTS, EXPERIMENTS, LISTED, OTHER_FORMS, OUTSIDE, degrade, draw_effect, draw_other_form, record
 from truth_generator.recording import COLUMNS, SERVO_COLUMNS
 from truth_generator.visibility import against, background, raw_difference
 
@@ -79,6 +79,15 @@ def test_drawn_sizes_stand_out_of_the_noise(name, rich_background):
     assert raw_difference(r, rich_background.recording)[0] > 1.5
     seen = against(rich_background, RIG, r)
     assert max(seen.values()) > (1.5 if name in OUTSIDE else 0.3), seen
+
+
+@pytest.mark.parametrize(("name", "form"), [(name, form) for name, of in OTHER_FORMS.items() for form in of])
+def test_an_effect_by_another_formula_shows_where_the_usual_one_does(name, form, rich_background):
+    sizes = draw_other_form(name, form, rng_for(name), RIG)
+    r = record(RIG, {name: sizes}, "rich", seed=2, duration=30, noise=0)
+    seen = against(rich_background, RIG, r)
+    assert seen[r.truth["appears_in"][name]] == max(seen.values()) > 0.3
+    assert name not in r.truth["natural"]
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
@@ -188,6 +197,8 @@ def test_the_truth_says_what_was_hidden():
 def test_what_does_not_exist_is_refused():
     with pytest.raises(KeyError, match="gremlins"):
         record(RIG, {"gremlins": {}}, "rich", seed=1, duration=1)
+    with pytest.raises(KeyError, match="gremlin"):
+        record(RIG, {"end_stop": {"form": "gremlin"}}, "rich", seed=1, duration=1)
     with pytest.raises(ValueError, match="no columns"):
         record(RIG, {}, "rich", seed=1, duration=1, columns=["speed"])
     with pytest.raises(ValueError, match="stribeck"):

@@ -10,10 +10,13 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "mechanics"
-EQUATION = "F = -(stiffness d max(1 + loss d', 0) + damping max(d', 0)), d > 0 the depth beyond upper; mirrored below lower"
+EQUATION = (
+    "F = -(stiffness d (d/1 mm)^(exponent - 1) max(1 + loss d', 0) + damping max(d', 0)), d > 0 the depth beyond upper; "
+    "mirrored below lower"
+)
 SOURCE = (
     "Gilardi, Sharf, Literature survey of contact dynamics modelling, Mechanism and Machine Theory 37, 2002: Kelvin-Voigt, "
-    "and Hunt-Crossley, whose loss grows with the depth"
+    "Hunt-Crossley, whose loss grows with the depth, and Hertz, exponent 3/2"
 )
 WORDS = Words(
     "an end stop inside the stroke",
@@ -21,20 +24,28 @@ WORDS = Words(
 )
 
 
+REFERENCE_DEPTH = 1e-3
+"""Depth at which the force is that of the stiffness, whatever the exponent [m]."""
+
+
 class Parameters(NamedTuple):
     """Position and contact of the stops; ten metres are beyond any stroke."""
 
     upper: Annotated[float, quantity("m", "position of the upper stop", minimum=-10.0, maximum=10.0)] = 10.0
     lower: Annotated[float, quantity("m", "position of the lower stop", minimum=-10.0, maximum=10.0)] = -10.0
-    stiffness: Annotated[float, quantity("N/m", "stiffness of a stop", minimum=1e3, maximum=1e9)] = 1e7
+    stiffness: Annotated[float, quantity("N/m", "stiffness of a stop, at a depth of 1 mm", minimum=1e3, maximum=1e9)] = 1e7
     damping: Annotated[float, quantity("N s/m", "damping while moving into a stop", minimum=0.0, maximum=1e6)] = 1e4
     loss: Annotated[float, quantity("s/m", "relative stiffening per speed into the stop", minimum=0.0, maximum=100.0)] = 0.0
+    exponent: Annotated[float, quantity("1", "growth of the force with the depth", minimum=1.0, maximum=3.0)] = 1.0
 
 
 @kernel
 def push(depth: float, speed: float, p: Parameters) -> float:
     """Return the force of a stop at a depth [m] beyond its face and a speed into it [m/s], in N."""
-    return p.stiffness * depth * max(1.0 + p.loss * speed, 0.0) + p.damping * max(speed, 0.0) if depth > 0.0 else 0.0
+    if depth <= 0.0:
+        return 0.0
+    spring = p.stiffness * depth * (depth / REFERENCE_DEPTH) ** (p.exponent - 1.0)
+    return spring * max(1.0 + p.loss * speed, 0.0) + p.damping * max(speed, 0.0)
 
 
 @kernel
@@ -44,12 +55,15 @@ def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, p
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The upper stop, the lower one or both, from rarely, sometimes and often reached."""
+    """The upper stop, the lower one or both, from rarely, sometimes and often reached; one of them with a round face."""
     upper = tuple(Quantile("position_m", fraction) for fraction in (0.995, 0.95, 0.85))
     lower = tuple(Quantile("position_m", fraction) for fraction in (0.005, 0.05, 0.15))
     contact = {"stiffness": (1e6, 1e6, 1e6), "damping": (1e3, 1e3, 1e3), "loss": (0.0, 0.0, 0.0)}
+    hertz = {"exponent": 1.5}
     return (
         Form({"upper": upper, **contact}),
         Form({"lower": lower, **contact}),
         Form({"upper": upper, "lower": lower, **contact}),
+        Form({"upper": upper, **contact}, hertz),
+        Form({"lower": lower, **contact}, hertz),
     )

@@ -12,7 +12,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "friction"
-EQUATION = "s -> s + slope x + curvature x² + sine sin(2π x/wavelength) + cosine cos(2π x/wavelength), at least 1 N"
+EQUATION = "s -> s + slope x + curvature x² + cubic x³ + sine sin(2π x/wavelength) + cosine cos(2π x/wavelength), at least 1 N"
 SOURCE = "Armstrong-Hélouvry, Control of Machines with Friction, 1991: position-dependent friction"
 WORDS = Words(
     "a friction that changes along the stroke",
@@ -25,6 +25,7 @@ class Parameters(NamedTuple):
 
     slope: Annotated[float, quantity("N/m", "Stribeck level per position", minimum=-1e6, maximum=1e6)] = 0.0
     curvature: Annotated[float, quantity("N/m^2", "Stribeck level per squared position", minimum=-1e8, maximum=1e8)] = 0.0
+    cubic: Annotated[float, quantity("N/m^3", "Stribeck level per cubed position", minimum=-1e10, maximum=1e10)] = 0.0
     sine: Annotated[float, quantity("N", "sine part of a wave along the stroke", minimum=-1e5, maximum=1e5)] = 0.0
     cosine: Annotated[float, quantity("N", "cosine part of a wave along the stroke", minimum=-1e5, maximum=1e5)] = 0.0
     wavelength: Annotated[float, quantity("m", "length of the wave", minimum=1e-3, maximum=10.0)] = 0.1
@@ -34,14 +35,16 @@ class Parameters(NamedTuple):
 def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Shift the level with the position."""
     angle = 2.0 * math.pi * y[X] / p.wavelength
-    return shifted_level(value, (p.slope + p.curvature * y[X]) * y[X] + p.sine * math.sin(angle) + p.cosine * math.cos(angle))
+    polynomial = (p.slope + (p.curvature + p.cubic * y[X]) * y[X]) * y[X]
+    return shifted_level(value, polynomial + p.sine * math.sin(angle) + p.cosine * math.cos(angle))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A slope, a parabola, or a wave, from shorter to longer than the stroke."""
+    """A slope, a parabola, a cubic, or a wave, from shorter to longer than the stroke."""
     wavelengths = tuple(Share("position_m", fraction) for fraction in (0.3, 0.7, 1.5))
     return (
         Form({"slope": ()}),
         Form({"slope": (), "curvature": ()}),
+        Form({"slope": (), "curvature": (), "cubic": ()}),
         Form({"sine": (), "cosine": (), "wavelength": wavelengths}),
     )

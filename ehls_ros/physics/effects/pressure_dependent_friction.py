@@ -7,12 +7,15 @@ from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._level import shifted_level
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.plant import PL
+from ehls_ros.physics.plant import PL, V
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "friction"
-EQUATION = "s(v) -> s(v) + slope (√(pL² + onset²) - onset), slope |pL| far beyond the onset; at least 1 N"
+EQUATION = (
+    "s(v) -> s(v) (1 + growth |pL|) + slope h + chamber_slope pL, at least 1 N;  Ff -> Ff + viscous_part growth |pL| v;  "
+    "h = √(pL² + onset²) - onset, |pL| far beyond the onset, with a saturation h -> saturation (1 - exp(-h/saturation))"
+)
 SOURCE = (
     "Bonchis, Corke, Rye, A pressure-based, velocity independent, friction model for asymmetric hydraulic cylinders, ICRA 1999"
 )
@@ -27,14 +30,40 @@ class Parameters(NamedTuple):
 
     slope: Annotated[float, quantity("N/Pa", "Stribeck level per load pressure", minimum=-0.05, maximum=0.05)] = 0.0
     onset: Annotated[float, quantity("Pa", "load pressure above which friction grows linearly", minimum=0.0, maximum=1e7)] = 0.0
+    saturation: Annotated[
+        float, quantity("Pa", "load pressure over which the seals settle on their faces; 0: any", minimum=0.0, maximum=1e8)
+    ] = 0.0
+    chamber_slope: Annotated[
+        float,
+        quantity("N/Pa", "Stribeck level per load pressure, signed: a seal of one chamber", minimum=-0.05, maximum=0.05),
+    ] = 0.0
+    growth: Annotated[
+        float, quantity("1/Pa", "relative growth of level and viscous part per load pressure", minimum=-1e-6, maximum=1e-5)
+    ] = 0.0
+    viscous_part: Annotated[float, quantity("N s/m", "viscous friction that grows so", minimum=0.0, maximum=1e6)] = 0.0
 
 
 @kernel
 def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Shift the level with the pressure."""
-    return shifted_level(value, p.slope * (math.hypot(y[PL], p.onset) - p.onset))
+    pressure = math.hypot(y[PL], p.onset) - p.onset
+    if p.saturation > 0.0:
+        pressure = -p.saturation * math.expm1(-pressure / p.saturation)
+    return shifted_level(value, p.slope * pressure + p.chamber_slope * y[PL] + p.growth * abs(y[PL]) * value)
+
+
+@kernel
+def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    """Subtract the change of viscous friction."""
+    return value - p.viscous_part * p.growth * abs(y[PL]) * y[V]
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Without or with an onset."""
-    return Form({"slope": ()}), Form({"slope": (), "onset": (5e4, 2e5, 5e5)})
+    """The level in proportion, with an onset or a saturation, by the pressure of one chamber; or all of the friction."""
+    return (
+        Form({"slope": ()}),
+        Form({"slope": (), "onset": (5e4, 2e5, 5e5)}),
+        Form({"slope": (), "saturation": (5e5, 2e6)}),
+        Form({"chamber_slope": ()}),
+        Form({"growth": ()}, {"viscous_part": rig.friction.viscous_coefficient}),
+    )

@@ -10,7 +10,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "mechanics"
-EQUATION = "ks x -> ks x + cubic x³"
+EQUATION = "ks x -> ks x + cubic x³ + quintic x⁵"
 SOURCE = "Kovacic, Brennan, The Duffing Equation, 2011"
 WORDS = Words(
     "a spring that hardens with its deflection",
@@ -19,17 +19,19 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """The cubic term."""
+    """The terms beyond the linear one."""
 
     cubic: Annotated[float, quantity("N/m^3", "cubic stiffness", minimum=-1e12, maximum=1e12)] = 0.0
+    quintic: Annotated[float, quantity("N/m^5", "quintic stiffness", minimum=-1e15, maximum=1e15)] = 0.0
 
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Subtract the cubic term."""
-    return value - p.cubic * y[X] * y[X] * y[X]
+    """Subtract these terms."""
+    square = y[X] * y[X]
+    return value - (p.cubic + p.quintic * square) * square * y[X]
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The cubic term."""
-    return (Form({"cubic": ()}),)
+    """The cubic term, or both."""
+    return Form({"cubic": ()}), Form({"cubic": (), "quintic": ()})

@@ -66,5 +66,11 @@ def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A laminar loss, a turbulent one, or a laminar one with a lag."""
-    return Form({"resistance": ()}), Form({"quadratic": ()}), Form({"resistance": (), "time_constant": (0.05,)})
+    """A laminar loss or a turbulent one, either without or with a lag."""
+    lag = {"time_constant": (0.05,)}
+    return (
+        Form({"resistance": ()}),
+        Form({"quadratic": ()}),
+        Form({"resistance": (), **lag}),
+        Form({"quadratic": (), **lag}),
+    )

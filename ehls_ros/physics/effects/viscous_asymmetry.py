@@ -10,7 +10,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "friction"
-EQUATION = "Ff -> Ff + asymmetry |v|: σf + asymmetry along +x, σf - asymmetry along -x"
+EQUATION = "σf -> σf + asymmetry + forward along +x, σf - asymmetry + backward along -x"
 SOURCE = "Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models, ... machines with friction, Automatica 30, 1994"
 WORDS = Words(
     "a viscous friction that differs between the directions",
@@ -19,19 +19,21 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """Half the difference between the directions."""
+    """Half the difference between the directions, or a change in one of them."""
 
     asymmetry: Annotated[
         float, quantity("N s/m", "viscous coefficient added along +x, subtracted along -x", minimum=-1e6, maximum=1e6)
     ] = 0.0
+    forward: Annotated[float, quantity("N s/m", "viscous coefficient added along +x only", minimum=-1e6, maximum=1e6)] = 0.0
+    backward: Annotated[float, quantity("N s/m", "viscous coefficient added along -x only", minimum=-1e6, maximum=1e6)] = 0.0
 
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Subtract the added friction, which acts along -x for a positive asymmetry."""
-    return value - p.asymmetry * abs(y[V])
+    """Subtract the added friction."""
+    return value - p.asymmetry * abs(y[V]) - p.forward * max(y[V], 0.0) - p.backward * min(y[V], 0.0)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The asymmetry."""
-    return (Form({"asymmetry": ()}),)
+    """Both directions by opposite amounts, or one of them."""
+    return Form({"asymmetry": ()}), Form({"forward": ()}), Form({"backward": ()})
