@@ -13,12 +13,11 @@ from ehls_ros.diagnosis.excitation import excited, sensitivities, sliding
 from ehls_ros.diagnosis.gain import gain
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
-from ehls_ros.diagnosis.missing_signals import merged
 from ehls_ros.diagnosis.partial import partial_answer
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.remainder import Remainder, remainders
-from ehls_ros.diagnosis.result import NAMING, ChannelTrace, Diagnosis, Sensitivity, StageResult
+from ehls_ros.diagnosis.result import NAMING, Cause, ChannelTrace, Diagnosis, Sensitivity, StageResult
 from ehls_ros.diagnosis.search import search
 from ehls_ros.diagnosis.spectrum import spectral_lines
 from ehls_ros.diagnosis.stage_results import Nrmse, not_recorded, stage_result
@@ -97,7 +96,7 @@ def diagnose(
         traces={c: _trace(evidence, signals, known.floor[c] * best.held_out.residuals.values[c], c) for c in evidence.channels},
         sensitivities=sizes,
         not_judged=not_tried,
-        remarks=(*record.remarks, *_incidents(findings), *merged(record.signals)),
+        remarks=(*record.remarks, *_incidents(findings), *(_would_tell(named) if names else ())),
         seed=seed,
         wall_s=time.perf_counter() - began,
     )
@@ -144,6 +143,15 @@ def _incidents(findings: Mapping[Stage, Finding]) -> list[str]:
         for stage, finding in findings.items()
         for item in finding.remainders
         if item.incident is not None
+    ]
+
+
+def _would_tell(named: Sequence[Cause]) -> list[str]:
+    """Say which missing signals would tell a cause from what it is equivalent to."""
+    return [
+        f"without {' and '.join(cause.deciding)}, {cause.name} is not told from {', '.join(cause.equivalent_to)}"
+        for cause in named
+        if cause.deciding
     ]
 
 

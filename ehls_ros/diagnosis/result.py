@@ -75,6 +75,7 @@ class Cause(NamedTuple):
         rivals: other effects in its place, best first.
         share: fraction of the removable error that returns without it, in the channel where it explains most. Shares of causes
             that stand in for each other add up to less than what all of them close.
+        deciding: signals that were not recorded and would tell it from some of these effects.
     """
 
     name: str
@@ -88,6 +89,7 @@ class Cause(NamedTuple):
     sigmas: float
     rivals: tuple[Rival, ...]
     share: float | None = None
+    deciding: tuple[str, ...] = ()
 
 
 class Gain(NamedTuple):

@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES, read_bag
-from ehls_ros.recording.columns import TABLES, TIME, Column, ColumnMap, Columns, is_contract_name
+from ehls_ros.recording.columns import TABLES, TIME, Column, ColumnMap, Columns, is_contract_name, is_topic
 from ehls_ros.recording.conversion import converted
 from ehls_ros.recording.csv_file import csv_names, raw_csv, read_csv
 from ehls_ros.recording.joining import join
 from ehls_ros.recording.mat_file import raw_mat, read_mat
+from ehls_ros.recording.named_topics import read_named_topics
 from ehls_ros.recording.parquet_file import raw_parquet, read_parquet
 from ehls_ros.recording.storage_file import METADATA_FILE
 from ehls_ros.recording.table import RawTable
@@ -39,7 +40,7 @@ def load(path: Path, columns: ColumnMap | None = None) -> Trajectory:
     Args:
         path: folder of a rosbag2; a file ``.mcap``, ``.db3``, ``.csv``, ``.mat`` or ``.parquet``; a folder with several of the
             last three, which are the tables of one recording; or one of the tables that the map lists.
-        columns: the user's own names, units and tables; not for bags.
+        columns: the user's own names, units and tables; of a bag, its topics. None: those of the data contract.
 
     Returns:
         The trajectory.
@@ -54,12 +55,12 @@ def load(path: Path, columns: ColumnMap | None = None) -> Trajectory:
     suffix = path.suffix.lower()
     if suffix in READERS:
         return converted(READERS[suffix].read(path, given.plain()), given, str(path))
-    if columns:
-        raise BadInput("a bag has no columns to map", str(path), "a map of columns only with a .csv, .mat or .parquet file")
     if suffix not in STORAGE_SUFFIXES and _is_file(path):
         expected = f"the folder of a rosbag2 or a file {', '.join((*STORAGE_SUFFIXES, *READERS))}"
         raise BadInput("its format is unknown", str(path), expected)
-    return read_bag(path)
+    if columns is None:
+        return read_bag(path)
+    return converted(_on_one_clock(read_named_topics(path, given), given, str(path)), given, str(path))
 
 
 def recordings(paths: Sequence[Path], columns: ColumnMap | None) -> list[Path]:
@@ -95,7 +96,7 @@ def raw(path: Path) -> RawTable:
 def _tables(path: Path, given: ColumnMap) -> list[Path]:
     """Return the tables that make one recording; none where the path is a recording by itself."""
     folder = path if _is_folder(path) else path.parent
-    if given.tables:
+    if given.tables and not any(map(is_topic, given.tables)):
         if folder != path and path.name not in given.tables:
             expected = f"one of its tables {', '.join(given.tables)}, or their folder"
             raise BadInput(f"it is not among the tables of the map ({', '.join(given.tables)})", str(path), expected)
@@ -123,7 +124,11 @@ def _joined(paths: Sequence[Path], given: ColumnMap, where: str) -> Trajectory:
             raise BadInput(f"column '{column.name}' for {name} is in no table ({shown})", where, "a column of that name")
     chosen = {path.name: _columns_of(path.name, names, given, where) for path in paths}
     read = {path.name: READERS[path.suffix.lower()].read(path, chosen[path.name]) for path in paths}
-    return read[paths[0].name] if len(paths) == 1 else join(read, given.base, where)
+    return _on_one_clock(read, given, where)
+
+
+def _on_one_clock(tables: Mapping[str, Trajectory], given: ColumnMap, where: str) -> Trajectory:
+    return next(iter(tables.values())) if len(tables) == 1 else join(tables, given.base, where)
 
 
 def _columns_of(table: str, names: Mapping[str, Sequence[str]], given: ColumnMap, where: str) -> dict[str, Column]:

@@ -7,14 +7,12 @@ import pytest
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.diagnose import diagnose
-from ehls_ros.diagnosis.missing_signals import MERGED, merged
-from ehls_ros.diagnosis.record import SPOOL, prepare
+from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.resolution import coarseness, command_seen, friction_known, presliding_travel
 from ehls_ros.diagnosis.stages import setup
 from ehls_ros.errors import BadInput
-from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import rig_from_mapping
-from ehls_ros.trajectory import READABLE, Own, Preparation, Trajectory
+from ehls_ros.trajectory import Own, Preparation, Trajectory
 
 SLOW = 0.01
 
@@ -166,20 +164,3 @@ def test_what_the_reading_cannot_judge_is_not_judged_with_its_reason(rig, record
     assert {"force", "spool"} <= set(found.channels)
     assert found.why_not == {"flow": "for a reason"}
     assert "as read" in record.remarks
-
-
-# --- missing signals ---------------------------------------------------------------------------
-
-
-def test_each_missing_signal_says_what_it_would_decide():
-    everything = set(READABLE)
-    assert merged(everything) == ()
-    [said] = merged(everything - {SPOOL})
-    assert said.startswith("without spool_m, valve_gain_shift, ")
-    assert said.endswith("spool_m would decide")
-    # Without a command there is no valve to judge, and nothing to tell apart.
-    assert not any(SPOOL in line for line in merged(everything - {SPOOL, "valve_command_m"}))
-
-
-def test_the_effects_that_are_named_exist():
-    assert all(set(what.effects) <= set(EFFECTS.names()) for what in MERGED.values())
