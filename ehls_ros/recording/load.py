@@ -52,12 +52,8 @@ def load(path: Path, columns: ColumnMap | None = None) -> Trajectory:
     tables = _tables(path, given)
     if tables:
         return converted(_joined(tables, given, str(path)), given, str(path))
-    suffix = path.suffix.lower()
-    if suffix in READERS:
-        return converted(READERS[suffix].read(path, given.plain()), given, str(path))
-    if suffix not in STORAGE_SUFFIXES and _is_file(path):
-        expected = f"the folder of a rosbag2 or a file {', '.join((*STORAGE_SUFFIXES, *READERS))}"
-        raise BadInput("its format is unknown", str(path), expected)
+    if is_table(path):
+        return converted(READERS[path.suffix.lower()].read(path, given.plain()), given, str(path))
     if columns is None:
         return read_bag(path)
     return converted(_on_one_clock(read_named_topics(path, given), given, str(path)), given, str(path))
@@ -81,16 +77,26 @@ def recordings(paths: Sequence[Path], columns: ColumnMap | None) -> list[Path]:
     return [given[0]]
 
 
+def is_table(path: Path) -> bool:
+    """Tell whether a file has named columns; else it is a bag.
+
+    Raises:
+        BadInput: it is a file of another format.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in READERS and suffix not in STORAGE_SUFFIXES and _is_file(path):
+        expected = f"the folder of a rosbag2 or a file {', '.join((*STORAGE_SUFFIXES, *READERS))}"
+        raise BadInput("its format is unknown", str(path), expected)
+    return suffix in READERS
+
+
 def raw(path: Path) -> RawTable:
     """Return the columns of one table by the user's own names.
 
     Raises:
-        BadInput: it is no file of named columns, or cannot be read.
+        BadInput: it cannot be read.
     """
-    suffix = path.suffix.lower()
-    if suffix not in READERS:
-        raise BadInput("it has no columns to map", str(path), f"a file {', '.join(READERS)}")
-    return READERS[suffix].raw(path)
+    return READERS[path.suffix.lower()].raw(path)
 
 
 def _tables(path: Path, given: ColumnMap) -> list[Path]:

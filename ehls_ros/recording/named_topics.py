@@ -1,8 +1,10 @@
 """Reading of the topics that a map of columns names in a bag: each a table of its own, with its own rate and time stamps."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,9 @@ STAMP, RECEIVED = "header.stamp", "received"
 
 LEAST_DISTINCT = 0.5
 """Least part of a topic's messages that have a time of their own; below it, the stamps are not set."""
+
+SHOWN = 16
+"""Most entries of a sequence that are shown."""
 
 ENTRY = re.compile(r"(?P<field>.+)\[(?P<number>[0-9]{1,6})\]\Z")
 """One entry of a sequence, such as ``position[0]``."""
@@ -50,6 +55,82 @@ def read_named_topics(path: Path, given: ColumnMap) -> dict[str, Trajectory]:
     first = min(int(s[0]) for s in stamps.values())
     zero = first if first >= UNIX_TIME_NS else 0
     return {name: topic.trajectory(read[name], (stamps[name] - zero) / 1e9) for name, topic in topics.items()}
+
+
+class Found(NamedTuple):
+    """The messages of a topic as they are.
+
+    Attributes:
+        type: of the messages.
+        time: of each message, by its stamp if it has one, from the bag's beginning, shape (n,) [s].
+        fields: numbers by the name that a map gives them.
+    """
+
+    type: str
+    time: NDArray[np.float64]
+    fields: Mapping[str, NDArray[np.float64]]
+
+
+def every_topic(path: Path) -> dict[str, Found]:
+    """Read all topics of a bag that have numbers.
+
+    Args:
+        path: folder of the bag, or one storage file.
+
+    Raises:
+        BadInput: the bag cannot be read.
+    """
+    with opened(path) as bag:
+        sinks = {}
+        for name, connections in sorted(bag.by_topic().items()):
+            with suppress(BadInput):
+                fields = numbers_in(connections[0], bag.where)
+                known = [f.name for f in fields if f.kind != "string"]
+                sinks[name] = _Lenient(connections, fields, known, bag.seal(name), f"{bag.where}, {name}")
+        bag.read({c.id: sink for sink in sinks.values() for c in sink.connections})
+        read = {name: sink.columns() for name, sink in sinks.items() if sink.sound}
+    stamped = {name: {SECONDS, NANOSECONDS} <= columns.keys() for name, columns in read.items()}
+    stamps = {name: _stamps(columns, stamped[name]) for name, columns in read.items() if len(columns[SENT])}
+    zero = min((int(s[0]) for s in stamps.values()), default=0)
+    return {
+        name: Found(sinks[name].connections[0].msgtype, (s - zero) / 1e9, _numbers(read[name])) for name, s in stamps.items()
+    }
+
+
+class _Lenient(BagTopic):
+    """A topic that is left out if its messages are not to be read, such as pictures."""
+
+    def __init__(self, connections: Sequence[Connection], *others: Any) -> None:
+        super().__init__(connections, *others)
+        self.connections = connections
+        self.sound = True
+
+    def add(self, stamp_ns: int, message: bytes) -> None:
+        try:
+            if self.sound:
+                super().add(stamp_ns, message)
+        except BadInput:
+            self.sound = False
+
+
+def _numbers(read: MessageColumns) -> dict[str, NDArray[np.float64]]:
+    """Return the fields of a topic without its stamps, each entry of a sequence by itself."""
+    out = {}
+    for name, values in read.items():
+        if name in (SECONDS, NANOSECONDS, SENT):
+            continue
+        if values.ndim == 1:
+            out[name] = values.astype(np.float64)
+        else:
+            out |= {f"{name}[{i}]": values[:, i].astype(np.float64) for i in range(min(values.shape[1], SHOWN))}
+    return out
+
+
+def _stamps(read: MessageColumns, stamped: bool) -> NDArray[np.int64]:
+    """Return the time of each message, in order of arrival [ns]."""
+    if not stamped:
+        return read[SENT].astype(np.int64)
+    return read[SECONDS].astype(np.int64) * 10**9 + read[NANOSECONDS].astype(np.int64)
 
 
 def numbers_in(connection: Connection, where: str) -> list[Field]:
@@ -119,9 +200,7 @@ class _Topic:
         """Return the time of each message, in order of arrival [ns]; that of receiving where the map names a field."""
         if not len(read[SENT]):
             raise BadInput("there is no message", self.where, "a topic with messages")
-        if self._time.name != STAMP:
-            return read[SENT].astype(np.int64)
-        return read[SECONDS].astype(np.int64) * 10**9 + read[NANOSECONDS].astype(np.int64)
+        return _stamps(read, self._time.name == STAMP)
 
     def trajectory(self, read: MessageColumns, stamps: NDArray[np.float64]) -> Trajectory:
         """Return the topic's signals in the order of their times."""

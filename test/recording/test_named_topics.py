@@ -10,6 +10,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.columns import Column, ColumnMap, Cylinder, read_columns
 from ehls_ros.recording.load import load
+from ehls_ros.recording.proposal import look, proposed_map
 from ehls_ros.recording.typestore import typestore
 
 TYPES = typestore().types
@@ -166,3 +167,24 @@ def test_stamps_that_nobody_set_are_refused(tmp_path: Path):
 def test_without_a_map_such_a_bag_asks_for_one(tmp_path: Path):
     with pytest.raises(BadInput, match=r"loader_state is missing .*a map of columns that names topics \(ehls columns "):
         read_bag(bag_of(tmp_path))
+
+
+def test_the_proposed_map_names_topics_and_leaves_open_what_they_do_not_say(tmp_path: Path):
+    def pressure(k: int) -> Message:
+        fields = {"header": stamped(k / 100), "fluid_pressure": 1e5 * k, "variance": 0.0}
+        return Message("/boom/pressure_a", "sensor_msgs/msg/FluidPressure", received(k / 100 + 0.002 * (k % 3)), fields)
+
+    picture = Message("/camera", "std_msgs/msg/UInt8MultiArray", received(0.0), {
+        "layout": TYPES["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0), "data": np.zeros(70_000, np.uint8),
+    })  # fmt: skip
+    messages = [picture, *(pressure(k) for k in range(5)), *(number("/weg_mm", k / 100, k) for k in range(5))]
+    tables = look(record(tmp_path / "theirs", [*messages, *(wrench(k / 100, k) for k in range(5))]))
+    assert {table.name: round(table.rate) for table in tables} == {"/boom/pressure_a": 100, "/cell": 100, "/weg_mm": 100}
+    text = proposed_map(tables)
+    assert mapped(tmp_path, text) == ColumnMap({
+        "pressure_a_pa": Column("fluid_pressure", unit="Pa", table="/boom/pressure_a"),
+        "position_m": Column("data", unit="mm", table="/weg_mm"),
+    })  # fmt: skip
+    [force] = [line for line in text.splitlines() if "wrench.force.z" in line]
+    assert force.startswith("# ")
+    assert "0 to 4" in force
