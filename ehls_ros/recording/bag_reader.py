@@ -2,7 +2,7 @@
 
 import shlex
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path, PurePath
@@ -32,7 +32,7 @@ STORAGE_SUFFIXES = (".mcap", ".db3")
 EXPECTED = "a folder of a rosbag2, or a file .mcap or .db3"
 
 
-def read_bag(path: Path) -> Trajectory:
+def read_bag(path: Path, wanted: Collection[str] = SIGNALS) -> Trajectory:
     """Read a rosbag2 made by the recorder node, by ``ros2 bag record`` or from a trajectory.
 
     The samples are the cycles of ``loader_state``, in any namespace. Messages on the other topics belong to the sample of their
@@ -41,6 +41,7 @@ def read_bag(path: Path) -> Trajectory:
 
     Args:
         path: folder of the bag, or one storage file (``.mcap``, ``.db3``).
+        wanted: names of the signals to read; topics that have none of them are left out.
 
     Returns:
         The trajectory. Its times are the header stamps of the snapshots, relative to the first if they are wall-clock times.
@@ -52,14 +53,15 @@ def read_bag(path: Path) -> Trajectory:
     """
     where = str(path)
     with opened(path) as bag:
-        provenance, columns = bag.provenance, _read_topics(bag)
+        provenance, columns = bag.provenance, _read_topics(bag, wanted)
     if not len(columns[LOADER_STATE.name][CYCLE]):
         raise BadInput(f"there is no message on {LOADER_STATE.name}", where, "at least one snapshot")
     time_s, signals = align(columns, where)
     configuration = provenance.configuration if provenance else {}
     if configuration.get("timing") == "realtime":
         configuration = {"wall_s": float(np.ptp(columns[LOADER_STATE.name][SENT])) / 1e9, **configuration}
-    return Trajectory(time_s, _recorded(signals, len(time_s), provenance), configuration)
+    recorded = _recorded(signals, len(time_s), provenance)
+    return Trajectory(time_s, {name: values for name, values in recorded.items() if name in wanted}, configuration)
 
 
 class OpenBag(NamedTuple):
@@ -218,15 +220,15 @@ def _provenance(custom_data: Sequence[Mapping[str, str]], where: str) -> Provena
     return found[0] if found else None
 
 
-def _read_topics(bag: OpenBag) -> dict[str, MessageColumns]:
-    """Return the messages on the bag's cycle topics, by the topic's name."""
+def _read_topics(bag: OpenBag, wanted: Collection[str]) -> dict[str, MessageColumns]:
+    """Return the messages on the bag's cycle topics that have wanted signals, and on ``loader_state``, by the topic's name."""
     by_path = bag.by_topic()
     namespace = _namespace(by_path, bag.where)
     topics: dict[str, BagTopic] = {}
     sinks: dict[int, BagTopic] = {}
     for topic in CYCLE_TOPICS:
         name, seal = topic.resolve(namespace), bag.seal(topic.resolve(namespace))
-        if name in by_path:
+        if name in by_path and (topic is LOADER_STATE or not set(wanted).isdisjoint(topic.signals.values())):
             with damage_reported(bag.where):
                 topics[topic.name] = cycle_topic(topic, by_path[name], seal, f"{bag.where}, {name}")
             sinks |= {connection.id: topics[topic.name] for connection in by_path[name]}

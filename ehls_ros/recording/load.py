@@ -1,6 +1,6 @@
 """Loads recorded or measured data in any format of the data contract."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from ehls_ros.recording.named_topics import read_named_topics
 from ehls_ros.recording.parquet_file import raw_parquet, read_parquet
 from ehls_ros.recording.storage_file import METADATA_FILE
 from ehls_ros.recording.table import RawTable
-from ehls_ros.trajectory import Trajectory
+from ehls_ros.trajectory import SIGNALS, Trajectory
 
 
 class Reader(NamedTuple):
@@ -34,13 +34,14 @@ READERS: Mapping[str, Reader] = {
 """Readers of files with named columns, by suffix."""
 
 
-def load(path: Path, columns: ColumnMap | None = None) -> Trajectory:
+def load(path: Path, columns: ColumnMap | None = None, wanted: Collection[str] = SIGNALS) -> Trajectory:
     """Read data in any supported format.
 
     Args:
         path: folder of a rosbag2; a file ``.mcap``, ``.db3``, ``.csv``, ``.mat`` or ``.parquet``; a folder with several of the
             last three, which are the tables of one recording; or one of the tables that the map lists.
         columns: the user's own names, units and tables; of a bag, its topics. None: those of the data contract.
+        wanted: names of the signals that are needed of a bag of ours; its other topics are not read.
 
     Returns:
         The trajectory.
@@ -55,7 +56,7 @@ def load(path: Path, columns: ColumnMap | None = None) -> Trajectory:
     if is_table(path):
         return converted(READERS[path.suffix.lower()].read(path, given.plain()), given, str(path))
     if columns is None:
-        return read_bag(path)
+        return read_bag(path, wanted)
     return converted(_on_one_clock(read_named_topics(path, given), given, str(path)), given, str(path))
 
 
