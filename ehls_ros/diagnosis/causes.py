@@ -12,7 +12,7 @@ from ehls_ros.diagnosis.evidence import Evidence, noise_power
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import parts
 from ehls_ros.diagnosis.loss import power
-from ehls_ros.diagnosis.missing_signals import deciding
+from ehls_ros.diagnosis.missing_signals import deciding, untried
 from ehls_ros.diagnosis.probability import probability_of_first
 from ehls_ros.diagnosis.remainder import remainder_in
 from ehls_ros.diagnosis.result import Cause, Rival
@@ -57,7 +57,7 @@ def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0) ->
         if remainder_in(evidence, best, mostly_in(best, place.without)).doubtful:
             probability *= rules.FORM_RIGHT
         probability = min(probability, most)
-        alike = _alike(evidence, best, others, gain, scale)
+        alike = _alike(evidence, best, others, gain, scale) | untried(evidence, best.fit, place.without.fit)
         out.append(
             Cause(
                 name=candidate.name,

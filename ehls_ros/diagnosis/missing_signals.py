@@ -2,18 +2,20 @@
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence
-from ehls_ros.diagnosis.fit import Fit
-from ehls_ros.diagnosis.hypotheses import extended
+from ehls_ros.diagnosis.fit import Fit, Worker
+from ehls_ros.diagnosis.hypotheses import candidates, extended
 from ehls_ros.diagnosis.noise import largest_terms
-from ehls_ros.diagnosis.record import FORCE, PRESSURE, SPOOL, SUPPLY, VELOCITY
+from ehls_ros.diagnosis.record import FORCE, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Comparison, setup
 from ehls_ros.physics.rig import EffectiveRig, Rig
+from ehls_ros.physics.simulator import OIL_TEMPERATURE
 
 EXPECTED: Mapping[str, Callable[[Comparison, EffectiveRig], Array]] = {
     SPOOL: lambda along, rig: along.simulated_spool(rig),
@@ -23,6 +25,10 @@ EXPECTED: Mapping[str, Callable[[Comparison, EffectiveRig], Array]] = {
     VELOCITY: lambda along, rig: along.motion(rig).velocity,
 }
 """What a model says of a signal that was not recorded, along those that were, shape (n,)."""
+
+
+STILL: Mapping[str, float] = {TEMPERATURE: OIL_TEMPERATURE + 1.0}
+"""Signals without which an effect is not tried, and a value at which it acts."""
 
 
 def deciding(evidence: Evidence, one: Fit, other: Fit) -> tuple[str, ...]:
@@ -38,6 +44,36 @@ def deciding(evidence: Evidence, one: Fit, other: Fit) -> tuple[str, ...]:
         return ()
     along, rigs = evidence.comparison(), [extended(evidence.rig, fit.hypothesis, fit.values) for fit in (one, other)]
     return tuple(signal for signal in missing if _tells(along, signal, *rigs))
+
+
+def untried(evidence: Evidence, best: Fit, without: Fit) -> dict[str, tuple[str, ...]]:
+    """Return the effects not tried for want of a sensor that do what a cause does while that sensor's signal keeps still.
+
+    Args:
+        evidence: the recording compared with the given model.
+        best: the hypothesis with the cause, fitted.
+        without: the same without it.
+
+    Returns:
+        The missing signals by effect.
+    """
+    record = evidence.record
+    still = {signal: value for signal, value in STILL.items() if signal not in record}
+    if not still:
+        return {}
+    signals = {signal: np.full(len(record.time), value) for signal, value in still.items()}
+    completed = record._replace(signals={**record.signals, **signals}, noise={**record.noise, **dict.fromkeys(still, 0.0)})
+    worker = Worker(replace(evidence, record=completed))
+    (_, left_out), (tried, _) = (candidates(r, evidence.rig, ()) for r in (record, completed))
+    out = dict[str, tuple[str, ...]]()
+    for candidate in tried:
+        if candidate.name in left_out:
+            fit = worker.linearise((candidate,), candidate.neutral)
+            change = best.residuals.joined(fit.channels) - without.residuals.joined(fit.channels)
+            left = change - fit.jacobian @ np.linalg.lstsq(fit.jacobian, change, rcond=None)[0]
+            if float(left @ left) <= (1.0 - rules.CLOSED) * float(change @ change):
+                out[candidate.name] = tuple(still)
+    return out
 
 
 def _tells(along: Comparison, signal: str, one: Rig, other: Rig) -> bool:
