@@ -1,4 +1,4 @@
-"""Recordings as rigs give them: slow, at two rates, without the spool's position, with two chamber pressures."""
+"""Recordings as rigs give them: slow, at two rates, without the spool, with two chamber pressures, of a single rod."""
 
 import copy
 import math
@@ -7,9 +7,11 @@ from collections.abc import Iterable
 import numpy as np
 
 from .degrade import without
-from .recording import SENSORS, Recording
+from .recording import SENSORS, SERVO_COLUMNS, Recording
 
 Rng = np.random.Generator
+TURNING = 2.0e-5
+"""Spool displacement over which the chambers of a single rod change between outward and inward flow, m."""
 
 
 def slowed(r: Recording, rate: float = 100.0, first: float = 0.0) -> Recording:
@@ -47,6 +49,12 @@ def command_only(r: Recording) -> Recording:
     return without(r, "spool_m")
 
 
+def sparse(r: Recording) -> Recording:
+    """Keep what any rig has: command, load pressure and position, and what acts from outside."""
+    kept = {"valve_command_m", "load_pressure_pa", "position_m", "disturbance_force_n", *SERVO_COLUMNS}
+    return without(r, *(name for name in r.columns if name not in kept))
+
+
 def chamber_pressures(r: Recording, rng: Rng) -> Recording:
     """Give the pressures of both chambers in place of the load pressure, as of a symmetric cylinder with a matched valve.
 
@@ -58,4 +66,23 @@ def chamber_pressures(r: Recording, rng: Rng) -> Recording:
     both = supply + math.sqrt(2.0) * SENSORS["load_pressure_pa"][0] * rng.standard_normal(load.size) * (r.truth["noise"] > 0.0)
     out.columns |= {"pressure_a_pa": 0.5 * (both + load), "pressure_b_pa": 0.5 * (both - load)}
     out.truth["degraded"].append("two chamber pressures")
+    return out
+
+
+def single_rod(r: Recording, areas: tuple[float, float], rng: Rng) -> Recording:
+    """Give the pressures of both chambers in place of the load pressure, as of a single rod with a matched valve.
+
+    With areas A and B, (A pA - B pB) / mean area is the recorded load pressure, with its faults and noise. What both chambers
+    share is that of steady flow, (ps - pA) / pB = (A / B)^2 outwards and pA / (ps - pB) = (A / B)^2 inwards, plus the noise of
+    another sensor. The spool is that of the symmetric cylinder: its flow says nothing about a single rod.
+    """
+    a, b = areas
+    out = without(r, "load_pressure_pa")
+    supply, force = r.columns["supply_pressure_pa"], 0.5 * (a + b) * r.columns["load_pressure_pa"]
+    drop = (a / b) ** 2
+    outwards = 0.5 + 0.5 * np.tanh(r.columns["spool_m"] / TURNING)
+    rod = (a * supply * (outwards + (1.0 - outwards) * drop) - force) / (a * drop + b)
+    rod += SENSORS["load_pressure_pa"][0] * rng.standard_normal(rod.size) * (r.truth["noise"] > 0.0)
+    out.columns |= {"pressure_a_pa": (force + b * rod) / a, "pressure_b_pa": rod}
+    out.truth["degraded"].append(f"two chamber pressures of a single rod, areas {a:g} and {b:g} m²")
     return out

@@ -7,7 +7,7 @@ of diagnosis. Run as a script, it prints the table of all effects.
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,10 @@ import yaml
 from scipy.signal import butter, sosfiltfilt
 
 from .effects import EFFECTS, draw_effect
-from .experiments import TICK
 from .recording import SENSORS, Recording, record
 
 BAND = 25.0  # Hz, of the balances of flow and force
+EDGE = 0.1  # s, left out at either end
 STAGES = ("force_balance", "flow", "valve", "sensors")
 
 
@@ -54,36 +54,41 @@ def friction_along(v, dt, stiffness, weight, attraction, fc, fs, vs, exponent, l
 
 
 def leftovers(rig: Mapping[str, Any], r: Recording) -> dict[str, list[np.ndarray]]:
-    """Return the residuals of the nominal equations for a recording at 1 kHz with all columns, by stage."""
+    """Return the residuals of the nominal equations for a recording, by stage.
+
+    Some columns may be missing, with the residuals that compare them: the spool then follows from the command, the supply
+    pressure is the rig file's.
+    """
     plant, friction = rig["plant"], rig["friction"]
-    c = r.columns
-    low = butter(3, BAND, fs=1.0 / TICK, output="sos")
+    c, step = r.columns, 1.0 / r.truth["rate"]
+    low = butter(3, BAND, fs=1.0 / step, output="sos")
+    edge = round(EDGE / step)
 
     def band(a: np.ndarray) -> np.ndarray:
-        return sosfiltfilt(low, a)[100:-100]
+        return sosfiltfilt(low, a)[edge:-edge]
 
     x = sosfiltfilt(low, c["position_m"])
-    v = np.gradient(x, TICK)
-    p_load, spool = c["load_pressure_pa"], c["spool_m"]
-    decay = np.exp(-plant["valve_bandwidth"] * TICK)
-    command = plant["valve_gain"] * c["valve_command_m"]
-    modelled = np.empty_like(spool)
-    modelled[0] = spool[0]
-    modelled[1:] = _follow(command, decay, spool[0])
+    v = np.gradient(x, step)
+    p_load, command = c["load_pressure_pa"], plant["valve_gain"] * c["valve_command_m"]
+    modelled = np.empty_like(command)
+    modelled[0] = c["spool_m"][0] if "spool_m" in c else command[0]
+    modelled[1:] = _follow(command, np.exp(-plant["valve_bandwidth"] * step), modelled[0])
+    spool = c.get("spool_m", modelled)
+    supply = c.get("supply_pressure_pa", plant["supply_pressure"])
     flow = plant["discharge_coefficient"] * plant["valve_area_gradient"] * spool
-    flow *= np.sqrt(np.maximum(c["supply_pressure_pa"] - np.sign(spool) * p_load, 0.0) / plant["oil_density"])
-    compressed = plant["total_volume"] / (4.0 * plant["bulk_modulus"]) * np.gradient(p_load, TICK)
+    flow *= np.sqrt(np.maximum(supply - np.sign(spool) * p_load, 0.0) / plant["oil_density"])
+    compressed = plant["total_volume"] / (4.0 * plant["bulk_modulus"]) * np.gradient(p_load, step)
     lugre = friction["model"] == "lugre"
     stiffness, weight = (np.asarray(friction[key], float) for key in ("element_stiffness", "element_weight"))
     if lugre:
         stiffness, weight = stiffness.sum(keepdims=True), np.ones(1)
     rub = friction_along(
-        v, TICK, stiffness, weight, friction["attraction_rate"], friction["coulomb_force"], friction["static_force"],
+        v, step, stiffness, weight, friction["attraction_rate"], friction["coulomb_force"], friction["static_force"],
         friction["stribeck_velocity"], friction["stribeck_exponent"], lugre,
     )  # fmt: skip
     force = (
         plant["piston_area"] * p_load
-        - plant["moving_mass"] * (np.gradient(v, TICK) + plant["gravity"])
+        - plant["moving_mass"] * (np.gradient(v, step) + plant["gravity"])
         - (plant["viscous_damping"] + friction["viscous_coefficient"]) * v
         - plant["spring_stiffness"] * x
         - rub
@@ -93,10 +98,14 @@ def leftovers(rig: Mapping[str, Any], r: Recording) -> dict[str, list[np.ndarray
         "force_balance": [band(force)],
         "flow": [
             band(flow - plant["piston_area"] * v - plant["leakage_coefficient"] * p_load - compressed),
-            band(c["supply_pressure_pa"] - plant["supply_pressure"]),
+            *([band(supply - plant["supply_pressure"])] if "supply_pressure_pa" in c else []),
         ],
-        "valve": [(spool - modelled)[100:-100]],
-        "sensors": [band(c["force_n"] - plant["piston_area"] * p_load), band(c["velocity_m_s"] - v)],
+        "valve": [(spool - modelled)[edge:-edge]] if "spool_m" in c else [],
+        "sensors": [
+            band(c[name] - other)
+            for name, other in {"force_n": plant["piston_area"] * p_load, "velocity_m_s": v}.items()
+            if name in c
+        ],
     }
 
 
@@ -121,10 +130,27 @@ class Background:
 
 
 def background(
-    rig: Mapping[str, Any], experiment: str, *, seed: int, duration: float = 60.0, disturbed: bool = True
+    rig: Mapping[str, Any],
+    experiment: str,
+    *,
+    seed: int,
+    duration: float = 60.0,
+    disturbed: bool = True,
+    given: Callable[[Recording], Recording] = lambda r: r,
 ) -> Background:
+    """Run an experiment without effects.
+
+    Args:
+        rig: content of the rig file.
+        experiment: name in `EXPERIMENTS`.
+        seed: of the experiment and the noise.
+        duration: duration, s.
+        disturbed: whether a disturbance force acts.
+        given: what is left of a recording, by default all of it.
+    """
     quiet, noisy = (
-        record(rig, {}, experiment, seed=seed, duration=duration, noise=noise, disturbed=disturbed) for noise in (0.0, 1.0)
+        given(record(rig, {}, experiment, seed=seed, duration=duration, noise=noise, disturbed=disturbed))
+        for noise in (0.0, 1.0)
     )
     left, spoilt = leftovers(rig, quiet), leftovers(rig, noisy)
     floor = {stage: [_rms(a - b) for a, b in zip(spoilt[stage], left[stage], strict=True)] for stage in STAGES}
@@ -135,7 +161,10 @@ def against(without: Background, rig: Mapping[str, Any], r: Recording) -> dict[s
     """Return the `visibility` of the effects hidden in a noise-free recording."""
     found = leftovers(rig, r)
     return {
-        stage: max(_rms(a - b) / f for a, b, f in zip(found[stage], without.left[stage], without.floor[stage], strict=True))
+        stage: max(
+            (_rms(a - b) / f for a, b, f in zip(found[stage], without.left[stage], without.floor[stage], strict=True)),
+            default=0.0,
+        )
         for stage in STAGES
     }
 
@@ -190,7 +219,7 @@ def standing(without: Background, rest: Sequence[tuple[float, Rows]], healthy: R
                 total = _rms(changed[stage][i] - without.left[stage][i]) ** 2
                 due += (total - _rms(healthy[stage][i] - without.left[stage][i]) ** 2) / floor**2
                 whole += total / floor**2
-        seen[stage] = max(ratios)
+        seen[stage] = max(ratios, default=0.0)
     return Standing(seen, due / whole if whole > 0.0 else 0.0)
 
 

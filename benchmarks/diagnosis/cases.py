@@ -61,6 +61,7 @@ class Case(NamedTuple):
         healthy: experiment and seed of each recording from when the rig was well.
         days: condition of the rig in the recording and in the healthy ones, in that order; empty if it is always the same.
         share: the fraction of the removable error power due to the hidden effect; None where it is all of it.
+        data: kind of the data in the exam `raw`; empty where all signals are there.
     """
 
     seed: int
@@ -79,6 +80,7 @@ class Case(NamedTuple):
     healthy: tuple[tuple[str, int], ...] = ()
     days: tuple[Day, ...] = ()
     share: float | None = None
+    data: str = ""
 
     def told(self) -> dict[str, Any]:
         """Return the case ready for JSON."""

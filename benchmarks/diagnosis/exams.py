@@ -3,7 +3,8 @@
 clean: the rig is the model, the hidden effects apart. partial: the rig has form errors in every stage, which no model has, and
 one hidden effect; the rig file is the nominal one. baseline: the same, with recordings from when the rig was well, and in half
 of the cases nothing has changed since. skew: the rig is the model, but every channel is skewed and jittered. forms: clean, but
-the hidden effect, or one of a hidden pair, follows another formula of the same physics.
+the hidden effect, or one of a hidden pair, follows another formula of the same physics. raw: the rig is
+the model, but its data are slow, at two rates, without the spool, of few signals, or of a single rod, in turn.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.diagnosis import cases
+from benchmarks.diagnosis import cases, raw
 from benchmarks.diagnosis.cases import EXPERIMENTS, MOST_DRAWS, ONE_BODY, SHOWS, Case, Hidden, rig_file, shown
 from truth_generator import (
     LISTED,
@@ -51,6 +52,9 @@ HEALTHY = {"rich": 0.6, "random": 0.4}
 """Probability of each experiment for a recording from when the rig was well."""
 
 SKEW_EXPERIMENTS = ("rich", "random", "steps", "paper_sine")
+
+DRAWS_OF_ONE = 8
+"""Draws of an effect that data as rigs give them may fail to show before another one is taken."""
 
 LATE = ("command_delay", "sensor_delay")
 LEAST_DELAY = 3e-3
@@ -252,12 +256,33 @@ def make_forms(seed: int, number: int, duration: float) -> Case:
     return shown(rng, seed, number, kind, duration, draw)._replace(exam="forms")
 
 
+# ------------------------------------------------------------------------------------------------- data as rigs give them
+
+
+def make_raw(seed: int, number: int, duration: float) -> Case:
+    """Draw a case of the exam `raw`; where its data do not show the effect in some draws, another effect is drawn."""
+    rng = np.random.default_rng([seed, number, 4])
+    data = list(raw.KINDS)[number % len(raw.KINDS)]
+    name = effect_of(seed, number)
+    for redrawn in range(MOST_DRAWS):
+        experiment, record_seed = _experiment(rng, name), _seed(rng)
+        hidden = {name: draw_effect(name, rng, rig_file())}
+        seen = raw.visible(data, hidden, experiment, record_seed, duration)
+        if max(seen.values()) >= SHOWS:
+            rounded = {name: {stage: round(value, 3) for stage, value in seen.items()}}
+            return Case(seed, number, "singles", experiment, record_seed, duration, hidden, rounded, redrawn, "raw", data=data)
+        if redrawn % DRAWS_OF_ONE == DRAWS_OF_ONE - 1:
+            name = str(rng.choice(sorted(LISTED)))
+    raise RuntimeError(f"{data}: no effect shows in {MOST_DRAWS} draws")
+
+
 EXAMS: dict[str, Exam] = {
     "clean": Exam(cases.KINDS, cases.kind_of, cases.make),
     "partial": Exam(("singles",), lambda number: "singles", make_partial),
     "baseline": Exam(("singles", "nothing"), _alternating, make_baseline),
     "skew": Exam(("singles", "nothing"), _alternating, make_skew),
     "forms": Exam(("singles", "pairs"), _with_pairs, make_forms),
+    "raw": Exam(("singles",), lambda number: "singles", make_raw),
 }
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from benchmarks.diagnosis.cases import Case, healthy_of, recording_of, rig, sources
 from benchmarks.diagnosis.exams import EXAMS
+from benchmarks.diagnosis.raw import KINDS
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.result import Diagnosis
 from ehls_ros.trajectory import Trajectory
@@ -19,7 +20,8 @@ def _trajectory(recording: Recording) -> Trajectory:
 
 def diagnose_case(case: Case) -> Diagnosis:
     """Diagnose a case with what its exam gives: the rig file, and the healthy recordings where there are any."""
-    new = _trajectory(recording_of(case))
+    recording = recording_of(case)
+    new = KINDS[case.data].given(recording) if case.data else _trajectory(recording)
     if not case.healthy:
         return diagnose(new, rig(), "case", seed=case.number, threads=1)
     # The other exams run without it.

@@ -45,6 +45,8 @@ def _show(exam: str, rows: Sequence[Row], console: Console) -> None:
         console.print(peers)
     console.print(by_visibility(of))
     console.print(by_experiment(judged))
+    if exam == "raw":
+        console.print(by_data(judged))
     console.print(by_effect(judged))
     console.print(confusions(judged))
     console.print(not_there(judged))
@@ -70,6 +72,7 @@ def _verdict(good: bool) -> str:
 MARKS: dict[str, tuple[float, float | None, float | None]] = {
     "partial": (0.9, 0.02, 0.02), "baseline": (0.95, None, None), "skew": (0.96, None, None),
     "forms": (0.94, None, None),
+    "raw": (0.9, None, None),
 }  # fmt: skip
 """By exam: least share of right names, most of confident wrong ones, most of names beside a true one that are not there."""
 
@@ -231,6 +234,19 @@ def by_experiment(judged: Judged) -> Table:
     for experiment in EXPERIMENTS:
         here = [(r, j) for r, j in judged if r.get("experiment") == experiment]
         table.add_row(experiment, *(share([j.right for r, j in here if r["kind"] == kind]) for kind in KINDS))
+    return table
+
+
+def by_data(judged: Judged) -> Table:
+    """Return how often the diagnosis is right, by the kind of the data, and how many effects it leaves open then."""
+    table = Table(title="by kind of data", title_justify="left")
+    for column in ("", "right", "by its own name", "equivalent_to, mean number"):
+        table.add_column(column)
+    for data in dict.fromkeys(r.get("data", "") for r, _ in judged):
+        here = [(r, j) for r, j in judged if r.get("data", "") == data]
+        open_ = [len(r["ours"]["causes"][0]["equivalent_to"]) for r, j in here if j.right]
+        others = f"{np.mean(open_):.1f}" if open_ else "–"
+        table.add_row(data, share([j.right for _, j in here]), share([j.exact for _, j in here]), others)
     return table
 
 

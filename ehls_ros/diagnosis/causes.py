@@ -1,7 +1,7 @@
 """The causes of the best hypothesis as the result describes them: probability, parameters, equivalents, rivals."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import parts
 from ehls_ros.diagnosis.loss import closed
+from ehls_ros.diagnosis.missing_signals import deciding, untried
 from ehls_ros.diagnosis.probability import probability_of_first
 from ehls_ros.diagnosis.remainder import remainder_in
 from ehls_ros.diagnosis.result import Cause, Rival
@@ -57,17 +58,12 @@ def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0) ->
         if remainder_in(evidence, best, main).doubtful:
             probability *= rules.FORM_RIGHT
         probability = min(probability, most)
-        equivalent = tuple(
-            j.hypothesis[-1].name
-            for j in others
-            if best.score(scale) - j.score(scale) < max(rules.EQUAL, rules.EQUAL_FRACTION * gain)
-            and len(j.fit.values) <= len(best.fit.values)
-        )
+        alike = _alike(evidence, best, others, gain, scale) | untried(evidence, best.fit, place.without.fit)
         out.append(
             Cause(
                 name=candidate.name,
                 probability=probability,
-                equivalent_to=equivalent,
+                equivalent_to=tuple(alike),
                 stage=stages[index],
                 group=groups[index],
                 parameters=_estimates(best, index),
@@ -77,9 +73,30 @@ def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0) ->
                 rivals=tuple(_rival(evidence, found, place.without, j) for j in others[: rules.RIVALS]),
                 channel=main,
                 share=_share(evidence, best, place.without, main),
+                deciding=tuple(dict.fromkeys(signal for signals in alike.values() for signal in signals)),
             )
         )
     return tuple(sorted(out, key=lambda cause: -cause.gain))
+
+
+def _alike(
+    evidence: Evidence, best: Assessment, others: Sequence[Assessment], gain: float, scale: Mapping[Channel, float]
+) -> dict[str, tuple[str, ...]]:
+    """Return the effects that the recording does not tell from a cause, with the missing signals that would.
+
+    Where a missing signal would tell them, whatever explains the error well enough to be reported is not told from the cause:
+    that the cause explains a little more may be due to its form, which no rig has exactly.
+    """
+    out = dict[str, tuple[str, ...]]()
+    for j in others:
+        behind = best.score(scale) - j.score(scale)
+        equal = behind < max(rules.EQUAL, rules.EQUAL_FRACTION * gain) and len(j.fit.values) <= len(best.fit.values)
+        if not equal and behind >= (1.0 - rules.CLOSED) * gain:
+            continue
+        signals = deciding(evidence, best.fit, j.fit)
+        if equal or signals:
+            out[j.hypothesis[-1].name] = signals
+    return out
 
 
 def _share(evidence: Evidence, best: Assessment, without: Assessment, channel: Channel) -> float:

@@ -14,12 +14,11 @@ from ehls_ros.diagnosis.gain import gain
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
 from ehls_ros.diagnosis.measurement import allowed_for, beyond_measurement
-from ehls_ros.diagnosis.missing_signals import merged
 from ehls_ros.diagnosis.partial import partial_answer
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.remainder import Remainder, in_full, remainders
-from ehls_ros.diagnosis.result import NAMING, ChannelTrace, Diagnosis, Sensitivity, StageResult
+from ehls_ros.diagnosis.result import NAMING, Cause, ChannelTrace, Diagnosis, Sensitivity, StageResult
 from ehls_ros.diagnosis.search import search
 from ehls_ros.diagnosis.spectrum import spectral_lines
 from ehls_ros.diagnosis.stage_results import Nrmse, not_recorded, stage_result
@@ -100,7 +99,7 @@ def diagnose(
         traces={c: _trace(seen, signals, known.floor[c] * best.held_out.residuals.values[c], c) for c in evidence.channels},
         sensitivities=sizes,
         not_judged=not_tried,
-        remarks=(*record.remarks, said, *_incidents(findings), *merged(record.signals)),
+        remarks=(*record.remarks, said, *_incidents(findings), *(_would_tell(named) if names else ())),
         seed=seed,
         wall_s=time.perf_counter() - began,
     )
@@ -147,6 +146,15 @@ def _incidents(findings: Mapping[Stage, Finding]) -> list[str]:
         for stage, finding in findings.items()
         for item in finding.remainders
         if item.incident is not None
+    ]
+
+
+def _would_tell(named: Sequence[Cause]) -> list[str]:
+    """Say which missing signals would tell a cause from what it is equivalent to."""
+    return [
+        f"without {' and '.join(cause.deciding)}, {cause.name} is not told from {', '.join(cause.equivalent_to)}"
+        for cause in named
+        if cause.deciding
     ]
 
 

@@ -19,7 +19,7 @@ from ehls_ros.diagnosis.loss import loss
 from ehls_ros.diagnosis.noise import deviations, largest_terms, scatter, with_noise
 from ehls_ros.diagnosis.record import POSITION, VELOCITY, Record
 from ehls_ros.diagnosis.resolution import coarseness
-from ehls_ros.diagnosis.stages import Channel, Comparison, Setup, usable
+from ehls_ros.diagnosis.stages import Channel, Comparison, Setup, formed_of, usable
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
 
@@ -158,8 +158,8 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int) -> Evidence:
     noise = deviations(record)
     deviation = scatter(comparison, rig, raw, noise, seed)
     sizes = largest_terms(comparison, rig)
-    tolerance = rules.TOLERANCE * coarseness(record)
-    floor = {c: np.sqrt(deviation[c][masks[c]] ** 2 + (tolerance * sizes[c]) ** 2) for c in channels}
+    tolerance = {c: rules.TOLERANCE * coarseness(record, formed_of(record, c)) for c in channels}
+    floor = {c: np.sqrt(deviation[c][masks[c]] ** 2 + (tolerance[c] * sizes[c]) ** 2) for c in channels}
     blocks = int(np.clip(round(len(record.time) * record.period / rules.BLOCK), rules.FEWEST_BLOCKS, rules.MOST_BLOCKS))
     block, times = dict[Channel, NDArray[np.intp]](), dict[Channel, Array]()
     for c in channels:

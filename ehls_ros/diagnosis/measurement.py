@@ -16,8 +16,8 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.allowance import Allowance
 from ehls_ros.diagnosis.evidence import Evidence, allowing
 from ehls_ros.diagnosis.loss import power
-from ehls_ros.diagnosis.record import COMMAND, HELD, SPOOL, Record
-from ehls_ros.diagnosis.stages import CHANNELS, NEEDED, Channel, Comparison, Stage
+from ehls_ros.diagnosis.record import HELD, Record
+from ehls_ros.diagnosis.stages import CHANNELS, Channel, Comparison, Stage, formed_of
 
 
 def beyond_measurement(evidence: Evidence) -> Evidence:
@@ -34,8 +34,10 @@ def measurement(evidence: Evidence) -> dict[Channel, Allowance]:
     record = evidence.record
     late, off = {c: list[Array]() for c in evidence.channels}, {c: list[Array]() for c in evidence.channels}
     for signal, values in record.signals.items():
-        seen = tuple(c for c in evidence.channels if signal in _signals(record, c))
-        moving = tuple(c for c in seen if signal != _signals(record, c)[0])
+        seen = tuple(c for c in evidence.channels if signal in formed_of(record, c))
+        # Skews count from the signal whose own noise shows most: a direction that holds a sensor's noise would hold what a delay
+        # of that sensor does to it, and any delay would seem to help.
+        moving = tuple(c for c in seen if signal != formed_of(record, c)[0])
         if moving:
             sooner, later = (_residuals(evidence, signal, moved, moving) for moved in _moved(evidence.comparison(), signal))
             for c in moving:
@@ -85,15 +87,6 @@ def _allowance(late: Sequence[Array], off: Sequence[Array], times: Array) -> All
     drift = (times - times[0]) / max(float(np.ptp(times)), 1e-300) - 0.5
     directions = np.column_stack([skews, skews * drift[:, None], *off])
     return Allowance(none, directions[:, np.all(np.isfinite(directions), axis=0)], none, rules.MOST_ALLOWED)
-
-
-def _signals(record: Record, channel: Channel) -> tuple[str, ...]:
-    """Return the recorded signals of a channel, that first from which its skews count: its own noise shows most there.
-
-    A direction that holds a sensor's noise would hold what a delay of that sensor does to it, and any delay would seem to help.
-    """
-    named = (COMMAND if signal == SPOOL and SPOOL not in record else signal for signal in NEEDED[channel])
-    return tuple(signal for signal in named if signal in record)
 
 
 def _residuals(evidence: Evidence, signal: str, values: Array, channels: tuple[Channel, ...]) -> dict[Channel, Array]:

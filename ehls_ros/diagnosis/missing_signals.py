@@ -1,72 +1,90 @@
-"""What can no longer be told apart because a signal is missing."""
+"""What a missing signal would tell apart: each of two hypotheses says what that signal would have shown."""
 
-from collections.abc import Collection, Mapping
-from typing import NamedTuple
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
-from ehls_ros.diagnosis.record import COMMAND, FORCE, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, VELOCITY
+import numpy as np
 
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.evidence import Evidence
+from ehls_ros.diagnosis.fit import Fit, Worker
+from ehls_ros.diagnosis.hypotheses import candidates, extended
+from ehls_ros.diagnosis.noise import largest_terms
+from ehls_ros.diagnosis.record import FORCE, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
+from ehls_ros.diagnosis.stages import Comparison, setup
+from ehls_ros.physics.rig import EffectiveRig, Rig
+from ehls_ros.physics.simulator import OIL_TEMPERATURE
 
-class Merged(NamedTuple):
-    """Effects that one signal tells apart.
-
-    Attributes:
-        beside: signals of which one must be there for the effects to be seen at all.
-        effects: names of the effects.
-        like: what they cannot be told from then.
-    """
-
-    beside: tuple[str, ...]
-    effects: tuple[str, ...]
-    like: str
-
-
-MERGED: Mapping[str, Merged] = {
-    SPOOL: Merged(
-        (COMMAND,),
-        (
-            "valve_gain_shift",
-            "valve_null_bias",
-            "valve_gain_asymmetry",
-            "valve_dead_zone",
-            "valve_bandwidth_shift",
-            "command_delay",
-        ),
-        "the same fault behind the spool, in the valve's flow",
-    ),
-    PRESSURE: Merged(
-        (FORCE,),
-        ("pressure_sensor_gain", "pressure_sensor_bias", "pressure_sensor_lag"),
-        "an error of the load cell, which stands for the pressure",
-    ),
-    FORCE: Merged(
-        (PRESSURE,),
-        ("pressure_sensor_gain", "pressure_sensor_bias", "pressure_sensor_lag"),
-        "an error of the forces: another mass, spring, constant load or friction",
-    ),
-    VELOCITY: Merged((POSITION,), ("position_sensor_gain",), "another spring, friction and valve gain together"),
-    SUPPLY: Merged((SPOOL, COMMAND), ("supply_pressure_droop",), "a valve that passes less flow, as valve_gain_shift"),
-    LOAD: Merged(
-        (POSITION,), ("constant_load", "periodic_disturbance"), "any other force from outside, which is taken as zero"
-    ),
+EXPECTED: Mapping[str, Callable[[Comparison, EffectiveRig], Array]] = {
+    SPOOL: lambda along, rig: along.simulated_spool(rig),
+    PRESSURE: lambda along, rig: along.pressure(rig),
+    SUPPLY: lambda along, rig: along.flow_terms(rig)[:, 3],
+    FORCE: lambda along, rig: rig.plant.piston_area * along.pressure(rig),
+    VELOCITY: lambda along, rig: along.motion(rig).velocity,
 }
-"""By the missing signal, which would decide."""
+"""What a model says of a signal that was not recorded, along those that were, shape (n,)."""
 
 
-def merged(present: Collection[str]) -> tuple[str, ...]:
-    """Say for each missing signal which effects it would tell apart.
+STILL: Mapping[str, float] = {TEMPERATURE: OIL_TEMPERATURE + 1.0}
+"""Signals without which an effect is not tried, and a value at which it acts."""
+
+
+def deciding(evidence: Evidence, one: Fit, other: Fit) -> tuple[str, ...]:
+    """Return the missing signals with which a balance could be formed that differs between two hypotheses.
 
     Args:
-        present: the recorded signals.
+        evidence: the recording compared with the given model.
+        one: the first hypothesis, fitted.
+        other: the second.
+    """
+    missing = [signal for signal in EXPECTED if signal not in evidence.record]
+    if not missing:
+        return ()
+    along, rigs = evidence.comparison(), [extended(evidence.rig, fit.hypothesis, fit.values) for fit in (one, other)]
+    return tuple(signal for signal in missing if _tells(along, signal, *rigs))
+
+
+def untried(evidence: Evidence, best: Fit, without: Fit) -> dict[str, tuple[str, ...]]:
+    """Return the effects not tried for want of a sensor that do what a cause does while that sensor's signal keeps still.
+
+    Args:
+        evidence: the recording compared with the given model.
+        best: the hypothesis with the cause, fitted.
+        without: the same without it.
 
     Returns:
-        One sentence for each; none for a signal without which the stage is not judged anyway.
+        The missing signals by effect.
     """
-    return tuple(
-        f"without {signal}, {_listed(what.effects)} cannot be told from {what.like}; {signal} would decide"
-        for signal, what in MERGED.items()
-        if signal not in present and any(other in present for other in what.beside)
+    record = evidence.record
+    still = {signal: value for signal, value in STILL.items() if signal not in record}
+    if not still:
+        return {}
+    signals = {signal: np.full(len(record.time), value) for signal, value in still.items()}
+    completed = record._replace(signals={**record.signals, **signals}, noise={**record.noise, **dict.fromkeys(still, 0.0)})
+    worker = Worker(replace(evidence, record=completed))
+    (_, left_out), (tried, _) = (candidates(r, evidence.rig, ()) for r in (record, completed))
+    out = dict[str, tuple[str, ...]]()
+    for candidate in tried:
+        if candidate.name in left_out:
+            fit = worker.linearise((candidate,), candidate.neutral)
+            change = best.residuals.joined(fit.channels) - without.residuals.joined(fit.channels)
+            left = change - fit.jacobian @ np.linalg.lstsq(fit.jacobian, change, rcond=None)[0]
+            if float(left @ left) <= (1.0 - rules.CLOSED) * float(change @ change):
+                out[candidate.name] = tuple(still)
+    return out
+
+
+def _tells(along: Comparison, signal: str, one: Rig, other: Rig) -> bool:
+    record = along.record
+    completed = record._replace(
+        signals={**record.signals, signal: EXPECTED[signal](along, one.effective())},
+        good={**record.good, signal: np.ones(len(record.time), dtype=np.bool_)},
+        # Nothing is to be read from it but what the new balances compare.
+        noise={**record.noise, signal: math.inf},
     )
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    whole = Comparison(completed, setup(completed, one))
+    added = tuple(c for c in whole.setup.channels if c not in along.setup.channels)
+    first, second, sizes = whole.residuals(one, added), whole.residuals(other, added), largest_terms(whole, one)
+    return any(float(np.sqrt(np.mean((first[c] - second[c]) ** 2))) > rules.RELEVANT * sizes[c] for c in added)

@@ -1,12 +1,13 @@
 """What the sampling of a recording resolves: judged by how far things move within a sample, not by a fixed rate."""
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.record import COMMAND, FORCE, LOAD, POSITION, PRESSURE, SPOOL, VELOCITY, Record
+from ehls_ros.diagnosis.record import COMMAND, HELD, POSITION, SPOOL, VELOCITY, Record
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
 
@@ -63,7 +64,7 @@ def friction_known(record: Record, position: Array, velocity: Array, travel: flo
     return known
 
 
-def coarseness(record: Record) -> float:
+def coarseness(record: Record, signals: Collection[str]) -> float:
     """Return by how much straight lines between samples are worse than at a rate that resolves everything, 1 or more.
 
     Their error grows with the square of the sampling period for one and the same motion. Where the signals bend less than that
@@ -71,21 +72,18 @@ def coarseness(record: Record) -> float:
 
     Args:
         record: the recording.
+        signals: those of it that matter; a held command has no lines.
     """
-    period = record.sampled(*record.signals)
+    return max([1.0, *[_coarseness(record, signal) for signal in signals if signal not in HELD]])
+
+
+def _coarseness(record: Record, signal: str) -> float:
+    period = record.sampled(signal)
     grown = max(1.0, (period / rules.RESOLVED_PERIOD) ** 2)
-    if grown == 1.0:
+    values = record.signals[signal][:: max(1, round(period / record.period))]
+    size = math.sqrt(float(np.mean(values**2)))
+    if grown == 1.0 or len(values) < 3 or size == 0.0:
         return 1.0
-    stride = max(1, round(period / record.period))
-    bent = 0.0
-    for signal in (PRESSURE, FORCE, LOAD, POSITION, VELOCITY, SPOOL):
-        if signal not in record:
-            continue
-        values = record.signals[signal][::stride]
-        size = math.sqrt(float(np.mean(values**2)))
-        if len(values) < 3 or size == 0.0:
-            continue
-        # The second difference of white noise has six times its variance.
-        square = float(np.mean(np.diff(values, 2) ** 2)) - 6.0 * record.noise[signal] ** 2 * record.period / period
-        bent = max(bent, math.sqrt(max(square, 0.0)) / (8.0 * size))
-    return float(np.clip(bent / rules.TOLERANCE, 1.0, grown))
+    # The second difference of white noise has six times its variance.
+    square = float(np.mean(np.diff(values, 2) ** 2)) - 6.0 * record.noise[signal] ** 2 * record.period / period
+    return float(np.clip(math.sqrt(max(square, 0.0)) / (8.0 * size) / rules.TOLERANCE, 1.0, grown))

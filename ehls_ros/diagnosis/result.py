@@ -76,6 +76,7 @@ class Cause(NamedTuple):
         channel: the channel where it explains most.
         share: fraction of the removable error there that returns without it. Shares of causes that stand in for each other add
             up to less than what all of them close, of causes that need each other to more.
+        deciding: signals that were not recorded and would tell it from some of these effects.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Cause(NamedTuple):
     rivals: tuple[Rival, ...]
     channel: Channel
     share: float | None = None
+    deciding: tuple[str, ...] = ()
 
 
 class ChannelGain(NamedTuple):

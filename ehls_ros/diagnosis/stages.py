@@ -428,7 +428,7 @@ def setup(record: Record, rig: Rig) -> Setup:
     period = record.period
     # Of signals that were slower than the time base, windows hold as many of their own samples.
     moved = record.sampled(POSITION, VELOCITY) / period
-    balanced = record.sampled(POSITION, VELOCITY, PRESSURE, FORCE, LOAD) / period
+    balanced = record.sampled(*formed_of(record, "force")) / period
     averaged = record.sampled(COMMAND, SPOOL, PRESSURE, FORCE, SUPPLY) / period
     samples = max(round(rules.LEAST_WINDOW * balanced), round(rules.WINDOW / period))
     average = smooth_window(max(round(3 * averaged), round(rules.SPOOL_WINDOW / period)), period, hop=2)
@@ -494,17 +494,26 @@ NEEDED: Mapping[Channel, tuple[str, ...]] = {
     "cell": (PRESSURE, FORCE),
     "velocity": (POSITION, VELOCITY),
 }
-"""Signals whose gaps make a hole in a channel; first those whose noise its residual shows most."""
+"""Signals that a channel is formed of; first those whose noise its residual shows most."""
+
+
+def formed_of(record: Record, channel: Channel) -> tuple[str, ...]:
+    """Return the recorded signals that a channel is formed of, in the order of :data:`NEEDED`.
+
+    The load cell stands in where the pressure is missing, and the command where the spool is.
+    """
+    spare = FORCE if PRESSURE in record and channel != "cell" else ""
+    named = (COMMAND if signal == SPOOL and SPOOL not in record else signal for signal in NEEDED[channel])
+    return tuple(signal for signal in named if signal in record and signal != spare)
 
 
 def usable(comparison: Comparison, channel: Channel) -> Mask:
     """Tell which windows of a channel rest on measured samples only, and not on the beginning of a stretch."""
     record, used = comparison.record, comparison.setup
     good = np.ones(len(record.time), dtype=np.bool_)
-    for signal in NEEDED[channel]:
-        if signal in record:
-            good &= record.good[signal]
-    if channel == "spool" and COMMAND in record:
+    for signal in formed_of(record, channel):
+        good &= record.good[signal]
+    if channel == "spool":
         # After a gap in the command, the simulated spool finds back with the valve's own lag.
         wrong = (~record.good[COMMAND]).astype(np.float64)
         good &= np.convolve(wrong, np.ones(1 + round(rules.SPOOL_SETTLING / record.period)))[: len(wrong)] < 0.5

@@ -1,11 +1,12 @@
 """Reading of rosbag2, from our recorder or ROS's: completely or not at all."""
 
+import shlex
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,10 @@ from rosbags.rosbag2 import Reader
 from ehls_ros.errors import BadInput
 from ehls_ros.recording import limits
 from ehls_ros.recording.alignment import CYCLE, SENT, MessageColumns, align
-from ehls_ros.recording.bag_topic import BLOCK, BagTopic
+from ehls_ros.recording.bag_topic import BLOCK, BagTopic, cycle_topic
 from ehls_ros.recording.deadline import Deadline
 from ehls_ros.recording.expansion import Allowance, check_chunks, compression_mode, expanded_message, uncompressed_bag
-from ehls_ros.recording.provenance import Provenance, provenance_in
+from ehls_ros.recording.provenance import Provenance, Seal, provenance_in
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import NOTE
 from ehls_ros.recording.regular_file import check_regular, read_text
@@ -31,7 +32,7 @@ STORAGE_SUFFIXES = (".mcap", ".db3")
 EXPECTED = "a folder of a rosbag2, or a file .mcap or .db3"
 
 
-def read_bag(path: Path) -> Trajectory:
+def read_bag(path: Path, wanted: Collection[str] = SIGNALS) -> Trajectory:
     """Read a rosbag2 made by the recorder node, by ``ros2 bag record`` or from a trajectory.
 
     The samples are the cycles of ``loader_state``, in any namespace. Messages on the other topics belong to the sample of their
@@ -40,6 +41,7 @@ def read_bag(path: Path) -> Trajectory:
 
     Args:
         path: folder of the bag, or one storage file (``.mcap``, ``.db3``).
+        wanted: names of the signals to read; topics that have none of them are left out.
 
     Returns:
         The trajectory. Its times are the header stamps of the snapshots, relative to the first if they are wall-clock times.
@@ -50,8 +52,86 @@ def read_bag(path: Path) -> Trajectory:
             much.
     """
     where = str(path)
+    with opened(path) as bag:
+        provenance, columns = bag.provenance, _read_topics(bag, wanted)
+    if not len(columns[LOADER_STATE.name][CYCLE]):
+        raise BadInput(f"there is no message on {LOADER_STATE.name}", where, "at least one snapshot")
+    time_s, signals = align(columns, where)
+    configuration = provenance.configuration if provenance else {}
+    if configuration.get("timing") == "realtime":
+        configuration = {"wall_s": float(np.ptp(columns[LOADER_STATE.name][SENT])) / 1e9, **configuration}
+    recorded = _recorded(signals, len(time_s), provenance)
+    return Trajectory(time_s, {name: values for name, values in recorded.items() if name in wanted}, configuration)
+
+
+class OpenBag(NamedTuple):
+    """A bag whose files are complete and expand to no more than they may.
+
+    Attributes:
+        where: its path, for errors.
+        reader: the reader of its messages.
+        provenance: what its recorder wrote about it; None for another recorder.
+        deadline: of the reading.
+        expand: expands a message; None if messages are not compressed.
+    """
+
+    where: str
+    reader: Reader
+    provenance: Provenance | None
+    deadline: Deadline
+    expand: Callable[[bytes], bytes] | None
+
+    def by_topic(self) -> dict[str, list[Connection]]:
+        """Return the bag's entries by the topic's full name.
+
+        Raises:
+            BadInput: a name is not a text.
+        """
+        found: dict[str, list[Connection]] = defaultdict(list)
+        for connection in self.reader.connections:
+            if not isinstance(connection.topic, str):
+                raise BadInput(f"a topic is named {connection.topic!r}", self.where, CLOSED_BAG)
+            found[connection.topic].append(connection)
+        return found
+
+    def seal(self, topic: str) -> Seal | None:
+        """Return a topic's state when the bag was closed, if known."""
+        return self.provenance.seals.get(topic) if self.provenance else None
+
+    def read(self, sinks: Mapping[int, BagTopic]) -> None:
+        """Pass each message to the sink of its connection's number; those without one are left out.
+
+        Raises:
+            BadInput: the bag is damaged, or a message is not of its type.
+        """
+        connections = [connection for connection in self.reader.connections if connection.id in sinks]
+        for number, (connection, stamp_ns, message) in enumerate(self._messages(connections)):
+            if number % BLOCK == 0:
+                self.deadline.check()
+            sinks[connection.id].add(stamp_ns, message)
+
+    def _messages(self, connections: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+        with damage_reported(self.where):
+            for connection, stamp_ns, message in self.reader.messages(connections):
+                yield connection, stamp_ns, self.expand(message) if self.expand else message
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[OpenBag]:
+    """Open a bag after checking its files.
+
+    Args:
+        path: folder of the bag, or one storage file.
+
+    Yields:
+        The bag.
+
+    Raises:
+        BadInput: it is missing, truncated, damaged, unclosed, or expands to too much.
+    """
+    where = str(path)
     with ExitStack() as stack:
-        with _damage_reported(where):
+        with damage_reported(where):
             metadata = _metadata(path)
             size = _size(path, metadata)
             allowance, deadline = Allowance(size), Deadline(size, where)
@@ -62,14 +142,7 @@ def read_bag(path: Path) -> Trajectory:
         expand = partial(expanded_message, allowance=allowance, where=where) if compressed else None
         entries = reader.storage.metadata.custom
         provenance = _provenance([*custom_data, entries if isinstance(entries, dict) else {}], where)
-        columns = _read_topics(reader, provenance, deadline, where, expand)
-    if not len(columns[LOADER_STATE.name][CYCLE]):
-        raise BadInput(f"there is no message on {LOADER_STATE.name}", where, "at least one snapshot")
-    time_s, signals = align(columns, where)
-    configuration = provenance.configuration if provenance else {}
-    if configuration.get("timing") == "realtime":
-        configuration = {"wall_s": float(np.ptp(columns[LOADER_STATE.name][SENT])) / 1e9, **configuration}
-    return Trajectory(time_s, _recorded(signals, len(time_s), provenance), configuration)
+        yield OpenBag(where, reader, provenance, deadline, expand)
 
 
 def is_closed(folder: Path) -> bool:
@@ -122,7 +195,7 @@ def _checked(file: Path, allowance: Allowance, deadline: Deadline) -> Mapping[st
 
 
 @contextmanager
-def _damage_reported(where: str) -> Iterator[None]:
+def damage_reported(where: str) -> Iterator[None]:
     """Convert exceptions of rosbags, which may be of any kind on a damaged bag, to BadInput."""
     try:
         yield
@@ -133,18 +206,10 @@ def _damage_reported(where: str) -> Iterator[None]:
 
 
 def _open(path: Path) -> Reader:
-    with _damage_reported(str(path)):
+    with damage_reported(str(path)):
         reader = Reader(path)
         reader.open()
         return reader
-
-
-def _messages(
-    reader: Reader, connections: Sequence[Connection], where: str, expand: Callable[[bytes], bytes] | None
-) -> Iterator[tuple[Connection, int, bytes]]:
-    with _damage_reported(where):
-        for connection, stamp_ns, message in reader.messages(connections):
-            yield connection, stamp_ns, expand(message) if expand else message
 
 
 def _provenance(custom_data: Sequence[Mapping[str, str]], where: str) -> Provenance | None:
@@ -155,33 +220,22 @@ def _provenance(custom_data: Sequence[Mapping[str, str]], where: str) -> Provena
     return found[0] if found else None
 
 
-def _read_topics(
-    reader: Reader, provenance: Provenance | None, deadline: Deadline, where: str, expand: Callable[[bytes], bytes] | None
-) -> dict[str, MessageColumns]:
-    """Return the messages on the bag's cycle topics, by the topic's name."""
-    by_path: dict[str, list[Connection]] = defaultdict(list)
-    for connection in reader.connections:
-        if not isinstance(connection.topic, str):
-            raise BadInput(f"a topic is named {connection.topic!r}", where, CLOSED_BAG)
-        by_path[connection.topic].append(connection)
-    namespace = _namespace(by_path, where)
-    seals = provenance.seals if provenance else {}
-    topics: list[BagTopic] = []
+def _read_topics(bag: OpenBag, wanted: Collection[str]) -> dict[str, MessageColumns]:
+    """Return the messages on the bag's cycle topics that have wanted signals, and on ``loader_state``, by the topic's name."""
+    by_path = bag.by_topic()
+    namespace = _namespace(by_path, bag.where)
+    topics: dict[str, BagTopic] = {}
     sinks: dict[int, BagTopic] = {}
     for topic in CYCLE_TOPICS:
-        name = topic.resolve(namespace)
-        if name in by_path:
-            with _damage_reported(where):
-                topics.append(BagTopic(topic, by_path[name], seals.get(name), f"{where}, {name}"))
-            sinks |= {connection.id: topics[-1] for connection in by_path[name]}
-        if (name in by_path) != (name in seals) and provenance:
-            raise BadInput(f"topic {name} was not recorded with the others", where, "an unaltered bag")
-    connections = [connection for connection in reader.connections if connection.id in sinks]
-    for number, (connection, stamp_ns, message) in enumerate(_messages(reader, connections, where, expand)):
-        if number % BLOCK == 0:
-            deadline.check()
-        sinks[connection.id].add(stamp_ns, message)
-    return {topic.topic.name: topic.columns() for topic in topics}
+        name, seal = topic.resolve(namespace), bag.seal(topic.resolve(namespace))
+        if name in by_path and (topic is LOADER_STATE or not set(wanted).isdisjoint(topic.signals.values())):
+            with damage_reported(bag.where):
+                topics[topic.name] = cycle_topic(topic, by_path[name], seal, f"{bag.where}, {name}")
+            sinks |= {connection.id: topics[topic.name] for connection in by_path[name]}
+        if bag.provenance and (name in by_path) != (seal is not None):
+            raise BadInput(f"topic {name} was not recorded with the others", bag.where, "an unaltered bag")
+    bag.read(sinks)
+    return {name: topic.columns() for name, topic in topics.items()}
 
 
 def _namespace(by_path: Mapping[str, Sequence[Connection]], where: str) -> str:
@@ -190,7 +244,8 @@ def _namespace(by_path: Mapping[str, Sequence[Connection]], where: str) -> str:
     namespaces = [path.removesuffix(ending) for path in by_path if path.endswith(ending)]
     if not namespaces:
         found = ", ".join(sorted(by_path)) or "none"
-        raise BadInput(f"topic {LOADER_STATE.name} is missing (found: {found})", where, f"a topic of {LOADER_STATE.type}")
+        expected = f"a topic of {LOADER_STATE.type}, or a map of columns that names topics (ehls columns {shlex.quote(where)})"
+        raise BadInput(f"topic {LOADER_STATE.name} is missing (found: {found})", where, expected)
     if len(namespaces) > 1:
         raise BadInput(f"it contains several rigs: {', '.join(sorted(namespaces))}", where, "one rig per bag")
     return namespaces[0]

@@ -1,6 +1,6 @@
 """One topic of a bag being read: its messages converted to columns and checked against the bag's seals."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import repeat
 from typing import Any
 
@@ -25,28 +25,35 @@ BLOCK = 16384
 class BagTopic:
     """The messages of one topic, in order of arrival."""
 
-    def __init__(self, topic: Topic, connections: Sequence[Connection], seal: Seal | None, where: str) -> None:
-        """Determine the fields of the messages.
+    def __init__(
+        self,
+        connections: Sequence[Connection],
+        fields: Sequence[Field],
+        wanted: Collection[str],
+        seal: Seal | None,
+        where: str,
+    ) -> None:
+        """Prepare for the topic's messages.
 
         Args:
-            topic: the topic.
             connections: the bag's entries for it, one or more.
+            fields: of its messages.
+            wanted: names of the fields to read.
             seal: state of the topic when the bag was closed, if known.
             where: bag and full name of the topic, for errors.
 
         Raises:
-            BadInput: the topic has another type in the bag, too many messages, or an unreadable definition.
+            BadInput: the topic has too many messages.
         """
-        self.topic = topic
         self._where = where
-        self._path = connections[0].topic
+        self._path, self._type = connections[0].topic, connections[0].msgtype
         self._expected = sum(connection.msgcount for connection in connections)
         if self._expected > limits.ROWS:
             expected = f"at most {limits.ROWS}; split a longer recording into several bags"
             raise BadInput(f"it has {self._expected} messages", where, expected)
         self._seal = seal
-        self._fields = _fields(topic, connections[0], seal, where)
-        self._wanted = {CYCLE, SECONDS, NANOSECONDS, *topic.signals} & {field.name for field in self._fields}
+        self._fields = fields
+        self._wanted = wanted
         self._checksum = 0
         self._count = 0
         self._stamps_ns: list[int] = []
@@ -68,9 +75,9 @@ class BagTopic:
             size = len(message)
         except TypeError as error:
             # SQLite may return a number or None instead of bytes.
-            raise BadInput(reason(error), self._where, f"messages of type {self.topic.type}") from None
+            raise BadInput(reason(error), self._where, f"messages of type {self._type}") from None
         if size > limits.MESSAGE:
-            expected = f"at most {limits.MESSAGE} for type {self.topic.type}"
+            expected = f"at most {limits.MESSAGE} for type {self._type}"
             raise BadInput(f"a message has {size} bytes", self._where, expected)
         self._stamps_ns.append(stamp_ns)
         self._messages.append(message)
@@ -99,10 +106,27 @@ class BagTopic:
             self._checksum = checksum_sum([self._checksum, *checksums])
         except (TypeError, ValueError, OverflowError) as error:
             # CdrError, or SQLite returns text or None instead of a number or bytes.
-            raise BadInput(reason(error), self._where, f"messages of type {self.topic.type}") from None
+            raise BadInput(reason(error), self._where, f"messages of type {self._type}") from None
         self._blocks.append(block)
         self._count += len(self._messages)
         self._stamps_ns, self._messages, self._gathered = [], [], 0
+
+
+def cycle_topic(topic: Topic, connections: Sequence[Connection], seal: Seal | None, where: str) -> BagTopic:
+    """Return the reader of a topic of control cycles.
+
+    Args:
+        topic: the topic.
+        connections: the bag's entries for it, one or more.
+        seal: state of the topic when the bag was closed, if known.
+        where: bag and full name of the topic, for errors.
+
+    Raises:
+        BadInput: the topic has another type in the bag, too many messages, or an unreadable definition.
+    """
+    fields = _fields(topic, connections[0], seal, where)
+    wanted = {CYCLE, SECONDS, NANOSECONDS, *topic.signals} & {field.name for field in fields}
+    return BagTopic(connections, fields, wanted, seal, where)
 
 
 def _fields(topic: Topic, connection: Connection, seal: Seal | None, where: str) -> list[Field]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import Typesdict
 
-from ehls_ros.recording.limits import LAYOUTS
+from ehls_ros.recording.limits import LAYOUTS, MESSAGE
 
 ENCAPSULATION = 4
 LITTLE_ENDIAN = b"\x00\x01"
@@ -51,12 +51,16 @@ class Field(NamedTuple):
     Attributes:
         name: dotted path from the message, such as ``header.stamp.sec``.
         kind: ROS name of the primitive type.
-        many: a sequence of that type.
+        many: a sequence or an array of that type.
+        length: of an array; None for a sequence, whose messages say it.
+        parts: of a sequence of texts or of messages, the fields of one of them; its values are not read.
     """
 
     name: str
     kind: str
     many: bool
+    length: int | None = None
+    parts: "tuple[Field, ...]" = ()
 
     @property
     def width(self) -> int:
@@ -93,23 +97,28 @@ def flatten(types: Typesdict, message_type: str, prefix: str = "") -> list[Field
         The fields; nested ones by dotted path.
 
     Raises:
-        CdrError: the type is undefined, or a field is not a number, a string or a sequence of numbers.
+        CdrError: the type is undefined, or a field is of a kind that is not read, such as an array of messages.
     """
     if message_type not in types:
         raise CdrError(f"type {message_type} is not defined")
     fields: list[Field] = []
     for name, description in types[message_type][1]:
+        path = prefix + name
         match description:
             case (Nodetype.NAME, str(nested)):
-                fields += flatten(types, nested, f"{prefix}{name}.")
+                fields += flatten(types, nested, f"{path}.")
             case (Nodetype.BASE, (str(kind), _)) if kind in NUMPY_TYPES:
-                fields.append(Field(prefix + name, kind, many=False))
-            case (Nodetype.SEQUENCE, ((Nodetype.BASE, (str(kind), _)), _)) if kind in NUMPY_TYPES and kind != "string":
-                fields.append(Field(prefix + name, kind, many=True))
+                fields.append(Field(path, kind, many=False))
+            case (Nodetype.SEQUENCE, ((Nodetype.BASE, ("string", _)), _)):
+                fields.append(Field(path, "string", many=True, parts=(Field(path, "string", many=False),)))
+            case (Nodetype.SEQUENCE, ((Nodetype.BASE, (str(kind), _)), _)) if kind in NUMPY_TYPES:
+                fields.append(Field(path, kind, many=True))
+            case (Nodetype.SEQUENCE, ((Nodetype.NAME, str(nested)), _)):
+                fields.append(Field(path, "string", many=True, parts=tuple(flatten(types, nested, f"{path}."))))
+            case (Nodetype.ARRAY, ((Nodetype.BASE, (str(kind), _)), int(length))) if kind in NUMPY_TYPES and kind != "string":
+                fields.append(Field(path, kind, many=True, length=length))
             case _:
-                raise CdrError(
-                    f"field {prefix}{name} of {message_type} is neither a number, a string nor a sequence of numbers"
-                )
+                raise CdrError(f"field {path} of {message_type} is of a kind that is not read")
     return fields
 
 
@@ -231,18 +240,30 @@ def _layout(fields: Sequence[Field], length_at: Callable[[Field, int], int]) -> 
     """Place the fields; ``length_at`` gives the length of a string or sequence from its field and its length word's offset."""
     places: list[_Place] = []
     lengths: dict[int, int] = {}
-    end = ENCAPSULATION
-    for field in fields:
-        length = 1
-        if field.many or field.kind == "string":
-            end = _aligned(end, 4)
-            lengths[end] = length = length_at(field, end)
-            end += 4
-        # No alignment follows an empty sequence.
-        start = _aligned(end, field.width) if length else end
-        places.append(_Place(field, start, length))
-        end = places[-1].stop
-    return _Layout(places, lengths, end)
+
+    def placed(fields: Sequence[Field], end: int, kept: bool) -> int:
+        """Place fields from an offset on, of which some are only passed over; return where they end."""
+        for field in fields:
+            length = 1 if field.length is None else field.length
+            if field.length is None and (field.many or field.kind == "string"):
+                end = _aligned(end, 4)
+                lengths[end] = length = length_at(field, end)
+                end += 4
+            if field.parts:
+                for _ in range(length):
+                    begin, end = end, placed(field.parts, end, kept=False)
+                    # Entries without content could be any number.
+                    if end > MESSAGE or end == begin:
+                        raise CdrError(f"field {field.name} has {length} entries, which no message of {MESSAGE} bytes holds")
+                continue
+            # No alignment follows an empty sequence.
+            place = _Place(field, _aligned(end, field.width) if length else end, length)
+            if kept:
+                places.append(place)
+            end = place.stop
+        return end
+
+    return _Layout(places, lengths, placed(fields, ENCAPSULATION, kept=True))
 
 
 def _aligned(offset: int, width: int) -> int:

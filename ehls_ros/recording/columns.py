@@ -25,13 +25,13 @@ EXPECTED_TABLES = "a list of files, or a mapping like 'fast.csv: {name: t, unit:
 class Column(NamedTuple):
     """A column of the user's file; the signal is ``gain`` · ``scale`` · the value in SI units of ``unit``, plus ``offset``."""
 
-    name: Annotated[str, text("name of the column in the file")]
+    name: Annotated[str, text("name of the column in the file; of a bag, of the message's field, such as position[0]")]
     scale: Annotated[float, quantity("1", "factor; without a unit, SI units per unit of the column")] = 1.0
     offset: Annotated[float, quantity("SI", "added after scaling")] = 0.0
     unit: Annotated[str, text("unit of the column, such as mm, bar, kN, °C, mA or V")] = ""
     gain: Annotated[float, quantity("SI", "of a column in A, V, % or counts: the signal's SI units per A, V, 1 or count")] = 1.0
     fit_to: Annotated[str, text("for raw counts: the signal to which scale and offset are fitted")] = ""
-    table: Annotated[str, text("the file that has the column, where several files have one of this name")] = ""
+    table: Annotated[str, text("the file that has the column, where several have one of this name; of a bag, the topic")] = ""
 
     def plain(self) -> "Column":
         """Return the column with its unit in scale and offset."""
@@ -67,8 +67,9 @@ class ColumnMap(NamedTuple):
 
     Attributes:
         columns: by contract name.
-        tables: the files of one recording, each with its column of time; None: as the map has it. Empty: one file.
-        base: the file whose clock the signals are brought to; the empty text: chosen from the rates.
+        tables: the files of one recording, or topics of a bag, each with its column of time; None: as the map has it. Empty:
+            one file, or a bag.
+        base: the file or topic whose clock the signals are brought to; the empty text: chosen from the rates.
         cylinder: areas of both chambers; None where they are equal.
         rotary: the arm of a rotary actuator; None for a linear one.
     """
@@ -105,11 +106,15 @@ def read_columns(path: Path) -> ColumnMap:
     for name, column in columns.items():
         _check_fit(name, column, columns, path)
     tables = _tables(others[TABLES], path)
+    topics = {column.table for column in columns.values() if is_topic(column.table)}
+    if any(map(is_topic, tables)) and not all(map(is_topic, tables)):
+        raise BadInput(f"its tables are {', '.join(tables)}", str(path), "files alone, or topics (/name) alone")
     base = others[BASE] or ""
-    if base and base not in tables:
-        raise BadInput(f"base is {base!r}", str(path), f"one of the tables {', '.join(tables) or '(none are listed)'}")
+    if base and base not in {*tables, *topics}:
+        shown = ", ".join((*tables, *sorted(topics - tables.keys())))
+        raise BadInput(f"base is {base!r}", str(path), f"one of the tables {shown or '(none are listed)'}")
     for name, column in columns.items():
-        if column.table and column.table not in tables:
+        if column.table and column.table not in tables and not is_topic(column.table):
             raise BadInput(
                 f"table is {column.table!r}", f"{path}, {name}", f"one of the tables {', '.join(tables) or '(none)'}"
             )
@@ -203,6 +208,11 @@ def _check_fit(name: str, column: Column, columns: Columns, path: Path) -> None:
         raise BadInput(
             f"fit_to is {column.fit_to!r}, which has no scale of its own", where, "that signal in the map, in its unit"
         )
+
+
+def is_topic(table: str) -> bool:
+    """Tell whether a table is a topic of a bag: the full names of topics begin with a slash, and files have no folder."""
+    return table.startswith("/")
 
 
 def is_contract_name(name: str) -> bool:

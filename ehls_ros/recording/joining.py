@@ -68,6 +68,7 @@ def join(tables: Mapping[str, Trajectory], base: str, where: str) -> Trajectory:
     signals, interpolated = dict[str, Signal](), dict[str, Own]()
     remarks = [f"{len(tables)} tables are joined at the times of {chosen} ({1.0 / clock.period:.4g} Hz)"]
     for name, table in tables.items():
+        remarks += table.preparation.remarks
         ratio = periods[name] / clock.period
         for signal, values in table.signals.items():
             if signal in signals:

@@ -1,20 +1,21 @@
 """Loads recorded or measured data in any format of the data contract."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES, read_bag
-from ehls_ros.recording.columns import TABLES, TIME, Column, ColumnMap, Columns, is_contract_name
+from ehls_ros.recording.columns import TABLES, TIME, Column, ColumnMap, Columns, is_contract_name, is_topic
 from ehls_ros.recording.conversion import converted
 from ehls_ros.recording.csv_file import csv_names, raw_csv, read_csv
 from ehls_ros.recording.joining import join
 from ehls_ros.recording.mat_file import raw_mat, read_mat
+from ehls_ros.recording.named_topics import read_named_topics
 from ehls_ros.recording.parquet_file import raw_parquet, read_parquet
 from ehls_ros.recording.storage_file import METADATA_FILE
 from ehls_ros.recording.table import RawTable
-from ehls_ros.trajectory import Trajectory
+from ehls_ros.trajectory import SIGNALS, Trajectory
 
 
 class Reader(NamedTuple):
@@ -33,13 +34,14 @@ READERS: Mapping[str, Reader] = {
 """Readers of files with named columns, by suffix."""
 
 
-def load(path: Path, columns: ColumnMap | None = None) -> Trajectory:
+def load(path: Path, columns: ColumnMap | None = None, wanted: Collection[str] = SIGNALS) -> Trajectory:
     """Read data in any supported format.
 
     Args:
         path: folder of a rosbag2; a file ``.mcap``, ``.db3``, ``.csv``, ``.mat`` or ``.parquet``; a folder with several of the
             last three, which are the tables of one recording; or one of the tables that the map lists.
-        columns: the user's own names, units and tables; not for bags.
+        columns: the user's own names, units and tables; of a bag, its topics. None: those of the data contract.
+        wanted: names of the signals that are needed of a bag of ours; its other topics are not read.
 
     Returns:
         The trajectory.
@@ -51,15 +53,11 @@ def load(path: Path, columns: ColumnMap | None = None) -> Trajectory:
     tables = _tables(path, given)
     if tables:
         return converted(_joined(tables, given, str(path)), given, str(path))
-    suffix = path.suffix.lower()
-    if suffix in READERS:
-        return converted(READERS[suffix].read(path, given.plain()), given, str(path))
-    if columns:
-        raise BadInput("a bag has no columns to map", str(path), "a map of columns only with a .csv, .mat or .parquet file")
-    if suffix not in STORAGE_SUFFIXES and _is_file(path):
-        expected = f"the folder of a rosbag2 or a file {', '.join((*STORAGE_SUFFIXES, *READERS))}"
-        raise BadInput("its format is unknown", str(path), expected)
-    return read_bag(path)
+    if is_table(path):
+        return converted(READERS[path.suffix.lower()].read(path, given.plain()), given, str(path))
+    if columns is None:
+        return read_bag(path, wanted)
+    return converted(_on_one_clock(read_named_topics(path, given), given, str(path)), given, str(path))
 
 
 def recordings(paths: Sequence[Path], columns: ColumnMap | None) -> list[Path]:
@@ -80,22 +78,32 @@ def recordings(paths: Sequence[Path], columns: ColumnMap | None) -> list[Path]:
     return [given[0]]
 
 
+def is_table(path: Path) -> bool:
+    """Tell whether a file has named columns; else it is a bag.
+
+    Raises:
+        BadInput: it is a file of another format.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in READERS and suffix not in STORAGE_SUFFIXES and _is_file(path):
+        expected = f"the folder of a rosbag2 or a file {', '.join((*STORAGE_SUFFIXES, *READERS))}"
+        raise BadInput("its format is unknown", str(path), expected)
+    return suffix in READERS
+
+
 def raw(path: Path) -> RawTable:
     """Return the columns of one table by the user's own names.
 
     Raises:
-        BadInput: it is no file of named columns, or cannot be read.
+        BadInput: it cannot be read.
     """
-    suffix = path.suffix.lower()
-    if suffix not in READERS:
-        raise BadInput("it has no columns to map", str(path), f"a file {', '.join(READERS)}")
-    return READERS[suffix].raw(path)
+    return READERS[path.suffix.lower()].raw(path)
 
 
 def _tables(path: Path, given: ColumnMap) -> list[Path]:
     """Return the tables that make one recording; none where the path is a recording by itself."""
     folder = path if _is_folder(path) else path.parent
-    if given.tables:
+    if given.tables and not any(map(is_topic, given.tables)):
         if folder != path and path.name not in given.tables:
             expected = f"one of its tables {', '.join(given.tables)}, or their folder"
             raise BadInput(f"it is not among the tables of the map ({', '.join(given.tables)})", str(path), expected)
@@ -123,7 +131,11 @@ def _joined(paths: Sequence[Path], given: ColumnMap, where: str) -> Trajectory:
             raise BadInput(f"column '{column.name}' for {name} is in no table ({shown})", where, "a column of that name")
     chosen = {path.name: _columns_of(path.name, names, given, where) for path in paths}
     read = {path.name: READERS[path.suffix.lower()].read(path, chosen[path.name]) for path in paths}
-    return read[paths[0].name] if len(paths) == 1 else join(read, given.base, where)
+    return _on_one_clock(read, given, where)
+
+
+def _on_one_clock(tables: Mapping[str, Trajectory], given: ColumnMap, where: str) -> Trajectory:
+    return next(iter(tables.values())) if len(tables) == 1 else join(tables, given.base, where)
 
 
 def _columns_of(table: str, names: Mapping[str, Sequence[str]], given: ColumnMap, where: str) -> dict[str, Column]:

@@ -36,7 +36,12 @@ def test_a_file_with_names_of_its_own_says_the_command(verb: str, tmp_path: Path
 
 @pytest.mark.parametrize(
     ("name", "content", "said"),
-    [("bag.mcap", "", "it has no columns to map"), ("data.csv", None, "cannot be read"), ("data.mat", "no", "not a MAT file")],
+    [
+        ("bag.mcap", "", "truncated"),
+        ("data.xlsx", "", "its format is unknown"),
+        ("data.csv", None, "cannot be read"),
+        ("data.mat", "no", "not a MAT file"),
+    ],
 )
 def test_what_has_no_columns_is_bad_input(
     name: str, content: str | None, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

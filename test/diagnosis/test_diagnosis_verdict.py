@@ -426,6 +426,16 @@ def test_what_explains_less_is_a_rival():
     assert rival.closed_fraction == pytest.approx(1.0 - 0.09 / 1.09, abs=0.03)
 
 
+def test_what_explains_nearly_as_much_is_equivalent_where_a_missing_signal_would_tell(monkeypatch):
+    evidence, found = searched(spoil=0.18)  # leaves 3 % of the power
+    assert causes(evidence, found, 0)[0].equivalent_to == ()
+    monkeypatch.setattr("ehls_ros.diagnosis.causes.deciding", lambda *_: ("force_n",))
+    (cause,) = causes(evidence, found, 0)
+    assert (cause.equivalent_to, cause.deciding) == (("viscous_shift",), ("force_n",))
+    # But not what explains too little to be reported at all.
+    assert causes(*searched(spoil=0.3), 0)[0].equivalent_to == ()
+
+
 @pytest.mark.parametrize(("second", "probability"), [(VISCOUS, rules.BOTH_RIGHT), (VALVE, 1.0)], ids=["same stage", "another"])
 def test_two_causes_in_one_stage_may_be_one_outside_the_list(second, probability):
     evidence, found = searched(second=second)

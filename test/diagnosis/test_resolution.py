@@ -7,14 +7,12 @@ import pytest
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.diagnose import diagnose
-from ehls_ros.diagnosis.missing_signals import MERGED, merged
-from ehls_ros.diagnosis.record import SPOOL, prepare
+from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.resolution import coarseness, command_seen, friction_known, presliding_travel
-from ehls_ros.diagnosis.stages import setup
+from ehls_ros.diagnosis.stages import formed_of, setup
 from ehls_ros.errors import BadInput
-from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import rig_from_mapping
-from ehls_ros.trajectory import READABLE, Own, Preparation, Trajectory
+from ehls_ros.trajectory import Own, Preparation, Trajectory
 
 SLOW = 0.01
 
@@ -128,8 +126,23 @@ def test_straight_lines_are_worse_only_where_signals_bend(rig):
     for frequency, expected in ((0.1, 1.0), (1.0, 4.9), (5.0, 100.0)):
         signals = {"position_m": 0.02 * np.sin(2.0 * np.pi * frequency * t)}
         # (2 pi f T)² / 8 of the signal, in units of 10⁻⁴.
-        assert coarseness(prepare(Trajectory(t, signals), rig, "it")) == pytest.approx(expected, rel=0.05)
-    assert coarseness(prepare(Trajectory(0.1 * t, signals), rig, "it")) == 1.0
+        assert coarseness(prepare(Trajectory(t, signals), rig, "it"), signals) == pytest.approx(expected, rel=0.05)
+    assert coarseness(prepare(Trajectory(0.1 * t, signals), rig, "it"), signals) == 1.0
+
+
+def test_a_slow_signal_makes_only_the_balances_that_it_is_part_of_coarser(rig):
+    t = 1e-3 * np.arange(8000)
+    names = ("spool_m", "load_pressure_pa", "position_m", "force_n")
+    sizes = dict(zip(names, (1e-4, 1e6, 0.02, 2e3), strict=True))
+    slow = {"position_m": 0.5, "force_n": 5.0}
+    signals = {name: sizes[name] * np.sin(2.0 * np.pi * slow.get(name, 5.0) * t) for name in names}
+    own = {name: Own(SLOW, 0.0) for name in slow}
+    record = prepare(Trajectory(t, signals, preparation=Preparation(interpolated=own)), rig, "it")
+    bent = {channel: coarseness(record, formed_of(record, channel)) for channel in ("spool", "volume", "force", "cell")}
+    assert bent["spool"] == pytest.approx(1.0)
+    # The load cell has no part in a balance that has a pressure.
+    assert bent["volume"] == bent["force"] == pytest.approx(1.23, rel=0.05)
+    assert bent["cell"] == pytest.approx(100.0, rel=0.05)
 
 
 def test_an_interpolated_signal_keeps_the_power_of_its_noise_and_its_own_windows(rig):
@@ -166,20 +179,3 @@ def test_what_the_reading_cannot_judge_is_not_judged_with_its_reason(rig, record
     assert {"force", "spool"} <= set(found.channels)
     assert found.why_not == {"flow": "for a reason"}
     assert "as read" in record.remarks
-
-
-# --- missing signals ---------------------------------------------------------------------------
-
-
-def test_each_missing_signal_says_what_it_would_decide():
-    everything = set(READABLE)
-    assert merged(everything) == ()
-    [said] = merged(everything - {SPOOL})
-    assert said.startswith("without spool_m, valve_gain_shift, ")
-    assert said.endswith("spool_m would decide")
-    # Without a command there is no valve to judge, and nothing to tell apart.
-    assert not any(SPOOL in line for line in merged(everything - {SPOOL, "valve_command_m"}))
-
-
-def test_the_effects_that_are_named_exist():
-    assert all(set(what.effects) <= set(EFFECTS.names()) for what in MERGED.values())

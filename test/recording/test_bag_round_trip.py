@@ -143,3 +143,11 @@ def test_values_that_a_message_cannot_express_are_refused(tmp_path: Path, signal
     with pytest.raises(BadInput, match=complaint):
         write_trajectory(tmp_path / "bag", trajectory)
     assert not (tmp_path / "bag").exists()
+
+
+def test_topics_without_a_wanted_signal_are_left_out(tmp_path: Path):
+    trajectory = make_trajectory()
+    write_trajectory(tmp_path / "bag", trajectory)
+    read = read_bag(tmp_path / "bag", ("force_n", "valve_command_m", "e3_mpa"))
+    assert list(read.signals) == ["valve_command_m", "force_n", "e3_mpa"]
+    assert all(read[name].tobytes() == trajectory[name].tobytes() for name in read.signals)

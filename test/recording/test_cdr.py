@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from recorded_runs import loader_state, message, serialized
+from rosbags.interfaces import Nodetype
 
 from ehls_ros.recording.cdr import CdrError, decode, encode, flatten
 from ehls_ros.recording.typestore import typestore
@@ -120,6 +121,38 @@ def test_no_messages_give_empty_columns():
     assert columns["element_forces"].shape == (0, 0)
 
 
-def test_a_type_with_nested_sequences_is_refused():
-    with pytest.raises(CdrError, match="status of diagnostic_msgs/msg/DiagnosticArray"):
-        flatten(typestore().fielddefs, "diagnostic_msgs/msg/DiagnosticArray")
+def test_what_follows_sequences_of_texts_and_messages_is_read():
+    types, kind = typestore(), "sensor_msgs/msg/JointState"
+    stamp = types.types["builtin_interfaces/msg/Time"](sec=1, nanosec=2)
+    messages = [
+        types.types[kind](
+            header=types.types["std_msgs/msg/Header"](stamp=stamp, frame_id="f"),
+            name=names,
+            position=np.array(positions),
+            velocity=np.zeros(0),
+            effort=np.array([7.0]),
+        )
+        for names, positions in [(["a", "bcd"], [1.0, 2.0]), ([], [3.0]), (["", "e" * 9, "f"], [4.0, 5.0, 6.0])]
+    ]
+    found = decode(
+        [bytes(types.serialize_cdr(m, kind)) for m in messages], flatten(types.fielddefs, kind), {"position", "effort"}
+    )
+    np.testing.assert_array_equal(found["position"], [[1, 2, np.nan], [3, np.nan, np.nan], [4, 5, 6]])
+    assert found["effort"].tolist() == [[7.0], [7.0], [7.0]]
+
+
+def test_more_entries_than_a_message_holds_are_refused():
+    nothing = [("none", (Nodetype.ARRAY, ((Nodetype.BASE, ("float64", 0)), 0)))]
+    types = {
+        "it/msg/Many": ([], [("many", (Nodetype.SEQUENCE, ((Nodetype.NAME, "it/msg/One"), 0)))]),
+        "it/msg/One": ([], nothing),
+    }
+    many = bytes.fromhex("00010000ffffffff")
+    with pytest.raises(CdrError, match="has 4294967295 entries"):
+        decode([many], flatten(types, "it/msg/Many"), {})
+
+
+def test_an_array_of_messages_is_refused():
+    types = {"it/msg/Two": ([], [("two", (Nodetype.ARRAY, ((Nodetype.NAME, "it/msg/One"), 2)))])}
+    with pytest.raises(CdrError, match=r"field two of it/msg/Two is of a kind that is not read"):
+        flatten(types, "it/msg/Two")

@@ -121,7 +121,7 @@ def test_a_proposed_map_can_be_used_as_it_is(tmp_path: Path):
         'time [ms],"Weg, ""neu"" [mm]",Kraft (kN),p,Datum,T_oil [°C]\n0,1,2,5,a,20\n10,2,3,6,b,21\n20,3,4,7,c,21\n',
         encoding="utf-8",
     )
-    table = look(tmp_path / "data.csv")
+    [table] = look(tmp_path / "data.csv")
     assert table.rate == pytest.approx(100.0)
     assert (table.columns[2].smallest, table.columns[2].largest) == (2.0, 4.0)
     text = proposed_map([table])
@@ -140,7 +140,7 @@ def test_a_proposed_map_can_be_used_as_it_is(tmp_path: Path):
 def test_several_tables_are_proposed_as_one_recording(tmp_path: Path):
     (tmp_path / "fast.csv").write_text("t [ms],F [N]\n" + "".join(f"{k},{k}\n" for k in range(50)))
     (tmp_path / "slow.csv").write_text("Zeit [s],Weg [mm]\n" + "".join(f"{k / 100},{k}\n" for k in range(5)))
-    text = proposed_map([look(tmp_path / "fast.csv"), look(tmp_path / "slow.csv")])
+    text = proposed_map([*look(tmp_path / "fast.csv"), *look(tmp_path / "slow.csv")])
     (tmp_path / "columns.yaml").write_text(text, encoding="utf-8")
     given = read_columns(tmp_path / "columns.yaml")
     assert list(given.tables) == ["fast.csv", "slow.csv"]

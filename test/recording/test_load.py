@@ -154,9 +154,3 @@ def test_an_unreadable_path_is_bad_input(name: str):
 def test_a_folder_that_is_not_a_bag_is_bad_input(tmp_path: Path):
     with pytest.raises(BadInput, match=r"metadata\.yaml is missing"):
         load(tmp_path)
-
-
-def test_a_columns_map_for_a_bag_is_bad_input(tmp_path: Path):
-    write_trajectory(tmp_path / "bag", TRAJECTORY)
-    with pytest.raises(BadInput, match="a bag has no columns to map"):
-        load(tmp_path / "bag", ColumnMap({"time_s": Column("t")}))

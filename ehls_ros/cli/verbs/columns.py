@@ -11,19 +11,22 @@ from rich.table import Table as Printed
 
 from ehls_ros.recording.proposal import Table, look, proposed_map
 
-HELP = "Propose a map of columns from the headers of tables: the map as output, what was understood beside it."
+HELP = "Propose a map of columns from a table's headers or a bag's topics: the map as output, what was understood beside it."
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "data", type=Path, nargs="+", help="files .csv, .mat or .parquet; several are the tables of one recording"
+        "data",
+        type=Path,
+        nargs="+",
+        help="files .csv, .mat or .parquet, several of one recording; or a bag",
     )
 
 
 def run(options: Namespace) -> int:
     """Run it."""
-    tables = [look(path) for path in options.data]
+    tables = [table for path in options.data for table in look(path)]
     for table in tables:
         _print(table)
     print(proposed_map(tables), end="")

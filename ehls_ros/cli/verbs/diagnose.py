@@ -19,6 +19,7 @@ from rich.table import Table
 from ehls_ros.cli.folder import writable
 from ehls_ros.cli.progress import progress_bar
 from ehls_ros.diagnosis.diagnose import diagnose
+from ehls_ros.diagnosis.record import USED
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.baseline import diagnose_against
@@ -125,7 +126,7 @@ def run(options: Namespace) -> int:
 def _load(data: Path, columns: ColumnMap | None) -> Trajectory:
     """Read a recording; of a run's folder, its bag."""
     bag = data / "bag"
-    return load(bag if bag.is_dir() else data, columns)
+    return load(bag if bag.is_dir() else data, columns, USED)
 
 
 def _told(bar: Callable[[int, int, str], None], doing: str, done: float) -> None:

@@ -1,0 +1,92 @@
+"""Data as rigs give them, for the exam `raw`: what each kind of data leaves visible, and what the diagnosis is given of it."""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.diagnosis.cases import rig, rig_file
+from ehls_ros.recording.columns import ColumnMap, Cylinder
+from ehls_ros.recording.conversion import converted
+from ehls_ros.recording.joining import join
+from ehls_ros.trajectory import Trajectory
+from truth_generator import Recording, record, variants
+from truth_generator.visibility import background, leftovers, standing
+
+SLOW = 100.0
+"""Rate of slow data [1/s]."""
+
+FAST = ("valve_command_m", "spool_m", "load_pressure_pa")
+"""What the fast one of two tables has."""
+
+FIRST = 0.0037
+"""Time of the first row of a slow table [s]."""
+
+RATIO = 1.5
+"""Area of the bore to that of the rod side; the mean area is that of the rig file."""
+
+APART = 2.0
+"""Weight of what the nominal equations leave of such data without an effect: recordings of two motions differ by it, too."""
+
+
+class Kind(NamedTuple):
+    """A kind of data.
+
+    Attributes:
+        given: the trajectory that the diagnosis gets, of a recording with everything.
+        left: the same for the truth's own measure of visibility; signals at two rates count as slow ones.
+        fast: stages that are seen at the full rate, although ``left`` is slow.
+        unseen: stages that cannot be judged.
+    """
+
+    given: Callable[[Recording], Trajectory]
+    left: Callable[[Recording], Recording]
+    fast: tuple[str, ...] = ()
+    unseen: tuple[str, ...] = ()
+
+
+def _trajectory(r: Recording) -> Trajectory:
+    return Trajectory(r.time, r.columns)
+
+
+def _joined(r: Recording) -> Trajectory:
+    fast, slow = variants.two_rates(r, FAST, SLOW, FIRST)
+    return join({"fast": _trajectory(fast), "slow": _trajectory(slow)}, "", "case")
+
+
+def _single_rod(r: Recording) -> Trajectory:
+    area = rig().plant.piston_area
+    rod_side = 2.0 * area / (1.0 + RATIO)
+    areas = (RATIO * rod_side, rod_side)
+    given = variants.single_rod(r, areas, np.random.default_rng([r.truth["seed"], 4]))
+    return converted(_trajectory(given), ColumnMap(cylinder=Cylinder(*areas)), "case")
+
+
+def _slow(r: Recording) -> Recording:
+    return variants.slowed(r, SLOW)
+
+
+KINDS: Mapping[str, Kind] = {
+    "slow": Kind(lambda r: _trajectory(_slow(r)), _slow),
+    "two_rates": Kind(_joined, _slow, fast=("valve",)),
+    "command_only": Kind(lambda r: _trajectory(variants.command_only(r)), variants.command_only),
+    "sparse": Kind(lambda r: _trajectory(variants.sparse(r)), variants.sparse),
+    "single_rod": Kind(_single_rod, lambda r: r, unseen=("flow",)),
+}
+
+
+def visible(
+    kind: str, hidden: Mapping[str, Mapping[str, object]], experiment: str, seed: int, duration: float
+) -> dict[str, float]:
+    """Return how far an effect stands out of noise and of what the data's rate leaves of the nominal equations, by stage."""
+    data = KINDS[kind]
+    full = record(rig_file(), hidden, experiment, seed=seed, duration=duration, noise=0.0)
+
+    def seen(left: Callable[[Recording], Recording]) -> dict[str, float]:
+        without = background(rig_file(), experiment, seed=seed, duration=duration, given=left)
+        changed = leftovers(rig_file(), left(full))
+        return standing(without, [(APART, without.left)], without.left, changed).visibility
+
+    found = seen(data.left)
+    quick = seen(lambda r: r) if data.fast else {}
+    return {s: 0.0 if s in data.unseen else quick[s] if s in data.fast else value for s, value in found.items()}
