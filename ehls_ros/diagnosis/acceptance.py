@@ -41,9 +41,10 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
 
 
 def differences(evidence: Evidence, more: Assessment, less: Assessment) -> Iterator[Array]:
-    """Yield the difference between two hypotheses' whitened residuals in each channel."""
+    """Yield the difference between two hypotheses' residuals in each channel, in units of the noise floor."""
     for c in evidence.channels:
-        yield more.fit.residuals.values[c] - less.fit.residuals.values[c]
+        # What may vary without any fault can make a change less sure, not smaller.
+        yield evidence.weighed_alike(c, more.fit.residuals.values[c] - less.fit.residuals.values[c])
 
 
 def relevance(evidence: Evidence, more: Assessment, less: Assessment) -> float:

@@ -46,11 +46,13 @@ class Allowance(NamedTuple):
         mean: expected residual of each usable window, in the channel's unit, shape (n,).
         directions: factor of the covariance of what may vary for all windows together, in the channel's unit, shape (n, m).
         variance: of what varies beside that from window to window, in the square of the channel's unit, shape (n,).
+        together: number of neighbouring windows over which the latter is alike.
     """
 
     mean: Array
     directions: Array
     variance: Array
+    together: float = 1.0
 
 
 class Allowed(NamedTuple):
@@ -59,7 +61,7 @@ class Allowed(NamedTuple):
     Attributes:
         mean: expected residual, in the channel's unit, shape (n,).
         basis: orthonormal directions that may vary, of residuals divided by their floor, shape (n, m).
-        reduced: fraction by which a residual is reduced along each, so that its variance is 1, shape (m,).
+        reduced: fraction by which a residual is reduced along each, so that its variance is that of the others, shape (m,).
     """
 
     mean: Array
@@ -69,6 +71,10 @@ class Allowed(NamedTuple):
     def whitened(self, e: Array) -> Array:
         """Return residuals divided by their floor with less weight on the directions that may vary."""
         return e - self.basis @ (self.reduced * (self.basis.T @ e))
+
+    def weighed_alike(self, e: Array) -> Array:
+        """Return such residuals with the same weight on all directions again."""
+        return e + self.basis @ (self.reduced / (1.0 - self.reduced) * (self.basis.T @ e))
 
 
 @dataclass(frozen=True)
@@ -160,6 +166,10 @@ class Evidence:
         """Return the rms of whitened residuals in the channel's unit, as a fraction of the largest term of its balance."""
         return float(np.sqrt(np.mean((e * self.floor[channel]) ** 2))) / max(self.sizes[channel], 1e-300)
 
+    def weighed_alike(self, channel: Channel, e: Array) -> Array:
+        """Return whitened residuals with the same weight on what may vary without any fault as on all else."""
+        return self.allowed[channel].weighed_alike(e) if channel in self.allowed else e
+
     def means(self, channel: Channel, values: Array) -> Array:
         """Return the mean of a signal over each usable window."""
         return self.setup.window_of(channel).mean(values)[self.masks[channel]]
@@ -221,24 +231,27 @@ def allowing(evidence: Evidence, allowances: Mapping[Channel, Allowance], judge:
         judge: makes the same allowances for evidence from a part of the recording.
     """
     channels = tuple(c for c in evidence.channels if c in allowances)
-    allowed, floor = dict[Channel, Allowed](), dict[Channel, Array]()
+    allowed, floor, correlation = dict[Channel, Allowed](), dict[Channel, Array](), dict[Channel, float]()
     for c in channels:
-        given = allowances[c]
-        floor[c] = np.sqrt(evidence.floor[c] ** 2 + given.variance)
+        given, noise = allowances[c], evidence.floor[c] ** 2
+        floor[c] = np.sqrt(noise + given.variance)
+        # A mean over windows that are alike scatters more than one over windows of noise.
+        correlation[c] = float(np.median((noise + given.together * given.variance) / floor[c] ** 2))
         directions = given.directions / floor[c][:, None]
         squares, along = np.linalg.eigh(directions.T @ directions)
-        kept = squares > rules.LEAST_ALLOWED
+        kept = squares > rules.LEAST_ALLOWED * correlation[c]
         basis = directions @ along[:, kept] / np.sqrt(squares[kept])
-        allowed[c] = Allowed(given.mean, basis, 1.0 - 1.0 / np.sqrt(1.0 + squares[kept]))
+        allowed[c] = Allowed(given.mean, basis, 1.0 - 1.0 / np.sqrt(1.0 + squares[kept] / correlation[c]))
     before = {c: evidence.base.values[c] * evidence.floor[c] for c in channels}
     base = {c: allowed[c].whitened((before[c] - allowed[c].mean) / floor[c]) for c in channels}
-    noise = {c: allowed[c].whitened(evidence.noise[c] * evidence.floor[c] / floor[c]) for c in channels}
+    quiet = {c: allowed[c].whitened(evidence.noise[c] * evidence.floor[c] / floor[c]) for c in channels}
     return replace(
         evidence,
         channels=channels,
         floor=floor,
         base=Residuals(base, evidence.base.depends),
-        noise=noise,
+        noise=quiet,
+        correlation=correlation,
         allowed=allowed,
         judge=judge,
     )
@@ -273,6 +286,8 @@ def sections(block: Mapping[Channel, NDArray[np.intp]], channels: Sequence[Chann
 
 
 def noise_power(evidence: Evidence, channel: Channel) -> float:
-    """Return the mean square that noise gives a channel's whitened residual."""
+    """Return the mean square of a channel's whitened residual without any fault: due to noise, or to all that is allowed for."""
+    if channel in evidence.allowed:
+        return 1.0
     e = evidence.noise[channel]
     return max(float(np.mean(e * e)), rules.LEAST_NOISE_POWER)

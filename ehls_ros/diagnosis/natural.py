@@ -34,7 +34,10 @@ OFFSET = "offset"
 
 
 SCALE = "piston_area"
-"""The coefficient in whose units the balances are weighed. It is measured, and no fault changes it."""
+"""The coefficient in whose units the balances are weighed, so that it is not fitted: all of them at zero close the balances, too.
+
+No fault changes it. But at a pressure where no baseline has been, its error shows.
+"""
 
 
 class OfChannel(NamedTuple):
@@ -43,7 +46,7 @@ class OfChannel(NamedTuple):
     Attributes:
         learnt: what was learnt.
         size: largest term of the channel's balance, in whose units it was learnt.
-        terms: names of the coefficients whose errors were learnt; the first is :data:`OFFSET`.
+        terms: names of the coefficients whose errors count; the first is :data:`OFFSET`, and :data:`SCALE` is not fitted.
         signals: names of the signals it depends on.
     """
 
@@ -99,18 +102,20 @@ class Natural(NamedTuple):
         allowances = {}
         for c, healthy in expected.items():
             size = self.channels[c].size
-            allowances[c] = Allowance(healthy.mean * size, healthy.directions * size, healthy.variance * size**2)
+            together = self.channels[c].learnt.together
+            allowances[c] = Allowance(healthy.mean * size, healthy.directions * size, healthy.variance * size**2, together)
         return allowing(evidence, allowances, self.judged)
 
 
 def learn_natural(baselines: Sequence[Evidence]) -> Natural:
     """Learn what a healthy rig leaves, from its recordings compared with one and the same model."""
-    columns, signals = [_learnable(terms(e)) for e in baselines], [signals_of(e) for e in baselines]
+    columns, signals = [terms(e) for e in baselines], [signals_of(e) for e in baselines]
     out = dict[Channel, OfChannel]()
     for c in dict.fromkeys(c for e in baselines for c in e.channels):
         have = [i for i, e in enumerate(baselines) if c in e.channels]
         size = max(1e-300, *(baselines[i].sizes[c] for i in have))
         spreads = {OFFSET: rules.SPREAD_OF_OFFSET} | {term.name: term.spread for i in have for term in columns[i][c]}
+        spreads |= dict.fromkeys({SCALE} & set(spreads), 0.0)
         # A signal that one of them lacks cannot be learnt from.
         told = tuple(name for name in SIGNALS[c] if all(name in signals[i][c] for i in have))
         windows = [
@@ -124,13 +129,9 @@ def learn_natural(baselines: Sequence[Evidence]) -> Natural:
             for i, e in enumerate(baselines)
             if i in have
         ]
-        out[c] = OfChannel(learn(windows, np.array(list(spreads.values()))), size, tuple(spreads), told)
+        learnt = learn(windows, np.array(list(spreads.values())), np.array([name != SCALE for name in spreads]))
+        out[c] = OfChannel(learnt, size, tuple(spreads), told)
     return Natural(out)
-
-
-def _learnable(found: Mapping[Channel, tuple[Term, ...]]) -> dict[Channel, tuple[Term, ...]]:
-    """Return the terms without the one that fixes the scale of the balances: all coefficients at zero close them, too."""
-    return {c: tuple(term for term in items if term.name != SCALE) for c, items in found.items()}
 
 
 def signals_of(evidence: Evidence) -> dict[Channel, dict[str, Array]]:
@@ -139,7 +140,9 @@ def signals_of(evidence: Evidence) -> dict[Channel, dict[str, Array]]:
     if VELOCITY in along:
         slow = max(float(getattr(evidence.rig.friction, "stribeck_velocity", 0.0)), 1e-6)
         along[DIRECTION] = np.tanh(along[VELOCITY] / slow)
-    return {c: {name: evidence.means(c, along[name]) for name in SIGNALS[c] if name in along} for c in evidence.channels}
+    # A load that a sensor gives answers to the friction: where the pressure is held it would tell the residual.
+    told = [name for name in along if name not in evidence.record.measured]
+    return {c: {name: evidence.means(c, along[name]) for name in SIGNALS[c] if name in told} for c in evidence.channels}
 
 
 def _table(signals: Mapping[str, Array], names: Sequence[str], windows: int) -> Array:

@@ -705,6 +705,8 @@ SECTIONS: Annotated[
     int, Rule("baseline", "1", "Sections of an only baseline that stand for recordings when the natural spread is estimated.")
 ] = 3
 
+SPREAD_STEPS: Annotated[int, Rule("baseline", "1", "Rounds in which that spread is estimated.")] = 12
+
 MOST_LEARNT: Annotated[int, Rule("baseline", "1", "Most windows of all baselines together that a channel is learnt from.")] = (
     9000
 )
