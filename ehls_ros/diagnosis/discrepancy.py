@@ -1,7 +1,7 @@
 """What a model leaves on healthy recordings, learnt as a function of the stage's own signals.
 
 A residual is taken as a sum: errors of the model's coefficients, whose derivatives are given, a smooth function of each signal,
-one of all signals together, and what no function of them tells. The functions are Gaussian processes, so that the expectation
+another of each that is multiplied by the stage's input, one of all signals together, and what no function of them tells. The functions are Gaussian processes, so that the expectation
 returns to zero and its variance to all of theirs where the recordings have never been (Kennedy, O'Hagan, Bayesian calibration
 of computer models, 2001). Everything here works on plain arrays.
 """
@@ -27,6 +27,7 @@ class Windows(NamedTuple):
         noise: standard deviation that the sensors give it, shape (n,).
         terms: change of the residual by each coefficient, per relative change, shape (n, terms).
         signals: what the residual may depend on, shape (n, signals).
+        factor: the stage's input, which errors may be proportional to, as friction's are to its direction, shape (n,).
         block: number of the block, shape (n,).
     """
 
@@ -34,23 +35,17 @@ class Windows(NamedTuple):
     noise: Array
     terms: Array
     signals: Array
+    factor: Array
     block: NDArray[np.intp]
 
     def every(self, stride: int) -> "Windows":
         """Return one window in so many."""
-        s = slice(None, None, stride)
-        return Windows(self.residual[s], self.noise[s], self.terms[s], self.signals[s], self.block[s])
+        return Windows(*(values[::stride] for values in self))
 
 
 def joined(recordings: Sequence[Windows]) -> Windows:
     """Return the windows of several recordings in one row."""
-    return Windows(
-        np.concatenate([r.residual for r in recordings]),
-        np.concatenate([r.noise for r in recordings]),
-        np.concatenate([r.terms for r in recordings]),
-        np.concatenate([r.signals for r in recordings]),
-        np.concatenate([r.block for r in recordings]),
-    )
+    return Windows(*(np.concatenate(parts) for parts in zip(*recordings, strict=True)))
 
 
 class Expected(NamedTuple):
@@ -75,12 +70,12 @@ class Learnt(NamedTuple):
         recording: recording, or section of the only one, that each window is from, shape (n,).
         middle: of each signal, shape (signals,).
         scale: of each signal, shape (signals,).
-        sizes: standard deviation of the function of each signal, and of all together, shape (signals + 1,).
+        sizes: standard deviation of the functions: of each signal, of each times the input, of all together, shape (functions,).
         left: standard deviation of what no function tells, on stretches that were held out.
         together: number of windows that err together.
         fitted: which coefficients are; of the others an error is possible, but not looked for, shape (terms,).
         spread: standard deviation of each coefficient from recording to recording, relative, shape (terms,).
-        changing: the same of each function, relative to its size, shape (signals + 1,).
+        changing: the same of each function, relative to its size, shape (functions,).
         power: mean square of the residual, and of what is left of it on stretches that were held out.
         errors: error of each coefficient that the recordings tell, relative, shape (terms,).
         deviations: standard error of each, shape (terms,).
@@ -100,15 +95,17 @@ class Learnt(NamedTuple):
     errors: Array
     deviations: Array
 
-    def expected(self, terms: Array, signals: Array) -> Expected:
+    def expected(self, terms: Array, signals: Array, factor: Array) -> Expected:
         """Return what a healthy rig would leave in other windows.
 
         Args:
             terms: change of the residual by each coefficient there, shape (n, terms).
             signals: what the residual may depend on there, shape (n, signals).
+            factor: the stage's input there, shape (n,).
         """
         known = len(self.windows.residual)
-        features = _features(self.warped(np.vstack([self.windows.signals, signals])))
+        warped = self.warped(np.vstack([self.windows.signals, signals]))
+        features = _features(warped, np.concatenate([self.windows.factor, factor]))
         functions, own = features.sized(self.sizes)
         columns = np.hstack([np.vstack([self.windows.terms, terms]) * rules.LEFT_ERROR, functions])
         variance = self.variance(self.windows, own[:known])
@@ -162,14 +159,14 @@ def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) ->
     middle = np.median(data.signals, axis=0)
     largest = np.maximum(np.max(np.abs(data.signals), axis=0), 1e-300)
     scale = np.maximum(np.median(np.abs(data.signals - middle), axis=0), rules.LEAST_SCALE * largest)
-    count = data.signals.shape[1] + 1
+    count = 2 * data.signals.shape[1] + 1
     size = float(np.sqrt(np.mean(data.residual**2) / count))
     now = Learnt(
         data, recording, middle, scale, np.full(count, size), size, rules.TOGETHER, fitted,
         default_spread, np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
         np.zeros_like(default_spread), np.full_like(default_spread, rules.LEFT_ERROR),
     )  # fmt: skip
-    features, y = _features(now.warped(data.signals)), data.residual
+    features, y = _features(now.warped(data.signals), data.factor), data.residual
     fold = _folds(len(y))
     members = np.bincount(features.group, minlength=count)
     for _ in range(rules.LEARNING_STEPS):
@@ -206,12 +203,13 @@ class _Features(NamedTuple):
         return self.columns * sizes[self.group], self.own @ sizes**2
 
 
-def _features(warped: Array) -> _Features:
-    """Return features of a function of each signal and of one of all together."""
+def _features(warped: Array, factor: Array) -> _Features:
+    """Return features of a function of each signal, of one of each times a factor, and of one of all together."""
     single = warped.shape[1]
     made = [_kernel_columns(warped[:, g : g + 1], rules.SINGLE_CENTRES) for g in range(single)]
+    made += [(part * factor[:, None], rest * factor**2) for part, rest in made]
     made.append(_kernel_columns(warped / np.sqrt(max(single, 1)), rules.JOINT_CENTRES))
-    group = np.repeat(np.arange(single + 1), [part.shape[1] for part, _ in made])
+    group = np.repeat(np.arange(len(made)), [part.shape[1] for part, _ in made])
     return _Features(np.hstack([part for part, _ in made]), group, np.column_stack([rest for _, rest in made]))
 
 
@@ -295,7 +293,7 @@ def _with_spread(found: Learnt, default_spread: Array, only: bool) -> Learnt:
         only: whether the recordings are sections of an only one.
     """
     data, terms = found.windows, found.windows.terms.shape[1]
-    features = _features(found.warped(data.signals))
+    features = _features(found.warped(data.signals), data.factor)
     functions, own = features.sized(found.sizes)
     columns = np.hstack([data.terms * rules.LEFT_ERROR, functions])
     mean, inverse = _posterior(columns, data.residual, found.variance(data, own), found.fitted)

@@ -21,13 +21,19 @@ SIGNALS: Mapping[Channel, tuple[str, ...]] = {
     "volume": (SPOOL, PRESSURE, POSITION, SUPPLY, TEMPERATURE),
     "supply": (SPOOL, PRESSURE, TEMPERATURE),
     "force": (VELOCITY, DIRECTION, POSITION, ACCELERATION, LOAD, TEMPERATURE),
-    "cell": (PRESSURE, PRESSURE_RATE, POSITION, TEMPERATURE),
-    "velocity": (VELOCITY, POSITION, TEMPERATURE),
+    "cell": (PRESSURE, PRESSURE_RATE, VELOCITY, POSITION, TEMPERATURE),
+    "velocity": (VELOCITY, PRESSURE, POSITION, TEMPERATURE),
 }
 """Signals the rig's own remainder may depend on, by channel; those that were not recorded are left out.
 
-One term of each balance is missing. All of them together would tell the residual itself, whatever is wrong.
+One term of each balance is missing. All of them together would tell the residual itself, whatever is wrong. Of two sensors of one
+quantity, each may also see another signal.
 """
+
+FACTORS: Mapping[Channel, str] = {
+    "spool": COMMAND, "volume": SPOOL, "supply": SPOOL, "force": DIRECTION, "cell": PRESSURE, "velocity": VELOCITY,
+}  # fmt: skip
+"""The input of each channel's balance, which errors of its gain are proportional to, as of friction to the direction."""
 
 OFFSET = "offset"
 """Name of a channel's constant error, which is a sensor's and no coefficient's."""
@@ -48,12 +54,14 @@ class OfChannel(NamedTuple):
         size: largest term of the channel's balance, in whose units it was learnt.
         terms: names of the coefficients whose errors count; the first is :data:`OFFSET`, and :data:`SCALE` is not fitted.
         signals: names of the signals it depends on.
+        unit: size of the channel's input, in whose units it was learnt.
     """
 
     learnt: Learnt
     size: float
     terms: tuple[str, ...]
     signals: tuple[str, ...]
+    unit: float
 
     def columns(self, found: Sequence[Term], windows: int) -> Array:
         """Return what errors of the coefficients add, a column each, zero where one changes nothing, shape (windows, terms)."""
@@ -86,7 +94,8 @@ class Natural(NamedTuple):
             if c in self.channels:
                 own, count = self.channels[c], len(evidence.floor[c])
                 table = _table(signals[c], own.signals, count)
-                healthy = own.learnt.expected(own.columns(found[c], count), table)
+                factor = _table(signals[c], (FACTORS[c],), count)[:, 0] / own.unit
+                healthy = own.learnt.expected(own.columns(found[c], count), table, factor)
                 out[c] = healthy._replace(variance=healthy.variance + own.unseen(table) ** 2)
         return out
 
@@ -118,19 +127,22 @@ def learn_natural(baselines: Sequence[Evidence]) -> Natural:
         spreads |= dict.fromkeys({SCALE} & set(spreads), 0.0)
         # A signal that one of them lacks cannot be learnt from.
         told = tuple(name for name in SIGNALS[c] if all(name in signals[i][c] for i in have))
+        factors = {i: _table(signals[i][c], (FACTORS[c],), len(baselines[i].floor[c]))[:, 0] for i in have}
+        unit = float(np.sqrt(np.mean(np.concatenate(list(factors.values())) ** 2))) or 1.0
         windows = [
             Windows(
                 residual=e.base.values[c] * e.floor[c] / size,
                 noise=e.floor[c] / size,
                 terms=_columns(columns[i][c], tuple(spreads), size, len(e.floor[c])),
                 signals=_table(signals[i][c], told, len(e.floor[c])),
+                factor=factors[i] / unit,
                 block=e.block[c],
             )
             for i, e in enumerate(baselines)
             if i in have
         ]
         learnt = learn(windows, np.array(list(spreads.values())), np.array([name != SCALE for name in spreads]))
-        out[c] = OfChannel(learnt, size, tuple(spreads), told)
+        out[c] = OfChannel(learnt, size, tuple(spreads), told, unit)
     return Natural(out)
 
 

@@ -717,13 +717,13 @@ TOGETHER: Annotated[
 
 LEAST_SCALE: Annotated[float, Rule("baseline", "1", "Least scale of a signal, as a fraction of its largest magnitude.")] = 1e-3
 
-SINGLE_CENTRES: Annotated[int, Rule("baseline", "1", "Most centres of the function of one signal.")] = 14
+SINGLE_CENTRES: Annotated[int, Rule("baseline", "1", "Most centres of the function of one signal.")] = 20
 
-JOINT_CENTRES: Annotated[int, Rule("baseline", "1", "Most centres of the function of all signals together.")] = 120
+JOINT_CENTRES: Annotated[int, Rule("baseline", "1", "Most centres of the function of all signals together.")] = 60
 
 SMOOTH: Annotated[
     float, Rule("baseline", "1", "Length over which such a function varies, in units of a signal's scale near its median.")
-] = 0.8
+] = 0.5
 
 RESOLVED_KERNEL: Annotated[
     float, Rule("baseline", "1", "Fraction of a function's variance that may be left out at any point.")
