@@ -73,9 +73,7 @@ def diagnose(
     findings = _findings(evidence, sizes, remainders(evidence, found))
     named = causes(evidence, found, seed)
     verdict, unknown = decide(findings, [cause.stage for cause in named])
-    # Beside baselines, what the rig's own form leaves is allowed for already.
-    alone = verdict == "unknown" and not evidence.allowed
-    answer = partial_answer(evidence, found, tried, workers, progress) if alone else None
+    answer = partial_answer(evidence, found, tried, workers, progress) if verdict == "unknown" else None
     known, best = (evidence, found.best) if answer is None else (answer.evidence, answer.found.best)
     if answer is not None:
         verdict, named = "partial", causes(answer.evidence, answer.found, seed, most=rules.IMPERFECT)

@@ -3,7 +3,8 @@
 A residual is taken as a sum: errors of the model's coefficients, whose derivatives are given, a smooth function of each signal,
 another of each that is multiplied by the stage's input, one of all signals together, and what no function of them tells. The functions are Gaussian processes, so that the expectation
 returns to zero and its variance to all of theirs where the recordings have never been (Kennedy, O'Hagan, Bayesian calibration
-of computer models, 2001). Everything here works on plain arrays.
+of computer models, 2001). On the recordings they are orthogonal to the coefficients' derivatives (Plumlee, Bayesian calibration of
+inexact computer models, 2017): what a coefficient can do, no function does, and none varies in its place. Everything here works on plain arrays.
 """
 
 from collections.abc import Sequence
@@ -105,9 +106,10 @@ class Learnt(NamedTuple):
         """
         known = len(self.windows.residual)
         warped = self.warped(np.vstack([self.windows.signals, signals]))
-        features = _features(warped, np.concatenate([self.windows.factor, factor]))
+        terms = np.vstack([self.windows.terms, terms])
+        features = _features(warped, np.concatenate([self.windows.factor, factor]), terms, known)
         functions, own = features.sized(self.sizes)
-        columns = np.hstack([np.vstack([self.windows.terms, terms]) * rules.LEFT_ERROR, functions])
+        columns = np.hstack([terms * rules.LEFT_ERROR, functions])
         variance = self.variance(self.windows, own[:known])
         mean, inverse = _posterior(columns[:known], self.windows.residual, variance, self.fitted)
         changing = np.concatenate([self.spread / rules.LEFT_ERROR, self.changing[features.group]])
@@ -166,7 +168,7 @@ def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) ->
         default_spread, np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
         np.zeros_like(default_spread), np.full_like(default_spread, rules.LEFT_ERROR),
     )  # fmt: skip
-    features, y = _features(now.warped(data.signals), data.factor), data.residual
+    features, y = _features(now.warped(data.signals), data.factor, data.terms, len(data.residual)), data.residual
     fold = _folds(len(y))
     members = np.bincount(features.group, minlength=count)
     for _ in range(rules.LEARNING_STEPS):
@@ -203,14 +205,24 @@ class _Features(NamedTuple):
         return self.columns * sizes[self.group], self.own @ sizes**2
 
 
-def _features(warped: Array, factor: Array) -> _Features:
-    """Return features of a function of each signal, of one of each times a factor, and of one of all together."""
+def _features(warped: Array, factor: Array, terms: Array, known: int) -> _Features:
+    """Return features of a function of each signal, of one of each times a factor, and of one of all together.
+
+    Args:
+        warped: the signals, shape (n, signals).
+        factor: the stage's input, shape (n,).
+        terms: derivatives by the coefficients, shape (n, terms).
+        known: number of windows, the first ones, on which the features are orthogonal to these.
+    """
     single = warped.shape[1]
     made = [_kernel_columns(warped[:, g : g + 1], rules.SINGLE_CENTRES) for g in range(single)]
     made += [(part * factor[:, None], rest * factor**2) for part, rest in made]
     made.append(_kernel_columns(warped / np.sqrt(max(single, 1)), rules.JOINT_CENTRES))
     group = np.repeat(np.arange(len(made)), [part.shape[1] for part, _ in made])
-    return _Features(np.hstack([part for part, _ in made]), group, np.column_stack([rest for _, rest in made]))
+    columns = np.hstack([part for part, _ in made])
+    scaled = terms / np.maximum(np.sqrt(np.mean(terms[:known] ** 2, axis=0)), 1e-300)
+    along = np.linalg.lstsq(scaled[:known], columns[:known], rcond=rules.COLLINEAR)[0]
+    return _Features(columns - scaled @ along, group, np.column_stack([rest for _, rest in made]))
 
 
 def _kernel_columns(inputs: Array, most: int) -> tuple[Array, Array]:
@@ -293,7 +305,7 @@ def _with_spread(found: Learnt, default_spread: Array, only: bool) -> Learnt:
         only: whether the recordings are sections of an only one.
     """
     data, terms = found.windows, found.windows.terms.shape[1]
-    features = _features(found.warped(data.signals), data.factor)
+    features = _features(found.warped(data.signals), data.factor, data.terms, len(data.residual))
     functions, own = features.sized(found.sizes)
     columns = np.hstack([data.terms * rules.LEFT_ERROR, functions])
     mean, inverse = _posterior(columns, data.residual, found.variance(data, own), found.fitted)

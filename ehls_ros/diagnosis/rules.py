@@ -729,6 +729,10 @@ RESOLVED_KERNEL: Annotated[
     float, Rule("baseline", "1", "Fraction of a function's variance that may be left out at any point.")
 ] = 1e-3
 
+COLLINEAR: Annotated[
+    float, Rule("baseline", "1", "Relative singular value below which derivatives by coefficients count as the same.")
+] = 0.01
+
 LEAST_FUNCTION: Annotated[
     float, Rule("baseline", "1", "Least standard deviation of such a function, as a fraction of the one it starts from.")
 ] = 1e-3

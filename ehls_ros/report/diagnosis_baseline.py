@@ -32,9 +32,10 @@ def since_sentence(found: Diagnosis) -> str:
         judged = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if result.judged])
         text = f"Nothing has changed since {since} that shows: {judged} differ by no more than noise and natural spread"
         return f"{text}. The smallest changes that would have shown are listed under 'Sensitivity'."
-    if found.verdict == "effect":
+    if found.names_causes:
         said = listed([_change(found, index) for index in range(len(found.causes))])
-        return f"Since {since}, there is a change: {said}."
+        more = "; more has changed that no known effect explains" if found.verdict == "partial" else ""
+        return f"Since {since}, there is a change: {said}{more}."
     if found.verdict == "unknown" and found.unknown_stage is not None:
         signals = listed([quantity(s) for s in found.depends_on]) if found.depends_on else "no recorded signal alone"
         text = (
