@@ -1,10 +1,11 @@
 """What a model leaves on healthy recordings, learnt as a function of the stage's own signals.
 
 A residual is taken as a sum: errors of the model's coefficients, whose derivatives are given, a smooth function of each signal,
-another of each that is multiplied by the stage's input, one of all signals together, and what no function of them tells. The functions are Gaussian processes, so that the expectation
-returns to zero and its variance to all of theirs where the recordings have never been (Kennedy, O'Hagan, Bayesian calibration
-of computer models, 2001). On the recordings they are orthogonal to the coefficients' derivatives (Plumlee, Bayesian calibration of
-inexact computer models, 2017): what a coefficient can do, no function does, and none varies in its place. Everything here works on plain arrays.
+another of each that is multiplied by the stage's input, one of all signals together, and what no function of them tells. The
+functions are Gaussian processes, so that the expectation returns to zero and its variance to all of theirs where the recordings
+have never been (Kennedy, O'Hagan, Bayesian calibration of computer models, 2001). On the recordings they are orthogonal to the
+coefficients' derivatives (Plumlee, Bayesian calibration of inexact computer models, 2017): no function does what a coefficient
+can do, and none varies in its place. Everything here works on plain arrays.
 """
 
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.loss import weights
-from ehls_ros.samples import Mask
+from ehls_ros.samples import GAUSS, Mask
 
 
 class Windows(NamedTuple):
@@ -41,7 +42,10 @@ class Windows(NamedTuple):
 
     def every(self, stride: int) -> "Windows":
         """Return one window in so many."""
-        return Windows(*(values[::stride] for values in self))
+        s = slice(None, None, stride)
+        return Windows(
+            self.residual[s], self.noise[s], self.terms[s], self.signals[s], self.factor[s], self.block[s]
+        )  # fmt: skip
 
 
 def joined(recordings: Sequence[Windows]) -> Windows:
@@ -71,7 +75,7 @@ class Learnt(NamedTuple):
         recording: recording, or section of the only one, that each window is from, shape (n,).
         middle: of each signal, shape (signals,).
         scale: of each signal, shape (signals,).
-        sizes: standard deviation of the functions: of each signal, of each times the input, of all together, shape (functions,).
+        sizes: standard deviation of the functions: of each signal, of each times the input, and of all, shape (functions,).
         left: standard deviation of what no function tells, on stretches that were held out.
         together: number of windows that err together.
         fitted: which coefficients are; of the others an error is possible, but not looked for, shape (terms,).
@@ -123,7 +127,7 @@ class Learnt(NamedTuple):
 
     def leaving(self, after: Array) -> "Learnt":
         """Return the same with what is left on stretches that were held out, shape (n,)."""
-        capped = np.minimum(after**2, rules.MOST_SQUARE * float(np.median(after**2)) / rules.MEDIAN_SQUARE)
+        capped = np.minimum(after**2, rules.MOST_SQUARE * (GAUSS * float(np.median(np.abs(after)))) ** 2)
         noise = float(np.mean(self.windows.noise**2))
         left = float(np.sqrt(max(float(np.mean(capped)) - noise, 0.0)))
         return self._replace(left=left, together=_together(after, self.windows.block))
@@ -282,7 +286,7 @@ def _held_out(columns: Array, y: Array, variance: Array, fold: NDArray[np.intp])
 
 def _together(e: Array, block: NDArray[np.intp]) -> float:
     """Return how many neighbouring windows err together, from the correlation of what is left."""
-    limit = rules.HUBER * float(np.median(np.abs(e))) / rules.MEDIAN_SQUARE**0.5
+    limit = rules.HUBER * GAUSS * float(np.median(np.abs(e)))
     e = np.clip(e, -limit, limit)
     total, power = 1.0, float(np.mean(e * e))
     for lag in range(1, rules.LONGEST_MEMORY):

@@ -286,7 +286,7 @@ def sections(block: Mapping[Channel, NDArray[np.intp]], channels: Sequence[Chann
 
 
 def noise_power(evidence: Evidence, channel: Channel) -> float:
-    """Return the mean square of a channel's whitened residual without any fault: due to noise, or to all that is allowed for."""
+    """Return the mean square of a channel's whitened residual without a fault: due to noise, or to all that is allowed for."""
     if channel in evidence.allowed:
         return 1.0
     e = evidence.noise[channel]

@@ -26,8 +26,8 @@ SIGNALS: Mapping[Channel, tuple[str, ...]] = {
 }
 """Signals the rig's own remainder may depend on, by channel; those that were not recorded are left out.
 
-One term of each balance is missing. All of them together would tell the residual itself, whatever is wrong. Of two sensors of one
-quantity, each may also see another signal.
+One term of each balance is missing. All of them together would tell the residual itself, whatever is wrong. Of two sensors of
+one quantity, each may also see another signal.
 """
 
 FACTORS: Mapping[Channel, str] = {
@@ -40,7 +40,7 @@ OFFSET = "offset"
 
 
 SCALE = "piston_area"
-"""The coefficient in whose units the balances are weighed, so that it is not fitted: all of them at zero close the balances, too.
+"""The coefficient in whose units the balances are weighed; it is not fitted, as all of them at zero close the balances, too.
 
 No fault changes it. But at a pressure where no baseline has been, its error shows.
 """

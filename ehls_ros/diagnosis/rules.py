@@ -664,11 +664,6 @@ BEYOND_STROKE: Annotated[
 
 # --- baseline ----------------------------------------------------------------------------------
 
-COEFFICIENT: Annotated[
-    float,
-    Rule("baseline", "1", "Relative error a rig's coefficient may have before the baselines say more, standard deviation."),
-] = 0.3
-
 COEFFICIENT_STEP: Annotated[
     float, Rule("baseline", "1", "Relative change of a coefficient by which the derivative of a residual is taken.")
 ] = 0.01
@@ -677,12 +672,6 @@ LEFT_ERROR: Annotated[
     float,
     Rule("baseline", "1", "Relative error of a coefficient after that fit, standard deviation, where the data do not tell."),
 ] = 0.05
-
-REFITS: Annotated[int, Rule("baseline", "1", "Most steps in which the coefficients are fitted to the baselines.")] = 6
-
-LONGEST_REFIT: Annotated[float, Rule("baseline", "1", "Largest relative change of a coefficient in one such step.")] = 0.3
-
-REFITTED: Annotated[float, Rule("baseline", "1", "Relative decrease of the loss below which that fit has settled.")] = 3e-3
 
 SPREAD: Annotated[
     float,
@@ -749,10 +738,6 @@ FOLDS: Annotated[int, Rule("baseline", "1", "Parts in which stretches are held o
 LEARNING_STEPS: Annotated[int, Rule("baseline", "1", "Rounds in which sizes and noise of the remainder are estimated.")] = 8
 
 ROBUST_STEPS: Annotated[int, Rule("baseline", "1", "Rounds of Huber's weights in each.")] = 3
-
-MEDIAN_SQUARE: Annotated[
-    float, Rule("baseline", "1", "Median of the square of a standard normal variable.", "chi-squared, one degree of freedom")
-] = 0.455
 
 LONGEST_MEMORY: Annotated[int, Rule("baseline", "1", "Windows over which what is left may be correlated, at most.")] = 40
 
