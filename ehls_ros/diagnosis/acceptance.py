@@ -45,9 +45,10 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
 
 
 def differences(evidence: Evidence, more: Assessment, less: Assessment) -> Iterator[Array]:
-    """Yield the difference between two hypotheses' whitened residuals in each channel."""
+    """Yield the difference between two hypotheses' residuals in each channel, in units of the noise floor."""
     for c in evidence.channels:
-        yield more.fit.residuals.values[c] - less.fit.residuals.values[c]
+        # What may vary without any fault can make a change less sure, not smaller.
+        yield evidence.whole(c, more.fit.residuals.values[c]) - evidence.whole(c, less.fit.residuals.values[c])
 
 
 def relevance(evidence: Evidence, more: Assessment, less: Assessment) -> float:
@@ -69,10 +70,10 @@ def earned(evidence: Evidence, more: Assessment, less: Assessment) -> float:
     that skews within their bounds make up for, gains or loses by chance, and little of that.
     """
     gained, changed = 0.0, 0.0
-    for c, difference in zip(evidence.channels, differences(evidence, more, less), strict=True):
-        before = less.fit.residuals.values[c]
-        gained += float(np.sum(loss(before) - loss(before + difference)))
-        changed += 0.5 * float(np.sum(weights(before) * difference**2))
+    for c in evidence.channels:
+        before, after = (j.fit.residuals.values[c] for j in (less, more))
+        gained += float(np.sum(loss(before) - loss(after)))
+        changed += 0.5 * float(np.sum(weights(before) * (after - before) ** 2))
     return gained / changed if changed > 0.0 else 0.0
 
 

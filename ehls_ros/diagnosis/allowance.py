@@ -22,25 +22,28 @@ class Allowance(NamedTuple):
         mean: expected residual of each usable window, in the channel's unit, shape (n,).
         directions: factor of the covariance of what may vary for all windows together, in the channel's unit, shape (n, m).
         variance: of what varies beside that from window to window, in the square of the channel's unit, shape (n,).
+        alike: number of neighbouring windows over which the latter is alike.
         most: standard deviations beyond which a variation counts :data:`rules.EDGE` times as much, or in full.
     """
 
     mean: Array
     directions: Array
     variance: Array
+    alike: float = 1.0
     most: float = math.inf
 
-    def whitening(self, floor: Array) -> "Allowed":
+    def whitening(self, floor: Array, correlation: float = 1.0) -> "Allowed":
         """Return the allowance as residuals divided by a floor need it.
 
         Args:
             floor: noise floor of each window, the allowance's own variance included, shape (n,).
+            correlation: number of windows over which residuals are alike.
         """
         directions = self.directions / floor[:, None]
         squares, along = np.linalg.eigh(directions.T @ directions)
-        kept = squares > rules.LEAST_ALLOWED
+        kept = squares > rules.LEAST_ALLOWED * correlation
         basis = directions @ along[:, kept] / np.sqrt(squares[kept])
-        return Allowed(self.mean, basis, np.sqrt(1.0 + squares[kept]), self.most)
+        return Allowed(self.mean, basis, np.sqrt(1.0 + squares[kept] / correlation), self.most)
 
 
 class Allowed(NamedTuple):
@@ -49,7 +52,7 @@ class Allowed(NamedTuple):
     Attributes:
         mean: expected residual, in the channel's unit, shape (n,).
         basis: orthonormal directions that may vary, of residuals divided by their floor, shape (n, m).
-        deviations: standard deviation of a residual along each, noise included, shape (m,).
+        deviations: standard deviation of a residual along each in units of the others', noise included, shape (m,).
         most: standard deviations beyond which a variation counts :data:`rules.EDGE` times as much, or in full.
     """
 
@@ -84,5 +87,6 @@ def together(allowances: Sequence[Allowance]) -> Allowance:
         np.sum([a.mean for a in allowances], axis=0),
         np.hstack([a.directions for a in allowances]),
         np.sum([a.variance for a in allowances], axis=0),
+        max(a.alike for a in allowances),
         max(a.most for a in allowances),
     )

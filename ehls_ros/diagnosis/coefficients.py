@@ -1,15 +1,13 @@
 """The coefficients of a rig's model, and what a small error of each does to the residuals."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.evidence import Evidence, Residuals
-from ehls_ros.diagnosis.loss import loss, weights
+from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
@@ -82,56 +80,4 @@ def changed(rig: Rig, parts: Mapping[str, float]) -> Rig:
     """Return a rig with coefficients changed by fractions of themselves; a change that contradicts the others is left out."""
     for name, part in parts.items():
         rig = next((other for found, other in varied(rig, part) if found == name), rig)
-    return rig
-
-
-def refit(baselines: Sequence[Evidence]) -> Rig:
-    """Return the rig with the coefficients that fit recordings best, those the recordings do not tell as they were.
-
-    Args:
-        baselines: recordings compared with one and the same rig.
-    """
-    comparisons = [e.comparison() for e in baselines]
-    rig, columns = baselines[0].rig, [terms(e) for e in baselines]
-    names = tuple(dict.fromkeys(t.name for found in columns for items in found.values() for t in items))
-
-    def whitened(rig: Rig) -> list[Residuals]:
-        return [e.residuals(c, rig) for e, c in zip(baselines, comparisons, strict=True)]
-
-    now = [e.base for e in baselines]
-    total = np.zeros(len(names))
-    for _ in range(rules.REFITS):
-        normal, gradient = np.eye(len(names)) / rules.COEFFICIENT**2, -total / rules.COEFFICIENT**2
-        scales = list[dict[Channel, float]]()
-        for e, residuals, found in zip(baselines, now, columns, strict=True):
-            scales.append(
-                {c: max(1.0, float(np.median(np.abs(residuals.values[c]))) / rules.MEDIAN_SQUARE**0.5) for c in found}
-            )
-            for c, items in found.items():
-                r = residuals.values[c] / scales[-1][c]
-                matrix = np.zeros((len(r), len(names)))
-                for item in items:
-                    matrix[:, names.index(item.name)] = item.column / (e.floor[c] * scales[-1][c])
-                w = weights(r)
-                normal += matrix.T @ (matrix * w[:, None])
-                gradient -= matrix.T @ (w * r)
-        step = np.clip(np.linalg.solve(normal, gradient), -rules.LONGEST_REFIT, rules.LONGEST_REFIT)
-
-        def cost(residuals: Sequence[Residuals], scales: Sequence[Mapping[Channel, float]] = tuple(scales)) -> float:
-            return sum(
-                float(np.sum(loss(r.values[c] / s))) for r, own in zip(residuals, scales, strict=True) for c, s in own.items()
-            )
-
-        before = cost(now)
-        for part in (1.0, 0.5, 0.25):
-            other = changed(rig, dict(zip(names, (part * step).tolist(), strict=True)))
-            after = whitened(other)
-            if cost(after) < before:
-                break
-        else:
-            break
-        rig, now, total = other, after, total + part * step
-        if before - cost(now) < rules.REFITTED * before:
-            break
-        columns = [terms(replace(e, rig=rig, base=r)) for e, r in zip(baselines, now, strict=True)]
     return rig

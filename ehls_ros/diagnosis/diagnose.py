@@ -74,9 +74,7 @@ def diagnose(
     findings = _findings(seen, sizes, remainders(seen, told))
     named = causes(seen, told, seed)
     verdict, unknown = decide(findings, [cause.stage for cause in named])
-    # Beside baselines, what the rig's own form leaves is allowed for already.
-    alone = verdict == "unknown" and not evidence.against_baselines
-    answer = partial_answer(evidence, found, tried, workers, progress) if alone else None
+    answer = partial_answer(evidence, found, tried, workers, progress) if verdict == "unknown" else None
     known, best = (seen, told.best) if answer is None else (answer.evidence, answer.found.best)
     if answer is not None:
         verdict, named = "partial", causes(answer.evidence, answer.found, seed, most=rules.IMPERFECT)

@@ -1,9 +1,11 @@
 """What a model leaves on healthy recordings, learnt as a function of the stage's own signals.
 
 A residual is taken as a sum: errors of the model's coefficients, whose derivatives are given, a smooth function of each signal,
-one of all signals together, and what no function of them tells. The functions are Gaussian processes, so that the expectation
-returns to zero and its variance to all of theirs where the recordings have never been (Kennedy, O'Hagan, Bayesian calibration
-of computer models, 2001). Everything here works on plain arrays.
+another of each that is multiplied by the stage's input, one of all signals together, and what no function of them tells. The
+functions are Gaussian processes, so that the expectation returns to zero and its variance to all of theirs where the recordings
+have never been (Kennedy, O'Hagan, Bayesian calibration of computer models, 2001). On the recordings they are orthogonal to the
+coefficients' derivatives (Plumlee, Bayesian calibration of inexact computer models, 2017): no function does what a coefficient
+can do, and none varies in its place. Everything here works on plain arrays.
 """
 
 from collections.abc import Sequence
@@ -16,6 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.loss import weights
+from ehls_ros.samples import GAUSS, Mask
 
 
 class Windows(NamedTuple):
@@ -26,6 +29,7 @@ class Windows(NamedTuple):
         noise: standard deviation that the sensors give it, shape (n,).
         terms: change of the residual by each coefficient, per relative change, shape (n, terms).
         signals: what the residual may depend on, shape (n, signals).
+        factor: the stage's input, which errors may be proportional to, as friction's are to its direction, shape (n,).
         block: number of the block, shape (n,).
     """
 
@@ -33,23 +37,20 @@ class Windows(NamedTuple):
     noise: Array
     terms: Array
     signals: Array
+    factor: Array
     block: NDArray[np.intp]
 
     def every(self, stride: int) -> "Windows":
         """Return one window in so many."""
         s = slice(None, None, stride)
-        return Windows(self.residual[s], self.noise[s], self.terms[s], self.signals[s], self.block[s])
+        return Windows(
+            self.residual[s], self.noise[s], self.terms[s], self.signals[s], self.factor[s], self.block[s]
+        )  # fmt: skip
 
 
 def joined(recordings: Sequence[Windows]) -> Windows:
     """Return the windows of several recordings in one row."""
-    return Windows(
-        np.concatenate([r.residual for r in recordings]),
-        np.concatenate([r.noise for r in recordings]),
-        np.concatenate([r.terms for r in recordings]),
-        np.concatenate([r.signals for r in recordings]),
-        np.concatenate([r.block for r in recordings]),
-    )
+    return Windows(*(np.concatenate(parts) for parts in zip(*recordings, strict=True)))
 
 
 class Expected(NamedTuple):
@@ -58,7 +59,7 @@ class Expected(NamedTuple):
     Attributes:
         mean: expected residual, shape (n,).
         directions: factor of its covariance: directions directionsᵀ, shape (n, m).
-        variance: what else each window may be off by, weighted for the windows that err together, shape (n,).
+        variance: what else each window may be off by, shape (n,).
     """
 
     mean: Array
@@ -74,11 +75,12 @@ class Learnt(NamedTuple):
         recording: recording, or section of the only one, that each window is from, shape (n,).
         middle: of each signal, shape (signals,).
         scale: of each signal, shape (signals,).
-        sizes: standard deviation of the function of each signal, and of all together, shape (signals + 1,).
+        sizes: standard deviation of the functions: of each signal, of each times the input, and of all, shape (functions,).
         left: standard deviation of what no function tells, on stretches that were held out.
         together: number of windows that err together.
+        fitted: which coefficients are; of the others an error is possible, but not looked for, shape (terms,).
         spread: standard deviation of each coefficient from recording to recording, relative, shape (terms,).
-        changing: the same of each function, relative to its size, shape (signals + 1,).
+        changing: the same of each function, relative to its size, shape (functions,).
         power: mean square of the residual, and of what is left of it on stretches that were held out.
         errors: error of each coefficient that the recordings tell, relative, shape (terms,).
         deviations: standard error of each, shape (terms,).
@@ -91,46 +93,67 @@ class Learnt(NamedTuple):
     sizes: Array
     left: float
     together: float
+    fitted: Mask
     spread: Array
     changing: Array
     power: tuple[float, float]
     errors: Array
     deviations: Array
 
-    def expected(self, terms: Array, signals: Array) -> Expected:
+    def expected(self, terms: Array, signals: Array, factor: Array) -> Expected:
         """Return what a healthy rig would leave in other windows.
 
         Args:
             terms: change of the residual by each coefficient there, shape (n, terms).
             signals: what the residual may depend on there, shape (n, signals).
+            factor: the stage's input there, shape (n,).
         """
         known = len(self.windows.residual)
-        features = _features(self.warped(np.vstack([self.windows.signals, signals])))
+        warped = self.warped(np.vstack([self.windows.signals, signals]))
+        terms = np.vstack([self.windows.terms, terms])
+        features = _features(warped, np.concatenate([self.windows.factor, factor]), terms, known)
         functions, own = features.sized(self.sizes)
-        columns = np.hstack([np.vstack([self.windows.terms, terms]) * rules.LEFT_ERROR, functions])
-        variance = rules.TOGETHER * self.windows.noise**2 + self.together * (self.left**2 + own[:known])
-        mean, inverse = _posterior(columns[:known], self.windows.residual, variance)
+        columns = np.hstack([terms * rules.LEFT_ERROR, functions])
+        variance = self.variance(self.windows, own[:known])
+        mean, inverse = _posterior(columns[:known], self.windows.residual, variance, self.fitted)
         changing = np.concatenate([self.spread / rules.LEFT_ERROR, self.changing[features.group]])
         covariance = inverse + np.diag(changing**2)
         here = columns[known:]
         return Expected(
             mean=here @ mean,
             directions=here @ np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance))),
-            variance=self.together * (self.left**2 + own[known:]),
+            variance=self.left**2 + own[known:],
         )
+
+    def leaving(self, after: Array) -> "Learnt":
+        """Return the same with what is left on stretches that were held out, shape (n,)."""
+        capped = np.minimum(after**2, rules.MOST_SQUARE * (GAUSS * float(np.median(np.abs(after)))) ** 2)
+        noise = float(np.mean(self.windows.noise**2))
+        left = float(np.sqrt(max(float(np.mean(capped)) - noise, 0.0)))
+        return self._replace(left=left, together=_together(after, self.windows.block))
+
+    def variance(self, data: Windows, own: Array) -> Array:
+        """Return the variance of windows, larger for those that err together, shape (n,).
+
+        Args:
+            data: the windows.
+            own: variance of the functions that their columns do not hold, shape (n,).
+        """
+        return rules.TOGETHER * data.noise**2 + self.together * (self.left**2 + own)
 
     def warped(self, signals: Array) -> Array:
         """Return signals with their scale taken out and their tails drawn in, shape (n, signals)."""
         return np.arcsinh((signals - self.middle) / self.scale)
 
 
-def learn(recordings: Sequence[Windows], default_spread: Array) -> Learnt:
+def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) -> Learnt:
     """Learn what a model leaves on healthy recordings.
 
     Args:
         recordings: one channel of each.
         default_spread: standard deviation of each coefficient from recording to recording that is allowed for in any case,
             relative, shape (terms,).
+        fitted: which coefficients are to be fitted, shape (terms,).
     """
     data = joined(recordings)
     if len(recordings) > 1:
@@ -142,33 +165,30 @@ def learn(recordings: Sequence[Windows], default_spread: Array) -> Learnt:
     middle = np.median(data.signals, axis=0)
     largest = np.maximum(np.max(np.abs(data.signals), axis=0), 1e-300)
     scale = np.maximum(np.median(np.abs(data.signals - middle), axis=0), rules.LEAST_SCALE * largest)
-    count = data.signals.shape[1] + 1
+    count = 2 * data.signals.shape[1] + 1
     size = float(np.sqrt(np.mean(data.residual**2) / count))
     now = Learnt(
-        data, recording, middle, scale, np.full(count, size), size, rules.TOGETHER,
+        data, recording, middle, scale, np.full(count, size), size, rules.TOGETHER, fitted,
         default_spread, np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
         np.zeros_like(default_spread), np.full_like(default_spread, rules.LEFT_ERROR),
     )  # fmt: skip
-    features, y = _features(now.warped(data.signals)), data.residual
-    fold = np.arange(len(y)) // rules.STRETCH % rules.FOLDS
+    features, y = _features(now.warped(data.signals), data.factor, data.terms, len(data.residual)), data.residual
+    fold = _folds(len(y))
     members = np.bincount(features.group, minlength=count)
     for _ in range(rules.LEARNING_STEPS):
         functions, own = features.sized(now.sizes)
         columns = np.hstack([data.terms * rules.LEFT_ERROR, functions])
-        variance = rules.TOGETHER * data.noise**2 + now.together * (now.left**2 + own)
-        mean, inverse = _posterior(columns, y, variance)
-        after = _held_out(columns, y, variance, fold)
-        capped = np.minimum(after**2, rules.MOST_SQUARE * float(np.median(after**2)) / rules.MEDIAN_SQUARE)
+        variance = now.variance(data, own)
+        mean, inverse = _posterior(columns, y, variance, fitted)
+        after = _held_out(columns[:, _chosen(fitted, columns)], y, variance, fold)
         # The size a function had at first counts as one more of its weights, so that none vanishes for want of data.
         energy = np.bincount(features.group, (mean**2 + np.diag(inverse))[data.terms.shape[1] :], count)
         grown = (energy + (size / now.sizes) ** 2) / (members + 1.0)
         now = now._replace(
             sizes=np.maximum(now.sizes * np.sqrt(grown), rules.LEAST_FUNCTION * size),
-            left=float(np.sqrt(max(float(np.mean(capped)) - float(np.mean(data.noise**2)), 0.0))),
-            together=_together(after, data.block),
             power=(float(np.mean(y**2)), float(np.mean(after**2))),
-        )
-    return _with_spread(now, default_spread)
+        ).leaving(after)
+    return _with_spread(now, default_spread, len(recordings) == 1)
 
 
 class _Features(NamedTuple):
@@ -189,13 +209,24 @@ class _Features(NamedTuple):
         return self.columns * sizes[self.group], self.own @ sizes**2
 
 
-def _features(warped: Array) -> _Features:
-    """Return features of a function of each signal and of one of all together."""
+def _features(warped: Array, factor: Array, terms: Array, known: int) -> _Features:
+    """Return features of a function of each signal, of one of each times a factor, and of one of all together.
+
+    Args:
+        warped: the signals, shape (n, signals).
+        factor: the stage's input, shape (n,).
+        terms: derivatives by the coefficients, shape (n, terms).
+        known: number of windows, the first ones, on which the features are orthogonal to these.
+    """
     single = warped.shape[1]
     made = [_kernel_columns(warped[:, g : g + 1], rules.SINGLE_CENTRES) for g in range(single)]
+    made += [(part * factor[:, None], rest * factor**2) for part, rest in made]
     made.append(_kernel_columns(warped / np.sqrt(max(single, 1)), rules.JOINT_CENTRES))
-    group = np.repeat(np.arange(single + 1), [part.shape[1] for part, _ in made])
-    return _Features(np.hstack([part for part, _ in made]), group, np.column_stack([rest for _, rest in made]))
+    group = np.repeat(np.arange(len(made)), [part.shape[1] for part, _ in made])
+    columns = np.hstack([part for part, _ in made])
+    scaled = terms / np.maximum(np.sqrt(np.mean(terms[:known] ** 2, axis=0)), 1e-300)
+    along = np.linalg.lstsq(scaled[:known], columns[:known], rcond=rules.COLLINEAR)[0]
+    return _Features(columns - scaled @ along, group, np.column_stack([rest for _, rest in made]))
 
 
 def _kernel_columns(inputs: Array, most: int) -> tuple[Array, Array]:
@@ -219,15 +250,25 @@ def _kernel_columns(inputs: Array, most: int) -> tuple[Array, Array]:
     return columns[:, :count], rest
 
 
-def _posterior(columns: Array, y: Array, variance: Array) -> tuple[Array, Array]:
-    """Return mean and covariance of standard normal weights, under Huber's loss."""
-    mean = np.zeros(columns.shape[1])
-    factor = None
+def _folds(windows: int) -> NDArray[np.intp]:
+    """Return the part in which each window is held out, shape (windows,)."""
+    return np.arange(windows) // rules.STRETCH % rules.FOLDS
+
+
+def _chosen(fitted: Mask, columns: Array) -> Mask:
+    """Return which columns are fitted: those of the coefficients that are, which come first, and all of the functions'."""
+    return np.concatenate([fitted, np.ones(columns.shape[1] - len(fitted), dtype=np.bool_)])
+
+
+def _posterior(columns: Array, y: Array, variance: Array, fitted: Mask) -> tuple[Array, Array]:
+    """Return mean and covariance of standard normal weights, under Huber's loss; the mean of those not fitted is zero."""
+    chosen = _chosen(fitted, columns)
+    mean, normal = np.zeros(columns.shape[1]), np.eye(columns.shape[1])
     for _ in range(rules.ROBUST_STEPS):
         w = weights((y - columns @ mean) / np.sqrt(variance)) / variance
-        factor = cho_factor(columns.T @ (columns * w[:, None]) + np.eye(columns.shape[1]))
-        mean = cho_solve(factor, columns.T @ (w * y))
-    return mean, cho_solve(factor, np.eye(columns.shape[1]))
+        normal = columns.T @ (columns * w[:, None]) + np.eye(columns.shape[1])
+        mean[chosen] = cho_solve(cho_factor(normal[np.ix_(chosen, chosen)]), (columns.T @ (w * y))[chosen])
+    return mean, cho_solve(cho_factor(normal), np.eye(columns.shape[1]))
 
 
 def _held_out(columns: Array, y: Array, variance: Array, fold: NDArray[np.intp]) -> Array:
@@ -245,7 +286,7 @@ def _held_out(columns: Array, y: Array, variance: Array, fold: NDArray[np.intp])
 
 def _together(e: Array, block: NDArray[np.intp]) -> float:
     """Return how many neighbouring windows err together, from the correlation of what is left."""
-    limit = rules.HUBER * float(np.median(np.abs(e))) / rules.MEDIAN_SQUARE**0.5
+    limit = rules.HUBER * GAUSS * float(np.median(np.abs(e)))
     e = np.clip(e, -limit, limit)
     total, power = 1.0, float(np.mean(e * e))
     for lag in range(1, rules.LONGEST_MEMORY):
@@ -259,31 +300,61 @@ def _together(e: Array, block: NDArray[np.intp]) -> float:
     return total
 
 
-def _with_spread(found: Learnt, default_spread: Array) -> Learnt:
-    """Return what was learnt with the spread of coefficients and functions from recording to recording."""
+def _with_spread(found: Learnt, default_spread: Array, only: bool) -> Learnt:
+    """Return what was learnt with the spread of coefficients and functions from recording to recording.
+
+    Args:
+        found: what was learnt of all recordings together.
+        default_spread: as for :func:`learn`.
+        only: whether the recordings are sections of an only one.
+    """
     data, terms = found.windows, found.windows.terms.shape[1]
-    features = _features(found.warped(data.signals))
+    features = _features(found.warped(data.signals), data.factor, data.terms, len(data.residual))
     functions, own = features.sized(found.sizes)
     columns = np.hstack([data.terms * rules.LEFT_ERROR, functions])
-    variance = rules.TOGETHER * data.noise**2 + found.together * (found.left**2 + own)
-    mean, inverse = _posterior(columns, data.residual, variance)
-    errors, deviations = mean[:terms], np.sqrt(np.diag(inverse)[:terms])
-    rest = data.residual - columns @ mean
-    members = np.unique(found.recording)
+    mean, inverse = _posterior(columns, data.residual, found.variance(data, own), found.fitted)
     group = np.concatenate([np.arange(terms), terms + features.group])
-    excess = np.zeros(terms + len(found.sizes))
-    for k in members:
-        inside = found.recording == k
-        shift, inverse = _posterior(columns[inside], rest[inside], variance[inside])
-        told = 1.0 - np.diag(inverse)
-        # Only what this recording tells counts, less what chance gives.
-        beyond = np.where(told > rules.TOLD, (shift**2 - np.diag(inverse) * told) / np.maximum(told, rules.TOLD) ** 2, 0.0)
-        counted = np.bincount(group[told > rules.TOLD], minlength=len(excess))
-        excess += np.maximum(np.bincount(group, beyond, len(excess)), 0.0) / np.maximum(counted, 1)
-    between = np.sqrt(excess / max(len(members) - 1, 1))
+    default = np.concatenate([default_spread / rules.LEFT_ERROR, np.full(len(found.sizes), rules.FUNCTION_SPREAD)])
+    rest = found._replace(windows=data._replace(residual=data.residual - columns @ mean))
+    beyond = np.maximum(_between(rest, columns, own, group, default) ** 2 - default**2, 0.0)
+    # What drifts within an only recording goes on drifting until the next, as in a random walk.
+    spread = np.sqrt(default**2 + beyond * (rules.SECTIONS if only else 1))
     return found._replace(
-        spread=np.hypot(default_spread, between[:terms] * rules.LEFT_ERROR),
-        changing=np.hypot(rules.FUNCTION_SPREAD, between[terms:]),
-        errors=-errors * rules.LEFT_ERROR,
-        deviations=deviations * rules.LEFT_ERROR,
+        spread=spread[:terms] * rules.LEFT_ERROR,
+        changing=spread[terms:],
+        errors=-mean[:terms] * rules.LEFT_ERROR,
+        deviations=np.sqrt(np.diag(inverse)[:terms]) * rules.LEFT_ERROR,
     )
+
+
+def _between(rest: Learnt, columns: Array, own: Array, group: NDArray[np.intp], default: Array) -> Array:
+    """Return by how much the weights of each group differ from recording to recording, standard deviation, shape (groups,).
+
+    The likeliest (MacKay, Bayesian interpolation, 1992, 4.2): squares are divided by the number of weights that the recordings
+    tell. What differs between recordings is no longer left to noise, step by step.
+
+    Args:
+        rest: what was learnt, with what the mean weights leave for residuals.
+        columns: of all weights, shape (n, m).
+        own: variance that the columns do not hold, shape (n,).
+        group: of each weight, shape (m,).
+        default: what is taken where the recordings tell nothing, and counts as one more weight, shape (groups,).
+    """
+    data, members = rest.windows, np.unique(rest.recording)
+    between, fold = np.where(default > 0.0, 1.0, 0.0), _folds(len(data.residual))
+    all_fitted = np.ones(0, dtype=np.bool_)
+    for _ in range(rules.SPREAD_STEPS):
+        energy, told, after = np.zeros(len(default)), np.zeros(len(default)), data.residual.copy()
+        variance = rest.variance(data, own)
+        for k in members:
+            inside = rest.recording == k
+            part = columns[inside] * between[group]
+            shift, inverse = _posterior(part, data.residual[inside], variance[inside], all_fitted)
+            after[inside] = _held_out(part, data.residual[inside], variance[inside], fold[inside])
+            energy += np.bincount(group, shift**2, len(default))
+            told += np.bincount(group, 1.0 - np.diag(inverse), len(default))
+        # The mean was fitted to them all, so that the shifts are those of one less.
+        told *= max(len(members) - 1, 1) / len(members)
+        between = np.sqrt((between**2 * energy + default**2) / (told + 1.0))
+        rest = rest.leaving(after)
+    return between

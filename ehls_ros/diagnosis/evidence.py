@@ -201,20 +201,29 @@ def allowing(evidence: Evidence, allowances: Mapping[Channel, Allowance], judge:
     channels = tuple(c for c in evidence.channels if c in allowances)
     floor = {c: np.sqrt(evidence.floor[c] ** 2 + allowances[c].variance) for c in channels}
     unexpected = {c: evidence.base.values[c] - allowances[c].mean / evidence.floor[c] for c in channels}
+    # A mean over windows that are alike scatters more than one over windows of noise.
+    more = {c: (allowances[c].alike - 1.0) * allowances[c].variance / floor[c] ** 2 for c in channels}
+    correlation = {c: 1.0 + float(np.median(more[c])) for c in channels}
     base = Residuals(unexpected, evidence.base.depends)
-    return measured_in(replace(evidence, channels=channels, base=base, allowances=allowances, judge=judge), floor)
+    return measured_in(replace(evidence, channels=channels, base=base, allowances=allowances, judge=judge), floor, correlation)
 
 
-def measured_in(evidence: Evidence, floor: Mapping[Channel, Array]) -> Evidence:
-    """Return evidence in units of another noise floor, with the same allowances."""
-    allowed = {c: evidence.allowances[c].whitening(floor[c]) for c in evidence.channels if c in evidence.allowances}
+def measured_in(evidence: Evidence, floor: Mapping[Channel, Array], correlation: Mapping[Channel, float]) -> Evidence:
+    """Return evidence in units of another noise floor, with the same allowances.
+
+    Args:
+        evidence: the recording compared with the given model.
+        floor: of each usable window, in the channel's unit.
+        correlation: number of windows over which residuals are alike, by channel.
+    """
+    allowed = {c: a.whitening(floor[c], correlation[c]) for c, a in evidence.allowances.items() if c in evidence.channels}
 
     def again(values: Mapping[Channel, Array]) -> dict[Channel, Array]:
         whole = {c: evidence.whole(c, values[c]) * evidence.floor[c] / floor[c] for c in evidence.channels}
         return {c: allowed[c].whitened(e) if c in allowed else e for c, e in whole.items()}
 
     base = Residuals(again(evidence.base.values), evidence.base.depends)
-    return replace(evidence, floor=floor, base=base, noise=again(evidence.noise), allowed=allowed)
+    return replace(evidence, floor=floor, base=base, noise=again(evidence.noise), correlation=correlation, allowed=allowed)
 
 
 def whitened(
@@ -246,6 +255,8 @@ def sections(block: Mapping[Channel, NDArray[np.intp]], channels: Sequence[Chann
 
 
 def noise_power(evidence: Evidence, channel: Channel) -> float:
-    """Return the mean square that noise gives a channel's whitened residual."""
+    """Return the mean square of a channel's whitened residual without a fault: due to noise, or to all that is allowed for."""
+    if evidence.against_baselines:
+        return 1.0
     e = evidence.noise[channel]
     return max(float(np.mean(e * e)), rules.LEAST_NOISE_POWER)

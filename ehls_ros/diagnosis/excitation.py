@@ -42,11 +42,14 @@ def sensitivities(evidence: Evidence, screened: Sequence[Fit]) -> tuple[Sensitiv
         candidate = fit.hypothesis[0]
         if len(candidate.free) != 1 or not np.array_equal(fit.values, candidate.neutral):
             continue
-        column = fit.jacobian[:, 0]
+        columns = {c: fit.jacobian[rows, 0] for c, rows in sections(evidence.block, fit.channels).items()}
+        information = sum(float(column @ column) / evidence.correlation.get(c, 1.0) for c, column in columns.items())
         # By the channel with the most windows.
         main = max(fit.channels, key=lambda c: len(evidence.block[c]))
-        effect = evidence.nrmse(main, column[sections(evidence.block, fit.channels)[main]])
-        smallest = smallest_detectable(float(column @ column), effect)
+        # As small as a standard deviation of the noise: beyond what is allowed for, less is taken off.
+        length = max(float(np.linalg.norm(columns[main])), 1e-300)
+        effect = length * evidence.nrmse(main, evidence.whole(main, columns[main] / length))
+        smallest = smallest_detectable(information, effect)
         reach = float(np.max(np.abs([candidate.upper - candidate.neutral, candidate.lower - candidate.neutral])))
         if smallest is not None and smallest <= reach:
             out.append(Sensitivity(candidate.name, candidate.free[0], smallest, candidate.units[0]))

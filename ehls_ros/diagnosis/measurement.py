@@ -35,8 +35,8 @@ def measurement(evidence: Evidence) -> dict[Channel, Allowance]:
     late, off = {c: list[Array]() for c in evidence.channels}, {c: list[Array]() for c in evidence.channels}
     for signal, values in record.signals.items():
         seen = tuple(c for c in evidence.channels if signal in formed_of(record, c))
-        # Skews count from the signal whose own noise shows most: a direction that holds a sensor's noise would hold what a delay
-        # of that sensor does to it, and any delay would seem to help.
+        # Skews count from the signal whose own noise shows most: a direction that holds a sensor's noise would hold what a
+        # delay of that sensor does to it, and any delay would seem to help.
         moving = tuple(c for c in seen if signal != formed_of(record, c)[0])
         if moving:
             sooner, later = (_residuals(evidence, signal, moved, moving) for moved in _moved(evidence.comparison(), signal))
@@ -86,7 +86,7 @@ def _allowance(late: Sequence[Array], off: Sequence[Array], times: Array) -> All
     skews = rules.SKEW * np.column_stack([-np.sum([none, *late], axis=0), *late])
     drift = (times - times[0]) / max(float(np.ptp(times)), 1e-300) - 0.5
     directions = np.column_stack([skews, skews * drift[:, None], *off])
-    return Allowance(none, directions[:, np.all(np.isfinite(directions), axis=0)], none, rules.MOST_ALLOWED)
+    return Allowance(none, directions[:, np.all(np.isfinite(directions), axis=0)], none, most=rules.MOST_ALLOWED)
 
 
 def _residuals(evidence: Evidence, signal: str, values: Array, channels: tuple[Channel, ...]) -> dict[Channel, Array]:

@@ -24,20 +24,29 @@ SIGNALS: Mapping[Channel, tuple[str, ...]] = {
     "volume": (SPOOL, PRESSURE, POSITION, SUPPLY, TEMPERATURE),
     "supply": (SPOOL, PRESSURE, TEMPERATURE),
     "force": (VELOCITY, DIRECTION, POSITION, ACCELERATION, LOAD, TEMPERATURE),
-    "cell": (PRESSURE, PRESSURE_RATE, POSITION, TEMPERATURE),
-    "velocity": (VELOCITY, POSITION, TEMPERATURE),
+    "cell": (PRESSURE, PRESSURE_RATE, VELOCITY, POSITION, TEMPERATURE),
+    "velocity": (VELOCITY, PRESSURE, POSITION, TEMPERATURE),
 }
 """Signals the rig's own remainder may depend on, by channel; those that were not recorded are left out.
 
-One term of each balance is missing. All of them together would tell the residual itself, whatever is wrong.
+One term of each balance is missing. All of them together would tell the residual itself, whatever is wrong. Of two sensors of
+one quantity, each may also see another signal.
 """
+
+FACTORS: Mapping[Channel, str] = {
+    "spool": COMMAND, "volume": SPOOL, "supply": SPOOL, "force": DIRECTION, "cell": PRESSURE, "velocity": VELOCITY,
+}  # fmt: skip
+"""The input of each channel's balance, which errors of its gain are proportional to, as of friction to the direction."""
 
 OFFSET = "offset"
 """Name of a channel's constant error, which is a sensor's and no coefficient's."""
 
 
 SCALE = "piston_area"
-"""The coefficient in whose units the balances are weighed. It is measured, and no fault changes it."""
+"""The coefficient in whose units the balances are weighed; it is not fitted, as all of them at zero close the balances, too.
+
+No fault changes it. But at a pressure where no baseline has been, its error shows.
+"""
 
 
 class OfChannel(NamedTuple):
@@ -46,14 +55,16 @@ class OfChannel(NamedTuple):
     Attributes:
         learnt: what was learnt.
         size: largest term of the channel's balance, in whose units it was learnt.
-        terms: names of the coefficients whose errors were learnt; the first is :data:`OFFSET`.
+        terms: names of the coefficients whose errors count; the first is :data:`OFFSET`, and :data:`SCALE` is not fitted.
         signals: names of the signals it depends on.
+        unit: size of the channel's input, in whose units it was learnt.
     """
 
     learnt: Learnt
     size: float
     terms: tuple[str, ...]
     signals: tuple[str, ...]
+    unit: float
 
     def columns(self, found: Sequence[Term], windows: int) -> Array:
         """Return what errors of the coefficients add, a column each, zero where one changes nothing, shape (windows, terms)."""
@@ -86,7 +97,8 @@ class Natural(NamedTuple):
             if c in self.channels:
                 own, count = self.channels[c], len(evidence.floor[c])
                 table = _table(signals[c], own.signals, count)
-                healthy = own.learnt.expected(own.columns(found[c], count), table)
+                factor = _table(signals[c], (FACTORS[c],), count)[:, 0] / own.unit
+                healthy = own.learnt.expected(own.columns(found[c], count), table, factor)
                 out[c] = healthy._replace(variance=healthy.variance + own.unseen(table) ** 2)
         return out
 
@@ -102,39 +114,44 @@ class Natural(NamedTuple):
         allowances, measured = {}, measurement(evidence)
         for c, healthy in expected.items():
             size = self.channels[c].size
-            natural = Allowance(healthy.mean * size, healthy.directions * size, healthy.variance * size**2)
+            natural = Allowance(
+                mean=healthy.mean * size,
+                directions=healthy.directions * size,
+                variance=healthy.variance * size**2,
+                alike=self.channels[c].learnt.together,
+            )
             allowances[c] = together([natural, measured[c]])
         return replace(allowing(evidence, allowances, self.judged), against_baselines=True)
 
 
 def learn_natural(baselines: Sequence[Evidence]) -> Natural:
     """Learn what a healthy rig leaves, from its recordings compared with one and the same model."""
-    columns, signals = [_learnable(terms(e)) for e in baselines], [signals_of(e) for e in baselines]
+    columns, signals = [terms(e) for e in baselines], [signals_of(e) for e in baselines]
     out = dict[Channel, OfChannel]()
     for c in dict.fromkeys(c for e in baselines for c in e.channels):
         have = [i for i, e in enumerate(baselines) if c in e.channels]
         size = max(1e-300, *(baselines[i].sizes[c] for i in have))
         spreads = {OFFSET: rules.SPREAD_OF_OFFSET} | {term.name: term.spread for i in have for term in columns[i][c]}
+        spreads |= dict.fromkeys({SCALE} & set(spreads), 0.0)
         # A signal that one of them lacks cannot be learnt from.
         told = tuple(name for name in SIGNALS[c] if all(name in signals[i][c] for i in have))
+        factors = {i: _table(signals[i][c], (FACTORS[c],), len(baselines[i].floor[c]))[:, 0] for i in have}
+        unit = float(np.sqrt(np.mean(np.concatenate(list(factors.values())) ** 2))) or 1.0
         windows = [
             Windows(
                 residual=e.base.values[c] * e.floor[c] / size,
                 noise=e.floor[c] / size,
                 terms=_columns(columns[i][c], tuple(spreads), size, len(e.floor[c])),
                 signals=_table(signals[i][c], told, len(e.floor[c])),
+                factor=factors[i] / unit,
                 block=e.block[c],
             )
             for i, e in enumerate(baselines)
             if i in have
         ]
-        out[c] = OfChannel(learn(windows, np.array(list(spreads.values()))), size, tuple(spreads), told)
+        learnt = learn(windows, np.array(list(spreads.values())), np.array([name != SCALE for name in spreads]))
+        out[c] = OfChannel(learnt, size, tuple(spreads), told, unit)
     return Natural(out)
-
-
-def _learnable(found: Mapping[Channel, tuple[Term, ...]]) -> dict[Channel, tuple[Term, ...]]:
-    """Return the terms without the one that fixes the scale of the balances: all coefficients at zero close them, too."""
-    return {c: tuple(term for term in items if term.name != SCALE) for c, items in found.items()}
 
 
 def signals_of(evidence: Evidence) -> dict[Channel, dict[str, Array]]:
@@ -143,7 +160,9 @@ def signals_of(evidence: Evidence) -> dict[Channel, dict[str, Array]]:
     if VELOCITY in along:
         slow = max(float(getattr(evidence.rig.friction, "stribeck_velocity", 0.0)), 1e-6)
         along[DIRECTION] = np.tanh(along[VELOCITY] / slow)
-    return {c: {name: evidence.means(c, along[name]) for name in SIGNALS[c] if name in along} for c in evidence.channels}
+    # A load that a sensor gives answers to the friction: where the pressure is held it would tell the residual.
+    told = [name for name in along if name not in evidence.record.measured]
+    return {c: {name: evidence.means(c, along[name]) for name in SIGNALS[c] if name in told} for c in evidence.channels}
 
 
 def _table(signals: Mapping[str, Array], names: Sequence[str], windows: int) -> Array:

@@ -49,6 +49,9 @@ def partial_answer(
     """
     if not found.best.names:
         return None
+    if evidence.against_baselines:
+        # Beside baselines, what the rig's own form leaves counted as noise from the beginning.
+        return PartialAnswer(*in_full(evidence, found)) if worthwhile(evidence, found.best) else None
     known = remainder_as_noise(evidence, found.best.held_out.residuals.values)
     known, again = in_full(known, search(known, tried, threads, progress, found.best.fit))
     return PartialAnswer(known, again) if again.best.names and worthwhile(known, again.best) else None
@@ -67,7 +70,7 @@ def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evi
         beyond = max(0.0, power(remains) - power(noise))
         floor[c] = np.sqrt(evidence.floor[c] ** 2 + beyond)
         correlation[c] = correlated(remains) if beyond > power(noise) else 1.0
-    return replace(measured_in(evidence, floor), correlation=correlation, imperfect=True)
+    return replace(measured_in(evidence, floor, correlation), imperfect=True)
 
 
 def correlated(e: Array) -> float:

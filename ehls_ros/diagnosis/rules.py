@@ -770,11 +770,6 @@ BEYOND_STROKE: Annotated[
 
 # --- baseline ----------------------------------------------------------------------------------
 
-COEFFICIENT: Annotated[
-    float,
-    Rule("baseline", "1", "Relative error a rig's coefficient may have before the baselines say more, standard deviation."),
-] = 0.3
-
 COEFFICIENT_STEP: Annotated[
     float, Rule("baseline", "1", "Relative change of a coefficient by which the derivative of a residual is taken.")
 ] = 0.01
@@ -783,12 +778,6 @@ LEFT_ERROR: Annotated[
     float,
     Rule("baseline", "1", "Relative error of a coefficient after that fit, standard deviation, where the data do not tell."),
 ] = 0.05
-
-REFITS: Annotated[int, Rule("baseline", "1", "Most steps in which the coefficients are fitted to the baselines.")] = 6
-
-LONGEST_REFIT: Annotated[float, Rule("baseline", "1", "Largest relative change of a coefficient in one such step.")] = 0.3
-
-REFITTED: Annotated[float, Rule("baseline", "1", "Relative decrease of the loss below which that fit has settled.")] = 3e-3
 
 SPREAD: Annotated[
     float,
@@ -811,6 +800,8 @@ SECTIONS: Annotated[
     int, Rule("baseline", "1", "Sections of an only baseline that stand for recordings when the natural spread is estimated.")
 ] = 3
 
+SPREAD_STEPS: Annotated[int, Rule("baseline", "1", "Rounds in which that spread is estimated.")] = 12
+
 MOST_LEARNT: Annotated[int, Rule("baseline", "1", "Most windows of all baselines together that a channel is learnt from.")] = (
     9000
 )
@@ -821,17 +812,21 @@ TOGETHER: Annotated[
 
 LEAST_SCALE: Annotated[float, Rule("baseline", "1", "Least scale of a signal, as a fraction of its largest magnitude.")] = 1e-3
 
-SINGLE_CENTRES: Annotated[int, Rule("baseline", "1", "Most centres of the function of one signal.")] = 14
+SINGLE_CENTRES: Annotated[int, Rule("baseline", "1", "Most centres of the function of one signal.")] = 20
 
-JOINT_CENTRES: Annotated[int, Rule("baseline", "1", "Most centres of the function of all signals together.")] = 120
+JOINT_CENTRES: Annotated[int, Rule("baseline", "1", "Most centres of the function of all signals together.")] = 60
 
 SMOOTH: Annotated[
     float, Rule("baseline", "1", "Length over which such a function varies, in units of a signal's scale near its median.")
-] = 0.8
+] = 0.5
 
 RESOLVED_KERNEL: Annotated[
     float, Rule("baseline", "1", "Fraction of a function's variance that may be left out at any point.")
 ] = 1e-3
+
+COLLINEAR: Annotated[
+    float, Rule("baseline", "1", "Relative singular value below which derivatives by coefficients count as the same.")
+] = 0.01
 
 LEAST_FUNCTION: Annotated[
     float, Rule("baseline", "1", "Least standard deviation of such a function, as a fraction of the one it starts from.")
@@ -849,10 +844,6 @@ FOLDS: Annotated[int, Rule("baseline", "1", "Parts in which stretches are held o
 LEARNING_STEPS: Annotated[int, Rule("baseline", "1", "Rounds in which sizes and noise of the remainder are estimated.")] = 8
 
 ROBUST_STEPS: Annotated[int, Rule("baseline", "1", "Rounds of Huber's weights in each.")] = 3
-
-MEDIAN_SQUARE: Annotated[
-    float, Rule("baseline", "1", "Median of the square of a standard normal variable.", "chi-squared, one degree of freedom")
-] = 0.455
 
 LONGEST_MEMORY: Annotated[int, Rule("baseline", "1", "Windows over which what is left may be correlated, at most.")] = 40
 

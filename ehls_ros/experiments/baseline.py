@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.coefficients import refit, unit_of, value_of
+from ehls_ros.diagnosis.coefficients import unit_of, value_of
 from ehls_ros.diagnosis.coverage import covered, remarks
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.diagnose import diagnose
@@ -21,11 +21,17 @@ from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis, 
 from ehls_ros.diagnosis.stages import CHANNELS, UNITS, Channel, setup
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
+from ehls_ros.identification.rig_coefficients import BIASES, coefficients
+from ehls_ros.identification.rig_fit import Stack, fit
+from ehls_ros.identification.rig_stages import sizes, without_signals
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
 LEARNING = 0.35
 """Fraction of the work that learning the baselines takes."""
+
+ITERATIONS = 8
+"""Most steps in which the rig is fitted to the baselines: what they leave is learnt anyway."""
 
 
 def diagnose_against(
@@ -63,7 +69,7 @@ def diagnose_against(
     called = tuple(names or (f"baseline {i}" for i in range(1, len(baselines) + 1)))
     progress("learning the baselines", 0.0)
     first = [_evidence(recording, rig, what, seed) for recording, what in zip(baselines, called, strict=True)]
-    fitted = refit(first)
+    fitted = _fitted(first, rig)
     progress("learning the baselines", 0.3 * LEARNING)
     healthy = [_evidence(recording, fitted, what, seed) for recording, what in zip(baselines, called, strict=True)]
     natural = learn_natural(healthy)
@@ -105,6 +111,19 @@ def _evidence(recording: Trajectory, rig: Rig, name: str, seed: int) -> Evidence
     if not compared.channels:
         raise BadInput("no stage of the model can be compared with it", name, "a baseline with the new recording's signals")
     return gather(record, rig, compared, seed)
+
+
+def _fitted(baselines: Sequence[Evidence], rig: Rig) -> Rig:
+    """Return the rig with the coefficients of plant and friction that fit the baselines best.
+
+    Constant errors are fitted beside them, so that they bias none, but left to what is learnt of each channel.
+    """
+    stack, records = Stack(baselines), [e.record for e in baselines]
+    known = {c.path: c for c in coefficients(rig, sizes(records, rig))}
+    missing = without_signals(records, stack, known)
+    wanted = [c for path, c in known.items() if path.startswith(("plant.", "friction.")) or path in BIASES]
+    found = fit(stack, rig, [c for c in wanted if c.path not in missing], stack.channels, ITERATIONS).rig
+    return found._replace(effects=rig.effects)
 
 
 def _coefficients(given: Rig, fitted: Rig, natural: Natural) -> dict[str, Fitted]:

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from plain_evidence import evidence_of
 
+from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.allowance import Allowance
 from ehls_ros.diagnosis.discrepancy import Windows, learn
 from ehls_ros.diagnosis.evidence import allowing
 
-NOISE, SPREAD = 0.01, np.array([1e-3])
+NOISE, SPREAD, FITTED = 0.01, np.array([1e-3]), np.array([True])
 
 
 def made(seed, low=-1.0, high=1.0, level=0.0, windows=1200):
@@ -18,7 +19,7 @@ def made(seed, low=-1.0, high=1.0, level=0.0, windows=1200):
     term = rng.standard_normal(windows)
     residual = curve(x) + level * term + NOISE * rng.standard_normal(windows)
     block = np.arange(windows) * 12 // windows
-    return Windows(residual, np.full(windows, NOISE), term[:, None], x[:, None], block)
+    return Windows(residual, np.full(windows, NOISE), term[:, None], x[:, None], np.ones(windows), block)
 
 
 def curve(x):
@@ -26,9 +27,9 @@ def curve(x):
 
 
 def test_a_smooth_remainder_is_learnt():
-    learnt = learn([made(1)], SPREAD)
+    learnt = learn([made(1)], SPREAD, FITTED)
     other = made(2)
-    found = learnt.expected(other.terms, other.signals)
+    found = learnt.expected(other.terms, other.signals, other.factor)
     assert np.sqrt(np.mean((found.mean - curve(other.signals[:, 0])) ** 2)) < 0.4 * NOISE
     before, after = np.sqrt(learnt.power)
     assert before > 0.1
@@ -37,8 +38,8 @@ def test_a_smooth_remainder_is_learnt():
 
 
 def test_where_no_baseline_has_been_nothing_is_expected_and_everything_allowed():
-    learnt = learn([made(1)], SPREAD)
-    far = learnt.expected(np.zeros((3, 1)), np.array([[0.5], [40.0], [400.0]]))
+    learnt = learn([made(1)], SPREAD, FITTED)
+    far = learnt.expected(np.zeros((3, 1)), np.array([[0.5], [40.0], [400.0]]), np.ones(3))
     deviation = np.sqrt(np.sum(far.directions**2, axis=1) + far.variance)
     assert far.mean[0] == pytest.approx(curve(0.5), abs=NOISE)
     assert abs(far.mean[2]) < 0.1 * abs(far.mean[0])
@@ -46,16 +47,48 @@ def test_where_no_baseline_has_been_nothing_is_expected_and_everything_allowed()
     assert deviation[2] > 0.05
 
 
-def test_an_error_of_a_coefficient_is_told_from_the_remainder():
-    learnt = learn([made(1, level=0.04)], SPREAD)
+def test_what_a_coefficient_can_do_no_function_does():
+    data = made(1, level=0.04)
+    learnt = learn([data], SPREAD, FITTED)
+    term = data.terms[:, 0]
     # The coefficient has to change by the opposite of what is left.
-    assert learnt.errors[0] == pytest.approx(-0.04, abs=4.0 * learnt.deviations[0])
+    assert learnt.errors[0] == pytest.approx(-(term @ data.residual) / (term @ term), abs=4.0 * learnt.deviations[0])
     assert learnt.deviations[0] < 1e-3
+    again = learnt.expected(data.terms, data.signals, data.factor)
+    varies = np.linalg.norm(again.directions.T @ term) / (term @ term)
+    assert varies == pytest.approx(np.hypot(SPREAD[0], learnt.deviations[0]), rel=0.1)
+
+
+def test_a_coefficient_that_is_not_fitted_may_be_off_where_no_baseline_has_been():
+    data = made(1)
+    held = data._replace(terms=np.ones_like(data.terms))
+    learnt = learn([held], np.zeros(1), np.array([False]))
+    assert learnt.errors[0] == 0.0
+    same, twice = (learnt.expected(held.terms * size, held.signals, held.factor).directions for size in (1.0, 2.0))
+    told, open_ = (float(np.linalg.norm(np.mean(d, axis=0))) for d in (same, twice))
+    assert open_ > told + 0.5 * rules.LEFT_ERROR
+
+
+def test_an_error_of_gain_is_learnt():
+    data = made(1)
+    factor = np.random.default_rng(3).standard_normal(len(data.residual))
+    slope = data._replace(residual=data.residual + 0.1 * factor * data.signals[:, 0], factor=factor)
+    before, after = learn([slope], SPREAD, FITTED).power
+    assert np.sqrt(before) > 0.1
+    assert np.sqrt(after) == pytest.approx(NOISE, rel=0.2)
+
+
+def test_what_drifts_within_an_only_recording_goes_on_drifting():
+    data = made(1, windows=3000)
+    drift = np.repeat([-0.03, 0.0, 0.03], 1000)
+    learnt = learn([data._replace(residual=data.residual + drift * data.terms[:, 0])], SPREAD, FITTED)
+    assert learnt.spread[0] == pytest.approx(0.03 * np.sqrt(rules.SECTIONS), rel=0.2)
+    assert learn([data], SPREAD, FITTED).spread[0] < 3.0 * SPREAD[0]
 
 
 def test_recordings_that_differ_teach_the_spread():
-    alike = learn([made(seed) for seed in (1, 2, 3)], SPREAD)
-    apart = learn([made(seed, level=level) for seed, level in ((1, -0.03), (2, 0.0), (3, 0.03))], SPREAD)
+    alike = learn([made(seed) for seed in (1, 2, 3)], SPREAD, FITTED)
+    apart = learn([made(seed, level=level) for seed, level in ((1, -0.03), (2, 0.0), (3, 0.03))], SPREAD, FITTED)
     assert alike.spread[0] < 2.0 * SPREAD[0]
     assert apart.spread[0] == pytest.approx(0.03, rel=0.2)
 
@@ -64,10 +97,10 @@ def test_memory_counts_windows_that_err_together():
     rng = np.random.default_rng(5)
     data = made(1)
     steps = np.repeat(0.05 * rng.standard_normal(120), 10)
-    slow = learn([data._replace(residual=data.residual + steps)], SPREAD)
+    slow = learn([data._replace(residual=data.residual + steps)], SPREAD, FITTED)
     assert slow.left == pytest.approx(0.05, rel=0.2)
     assert 6.0 < slow.together < 15.0
-    assert learn([data], SPREAD).together < 2.0
+    assert learn([data], SPREAD, FITTED).together < 2.0
 
 
 def test_an_allowed_direction_has_unit_variance_and_others_keep_theirs():
@@ -83,6 +116,24 @@ def test_an_allowed_direction_has_unit_variance_and_others_keep_theirs():
     along = np.array(draws) @ unit
     assert np.std(along) == pytest.approx(1.0, rel=0.3)
     assert np.mean(np.array(draws) ** 2) == pytest.approx(1.0, rel=0.05)
+
+
+def test_a_change_along_an_allowed_direction_is_as_large_as_ever():
+    direction = np.sin(np.arange(600) / 30.0)
+    allowance = Allowance(np.zeros(600), 3.0 * direction[:, None], np.zeros(600))
+    evidence = evidence_of({"force": np.zeros(600)})
+    judged = allowing(evidence, {"force": allowance}, lambda evidence: evidence)
+    reduced = judged.allowed["force"].whitened(direction)
+    assert np.linalg.norm(reduced) < 0.1 * np.linalg.norm(direction)
+    np.testing.assert_allclose(judged.whole("force", reduced), direction, atol=1e-9)
+
+
+def test_windows_that_err_together_tell_less_but_are_no_larger():
+    remains = np.full(600, 3.0)
+    allowance = Allowance(np.zeros(600), np.zeros((600, 1)), remains, alike=12.0)
+    judged = allowing(evidence_of({"force": np.zeros(600)}), {"force": allowance}, lambda evidence: evidence)
+    np.testing.assert_allclose(judged.floor["force"], 2.0)
+    assert judged.correlation["force"] == pytest.approx((1.0 + 12.0 * 3.0) / 4.0)
 
 
 def test_a_channel_without_allowance_is_left_out():

@@ -21,7 +21,7 @@ UNIT = SHAPE / np.linalg.norm(SHAPE)
 
 def allowance(size=40.0, most=rules.MOST_ALLOWED):
     """Return an allowance of a size along one direction, in units of the noise."""
-    return Allowance(np.zeros(WINDOWS), size * UNIT[:, None], np.zeros(WINDOWS), most)
+    return Allowance(np.zeros(WINDOWS), size * UNIT[:, None], np.zeros(WINDOWS), most=most)
 
 
 def beyond(e, given):
