@@ -1,5 +1,6 @@
 """When a further cause is accepted: it must gain enough, be sure enough and matter enough."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -8,7 +9,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, noise_power
 from ehls_ros.diagnosis.held_out import Assessment
-from ehls_ros.diagnosis.loss import power
+from ehls_ros.diagnosis.loss import closed, power
 from ehls_ros.diagnosis.stages import Channel
 
 
@@ -23,14 +24,20 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     """
     gain = more.score(inflation) - less.score(inflation)
     main = mostly_in(more, less)
+    before, after = (j.held_out.residuals.values[main] for j in (less, more))
+    if evidence.form is not None:
+        needed = rules.FORM_ERROR if less.names else evidence.form
+        worthwhile = closed(before, after, power(evidence.noise[main])) >= rules.WORTHWHILE
+        matters = relevance(evidence, more, less) >= needed
+        # Standard errors hold the form of what remains. Whether there is anything at all is judged beside the noise.
+        sure = _surest(more, less) * math.sqrt(evidence.correlation[main]) >= rules.SURE
+        return worthwhile and matters and gain > 0.0 and sure
     beside = main in less.fit.channels
     apart = list(differences(evidence, more, less))
-    elsewhere = rules.RELEVANT_ELSEWHERE if evidence.imperfect and less.names else rules.RELEVANT
-    if gain < rules.NEEDED_GAIN or relevance(evidence, more, less) < (rules.RELEVANT_BESIDE if beside else elsewhere):
+    if gain < rules.NEEDED_GAIN or relevance(evidence, more, less) < (rules.RELEVANT_BESIDE if beside else rules.RELEVANT):
         return False
     if not beside and not shows(apart):
         return False
-    before, after = (j.held_out.residuals.values[main] for j in (less, more))
     if beside and corrects_form(evidence.base.values[main], before, after, noise_power(evidence, main)):
         return False
     # A cause that removes little of what remains beside it corrects the form of another, not the model.

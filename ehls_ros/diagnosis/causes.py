@@ -1,7 +1,7 @@
 """The causes of the best hypothesis as the result describes them: probability, parameters, equivalents, rivals."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -31,7 +31,7 @@ STAGE_OF_GROUP: Mapping[str, Stage] = {
 """The stage of the model an effect belongs to, by the group its file names."""
 
 
-def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0) -> tuple[Cause, ...]:
+def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0, last: Collection[str] = ()) -> tuple[Cause, ...]:
     """Describe the causes of the best hypothesis, those that explain most first.
 
     Args:
@@ -39,6 +39,7 @@ def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0) ->
         found: the result of the search.
         seed: of the resampling.
         most: largest probability that a cause may have.
+        last: names of causes that come after the others.
     """
     best, scale = found.best, found.inflation
     groups = [EFFECTS.load(candidate.name).GROUP for candidate in best.hypothesis]
@@ -77,7 +78,7 @@ def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0) ->
                 share=_share(evidence, best, place.without),
             )
         )
-    return tuple(sorted(out, key=lambda cause: -cause.gain))
+    return tuple(sorted(out, key=lambda cause: (cause.name in last, -cause.gain)))
 
 
 def _share(evidence: Evidence, best: Assessment, without: Assessment) -> float:

@@ -13,13 +13,15 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.evidence import Evidence, Residuals
-from ehls_ros.diagnosis.held_out import Assessment
-from ehls_ros.diagnosis.hypotheses import Candidate
-from ehls_ros.diagnosis.loss import power
+from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
+from ehls_ros.diagnosis.fit import Fit, Worker
+from ehls_ros.diagnosis.held_out import Assessment, assess
+from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, parts
+from ehls_ros.diagnosis.loss import closed, power
 from ehls_ros.diagnosis.pool import Progress
-from ehls_ros.diagnosis.search import Searched, search
+from ehls_ros.diagnosis.search import Place, Searched, inflations, search
 from ehls_ros.diagnosis.stages import Channel
+from ehls_ros.physics.effects import EFFECTS
 
 
 class PartialAnswer(NamedTuple):
@@ -28,10 +30,12 @@ class PartialAnswer(NamedTuple):
     Attributes:
         evidence: the recording compared with the given model, with what remains counted as noise.
         found: the causes that matter beside it.
+        refitted: names of those that stand for a wrong value in the rig file, where several of its values are wrong.
     """
 
     evidence: Evidence
     found: Searched
+    refitted: tuple[str, ...] = ()
 
 
 def partial_answer(
@@ -46,15 +50,97 @@ def partial_answer(
         threads: how many to try at once.
         progress: called with the progress.
     """
-    if not found.best.names:
-        return None
+    worker = Worker(evidence)
+    few = _beside_form(evidence, found, tried, threads, progress)
+    values = wrong_values(worker, found.screened)
+    if few is not None and (values is None or not _explains_more(evidence, values.residuals, few)):
+        return few
+    many = found if values is None else search(evidence, tried, threads, progress, values)
+    if not many.best.names or not worthwhile(evidence, many.best):
+        return few
+    refitted = () if values is None else tuple(c.name for c in values.hypothesis)
+    return PartialAnswer(*_assessed_again(worker, many), refitted)
+
+
+def _beside_form(
+    evidence: Evidence, found: Searched, tried: Sequence[Candidate], threads: int, progress: Progress
+) -> PartialAnswer | None:
+    """Return the few causes that stand out of errors of form, if there are any."""
     known = remainder_as_noise(evidence, found.best.held_out.residuals.values)
-    again = search(known, tried, threads, progress, found.best.fit)
-    return PartialAnswer(known, again) if again.best.names and worthwhile(known, again.best) else None
+    # What is larger than an error of form is likelier a cause than what is not, however much of its own stage it explains.
+    for form in (rules.FORM_ERROR, rules.RELEVANT):
+        beside = replace(known, form=form)
+        again = search(beside, tried, threads, progress)
+        if again.best.names and worthwhile(beside, again.best):
+            return PartialAnswer(beside, again)
+    return None
+
+
+def wrong_values(worker: Worker, alone: Sequence[Fit]) -> Fit | None:
+    """Fit all values of the rig file that a cause of the list corrects; None unless several are off by more than form.
+
+    Args:
+        worker: of the recording compared with the given model.
+        alone: every cause alone, with its derivatives.
+    """
+    evidence = worker.evidence
+    found = {c.name: c for fit in reversed(alone) for c in fit.hypothesis if corrects_value(c.name)}
+    fit = _together(worker, tuple(found.values()))
+    before = assess(evidence, fit)
+    here = sections(evidence.block, fit.channels)
+    wrong = []
+    for index, (candidate, part) in enumerate(zip(fit.hypothesis, parts(fit.hypothesis), strict=True)):
+        moved = fit.jacobian[:, part] @ (fit.values[part] - candidate.neutral)
+        changes = [
+            float(np.sqrt(np.mean((moved[rows] * evidence.floor[c]) ** 2))) / max(evidence.sizes[c], 1e-300)
+            for c, rows in here.items()
+        ]
+        if max(changes, default=0.0) >= rules.FORM_ERROR and before.sigmas(index) >= rules.SURE:
+            wrong.append(candidate)
+    return _together(worker, tuple(wrong)) if len(wrong) > 1 else None
+
+
+def corrects_value(name: str) -> bool:
+    """Tell whether an effect corrects a value of the rig file, rather than add what the model lacks."""
+    effect = EFFECTS.load(name)
+    return not effect.WORDS.lacking and effect.GROUP != "sensors"
+
+
+def _together(worker: Worker, hypothesis: Hypothesis) -> Fit:
+    neutral = np.concatenate([np.empty(0), *(c.neutral for c in hypothesis)])
+    return worker.fit(worker.linearise(hypothesis, neutral), rules.POLISHING_STEPS)
+
+
+def _explains_more(evidence: Evidence, residuals: Residuals, few: PartialAnswer) -> bool:
+    """Tell whether residuals are so much smaller than what a few causes leave that these miss something worthwhile."""
+    best = few.found.best
+    main = max(best.held_out.gain, key=lambda c: float(np.sum(best.held_out.gain[c])))
+    left = best.held_out.residuals.values[main] * few.evidence.floor[main] / evidence.floor[main]
+    return closed(left, residuals.values[main], power(evidence.noise[main])) >= rules.WORTHWHILE
+
+
+def _assessed_again(worker: Worker, found: Searched) -> tuple[Evidence, Searched]:
+    """Return what was found with what it leaves counted as noise."""
+    known = remainder_as_noise(worker.evidence, found.best.held_out.residuals.values)
+    beside = Worker(known)
+
+    def again(known_as: Assessment) -> Assessment:
+        fit = known_as.fit
+        if not fit.hypothesis:
+            return assess(known, fit._replace(residuals=known.base))
+        return assess(known, beside.fit(beside.linearise(fit.hypothesis, fit.values, fit.steps), 2))
+
+    best = again(found.best)
+    places = tuple(Place(again(p.without), tuple(again(r) for r in p.rivals[: rules.RIVALS])) for p in found.places)
+    scale = inflations(known, [best, *(rival for place in places for rival in place.rivals)])
+    return known, found._replace(best=best, places=places, inflation=scale)
 
 
 def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evidence:
     """Return the comparison with what a hypothesis leaves counted as noise, channel by channel.
+
+    The sensors' noise is independent from window to window. An error of form repeats wherever the rig comes by again: however
+    long the recording, it tells no more than :data:`rules.FORM_FREEDOMS` independent windows would.
 
     Args:
         evidence: the comparison.
@@ -62,10 +148,11 @@ def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evi
     """
     floor, correlation = dict[Channel, Array](), dict[Channel, float]()
     for c in evidence.channels:
-        remains, noise = left[c] * evidence.floor[c], evidence.noise[c] * evidence.floor[c]
-        beyond = max(0.0, power(remains) - power(noise))
+        remains, noise = (power(e * evidence.floor[c]) for e in (left[c], evidence.noise[c]))
+        beyond = max(0.0, remains - noise)
+        alike = max(1.0, len(left[c]) / rules.FORM_FREEDOMS)
         floor[c] = np.sqrt(evidence.floor[c] ** 2 + beyond)
-        correlation[c] = correlated(remains) if beyond > power(noise) else 1.0
+        correlation[c] = (noise + alike * beyond) / max(noise + beyond, 1e-300)
     finer = {c: evidence.floor[c] / floor[c] for c in evidence.channels}
     return replace(
         evidence,
@@ -73,23 +160,7 @@ def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evi
         base=Residuals({c: e * finer[c] for c, e in evidence.base.values.items()}, evidence.base.depends),
         noise={c: e * finer[c] for c, e in evidence.noise.items()},
         correlation=correlation,
-        imperfect=True,
     )
-
-
-def correlated(e: Array) -> float:
-    """Return the number of successive residuals that are alike: the integrated autocorrelation time, at least 1.
-
-    The sum ends where it is shorter than a fifth of the lags summed (Sokal's window).
-    """
-    n, centred = len(e), e - np.mean(e)
-    spectrum = np.fft.rfft(centred, 2 * n)
-    covariance = np.fft.irfft(spectrum * np.conj(spectrum))[:n]
-    if not covariance[0] > 0.0:
-        return 1.0
-    times = 2.0 * np.cumsum(covariance / covariance[0]) - 1.0
-    ended = np.flatnonzero(np.arange(n) >= rules.SOKAL_WINDOW * times)
-    return max(1.0, float(times[ended[0]] if ended.size else times[-1]))
 
 
 def worthwhile(evidence: Evidence, best: Assessment) -> bool:
@@ -97,9 +168,4 @@ def worthwhile(evidence: Evidence, best: Assessment) -> bool:
     after = best.held_out.residuals.values
     main = max(evidence.channels, key=lambda c: float(np.sum(evidence.base.values[c] ** 2 - after[c] ** 2)))
     little = evidence.nrmse(main, after[main]) <= rules.FORM_LEFT
-    return little and closed(evidence.base.values[main], after[main], evidence.noise[main]) >= rules.WORTHWHILE
-
-
-def closed(before: Array, after: Array, noise: Array) -> float:
-    """Return the fraction of the error beyond noise that is gone, of whitened residuals."""
-    return (power(before) - power(after)) / max(power(before) - power(noise), 1e-300)
+    return little and closed(evidence.base.values[main], after[main], power(evidence.noise[main])) >= rules.WORTHWHILE

@@ -614,9 +614,9 @@ DEPENDS_BESIDE: Annotated[
 
 # --- partial answer ---------------------------------------------------------------------------
 
-SOKAL_WINDOW: Annotated[
-    float, Rule("partial answer", "1", "Lags over which a correlation is summed, in correlation times.", "Sokal 1997")
-] = 5.0
+FORM_FREEDOMS: Annotated[
+    float, Rule("partial answer", "1", "Independent pieces of information that the form errors of a stage amount to.")
+] = 10.0
 
 WORTHWHILE: Annotated[
     float,
@@ -633,12 +633,12 @@ FORM_LEFT: Annotated[
     ),
 ] = 0.1
 
-RELEVANT_ELSEWHERE: Annotated[
+FORM_ERROR: Annotated[
     float,
     Rule(
         "partial answer",
         "1",
-        "Change of a balance, as a fraction of its largest term, that a cause must make where no other named cause acts.",
+        "Change of a balance, as a fraction of its largest term, that a further cause must make.",
         "models of real rigs are off by up to 5 % in any stage, and some effect of the list resembles that",
     ),
 ] = 0.05
