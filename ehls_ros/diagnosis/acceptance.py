@@ -1,14 +1,14 @@
 """When a further cause is accepted: it must gain enough, be sure enough and matter enough."""
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, noise_power
-from ehls_ros.diagnosis.held_out import Assessment
+from ehls_ros.diagnosis.held_out import Assessment, assess
 from ehls_ros.diagnosis.loss import closed, power
 from ehls_ros.diagnosis.stages import Channel
 
@@ -28,10 +28,10 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     if evidence.form is not None:
         needed = rules.FORM_ERROR if less.names else evidence.form
         worthwhile = closed(before, after, power(evidence.noise[main])) >= rules.WORTHWHILE
-        matters = relevance(evidence, more, less) >= needed
-        # Standard errors hold the form of what remains. Whether there is anything at all is judged beside the noise.
-        sure = _surest(more, less) * math.sqrt(evidence.correlation[main]) >= rules.SURE
-        return worthwhile and matters and gain > 0.0 and sure
+        if not worthwhile or gain <= 0.0 or relevance(evidence, more, less) < needed:
+            return False
+        # Standard errors hold the form of what remains. Whether there is anything at all is judged by the scatter.
+        return _surest(assess(replace(evidence, correlation={}), more.fit), less) >= rules.SURE
     beside = main in less.fit.channels
     apart = list(differences(evidence, more, less))
     if gain < rules.NEEDED_GAIN or relevance(evidence, more, less) < (rules.RELEVANT_BESIDE if beside else rules.RELEVANT):

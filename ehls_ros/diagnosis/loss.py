@@ -31,7 +31,8 @@ def closed(before: Array, after: Array, noise: float) -> float:
     """Return the fraction of the mean square beyond noise that is gone, of whitened residuals.
 
     Args:
-        before, after: the residuals, shape (n,).
+        before: the residuals before, shape (n,).
+        after: the residuals after, shape (n,).
         noise: mean square due to noise.
     """
     return (power(before) - power(after)) / max(power(before) - noise, 1e-300)
