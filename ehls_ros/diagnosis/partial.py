@@ -75,14 +75,9 @@ def _beside_form(
     evidence: Evidence, found: Searched, tried: Sequence[Candidate], threads: int, progress: Progress
 ) -> PartialAnswer | None:
     """Return the few causes that stand out of errors of form, if there are any."""
-    known = remainder_as_noise(evidence, found.best.held_out.residuals.values)
-    # What is larger than an error of form is likelier a cause than what is not, however much of its own stage it explains.
-    for form in (rules.FORM_ERROR, rules.RELEVANT):
-        beside = replace(known, form=form)
-        again = search(beside, tried, threads, progress)
-        if again.best.names and worthwhile(beside, again.best):
-            return PartialAnswer(beside, again)
-    return None
+    known = replace(remainder_as_noise(evidence, found.best.held_out.residuals.values), form=rules.FORM_ERROR)
+    again = search(known, tried, threads, progress)
+    return PartialAnswer(known, again) if again.best.names and worthwhile(known, again.best) else None
 
 
 def _explains_more(evidence: Evidence, values: Fit, few: PartialAnswer) -> bool:

@@ -620,7 +620,7 @@ FORM_FREEDOMS: Annotated[
         "partial answer",
         "1",
         "Independent windows that tell as much as a whole recording does where errors of form are all that remains.",
-        "errors of form are smooth in two or three signals; 24 of 26 intervals of --exam partial, seeds 9001 and 9002, hold the truth",
+        "held the truth in 24 of 26 intervals of benchmarks/diagnosis --exam partial, seeds 9001 and 9002",
     ),
 ] = 10.0
 

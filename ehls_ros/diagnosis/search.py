@@ -1,6 +1,7 @@
 """The search for causes: all effects one by one, then what must act beside the best of them."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -80,6 +81,10 @@ def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress
         base = assess(evidence, begin)
         level = _fitted(evidence, pool, starts.extensions(base))
     best, scale = _added(evidence, pool, starts, base, level, progress)
+    if evidence.form is not None and not best.names:
+        # Nothing is larger than an error of form: then a single cause may be smaller.
+        evidence = replace(evidence, form=rules.RELEVANT)
+        best, scale = _added(evidence, pool, starts, base, level, progress)
     best, places = _exchanged(evidence, pool, best, starts, Place(base, tuple(level)), scale, len(base.hypothesis))
     scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
     progress("causes together", 1.0)
