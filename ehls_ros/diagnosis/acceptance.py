@@ -1,14 +1,15 @@
 """When a further cause is accepted: it must gain enough, be sure enough and matter enough."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, noise_power
-from ehls_ros.diagnosis.held_out import Assessment
-from ehls_ros.diagnosis.loss import loss, power, weights
+from ehls_ros.diagnosis.held_out import Assessment, assess
+from ehls_ros.diagnosis.loss import closed, loss, power, weights
 from ehls_ros.diagnosis.stages import Channel
 
 
@@ -23,13 +24,18 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     """
     gain = more.score(inflation) - less.score(inflation)
     main = mostly_in(more, less)
+    before, after = (j.held_out.residuals.values[main] for j in (less, more))
+    if evidence.form is not None:
+        share = closed(before, after, power(evidence.noise[main]))
+        # What closes all but a little of what the others leave is no error of form, however small it is.
+        needed = rules.RELEVANT if share >= rules.CLOSED else rules.FORM_ERROR if less.names else evidence.form
+        if share < rules.WORTHWHILE or gain <= 0.0 or relevance(evidence, more, less) < needed:
+            return False
+        # Standard errors hold the form of what remains. Whether there is anything at all is judged by the scatter.
+        return _surest(assess(replace(evidence, correlation={}), more.fit), less) >= rules.SURE
     beside = main in less.fit.channels
     apart = list(differences(evidence, more, less))
-    before, after = (j.held_out.residuals.values[main] for j in (less, more))
-    # What an effect closes is no error of form, however small it is.
-    remains = power(before) - power(after) < rules.CLOSED * (power(before) - power(evidence.noise[main]))
-    elsewhere = rules.RELEVANT_ELSEWHERE if evidence.imperfect and less.names and remains else rules.RELEVANT
-    matters = relevance(evidence, more, less) >= (rules.RELEVANT_BESIDE if beside else elsewhere)
+    matters = relevance(evidence, more, less) >= (rules.RELEVANT_BESIDE if beside else rules.RELEVANT)
     clear = not less.names and shows(apart, rules.CLEAR)
     if gain < rules.NEEDED_GAIN or not (matters or clear):
         return False

@@ -1,7 +1,7 @@
 """The causes of the best hypothesis as the result describes them: probability, parameters, equivalents, rivals."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from ehls_ros.diagnosis.acceptance import mostly_in
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import parts
-from ehls_ros.diagnosis.loss import closed
+from ehls_ros.diagnosis.loss import closed, power
 from ehls_ros.diagnosis.missing_signals import deciding, untried
 from ehls_ros.diagnosis.probability import probability_of_first
 from ehls_ros.diagnosis.remainder import remainder_in
@@ -32,7 +32,7 @@ STAGE_OF_GROUP: Mapping[str, Stage] = {
 """The stage of the model an effect belongs to, by the group its file names."""
 
 
-def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0) -> tuple[Cause, ...]:
+def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0, last: Collection[str] = ()) -> tuple[Cause, ...]:
     """Describe the causes of the best hypothesis, those that explain most first.
 
     Args:
@@ -40,6 +40,7 @@ def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0) ->
         found: the result of the search.
         seed: of the resampling.
         most: largest probability that a cause may have.
+        last: names of causes that come after the others.
     """
     best, scale = found.best, found.inflation
     groups = [EFFECTS.load(candidate.name).GROUP for candidate in best.hypothesis]
@@ -76,7 +77,7 @@ def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0) ->
                 deciding=tuple(dict.fromkeys(signal for signals in alike.values() for signal in signals)),
             )
         )
-    return tuple(sorted(out, key=lambda cause: -cause.gain))
+    return tuple(sorted(out, key=lambda cause: (cause.name in last, -cause.gain)))
 
 
 def _alike(
@@ -101,7 +102,7 @@ def _alike(
 
 def _share(evidence: Evidence, best: Assessment, without: Assessment, channel: Channel) -> float:
     """Return the fraction of a channel's removable error that returns without a cause."""
-    before, noise = evidence.base.values[channel], evidence.noise[channel]
+    before, noise = evidence.base.values[channel], power(evidence.noise[channel])
     with_it, without_it = (min(closed(before, j.held_out.residuals.values[channel], noise), 1.0) for j in (best, without))
     return with_it - without_it
 

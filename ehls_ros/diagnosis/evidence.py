@@ -61,7 +61,8 @@ class Evidence:
         travel: range of the piston's motion [m].
         correlation: by channel, the number of windows over which residuals are alike; their losses count as those of so many
             fewer. Windows of noise alone count one by one.
-        imperfect: whether every stage of the model is taken to be off in its form, not only where causes act.
+        form: change of a balance, as a fraction of its largest term, up to which a cause may be an error of the model's form;
+            None where the model is taken to have none.
         allowances: what is allowed for without any fault, by channel.
         allowed: the same as whitened residuals need it.
         judge: makes the same allowances for evidence from a part of the recording.
@@ -83,7 +84,7 @@ class Evidence:
     noisy_record: Record = field(repr=False)
     travel: float
     correlation: Mapping[Channel, float] = field(default_factory=dict)
-    imperfect: bool = False
+    form: float | None = None
     allowances: Mapping[Channel, Allowance] = field(default_factory=dict, repr=False)
     allowed: Mapping[Channel, Allowed] = field(default_factory=dict, repr=False)
     judge: "Callable[[Evidence], Evidence] | None" = field(default=None, repr=False)

@@ -52,7 +52,9 @@ class Assessment(NamedTuple):
     def sigmas(self, index: int) -> float:
         """Return how many standard errors the best determined parameter of a cause is from its neutral value."""
         part = parts(self.hypothesis)[index]
-        deviation = np.sqrt(np.maximum(np.diag(self.held_out.covariance)[part], 1e-300))
+        variance = np.diag(self.held_out.covariance)[part]
+        # A parameter that changes nothing has no variance either.
+        deviation = np.sqrt(np.where(variance > 0.0, variance, np.inf))
         return float(np.max(np.abs(self.fit.values[part] - self.hypothesis[index].neutral) / deviation))
 
     def score(self, inflation: Mapping[Channel, float]) -> float:

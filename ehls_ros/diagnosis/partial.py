@@ -1,8 +1,9 @@
 """Causes named while something remains: no rig is its model, and what no effect describes is counted as noise.
 
 A search that takes for noise only what the sensors have finds ever more causes in what a model's form leaves, and holds each
-for certain. Here what the best hypothesis leaves is counted as noise too, correlated as it is (a coarsened posterior: Miller,
-Dunson 2019), and its causes are exchanged or dropped once more. Those that still matter are named.
+for certain. Here what the best hypothesis leaves is counted as noise too, which tells little however long the recording (a
+coarsened posterior: Miller, Dunson 2019), and a cause must stand out of the errors of form that any model has. Where none does,
+or where several values of the rig file are wrong, these are fitted first and the causes sought beside them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,11 +15,14 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, measured_in
+from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.held_out import Assessment
-from ehls_ros.diagnosis.hypotheses import Candidate
+from ehls_ros.diagnosis.hypotheses import Candidate, parts
 from ehls_ros.diagnosis.loss import closed, power
 from ehls_ros.diagnosis.pool import Progress
-from ehls_ros.diagnosis.remainder import in_full
+from ehls_ros.diagnosis.pruning import assessed_again, pruned
+from ehls_ros.diagnosis.remainder import at_a_bound, in_full
+from ehls_ros.diagnosis.rig_values import fitted_values
 from ehls_ros.diagnosis.search import Searched, search
 from ehls_ros.diagnosis.stages import Channel
 
@@ -29,10 +33,12 @@ class PartialAnswer(NamedTuple):
     Attributes:
         evidence: the recording compared with the given model, with what remains counted as noise.
         found: the causes that matter beside it.
+        refitted: names of those that stand for a wrong value in the rig file, where several of its values are wrong.
     """
 
     evidence: Evidence
     found: Searched
+    refitted: tuple[str, ...] = ()
 
 
 def partial_answer(
@@ -47,18 +53,50 @@ def partial_answer(
         threads: how many to try at once.
         progress: called with the progress.
     """
-    if not found.best.names:
-        return None
     if evidence.against_baselines:
-        # Beside baselines, what the rig's own form leaves counted as noise from the beginning.
-        return PartialAnswer(*in_full(evidence, found)) if worthwhile(evidence, found.best) else None
-    known = remainder_as_noise(evidence, found.best.held_out.residuals.values)
-    known, again = in_full(known, search(known, tried, threads, progress, found.best.fit))
+        # What the rig's own form leaves counted as noise from the beginning.
+        named = found.best.names and worthwhile(evidence, found.best)
+        return PartialAnswer(*in_full(evidence, found)) if named else None
+    few = _beside_form(evidence, found, tried, threads, progress)
+    worker = Worker(evidence)
+    values = fitted_values(worker, found.screened)
+    if few is not None and (values is None or not _explains_more(evidence, values, few)):
+        return few
+    many = found if values is None else search(evidence, tried, threads, progress, values)
+    if not many.best.names or not worthwhile(evidence, many.best):
+        return few
+    needed = pruned(worker, many)
+    best = needed.best
+    # What is stretched as far as it goes stands for something else.
+    if any(at_a_bound(c, best.fit.values[p]) for c, p in zip(best.hypothesis, parts(best.hypothesis), strict=True)):
+        return few
+    known = remainder_as_noise(evidence, best.held_out.residuals.values)
+    refitted = tuple(name for name in best.names if name not in needed.rivals)
+    return PartialAnswer(*in_full(known, assessed_again(Worker(known), many, needed)), refitted)
+
+
+def _beside_form(
+    evidence: Evidence, found: Searched, tried: Sequence[Candidate], threads: int, progress: Progress
+) -> PartialAnswer | None:
+    """Return the few causes that stand out of errors of form, if there are any."""
+    known = replace(remainder_as_noise(evidence, found.best.held_out.residuals.values), form=rules.FORM_ERROR)
+    known, again = in_full(known, search(known, tried, threads, progress))
     return PartialAnswer(known, again) if again.best.names and worthwhile(known, again.best) else None
+
+
+def _explains_more(evidence: Evidence, values: Fit, few: PartialAnswer) -> bool:
+    """Tell whether the fitted values leave so much less than a few causes that these miss something worthwhile."""
+    best = few.found.best
+    main = max(best.held_out.gain, key=lambda c: float(np.sum(best.held_out.gain[c])))
+    left = best.held_out.residuals.values[main] * few.evidence.floor[main] / evidence.floor[main]
+    return closed(left, values.residuals.values[main], power(evidence.noise[main])) >= rules.WORTHWHILE
 
 
 def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evidence:
     """Return the comparison with what a hypothesis leaves counted as noise, channel by channel.
+
+    The sensors' noise is independent from window to window. An error of form repeats wherever the rig comes by again: however
+    long the recording, it tells no more than :data:`rules.FORM_FREEDOMS` independent windows would.
 
     Args:
         evidence: the comparison.
@@ -66,26 +104,12 @@ def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evi
     """
     floor, correlation = dict[Channel, Array](), dict[Channel, float]()
     for c in evidence.channels:
-        remains, noise = left[c] * evidence.floor[c], evidence.noise[c] * evidence.floor[c]
-        beyond = max(0.0, power(remains) - power(noise))
+        remains, noise = (power(e * evidence.floor[c]) for e in (left[c], evidence.noise[c]))
+        beyond = max(0.0, remains - noise)
+        alike = max(1.0, len(left[c]) / rules.FORM_FREEDOMS)
         floor[c] = np.sqrt(evidence.floor[c] ** 2 + beyond)
-        correlation[c] = correlated(remains) if beyond > power(noise) else 1.0
-    return replace(measured_in(evidence, floor, correlation), imperfect=True)
-
-
-def correlated(e: Array) -> float:
-    """Return the number of successive residuals that are alike: the integrated autocorrelation time, at least 1.
-
-    The sum ends where it is shorter than a fifth of the lags summed (Sokal's window).
-    """
-    n, centred = len(e), e - np.mean(e)
-    spectrum = np.fft.rfft(centred, 2 * n)
-    covariance = np.fft.irfft(spectrum * np.conj(spectrum))[:n]
-    if not covariance[0] > 0.0:
-        return 1.0
-    times = 2.0 * np.cumsum(covariance / covariance[0]) - 1.0
-    ended = np.flatnonzero(np.arange(n) >= rules.SOKAL_WINDOW * times)
-    return max(1.0, float(times[ended[0]] if ended.size else times[-1]))
+        correlation[c] = (noise + alike * beyond) / max(noise + beyond, 1e-300)
+    return measured_in(evidence, floor, correlation)
 
 
 def worthwhile(evidence: Evidence, best: Assessment) -> bool:
@@ -93,4 +117,4 @@ def worthwhile(evidence: Evidence, best: Assessment) -> bool:
     after = best.held_out.residuals.values
     main = max(evidence.channels, key=lambda c: float(np.sum(evidence.base.values[c] ** 2 - after[c] ** 2)))
     little = evidence.nrmse(main, after[main]) <= rules.FORM_LEFT
-    return little and closed(evidence.base.values[main], after[main], evidence.noise[main]) >= rules.WORTHWHILE
+    return little and closed(evidence.base.values[main], after[main], power(evidence.noise[main])) >= rules.WORTHWHILE

@@ -720,9 +720,15 @@ DEPENDS_BESIDE: Annotated[
 
 # --- partial answer ---------------------------------------------------------------------------
 
-SOKAL_WINDOW: Annotated[
-    float, Rule("partial answer", "1", "Lags over which a correlation is summed, in correlation times.", "Sokal 1997")
-] = 5.0
+FORM_FREEDOMS: Annotated[
+    float,
+    Rule(
+        "partial answer",
+        "1",
+        "Independent windows that tell as much as a whole recording does where errors of form are all that remains.",
+        "held the truth in 24 of 26 intervals of benchmarks/diagnosis --exam partial, seeds 9001 and 9002",
+    ),
+] = 10.0
 
 WORTHWHILE: Annotated[
     float,
@@ -739,12 +745,12 @@ FORM_LEFT: Annotated[
     ),
 ] = 0.1
 
-RELEVANT_ELSEWHERE: Annotated[
+FORM_ERROR: Annotated[
     float,
     Rule(
         "partial answer",
         "1",
-        "Change of a balance, as a fraction of its largest term, that a cause must make where no other named cause acts.",
+        "Change of a balance, as a fraction of its largest term, that a further cause must make.",
         "models of real rigs are off by up to 5 % in any stage, and some effect of the list resembles that",
     ),
 ] = 0.05

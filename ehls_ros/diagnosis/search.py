@@ -1,6 +1,7 @@
 """The search for causes: all effects one by one, then what must act beside the best of them."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -36,7 +37,7 @@ class Searched(NamedTuple):
 
     Attributes:
         best: the hypothesis that explains most; without causes where none is needed.
-        places: one for each of its causes, in their order.
+        places: one for each of its causes that was sought, in their order; they come last in the hypothesis.
         screened: every cause alone at its starting values, with its derivatives.
         inflation: by which each channel's losses are divided.
     """
@@ -57,8 +58,7 @@ def search(
         found: the causes to try.
         threads: how many to try at once.
         progress: called with the progress.
-        begin: a hypothesis to start from, of which each cause is exchanged or dropped; by default the causes are added to
-            each other one by one.
+        begin: a hypothesis that causes are added to; its own stay, and have no place. By default the given model.
     """
     pool = Pool(evidence, threads)
     try:
@@ -76,23 +76,35 @@ def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress
     singles = _fitted(evidence, pool, [newton_start(screened[i]) for i in order], rules.FITTED_SINGLES)
     progress("causes together", 0.55)
 
-    if begin is None:
-        best, scale = _added(evidence, pool, starts, nothing, singles, progress)
-    else:
-        [best] = _fitted(evidence, pool, [Start(_afresh(evidence, begin.hypothesis, begin.values, begin.steps))])
-        scale = inflations(evidence, [best, *singles])
-    best, places = _exchanged(evidence, pool, best, starts, Place(nothing, tuple(singles)), scale)
+    base, level = nothing, singles
+    if begin is not None:
+        base = assess(evidence, begin)
+        level = _fitted(evidence, pool, starts.extensions(base))
+    best, scale = _added(evidence, pool, starts, base, level, progress)
+    if evidence.form is not None and not best.names:
+        # Nothing is larger than an error of form: then a single cause may be smaller.
+        evidence = replace(evidence, form=rules.RELEVANT)
+        best, scale = _added(evidence, pool, starts, base, level, progress)
+    best, places = _exchanged(evidence, pool, best, starts, Place(base, tuple(level)), scale, len(base.hypothesis))
     scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
     progress("causes together", 1.0)
     return Searched(best, places, tuple(screened), scale)
 
 
 def _added(
-    evidence: Evidence, pool: Pool, starts: Starts, nothing: Assessment, singles: list[Assessment], progress: Progress
+    evidence: Evidence, pool: Pool, starts: Starts, best: Assessment, level: list[Assessment], progress: Progress
 ) -> tuple[Assessment, dict[Channel, float]]:
-    """Add causes to each other as long as each brings enough; return the best hypothesis and the inflation."""
-    best, level = nothing, singles
-    scale = inflations(evidence, [nothing, *singles])
+    """Add causes to a hypothesis as long as each brings enough; return the best hypothesis and the inflation.
+
+    Args:
+        evidence: the recording compared with the given model.
+        pool: the threads.
+        starts: where fits start.
+        best: the hypothesis to begin with.
+        level: the same with one more cause.
+        progress: called with the progress.
+    """
+    scale = inflations(evidence, [best, *level])
     for count in range(1, rules.MOST_CAUSES + 1):
         scale = inflations(evidence, [best, *level])
         ranked = [j for j in _ranked(level, scale) if accepted(evidence, j, best, scale)]
@@ -177,7 +189,13 @@ def _distinct(ranked: Sequence[Assessment]) -> list[Assessment]:
 
 
 def _exchanged(
-    evidence: Evidence, pool: Pool, best: Assessment, starts: Starts, alone: Place, scale: Mapping[Channel, float]
+    evidence: Evidence,
+    pool: Pool,
+    best: Assessment,
+    starts: Starts,
+    alone: Place,
+    scale: Mapping[Channel, float],
+    kept: int,
 ) -> tuple[Assessment, tuple[Place, ...]]:
     """Exchange or drop each cause of a hypothesis until nothing better is found.
 
@@ -188,10 +206,11 @@ def _exchanged(
         starts: where fits start.
         alone: the place of a single cause.
         scale: the inflation to rank the first rivals by.
+        kept: number of its first causes, which stay.
     """
     places: tuple[Place, ...] = ()
     # What remains without a cause is the same whichever cause had taken its place.
-    known = {frozenset[tuple[str, int]](): alone}
+    known = {_key(best.hypothesis[:kept]): alone}
 
     def place_of(best: Assessment, index: int) -> Place:
         without = _without(evidence, pool, best, index, alone.without)
@@ -200,10 +219,10 @@ def _exchanged(
     visited = set[frozenset[tuple[str, int]]]()
     for exchanges in range(rules.MOST_EXCHANGES + 1):
         visited.add(_key(best.hypothesis))
-        keys = [_key([c for c in best.hypothesis if c is not gone]) for gone in best.hypothesis]
-        missing = [i for i, key in enumerate(keys) if key not in known]
+        keys = {i: _key([c for j, c in enumerate(best.hypothesis) if j != i]) for i in range(kept, len(best.hypothesis))}
+        missing = [i for i, key in keys.items() if key not in known]
         known.update(zip([keys[i] for i in missing], pool.lead(partial(place_of, best), missing), strict=True))
-        places = tuple(Place(known[key].without, _ranked(known[key].rivals, scale)) for key in keys)
+        places = tuple(Place(known[key].without, _rivals(evidence, known[key], scale)) for key in keys.values())
         scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
         if exchanges == rules.MOST_EXCHANGES:
             break
@@ -224,6 +243,15 @@ def _exchanged(
     return best, places
 
 
+def _rivals(evidence: Evidence, place: Place, scale: Mapping[Channel, float]) -> tuple[Assessment, ...]:
+    """Return the hypotheses with another cause in a place, best first; beside errors of form, those that stand out of them."""
+    return tuple(
+        rival
+        for rival in _ranked(place.rivals, scale)
+        if evidence.form is None or accepted(evidence, rival, place.without, scale)
+    )
+
+
 def _key(hypothesis: Sequence[Candidate]) -> frozenset[tuple[str, int]]:
     return frozenset((c.name, c.number) for c in hypothesis)
 
@@ -236,7 +264,7 @@ def simpler(best: Assessment, places: Sequence[Place], scale: Mapping[Channel, f
         places: one for each of its causes.
         scale: by which each channel's losses are divided.
     """
-    for candidate, place in zip(best.hypothesis, places, strict=True):
+    for candidate, place in zip(best.hypothesis[len(best.hypothesis) - len(places) :], places, strict=True):
         total = best.score(scale) - place.without.score(scale)
         for rival in place.rivals:
             other = rival.hypothesis[-1]

@@ -1,0 +1,107 @@
+"""What is needed of a hypothesis: the causes without which clearly more remains."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.acceptance import mostly_in
+from ehls_ros.diagnosis.evidence import Evidence
+from ehls_ros.diagnosis.fit import Fit, Worker
+from ehls_ros.diagnosis.held_out import Assessment, assess
+from ehls_ros.diagnosis.hypotheses import parts
+from ehls_ros.diagnosis.loss import closed, power
+from ehls_ros.diagnosis.search import Place, Searched, inflations
+
+
+class Pruned(NamedTuple):
+    """A hypothesis of which nothing can be left out.
+
+    Attributes:
+        best: the hypothesis.
+        without: the same without each of its causes.
+        rivals: by the name of a cause that was sought, hypotheses with another in its place.
+    """
+
+    best: Assessment
+    without: tuple[Assessment, ...]
+    rivals: dict[str, tuple[Assessment, ...]]
+
+
+def pruned(worker: Worker, found: Searched) -> Pruned:
+    """Leave out the causes without which hardly more remains, the least needed first.
+
+    Args:
+        worker: of the recording compared with the given model.
+        found: the causes, of which the places of the last are known.
+    """
+    evidence, names = worker.evidence, found.best.names[len(found.best.names) - len(found.places) :]
+    rivals = {name: place.rivals for name, place in zip(names, found.places, strict=True)}
+    # What more parameters explain beyond that is an error of form.
+    alike = [
+        (other, name) for name in names for other in rivals[name] if _worth(evidence, found.best, other) < rules.REMOVED_EXCESS
+    ]
+    best, instead = min([(found.best, ""), *alike], key=lambda pair: len(pair[0].fit.values))
+    if instead:
+        rivals[best.names[-1]] = rivals.pop(instead)
+    while True:
+        without = tuple(fitted(worker, _left_out(best.fit, index)) for index in range(len(best.names)))
+        worth = [_worth(evidence, best, other) for other in without]
+        least = int(np.argmin(worth))
+        if worth[least] >= rules.REMOVED_EXCESS or len(without) == 1:
+            return Pruned(best, without, rivals)
+        best = without[least]
+
+
+def assessed_again(worker: Worker, found: Searched, best: Pruned) -> Searched:
+    """Return a pruned hypothesis and the rivals of its causes as assessed beside another noise floor.
+
+    Args:
+        worker: of the recording beside that noise floor.
+        found: what was pruned.
+        best: the pruned hypothesis.
+    """
+    places = []
+    for name, without in zip(best.best.names, best.without, strict=True):
+        others = [r for r in best.rivals.get(name, ()) if r.names[-1] not in best.best.names]
+        rivals = tuple(fitted(worker, _beside(without.fit, other.fit)) for other in others[: rules.RIVALS])
+        places.append(Place(fitted(worker, without.fit), rivals))
+    now = fitted(worker, best.best.fit)
+    scale = inflations(worker.evidence, [now, *(rival for place in places for rival in place.rivals)])
+    return Searched(now, tuple(places), found.screened, scale)
+
+
+def fitted(worker: Worker, start: Fit) -> Assessment:
+    """Fit a hypothesis from its values and assess it.
+
+    Args:
+        worker: of the recording.
+        start: the hypothesis; its residuals and derivatives need not be the recording's.
+    """
+    fit = worker.linearise(start.hypothesis, start.values, start.steps)
+    return assess(worker.evidence, worker.fit(fit) if fit.hypothesis else fit)
+
+
+def _left_out(fit: Fit, index: int) -> Fit:
+    """Return a hypothesis without one of its causes, to be fitted."""
+    kept = np.ones(len(fit.values), dtype=np.bool_)
+    kept[parts(fit.hypothesis)[index]] = False
+    hypothesis = tuple(c for i, c in enumerate(fit.hypothesis) if i != index)
+    return fit._replace(hypothesis=hypothesis, values=fit.values[kept], steps=fit.steps[kept])
+
+
+def _beside(fit: Fit, other: Fit) -> Fit:
+    """Return a hypothesis with the last cause of another, to be fitted."""
+    part = parts(other.hypothesis)[-1]
+    return fit._replace(
+        hypothesis=(*fit.hypothesis, other.hypothesis[-1]),
+        values=np.concatenate([fit.values, other.values[part]]),
+        steps=np.concatenate([fit.steps, other.steps[part]]),
+    )
+
+
+def _worth(evidence: Evidence, more: Assessment, less: Assessment) -> float:
+    """Return the fraction of what one hypothesis leaves that is gone with another."""
+    main = mostly_in(more, less)
+    before, after = (j.held_out.residuals.values[main] for j in (less, more))
+    return closed(before, after, power(evidence.noise[main]))
