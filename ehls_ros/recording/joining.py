@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ehls_ros.errors import BadInput
-from ehls_ros.samples import inliers, noise
+from ehls_ros.samples import inliers, noise_between_moves
 from ehls_ros.trajectory import Own, Preparation, Trajectory
 
 Signal = NDArray[np.float64]
@@ -103,7 +103,7 @@ def _common(tables: Mapping[str, Trajectory], where: str) -> tuple[float, float]
 
 
 def _noise(values: Signal) -> float:
-    return noise(values[np.isfinite(values)])
+    return noise_between_moves(values[np.isfinite(values)])
 
 
 def _said(ratio: float, period: float) -> str:
