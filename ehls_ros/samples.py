@@ -19,6 +19,10 @@ KEPT, KEPT_VARIANCE = 0.98, 0.874
 """Fraction of the differences, the smallest ones, used to estimate noise; and their fraction of a normal distribution's
 variance."""
 
+QUIET, QUIETEST, QUIET_WHITE = 20, 0.2, 0.72
+"""Samples of a part in which a signal may be quiet; the quantile of the parts' noise that is taken; and that quantile for white
+noise, as a fraction of its standard deviation."""
+
 Mask = NDArray[np.bool_]
 
 
@@ -69,3 +73,14 @@ def noise_of(third_differences: Array) -> float:
         return 0.0
     kept = differences[differences <= np.quantile(differences, KEPT)]
     return float(np.sqrt(np.mean(kept**2) / (20.0 * KEPT_VARIANCE)))
+
+
+def noise_between_moves(values: Array) -> float:
+    """Return the standard deviation of white noise of a signal that may move much from sample to sample, by its quiet parts.
+
+    Motion that looks like noise only adds to it, so a signal without quiet parts gives too much.
+    """
+    parts = np.array([noise(part) for part in np.array_split(values, max(1, len(values) // QUIET))])
+    moving = parts[parts > 0.0]
+    quiet = float(np.quantile(moving, QUIETEST)) / QUIET_WHITE if moving.size else 0.0
+    return min(noise(values), quiet)

@@ -159,8 +159,8 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int) -> Evidence:
     noise = deviations(record)
     deviation = scatter(comparison, rig, raw, noise, seed)
     sizes = largest_terms(comparison, rig)
-    tolerance = {c: rules.TOLERANCE * coarseness(record, formed_of(record, c)) for c in channels}
-    floor = {c: np.sqrt(deviation[c][masks[c]] ** 2 + (tolerance[c] * sizes[c]) ** 2) for c in channels}
+    coarse = {c: setup.window_of(c).mean(coarseness(record, formed_of(record, c)) ** 2) for c in channels}
+    floor = {c: np.sqrt(deviation[c] ** 2 + coarse[c] * (rules.TOLERANCE * sizes[c]) ** 2)[masks[c]] for c in channels}
     blocks = int(np.clip(round(len(record.time) * record.period / rules.BLOCK), rules.FEWEST_BLOCKS, rules.MOST_BLOCKS))
     block, times = dict[Channel, NDArray[np.intp]](), dict[Channel, Array]()
     for c in channels:

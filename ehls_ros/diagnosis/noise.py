@@ -134,7 +134,8 @@ def largest_terms(comparison: Comparison, rig: Rig) -> dict[Channel, float]:
         if "volume" in comparison.setup.channels
         else 0.0
     )
-    speed = comparison.motion(rig.effective()).velocity if "force" in comparison.setup.channels else np.zeros(1)
+    moving = not {"force", "velocity"}.isdisjoint(comparison.setup.channels)
+    speed = comparison.motion(rig.effective()).velocity if moving else np.zeros(1)
     swept = plant.piston_area * float(np.sqrt(np.mean(speed**2)))
     driving = plant.piston_area * rms["load_pressure_pa"] if "load_pressure_pa" in rms else rms.get("force_n", 0.0)
     return {

@@ -12,7 +12,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
-from ehls_ros.samples import Mask, filled, inliers, noise
+from ehls_ros.samples import Mask, filled, inliers, noise, noise_between_moves
 from ehls_ros.trajectory import Own, Trajectory
 
 COMMAND, SPOOL, PRESSURE, SUPPLY = "valve_command_m", "spool_m", "load_pressure_pa", "supply_pressure_pa"
@@ -136,7 +136,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
         if bad > rules.MENTIONED_BAD:
             remarks.append(f"{100 * bad:.2g} % of {signal} are missing or outliers and were left out")
         signals[signal], good[signal] = _on_grid(time[chosen], values, right, grid, period, signal in HELD)
-        level[signal] = _noise(values[right]) if own is None else spread_noise(own, period)
+        level[signal] = _noise(values[right], period) if own is None else spread_noise(own, period)
     _check_sizes(signals, rig, name)
     if period > 0.0 and float(np.max(np.abs(steps - period))) > rules.UNEVEN * period and lost <= rules.MENTIONED_LOSS:
         remarks.append("the sampling is uneven; values are taken at even times by straight lines")
@@ -235,7 +235,7 @@ def _answered(command: Array, spool: Array, rig: Rig, period: float) -> Mask:
     return answered
 
 
-def _noise(values: Array) -> float:
+def _noise(values: Array, period: float) -> float:
     """Return the standard deviation of a signal's noise, or of its quantisation where that is larger."""
     moves = np.abs(np.diff(values[: min(len(values), rules.RESOLUTION_SAMPLES)]))
     moves = moves[moves > 1e-12 * max(float(np.max(np.abs(values))), 1e-300)]
@@ -243,7 +243,8 @@ def _noise(values: Array) -> float:
     # A resolution is a step of which all differences are multiples.
     if lattice > 0.0 and np.max(np.abs(moves / lattice - np.round(moves / lattice))) > rules.RESOLUTION_MISFIT:
         lattice = 0.0
-    return max(noise(values), lattice / math.sqrt(12.0))
+    found = noise_between_moves if period > rules.SLOWEST_TURN else noise
+    return max(found(values), lattice / math.sqrt(12.0))
 
 
 def _check_sizes(signals: dict[str, Array], rig: Rig, name: str) -> None:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Collection
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
@@ -64,26 +65,32 @@ def friction_known(record: Record, position: Array, velocity: Array, travel: flo
     return known
 
 
-def coarseness(record: Record, signals: Collection[str]) -> float:
-    """Return by how much straight lines between samples are worse than at a rate that resolves everything, 1 or more.
+def coarseness(record: Record, signals: Collection[str]) -> Array:
+    """Return by how much straight lines between samples are worse than at a rate that resolves everything.
 
-    Their error grows with the square of the sampling period for one and the same motion. Where the signals bend less than that
-    between their samples, it is what they show.
+    They are off where a signal bends from one of its own samples to the next.
 
     Args:
         record: the recording.
         signals: those of it that matter; a held command has no lines.
+
+    Returns:
+        The factor at each sample, 1 or more, shape (n,).
     """
-    return max([1.0, *[_coarseness(record, signal) for signal in signals if signal not in HELD]])
+    bent = [_bends(record, signal) for signal in signals if signal not in HELD]
+    worse: Array = np.max([np.ones(len(record.time)), *bent], axis=0)
+    return worse
 
 
-def _coarseness(record: Record, signal: str) -> float:
-    period = record.sampled(signal)
-    grown = max(1.0, (period / rules.RESOLVED_PERIOD) ** 2)
-    values = record.signals[signal][:: max(1, round(period / record.period))]
-    size = math.sqrt(float(np.mean(values**2)))
-    if grown == 1.0 or len(values) < 3 or size == 0.0:
-        return 1.0
+def _bends(record: Record, signal: str) -> Array:
+    period, values = record.sampled(signal), record.signals[signal]
+    stride, size = max(1, round(period / record.period)), float(np.sqrt(np.mean(values**2)))
+    if period <= rules.UNSEEN_COMMANDS * rules.RESOLVED_PERIOD or size == 0.0:
+        return np.ones(len(values))
+    longer = np.pad(values, stride, mode="reflect", reflect_type="odd")
+    bend = np.abs(longer[2 * stride :] - 2.0 * values + longer[: -2 * stride])
     # The second difference of white noise has six times its variance.
-    square = float(np.mean(np.diff(values, 2) ** 2)) - 6.0 * record.noise[signal] ** 2 * record.period / period
-    return float(np.clip(math.sqrt(max(square, 0.0)) / (8.0 * size) / rules.TOLERANCE, 1.0, grown))
+    noise = math.sqrt(6.0 * record.period / period) * record.noise[signal]
+    bend = np.where(bend > rules.CLEAR_BEND * noise, np.sqrt(np.maximum(bend**2 - noise**2, 0.0)), 0.0)
+    worst: Array = maximum_filter1d(bend, 2 * stride + 1, mode="nearest") / (8.0 * size * rules.TOLERANCE)
+    return worst

@@ -218,14 +218,16 @@ TOLERANCE: Annotated[
 
 RESOLVED_PERIOD: Annotated[
     float,
-    Rule(
-        "evidence", "s", "Sampling period above which the tolerance grows with its square: the error of linear interpolation."
-    ),
+    Rule("evidence", "s", "Sampling period above which the tolerance holds the error of straight lines between samples."),
 ] = 1e-3
+
+CLEAR_BEND: Annotated[
+    float, Rule("evidence", "1", "Standard deviations of its noise by which a signal must bend between samples to be bent.")
+] = 3.0
 
 UNSEEN_COMMANDS: Annotated[
     float,
-    Rule("evidence", "1", "Multiple of that period above which the command may have changed unseen between two samples."),
+    Rule("evidence", "1", "Multiple of that period above which a signal bends, or a command changes, unseen between samples."),
 ] = 1.2
 
 WIDER_FIT: Annotated[

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from ehls_ros.diagnosis import rules
 from ehls_ros.errors import BadInput
-from ehls_ros.samples import inliers, noise
+from ehls_ros.samples import inliers, noise_between_moves
 from ehls_ros.trajectory import Own, Preparation, Trajectory
 
 Signal = NDArray[np.float64]
@@ -103,7 +104,7 @@ def _common(tables: Mapping[str, Trajectory], where: str) -> tuple[float, float]
 
 
 def _noise(values: Signal) -> float:
-    return noise(values[np.isfinite(values)])
+    return noise_between_moves(values[np.isfinite(values)])
 
 
 def _said(ratio: float, period: float) -> str:
@@ -122,7 +123,11 @@ def _at(clock: _Clock, time: Signal, values: Signal, period: float, ratio: float
         return np.full(len(clock.time), np.nan)
     faster = ratio < 1.0 - SAME_RATE
     if held:
-        out = held_mean(t, known, clock.time, clock.period) if faster else known[_latest(t, clock.time)]
+        out = (
+            held_mean(t, known, clock.time, clock.period)
+            if faster
+            else known[_latest(t, clock.time + rules.COMMAND_LATENESS * clock.period)]
+        )
     elif faster:
         out = centred_mean(t, known, clock.time, clock.period)
     else:

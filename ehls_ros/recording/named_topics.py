@@ -16,6 +16,7 @@ from ehls_ros.recording.bag_reader import OpenBag, damage_reported, opened
 from ehls_ros.recording.bag_topic import BagTopic
 from ehls_ros.recording.cdr import CdrError, Field, flatten
 from ehls_ros.recording.columns import TIME, Column, ColumnMap, is_topic
+from ehls_ros.recording.even_times import sent_evenly
 from ehls_ros.recording.table import assemble
 from ehls_ros.recording.typestore import typestore_of
 from ehls_ros.trajectory import Preparation, Trajectory
@@ -206,17 +207,23 @@ class _Topic:
         """Return the topic's signals in the order of their times."""
         own = self._time.name not in (STAMP, RECEIVED)
         time = self._values(read, TIME, self._time) if own else stamps
+        names, said = " and ".join(self._columns), list[str]()
+        even = sent_evenly(time) if self._time.name == RECEIVED else None
+        if even is not None:
+            said.append(f"{names}: sent evenly, received with delays that differ by {1e3 * float(np.std(time - even)):.2g} ms")
+            time = even
         order = np.argsort(time, kind="stable")
         order = order[np.diff(time[order], prepend=-np.inf) > 0.0]
+        repeated = len(time) - len(order)
         if len(order) < LEAST_DISTINCT * len(time):
             what = f"its {len(time)} messages have only {len(order)} different times ({self._time.name})"
             raise BadInput(what, self.where, f"another time under 'tables' in the map, such as {{name: {RECEIVED}}}")
+        if repeated:
+            said.append(f"{repeated} messages of {names} repeat a time and are left out")
         values = {signal: self._values(read, signal, column)[order] for signal, column in self._columns.items()}
         chosen = {TIME: self._time, **self._columns}
         out = assemble({TIME: time[order], **values}, chosen, self.where, lambda row: f"message {order[row] + 1}")
-        repeated = len(time) - len(order)
-        said = (f"{repeated} messages of {' and '.join(self._columns)} repeat a time and are left out",) if repeated else ()
-        return Trajectory(out.time_s, out.signals, preparation=Preparation(said))
+        return Trajectory(out.time_s, out.signals, preparation=Preparation(tuple(said)))
 
     def _values(self, read: MessageColumns, signal: str, column: Column) -> NDArray[np.float64]:
         match = ENTRY.match(column.name)

@@ -169,3 +169,10 @@ def test_a_file_outside_the_map_is_bad_input(folder: Path):
         load(folder / "third.csv", given)
     with pytest.raises(BadInput, match="these are not the tables of one recording"):
         recordings([folder / "fast.csv", folder / "third.csv"], given)
+
+
+@pytest.mark.parametrize("late", [-1e-5, 1e-5])
+def test_a_command_whose_stamp_is_off_by_a_fraction_of_a_sample_is_that_of_its_cycle(late):
+    command = table(1000.0, start=late, valve_command_m=lambda t: np.round(1000.0 * t))
+    joined = join({"fast": table(1000.0, force_n=sine), "command": command}, "fast", "it")
+    np.testing.assert_array_equal(joined["valve_command_m"][1:-1], np.round(1000.0 * joined.time_s)[1:-1])
