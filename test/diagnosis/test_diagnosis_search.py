@@ -77,6 +77,12 @@ def test_only_effects_with_a_frequency_start_at_other_lines(noisy, rig):
     assert at_lines(found, noisy, rig, []) == []
 
 
+def test_a_line_is_sought_only_where_the_windows_can_show_it(noisy, rig):
+    highest = {c.name: c.upper[c.free.index("frequency")] for c in candidates(noisy, rig, (5.0,))[0] if "frequency" in c.free}
+    assert highest["periodic_disturbance"] == rules.FASTEST_LINE / rules.WINDOW
+    assert highest["flexible_mode"] > highest["periodic_disturbance"]
+
+
 def test_parameters_of_several_causes_are_joined_in_order(rig):
     both = (
         candidate("stribeck_shift", "static_offset", "velocity_factor", lower=-5.0),
