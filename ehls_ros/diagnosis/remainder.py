@@ -56,10 +56,12 @@ class Relevance(NamedTuple):
     Attributes:
         noise: mean square due to noise.
         limit: rms whitened residual beyond the noise that matters.
+        clear: mean square that matters even if it is small beside the largest term, or comes from one block only.
     """
 
     noise: float
     limit: float
+    clear: float = math.inf
 
     def exceeded(self, e: Array) -> bool:
         """Tell whether whitened residuals are more than noise by enough to matter."""
@@ -67,6 +69,10 @@ class Relevance(NamedTuple):
         # What acts seldom has a small rms; where it acts it matters.
         rare = float(np.quantile(e * e, rules.RARE_QUANTILE)) - rules.RARE_SCATTER * rules.SCATTER * self.noise
         return math.sqrt(max(rms, 0.0)) > self.limit or math.sqrt(max(rare, 0.0)) > rules.RARE_FACTOR * self.limit
+
+    def recurs(self, e: Array, blocks: Blocks) -> bool:
+        """Tell whether there is more than noise in several blocks, or so much in one that it is no incident."""
+        return self.exceeded(blocks.elsewhere(e)) or power(e) > self.clear
 
 
 class Remainder(NamedTuple):
@@ -128,7 +134,7 @@ def remainder(
     removable = was - noise
     closed = (was - now) / removable if removable > 0.0 else 1.0
     others = blocks.elsewhere(after)
-    remains = relevance.exceeded(others)
+    remains = relevance.recurs(after, blocks)
     once = not remains and relevance.exceeded(after)
     little = rules.LITTLE * noise
     enough = not changed or was < little or closed >= rules.CLOSED or power(others) < little
@@ -138,7 +144,7 @@ def remainder(
         after=math.sqrt(now),
         noise=math.sqrt(noise),
         closed=closed,
-        exceeded=relevance.exceeded(blocks.elsewhere(before)),
+        exceeded=relevance.recurs(before, blocks),
         remains=remains,
         incident=blocks.interval(blocks.worst(after)) if once else None,
         explained=enough and not imitated,
@@ -193,13 +199,13 @@ def relevance_in(evidence: Evidence, channel: Channel, *, alone: bool = False) -
     Args:
         evidence: the recording compared with the given model.
         channel: the channel.
-        alone: whether no cause is named, whose form might leave what stands clear of the noise and yet is small.
+        alone: whether no cause is named, whose form might leave what stands clear of the noise.
     """
     noise = noise_power(evidence, channel)
     typical = float(np.sqrt(np.mean(evidence.floor[channel] ** 2)))
     size = max(evidence.sizes[channel], 1e-300)
     limit = rules.RELEVANT_BESIDE * size / typical if typical > 0.0 else math.inf
-    return Relevance(noise, min(limit, rules.CLEAR * math.sqrt(noise)) if alone else limit)
+    return Relevance(noise, limit, (rules.SCATTER + rules.CLEAR**2) * noise if alone else math.inf)
 
 
 def imitated_channels(evidence: Evidence, found: Searched) -> frozenset[Channel]:

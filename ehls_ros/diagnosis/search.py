@@ -232,10 +232,12 @@ def _exchanged(
             best = simple
             continue
         better = [place.without for place in places if not accepted(evidence, best, place.without, scale)]
+        # Only for what would stay: an unsure rival would be dropped again, and the sure cause with it.
         better += [
-            place.rivals[0]
+            rival
             for place in places
-            if place.rivals and place.rivals[0].score(scale) > best.score(scale) + rules.BETTER
+            for rival in place.rivals[:1]
+            if rival.score(scale) > best.score(scale) + rules.BETTER and accepted(evidence, rival, place.without, scale)
         ]
         if not better:
             break

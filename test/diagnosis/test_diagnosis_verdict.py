@@ -232,6 +232,14 @@ def test_what_stands_clear_of_the_noise_remains_where_no_cause_is_named_however_
     assert remainder_in(evidence, best, "force").unexplained is unexplained
 
 
+@pytest.mark.parametrize(("size", "unexplained"), [(4.0, False), (8.0, True)])
+def test_what_stands_clear_of_the_noise_in_one_block_only_is_no_incident_where_no_cause_is_named(size, unexplained):
+    evidence = evidence_of({"force": NOISE + np.where(GROUPS.number == 4, size, 0.0)})
+    item = remainder_in(evidence, nothing(evidence), "force")
+    assert item.unexplained is unexplained
+    assert (item.incident is None) is unexplained
+
+
 @pytest.mark.parametrize(("blocks", "incident"), [((4,), (8.0, 9.98)), ((4, 9), None)])
 def test_what_occurs_in_one_block_only_is_an_incident(blocks, incident):
     item = remaining(NOISE, NOISE + np.where(np.isin(GROUPS.number, blocks), 20.0, 0.0))
