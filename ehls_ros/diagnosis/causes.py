@@ -31,14 +31,14 @@ STAGE_OF_GROUP: Mapping[str, Stage] = {
 """The stage of the model an effect belongs to, by the group its file names."""
 
 
-def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0, last: Collection[str] = ()) -> tuple[Cause, ...]:
+def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, last: Collection[str] = ()) -> tuple[Cause, ...]:
     """Describe the causes of the best hypothesis, those that explain most first.
 
     Args:
         evidence: the recording compared with the given model.
         found: the result of the search.
         seed: of the resampling.
-        most: largest probability that a cause may have.
+        right: factor on the probability of each cause: how often such names are right.
         last: names of causes that come after the others.
     """
     best, scale = found.best, found.inflation
@@ -56,7 +56,7 @@ def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0, la
             probability *= rules.BOTH_RIGHT
         if remainder_in(evidence, best, mostly_in(best, place.without)).doubtful:
             probability *= rules.FORM_RIGHT
-        probability = min(probability, most)
+        probability *= right
         equivalent = tuple(
             j.hypothesis[-1].name
             for j in others

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.acceptance import mostly_in
+from ehls_ros.diagnosis.acceptance import mostly_in, relevance
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.held_out import Assessment, assess
@@ -46,7 +46,7 @@ def pruned(worker: Worker, found: Searched) -> Pruned:
         rivals[best.names[-1]] = rivals.pop(instead)
     while True:
         without = tuple(fitted(worker, _left_out(best.fit, index)) for index in range(len(best.names)))
-        worth = [_worth(evidence, best, other) for other in without]
+        worth = [_worth(evidence, best, other) if _matters(evidence, best, other) else 0.0 for other in without]
         least = int(np.argmin(worth))
         if worth[least] >= rules.REMOVED_EXCESS or len(without) == 1:
             return Pruned(best, without, rivals)
@@ -98,6 +98,13 @@ def _beside(fit: Fit, other: Fit) -> Fit:
         values=np.concatenate([fit.values, other.values[part]]),
         steps=np.concatenate([fit.steps, other.steps[part]]),
     )
+
+
+def _matters(evidence: Evidence, best: Assessment, less: Assessment) -> bool:
+    """Tell whether a cause acts where the hypothesis explains most, or is larger than an error of form."""
+    base, after = evidence.base.values, best.held_out.residuals.values
+    main = max(evidence.channels, key=lambda c: float(np.sum(base[c] ** 2 - after[c] ** 2)))
+    return mostly_in(best, less) == main or relevance(evidence, best, less) >= rules.FORM_ERROR
 
 
 def _worth(evidence: Evidence, more: Assessment, less: Assessment) -> float:
