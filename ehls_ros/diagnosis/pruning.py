@@ -48,7 +48,7 @@ def pruned(worker: Worker, found: Searched) -> Pruned:
         without = tuple(fitted(worker, _left_out(best.fit, index)) for index in range(len(best.names)))
         worth = [_worth(evidence, best, other) if _matters(evidence, best, other) else 0.0 for other in without]
         least = int(np.argmin(worth))
-        if worth[least] >= rules.REMOVED_EXCESS or len(without) == 1:
+        if worth[least] >= rules.NEEDED_SHARE or len(without) == 1:
             return Pruned(best, without, rivals)
         best = without[least]
 

@@ -639,6 +639,16 @@ FORM_LEFT: Annotated[
     ),
 ] = 0.1
 
+NEEDED_SHARE: Annotated[
+    float,
+    Rule(
+        "partial answer",
+        "1",
+        "Fraction of what remains without it that each of many causes must close.",
+        "1.8 standard errors where all that remains is worth FORM_FREEDOMS windows",
+    ),
+] = 0.25
+
 FORM_ERROR: Annotated[
     float,
     Rule(
