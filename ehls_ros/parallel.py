@@ -1,6 +1,7 @@
 """Independent tasks on all processors, with progress."""
 
 import os
+import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
@@ -53,7 +54,8 @@ class Workers:
             # server has no threads, and imports the tasks' modules once for all processes.
             context = get_context("forkserver")
             context.set_forkserver_preload(sorted({task.func.__module__ for task in tasks}))
-            self._pool = ProcessPoolExecutor(self._count, mp_context=context)
+            # Ctrl-C ends a process even inside compiled code, where Python would notice it only afterwards.
+            self._pool = ProcessPoolExecutor(self._count, context, signal.signal, (signal.SIGINT, signal.SIG_DFL))
         numbers = {self._pool.submit(task): index for index, task in enumerate(tasks)}
         for done, future in enumerate(as_completed(numbers), start=1):
             results[numbers[future]] = future.result()

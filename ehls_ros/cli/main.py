@@ -43,17 +43,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     words = sys.argv[1:] if arguments is None else arguments
-    options = parser(words[0] if words else "").parse_args(words)
+    verb = words[0] if words else ""
     try:
+        options = parser(verb).parse_args(words)
         return VERBS.load(options.verb.replace("-", "_")).run(options)
     except BadInput as error:
-        print(f"ehls {options.verb}: {error}", file=sys.stderr)
+        print(f"ehls {verb}: {error}", file=sys.stderr)
         return BAD_INPUT
     except WorkFailed as error:
-        print(f"ehls {options.verb}: {error}", file=sys.stderr)
+        print(f"ehls {verb}: {error}", file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:
-        print(f"ehls {options.verb}: interrupted", file=sys.stderr)
+        print(f"ehls {verb}: interrupted", file=sys.stderr)
         return INTERRUPTED
 
 

@@ -27,7 +27,7 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
     if evidence.form is not None:
         needed = rules.FORM_ERROR if less.names else evidence.form
-        worthwhile = closed(before, after, power(evidence.noise[main])) >= rules.WORTHWHILE
+        worthwhile = closed(before, after, evidence.noise[main]) >= rules.WORTHWHILE
         if not worthwhile or gain <= 0.0 or relevance(evidence, more, less) < needed:
             return False
         # Standard errors hold the form of what remains. Whether there is anything at all is judged by the scatter.

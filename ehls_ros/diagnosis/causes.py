@@ -8,10 +8,10 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import mostly_in
-from ehls_ros.diagnosis.evidence import Evidence, noise_power
+from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import parts
-from ehls_ros.diagnosis.loss import power
+from ehls_ros.diagnosis.loss import closed
 from ehls_ros.diagnosis.probability import probability_of_first
 from ehls_ros.diagnosis.remainder import remainder_in
 from ehls_ros.diagnosis.result import Cause, Rival
@@ -49,12 +49,13 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
         gain = best.score(scale) - place.without.score(scale)
         others = _other_effects(best, place, scale)
         compared = [best, *others, place.without]
+        main = mostly_in(best, place.without)
         probability = probability_of_first(
             [_per_block(j, scale) for j in compared], [len(j.fit.values) for j in compared], seed
         )
         if stages.count(stages[index]) > 1:
             probability *= rules.BOTH_RIGHT
-        if remainder_in(evidence, best, mostly_in(best, place.without)).doubtful:
+        if remainder_in(evidence, best, main).doubtful:
             probability *= rules.FORM_RIGHT
         probability *= right
         equivalent = tuple(
@@ -75,17 +76,18 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
                 gain=gain,
                 sigmas=best.sigmas(index),
                 rivals=tuple(_rival(evidence, found, place.without, j) for j in others[: rules.RIVALS]),
-                share=_share(evidence, best, place.without),
+                channel=main,
+                share=_share(evidence, best, place.without, main),
             )
         )
     return tuple(sorted(out, key=lambda cause: (cause.name in last, -cause.gain)))
 
 
-def _share(evidence: Evidence, best: Assessment, without: Assessment) -> float:
-    """Return the fraction of the removable error that returns without a cause, in the channel where it explains most."""
-    main = mostly_in(best, without)
-    left = [power(j.held_out.residuals.values[main]) for j in (without, best)]
-    return (left[0] - left[1]) / max(power(evidence.base.values[main]) - noise_power(evidence, main), 1e-300)
+def _share(evidence: Evidence, best: Assessment, without: Assessment, channel: Channel) -> float:
+    """Return the fraction of a channel's removable error that returns without a cause."""
+    before, noise = evidence.base.values[channel], evidence.noise[channel]
+    with_it, without_it = (min(closed(before, j.held_out.residuals.values[channel], noise), 1.0) for j in (best, without))
+    return with_it - without_it
 
 
 def _other_effects(best: Assessment, place: Place, scale: Mapping[Channel, float]) -> list[Assessment]:

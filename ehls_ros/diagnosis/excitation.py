@@ -31,6 +31,8 @@ KEYS: Mapping[Stage, Key] = {
 def sensitivities(evidence: Evidence, screened: Sequence[Fit]) -> tuple[Sensitivity, ...]:
     """Return the smallest detectable size of every effect with one parameter that acts smoothly at its neutral value.
 
+    An effect that would have to leave its parameter's range to be seen is left out.
+
     Args:
         evidence: the recording compared with the given model.
         screened: every cause alone at its starting values, with its derivatives.
@@ -45,7 +47,8 @@ def sensitivities(evidence: Evidence, screened: Sequence[Fit]) -> tuple[Sensitiv
         main = max(fit.channels, key=lambda c: len(evidence.block[c]))
         effect = evidence.nrmse(main, column[sections(evidence.block, fit.channels)[main]])
         smallest = smallest_detectable(float(column @ column), effect)
-        if smallest is not None:
+        reach = float(np.max(np.abs([candidate.upper - candidate.neutral, candidate.lower - candidate.neutral])))
+        if smallest is not None and smallest <= reach:
             out.append(Sensitivity(candidate.name, candidate.free[0], smallest, candidate.units[0]))
     return tuple(out)
 

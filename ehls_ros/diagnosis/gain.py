@@ -6,8 +6,8 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.held_out import Assessment
-from ehls_ros.diagnosis.loss import power
-from ehls_ros.diagnosis.result import Gain
+from ehls_ros.diagnosis.loss import closed, power
+from ehls_ros.diagnosis.result import ChannelGain, Gain
 from ehls_ros.diagnosis.stages import Channel
 
 
@@ -34,15 +34,22 @@ def gain(evidence: Evidence, best: Assessment, seed: int) -> Gain | None:
         np.sum([np.bincount(evidence.block[c], e[c] ** 2, evidence.blocks) for c in telling], axis=0)
         for e in (base, held_out, evidence.noise)
     )
-    closed, ci95 = closed_fraction(before, after, noise, seed)
+    fraction, ci95 = closed_fraction(before, after, noise, seed)
     return Gain(
         channel=main,
         heldout_nrmse_before=evidence.nrmse(main, base[main]),
         heldout_nrmse_after=evidence.nrmse(main, held_out[main]),
         noise_floor=evidence.nrmse(main, evidence.noise[main]),
-        closed_fraction=closed,
+        closed_fraction=fraction,
         ci95=ci95,
+        channels={c: _channel_gain(evidence, held_out[c], c) for c in telling},
     )
+
+
+def _channel_gain(evidence: Evidence, after: Array, channel: Channel) -> ChannelGain:
+    before, noise = evidence.base.values[channel], evidence.noise[channel]
+    removable = max(power(before) - power(noise), 1e-300)
+    return ChannelGain(min(closed(before, after, noise), 1.0), power(noise) / removable)
 
 
 def closed_fraction(before: Array, after: Array, noise: Array, seed: int) -> tuple[float, tuple[float, float]]:

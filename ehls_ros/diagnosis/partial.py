@@ -85,7 +85,7 @@ def _explains_more(evidence: Evidence, values: Fit, few: PartialAnswer) -> bool:
     best = few.found.best
     main = max(best.held_out.gain, key=lambda c: float(np.sum(best.held_out.gain[c])))
     left = best.held_out.residuals.values[main] * few.evidence.floor[main] / evidence.floor[main]
-    return closed(left, values.residuals.values[main], power(evidence.noise[main])) >= rules.WORTHWHILE
+    return closed(left, values.residuals.values[main], evidence.noise[main]) >= rules.WORTHWHILE
 
 
 def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evidence:
@@ -120,4 +120,4 @@ def worthwhile(evidence: Evidence, best: Assessment) -> bool:
     after = best.held_out.residuals.values
     main = max(evidence.channels, key=lambda c: float(np.sum(evidence.base.values[c] ** 2 - after[c] ** 2)))
     little = evidence.nrmse(main, after[main]) <= rules.FORM_LEFT
-    return little and closed(evidence.base.values[main], after[main], power(evidence.noise[main])) >= rules.WORTHWHILE
+    return little and closed(evidence.base.values[main], after[main], evidence.noise[main]) >= rules.WORTHWHILE

@@ -10,7 +10,7 @@ from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.held_out import Assessment, assess
 from ehls_ros.diagnosis.hypotheses import parts
-from ehls_ros.diagnosis.loss import closed, power
+from ehls_ros.diagnosis.loss import closed
 from ehls_ros.diagnosis.search import Place, Searched, inflations
 
 
@@ -111,4 +111,4 @@ def _worth(evidence: Evidence, more: Assessment, less: Assessment) -> float:
     """Return the fraction of what one hypothesis leaves that is gone with another."""
     main = mostly_in(more, less)
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
-    return closed(before, after, power(evidence.noise[main]))
+    return closed(before, after, evidence.noise[main])

@@ -73,8 +73,9 @@ class Cause(NamedTuple):
         gain: decrease of the loss on held-out data due to it [nats].
         sigmas: standard errors between its best determined parameter and the neutral value.
         rivals: other effects in its place, best first.
-        share: fraction of the removable error that returns without it, in the channel where it explains most. Shares of causes
-            that stand in for each other add up to less than what all of them close.
+        channel: the channel where it explains most.
+        share: fraction of the removable error there that returns without it. Shares of causes that stand in for each other add
+            up to less than what all of them close, of causes that need each other to more.
     """
 
     name: str
@@ -87,7 +88,20 @@ class Cause(NamedTuple):
     gain: float
     sigmas: float
     rivals: tuple[Rival, ...]
+    channel: Channel
     share: float | None = None
+
+
+class ChannelGain(NamedTuple):
+    """What the extended model gains in one channel.
+
+    Attributes:
+        closed: fraction of the removable error power that is gone.
+        noise: power of the noise, in the same unit.
+    """
+
+    closed: float
+    noise: float
 
 
 class Gain(NamedTuple):
@@ -100,6 +114,7 @@ class Gain(NamedTuple):
         noise_floor: the same of noise alone.
         closed_fraction: fraction of the removable error power that is gone, over all channels it changes.
         ci95: its 95 % interval, from resampling the blocks.
+        channels: the same by channel, of those with an error to remove.
     """
 
     channel: Channel
@@ -108,6 +123,7 @@ class Gain(NamedTuple):
     noise_floor: float
     closed_fraction: float
     ci95: tuple[float, float]
+    channels: Mapping[Channel, ChannelGain]
 
 
 class ChannelTrace(NamedTuple):

@@ -8,7 +8,17 @@ from typing import Literal, NamedTuple
 
 from ehls_ros import __version__
 from ehls_ros.diagnosis.free_run import FreeRun
-from ehls_ros.diagnosis.result import Cause, Coverage, Diagnosis, Fitted, Healthy, Sensitivity, StageResult, Verdict
+from ehls_ros.diagnosis.result import (
+    Cause,
+    ChannelGain,
+    Coverage,
+    Diagnosis,
+    Fitted,
+    Healthy,
+    Sensitivity,
+    StageResult,
+    Verdict,
+)
 from ehls_ros.diagnosis.stages import Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.consequences import Consequences
@@ -74,6 +84,7 @@ class CauseEntry(NamedTuple):
     name: str
     probability: float
     share: float | None
+    channel: Channel
     equivalent_to: tuple[str, ...]
     stage: Stage
     group: str
@@ -133,6 +144,7 @@ class GainEntry(NamedTuple):
         noise_floor: residual that noise alone would leave.
         closed_fraction: fraction of the removable error power that is closed.
         ci95: its 95 % interval.
+        channels: what is closed in each channel with an error to remove.
     """
 
     channel: Channel | None
@@ -141,6 +153,7 @@ class GainEntry(NamedTuple):
     noise_floor: float | None
     closed_fraction: float | None
     ci95: tuple[float | None, float | None]
+    channels: Mapping[Channel, ChannelGain]
 
 
 class BeforeAfter(NamedTuple):
@@ -284,6 +297,7 @@ def _cause(cause: Cause) -> CauseEntry:
         cause.name,
         cause.probability,
         cause.share,
+        cause.channel,
         cause.equivalent_to,
         cause.stage,
         cause.group,
@@ -316,7 +330,7 @@ def _gain(diagnosis: Diagnosis) -> GainEntry:
     worst = max(judged, key=lambda r: (r.nrmse_before or 0.0) / max(r.noise_floor or 0.0, 1e-300), default=None)
     before, floor = (None, None) if worst is None else (worst.nrmse_before, worst.noise_floor)
     closed = 0.0 if diagnosis.verdict == "unknown" else None
-    return GainEntry(None, before, before, floor, closed, (closed, closed))
+    return GainEntry(None, before, before, floor, closed, (closed, closed), {})
 
 
 def _free_run(run: FreeRun) -> FreeRunEntry:

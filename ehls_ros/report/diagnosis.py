@@ -6,7 +6,6 @@ from typing import get_args
 from ehls_ros.diagnosis.free_run import FreeRun
 from ehls_ros.diagnosis.result import Diagnosis
 from ehls_ros.diagnosis.rules import CLOSED, TOLERANCE
-from ehls_ros.diagnosis.stages import CHANNELS
 from ehls_ros.experiments.consequences import NOTHING, Consequences
 from ehls_ros.experiments.controller_benefit import ControllerBenefit, Steady
 from ehls_ros.physics.effects import EFFECTS
@@ -14,10 +13,10 @@ from ehls_ros.physics.effects.base import Group
 from ehls_ros.report import diagnosis_figures as drawn
 from ehls_ros.report import diagnosis_findings as findings
 from ehls_ros.report import page
-from ehls_ros.report.diagnosis_baseline import changes, since_sentence
-from ehls_ros.report.diagnosis_causes import causes, insufficient, rivals, unexplained
+from ehls_ros.report.diagnosis_baseline import learnt, old_and_new, since_sentence
+from ehls_ros.report.diagnosis_causes import before_and_after, causes, insufficient, rivals, shares, unexplained
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
-from ehls_ros.report.diagnosis_units import likely, percent, quantity
+from ehls_ros.report.diagnosis_units import percent, quantity
 from ehls_ros.report.page import MISSING_NUMBER, Entry, LeftOut, Panel, Row, listed, number, signed
 
 TITLES = {
@@ -31,6 +30,7 @@ TITLES = {
 
 SINCE = {
     "effect": "What has changed",
+    "partial": "What has changed, and what remains",
     "unknown": "Something has changed, the cause unknown",
     "consistent": "Nothing has changed",
     "insufficient": "The data are insufficient",
@@ -39,7 +39,7 @@ SINCE = {
 
 
 def answer(found: Diagnosis) -> tuple[str, bool | None]:
-    """Return the result in a sentence or two, and whether all is well; None where the data do not tell."""
+    """Return the result in a sentence, and whether all is well; None where the data do not tell."""
     sentence, good = findings.verdict_sentence(found)
     return (sentence if found.baseline is None else since_sentence(found)), good
 
@@ -54,47 +54,37 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
         source: what was diagnosed, for the line below the heading.
     """
     sentence, good = answer(found)
+    rest = unexplained(found)
     parts = [
-        ("Old and new", changes(found)),
-        ("The cause" if len(found.causes) < 2 else "The causes", causes(found)),
-        ("What remains" if found.names_causes else "Unexplained", unexplained(found)),
+        ("Old and new", old_and_new(found)),
+        ("Before and after", before_and_after(found)),
+        ("Shares and sizes", shares(found)),
+        ("Unexplained", [] if found.names_causes else rest),
         ("What to record", insufficient(found)),
+        ("Runner-up and caveats" if found.names_causes else "Caveats", _limits(found, follows)),
+        ("What remains", rest if found.names_causes else []),
+        ("The cause" if len(found.causes) < 2 else "The causes", causes(found)),
         ("Stage by stage", _stages(found)),
         ("Alternatives", rivals(found)),
-        ("Gain", _gain(found, follows)),
+        ("The baselines", learnt(found)),
+        ("Gain of the controller", [] if follows.controller is None else _benefit(follows.controller)),
         ("Next experiment", _next(follows)),
         ("Residuals against every signal", _residuals(found)),
         ("Free run", [] if follows.free_run is None else _free_run(follows.free_run)),
         ("Sensitivity", _sensitivity(found)),
-        ("Limits of this result", [page.paragraph(text) for text in findings.caveats(found, follows.remarks)]),
         ("Method", [page.paragraph(_METHOD)]),
     ]
     page.write_page(
         path,
         title=(TITLES if found.baseline is None else SINCE)[found.verdict],
         subtitle=source,
-        blocks=[page.verdict(sentence, good=good), page.facts(_facts(found)), *page.sections(parts)],
+        blocks=[page.verdict(sentence, good=good), *page.sections(parts)],
     )
 
 
-def _facts(found: Diagnosis) -> list[tuple[str, str]]:
-    items: list[tuple[str, str]] = [("Verdict", found.verdict)]
-    if found.causes:
-        items.append(("Probability of the cause", likely(min(cause.probability for cause in found.causes))))
-    if found.gain is not None:
-        gain = found.gain
-        items += [
-            (f"Residual, {STAGE_NAMES[CHANNELS[gain.channel]]}", percent(gain.heldout_nrmse_before)),
-            ("With the extension", percent(gain.heldout_nrmse_after)),
-            ("Noise floor", percent(gain.noise_floor)),
-            ("Removable error closed", percent(gain.closed_fraction)),
-        ]
-    elif found.unknown_stage is not None:
-        result = found.stages[found.unknown_stage]
-        name = STAGE_NAMES[found.unknown_stage]
-        items += [(f"Residual, {name}", percent(result.nrmse_after)), ("Noise floor", percent(result.noise_floor))]
-    judged = sum(result.judged for result in found.stages.values())
-    return [*items, ("Stages evaluated", f"{judged} of {len(found.stages)}"), ("Wall time", f"{number(found.wall_s, 2)} s")]
+def _limits(found: Diagnosis, follows: Consequences) -> list[str]:
+    said = (*findings.runner_up_sentences(found), *findings.caveats(found, follows.remarks))
+    return [page.bullets(said)] if said else []
 
 
 def _stages(found: Diagnosis) -> list[str]:
@@ -124,25 +114,6 @@ def _stages(found: Diagnosis) -> list[str]:
     if compared:
         note += " The extended model is evaluated on segments it was not fitted to."
     return [page.figures(bars), page.table(header, rows), page.paragraph(note)]
-
-
-def _gain(found: Diagnosis, follows: Consequences) -> list[str]:
-    if not found.names_causes:
-        return []
-    blocks = []
-    gain = found.gain
-    if gain is not None:
-        low, high = gain.ci95
-        blocks.append(
-            page.paragraph(
-                f"On held-out data the extension reduces the residual of the {STAGE_NAMES[CHANNELS[gain.channel]]} from"
-                f" {percent(gain.heldout_nrmse_before)} to {percent(gain.heldout_nrmse_after)} of its largest term; the noise"
-                f" floor is {percent(gain.noise_floor)}. Over all balances that the extension changes, it closes"
-                f" {percent(gain.closed_fraction)} of the error beyond the noise (95 % interval {percent(low)} to"
-                f" {percent(high)}, from resampling segments of the recording)."
-            )
-        )
-    return [*blocks, *([] if follows.controller is None else _benefit(follows.controller))]
 
 
 def _benefit(benefit: ControllerBenefit) -> list[str]:
@@ -198,7 +169,7 @@ def _residuals(found: Diagnosis) -> list[str]:
     if not panels:
         return []
     note = (
-        "Lines: means over classes of the signal. Bands: the middle 80 % of the windows. Dashed: ± 2 standard deviations of the"
+        "Lines: means over classes of the signal. Bands: the middle 80 % of the windows. Dashed: 95 % of the"
         f" noise, at least {100.0 * TOLERANCE:g} % of the largest term. Last picture of each block: the spectrum. The residual"
         " of a correct model stays within the noise and depends on no signal."
     )

@@ -1,46 +1,39 @@
 """What a diagnosis against baselines says and shows: the sentence, old and new side by side, and what the baselines tell."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import page
-from ehls_ros.report.diagnosis_figures import curve
-from ehls_ros.report.diagnosis_findings import CHANNEL_NAMES, STAGE_NAMES, parameters_text, words
-from ehls_ros.report.diagnosis_units import estimate, percent, quantity, shown_signal, unit_for
-from ehls_ros.report.diagnosis_views import BINS, NATURAL, classes, explained
-from ehls_ros.report.page import Entry, Panel, Row, listed, number
-from ehls_ros.report.plot import BLACK, BLUE, GREY, VERMILION, Axis, Trace, packed, plane_layout
+from ehls_ros.report.diagnosis_findings import CHANNEL_NAMES, STAGE_NAMES, comes_from, depends, named, rest
+from ehls_ros.report.diagnosis_residuals import Cloud, planes
+from ehls_ros.report.diagnosis_units import estimate, percent, shown_signal, value
+from ehls_ros.report.diagnosis_views import NATURAL, explained
+from ehls_ros.report.page import Entry, Row, listed, number
+from ehls_ros.report.plot import GREY, VERMILION
 
-OLD, NEW, OWN = "baseline", "new recording", "the rig's own remainder, as learnt, at the new recording's points"
-
-POINTS = 1500
-"""Largest number of dots of one recording."""
+EXPECTED = "expected"
+"""Name of the curve that a recording without a change would follow."""
 
 ONE_VIEW = "velocity_m_s"
 """Signal of the picture where nothing has changed."""
 
 
 def since_sentence(found: Diagnosis) -> str:
-    """Say in a sentence or two what has changed since the baselines."""
+    """Say in a sentence what has changed since the baselines."""
     since = _since(found.baseline)
+    judged = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if result.judged] or ["nothing"])
     if found.verdict == "consistent":
-        judged = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if result.judged])
-        text = f"Nothing has changed since {since} that shows: {judged} differ by no more than noise and natural spread"
-        return f"{text}. The smallest changes that would have shown are listed under 'Sensitivity'."
+        return f"Nothing has changed since {since}: {judged} differ by no more than noise and natural spread."
     if found.verdict == "effect":
-        said = listed([_change(found, index) for index in range(len(found.causes))])
+        said = listed([named(found, cause) for cause in found.causes])
         return f"Since {since}, there is a change: {said}."
-    if found.verdict == "unknown" and found.unknown_stage is not None:
-        signals = listed([quantity(s) for s in found.depends_on]) if found.depends_on else "no recorded signal alone"
-        text = (
-            f"Since {since}, the {STAGE_NAMES[found.unknown_stage]} has changed, and no known effect explains how; the change"
-        )
-        return f"{text} depends on {signals}."
+    if found.verdict == "partial":
+        return f"Since {since}, there is a change that {comes_from(found)}; {rest(found)}, and no known effect explains it."
+    if found.verdict == "unknown":
+        where = "rig" if found.unknown_stage is None else STAGE_NAMES[found.unknown_stage]
+        return f"Since {since}, the {where} has changed; the change {depends(found)}, and no known effect explains it."
     missing = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if not result.judged])
     return f"The data are insufficient to tell what has changed since {since}: {missing} cannot be evaluated."
 
@@ -50,60 +43,38 @@ def _since(baseline: BaselineSummary | None) -> str:
     return "the baseline" if count == 1 else f"the {count} baselines"
 
 
-def _change(found: Diagnosis, index: int) -> str:
-    cause = found.causes[index]
-    noun = words(cause.name).noun
-    others = f", or {' or '.join(words(name).noun for name in cause.equivalent_to)}" if cause.equivalent_to else ""
-    return f"{noun} ({parameters_text(cause.parameters)}){others}" if cause.parameters else f"{noun}{others}"
-
-
-def changes(found: Diagnosis) -> list[str]:
-    """Show old and new side by side, what the baselines told of the rig, and how far they cover the recording."""
+def old_and_new(found: Diagnosis) -> list[str]:
+    """Show what the fitted model leaves in the baseline and in the new recording, side by side."""
     baseline = found.baseline
-    if baseline is None:
+    channel = None if baseline is None else _main_channel(found, baseline)
+    if baseline is None or channel is None:
         return []
-    channel = _main_channel(found, baseline)
-    panels = [] if channel is None else [side_by_side(found, baseline, channel)]
-    return [page.figures(panels), *_channels(baseline), *_coefficients(baseline), *_coverage(baseline)]
-
-
-def side_by_side(found: Diagnosis, baseline: BaselineSummary, channel: Channel) -> Panel:
-    """Draw what the fitted model leaves in the baseline and in the new recording, over the signal that tells them apart."""
     old, new = baseline.old[channel], baseline.new[channel]
     signal = _signal(found, channel, old, new)
-    unit = unit_for(new.unit, float(np.quantile(np.abs(np.concatenate([old.before, new.before])), 0.98)))
-    traces: list[Trace] = []
-    for trace, name, color in ((old, OLD, GREY), (new, NEW, VERMILION)):
-        x = shown_signal(signal, trace.against[signal]).values
-        thinned = slice(None, None, max(1, -(-len(x) // POINTS)))
-        marker = {"color": color, "size": 3.5, "opacity": 0.3}
-        dots = {"type": "scatter", "mode": "markers", "name": name, "marker": marker, "hoverinfo": "skip"}
-        traces.append(dots | {"x": packed(x[thinned]), "y": packed((trace.before * unit.factor)[thinned])})
-    for trace, residual, name, color in (
-        (old, old.before, f"mean, {OLD}", BLACK),
-        (new, new.before, f"mean, {NEW}", VERMILION),
-        (new, new.before - new.after, OWN, BLUE),
-    ):
-        x = shown_signal(signal, trace.against[signal]).values
-        means, middles, _ = classes(x, residual * unit.factor, BINS)
-        line = {"color": color, "width": 2.2, "dash": "dash" if name == OWN else "solid"}
-        traces.append(curve(middles, means, name, unit, color) | {"line": line})
-    both = np.concatenate([old.against[signal], new.against[signal]])
-    shown = shown_signal(signal, both)
-    span = _span([old.before * unit.factor, new.before * unit.factor])
-    layout = plane_layout(
-        Axis(shown.quantity, shown.unit, (float(np.min(shown.values)), float(np.max(shown.values)))),
-        Axis(f"residual, {CHANNEL_NAMES[channel]}", unit, span),
+    before, now = old.against[signal], new.against[signal]
+    name = f"Baseline{'' if len(baseline.recordings) == 1 else ', the first'}"
+    clouds = [
+        Cloud(name, GREY, before, old.before, old.floor, {EXPECTED: (before, old.before - old.after)}),
+        Cloud(
+            "New recording",
+            VERMILION,
+            now,
+            new.before,
+            new.floor,
+            {EXPECTED: (now, new.before - new.after), "mean, baseline": (before, old.before)},
+        ),
+    ]
+    text = (
+        "Both are residuals of the model fitted to the baselines. Expected: what it leaves there where nothing has changed. A"
+        " change is where the mean departs from that."
     )
-    layout["legend"] |= {"itemsizing": "constant"}
-    note = "Both are residuals of the model fitted to the baselines. A change is where the means part from what was learnt."
-    return Panel("Old and new", traces, layout, note, height=460, over_time=False)
+    return [page.figures(planes(channel, signal, new.unit, clouds), columns=2), page.paragraph(text)]
 
 
-def _span(residuals: Sequence[Array]) -> tuple[float, float]:
-    low, high = (float(np.quantile(np.concatenate(residuals), part)) for part in (0.002, 0.998))
-    air = 0.1 * (high - low) or 1.0
-    return low - air, high + air
+def learnt(found: Diagnosis) -> list[str]:
+    """Show what the baselines told of the rig, and how far they cover the recording."""
+    baseline = found.baseline
+    return [] if baseline is None else [*_channels(baseline), *_coefficients(baseline), *_coverage(baseline)]
 
 
 def _main_channel(found: Diagnosis, baseline: BaselineSummary) -> Channel | None:
@@ -150,7 +121,7 @@ def _channels(baseline: BaselineSummary) -> list[str]:
 
 def _coefficients(baseline: BaselineSummary) -> list[str]:
     rows: list[Row] = [
-        [name, f"{number(item.given)}", estimate(item.fitted), f"± {percent(item.spread)}"]
+        [name, value(item.given, item.fitted.unit), estimate(item.fitted), f"± {percent(item.spread)}"]
         for name, item in baseline.coefficients.items()
     ]
     header = ["coefficient", "rig file", "fitted to the baselines", "spread that is no change"]

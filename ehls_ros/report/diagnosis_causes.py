@@ -4,30 +4,47 @@ from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import diagnosis_findings as findings
 from ehls_ros.report import page
-from ehls_ros.report.diagnosis_figures import residual_against
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
+from ehls_ros.report.diagnosis_residuals import over_signal, over_time, remaining
+from ehls_ros.report.diagnosis_shares import share_bars
 from ehls_ros.report.diagnosis_units import estimate, likely, percent, quantity
-from ehls_ros.report.diagnosis_views import view_of_cause, view_of_rest
+from ehls_ros.report.diagnosis_views import view_of_cause, views_of_rest
 from ehls_ros.report.page import Entry, Row, listed, number
 
 RIVALS = 4
 """Largest number of rivals listed for a cause."""
 
 
-def causes(found: Diagnosis) -> list[str]:
-    """Show the named causes: the residual each one explains, its parameters, and what to check on the rig."""
-    blocks = []
-    seen: set[tuple[str, str]] = set()
-    for cause in found.causes:
-        view = view_of_cause(found, cause)
-        if view is not None and (view.channel, view.signal) not in seen:
-            seen.add((view.channel, view.signal))
-            noun = words(cause.name).noun
-            blocks.append(page.figures([residual_against(found, view, noun[0].upper() + noun[1:])]))
+def before_and_after(found: Diagnosis) -> list[str]:
+    """Show the residuals that the causes explain, without and with them."""
+    channels = dict.fromkeys(cause.channel for cause in found.causes)
+    return [page.figures(over_time(found, channel) for channel in channels if channel in found.traces)]
+
+
+def shares(found: Diagnosis) -> list[str]:
+    """Show what the causes close, each one's share and size, and what remains."""
+    bars = share_bars(found)
+    blocks = [] if bars is None else [page.figures([bars]), page.paragraph(findings.gain_sentence(found))]
     if found.causes:
-        header = ["cause", "stage", "probability", "share of the error", "parameter", "value ± standard error", "in SI units"]
-        header.append("significance")
+        header = [
+            "cause",
+            "stage",
+            "probability",
+            "share",
+            "parameter",
+            "value ± standard error",
+            "in SI units",
+            "significance",
+        ]
         blocks.append(page.table(header, [row for cause in found.causes for row in _parameters(cause)]))
+    return blocks
+
+
+def causes(found: Diagnosis) -> list[str]:
+    """Show the named causes: the residual each one explains, its equation, and what to check on the rig."""
+    views = dict.fromkeys(view for cause in found.causes if (view := view_of_cause(found, cause)) is not None)
+    blocks = [page.figures(over_signal(found, view), columns=2) for view in views]
+    if found.causes:
         about: list[Row] = [
             [
                 cause.name,
@@ -70,33 +87,23 @@ def rivals(found: Diagnosis) -> list[str]:
     for cause in found.causes:
         if not cause.rivals:
             continue
-        runner = findings.runner_up(cause)
-        text = f"Every other effect was fitted to the same data instead of {words(cause.name).noun}."
-        if runner is not None:
-            text += (
-                f" The runner-up is {words(runner.name).noun}, {findings.behind(runner)} nats behind on held-out data:"
-                f" it {findings.why_lost(cause, runner)}."
-            )
-        if cause.equivalent_to:
-            names = listed([words(name).noun for name in cause.equivalent_to])
-            text += f" These data cannot distinguish {words(cause.name).noun} from {names}."
         rows: list[Row] = [
             [
                 Entry(rival.name, words(rival.name).noun),
-                "equal" if rival.name in cause.equivalent_to else f"{findings.behind(rival)} behind",
+                "equal" if rival.name in cause.equivalent_to else findings.odds(rival),
                 percent(rival.closed_fraction),
                 Entry(findings.parameters_text(rival.parameters, 2), prose=True),
                 Entry(findings.why_lost(cause, rival), prose=True),
             ]
             for rival in cause.rivals[:RIVALS]
         ]
-        header = [f"instead of {cause.name}", "held-out data, nats", "closes", "with", "why it was not named"]
-        blocks += [page.paragraph(text), page.table(header, rows)]
+        header = [f"instead of {cause.name}", "odds against it", "closes", "with", "why it was not named"]
+        blocks.append(page.table(header, rows))
     if blocks:
         blocks.append(
             page.paragraph(
-                "Each nat behind makes a cause e times less likely; beyond about 10 it can be ruled out. The fraction closed is"
-                " relative to the model with all other causes in place."
+                "Every other effect was fitted to the same data instead of each cause. Odds: how many times more probable the"
+                " held-out data are with the cause. Closes: of the error that is left with all other causes in the model."
             )
         )
     return blocks
@@ -106,12 +113,7 @@ def unexplained(found: Diagnosis) -> list[str]:
     """Show an error that no effect explains: what it depends on, and where to look."""
     if found.verdict not in ("partial", "unknown") or found.unknown_stage is None:
         return []
-    blocks = []
-    view = view_of_rest(found)
-    if view is not None:
-        blocks.append(
-            page.figures([residual_against(found, view, f"Unexplained residual of the {STAGE_NAMES[found.unknown_stage]}")])
-        )
+    blocks = [page.figures(remaining(found, views_of_rest(found)), columns=2)]
     if found.depends_on:
         signals = listed([quantity(signal) for signal in found.depends_on])
         text = (

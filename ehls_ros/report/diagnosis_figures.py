@@ -1,4 +1,4 @@
-"""The figures of the diagnosis report: each function takes a diagnosis and gives a panel."""
+"""The other figures of the diagnosis report: all stages, a channel's residual over every signal, the free run."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,9 +9,16 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.free_run import FreeRun
 from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import Channel
-from ehls_ros.report.diagnosis_findings import CHANNEL_NAMES, CHANNEL_SHORT, STAGE_NAMES, compares
+from ehls_ros.report.diagnosis_findings import (
+    CHANNEL_NAMES,
+    STAGE_NAMES,
+    after_name,
+    before_name,
+    compares,
+)
+from ehls_ros.report.diagnosis_residuals import FLOOR, SMALL_BINS, SPREAD, curve, span, whole
 from ehls_ros.report.diagnosis_units import Shown, shown_signal, unit_for
-from ehls_ros.report.diagnosis_views import BINS, LEAST_IN_BIN, View, classes, members, signals_of
+from ehls_ros.report.diagnosis_views import LEAST_IN_BIN, members, signals_of
 from ehls_ros.report.page import LeftOut, Panel, number
 from ehls_ros.report.plot import (
     BLACK,
@@ -30,20 +37,14 @@ from ehls_ros.report.plot import (
     time_line,
 )
 
-POINTS = 2000
-"""Largest number of dots of one residual in the main picture."""
+ROW_HEIGHT, COLUMN_WIDTH, MOST_COLUMNS = 190, 190, 4
+"""Height and least width of the small pictures in pixels, and most of them side by side."""
 
-SMALL_BINS = 24
-"""Classes in the small pictures."""
-
-ROW_HEIGHT, MOST_COLUMNS = 190, 4
-"""Size of the small pictures."""
+ROW_OF_STAGE = 76
+"""Height of a stage's bars in pixels."""
 
 LINES = 600
 """Number of intervals a line of a free run is reduced to."""
-
-BEFORE, AFTER, FLOOR = "given model", "extended model, held-out data", "noise, ± 2 standard deviations"
-_SPREAD = 2.0
 
 SMALL: tuple[tuple[str, ...], ...] = (
     ("time_s",),
@@ -59,103 +60,6 @@ LAST: Mapping[str, str] = {"volume": "load_pressure_rate_pa_s", "supply": "load_
 """Last signal of a channel's small pictures; the acceleration for all others."""
 
 
-# --- the main picture --------------------------------------------------------------------------
-
-
-def residual_against(found: Diagnosis, view: View, title: str) -> Panel:
-    """Draw a residual before and after against a signal, with class means and the band of noise."""
-    trace = found.traces[view.channel]
-    x = shown_signal(view.signal, signals_of(trace)[view.signal])
-    sign = np.sign(trace.against["velocity_m_s"]) if view.along else np.ones(len(trace.time))
-    unit = unit_for(trace.unit, float(np.quantile(np.abs(trace.before), 0.98)))
-    same = np.array_equal(trace.before, trace.after)
-    traces = _band(x, trace.floor, unit)
-    residuals = [(trace.before, BEFORE, VERMILION)] + ([] if same else [(trace.after, AFTER, BLUE)])
-    kept = _thinned(len(trace.time))
-    for residual, name, color in residuals:
-        traces.append(_cloud(x.values[kept], (residual * sign)[kept] * unit.factor, name, unit, color))
-    for residual, name, color in residuals:
-        means, middles, _ = classes(x.values, residual * sign * unit.factor, BINS)
-        traces.append(curve(middles, means, f"mean, {name}", unit, color) | {"showlegend": False})
-    quantity = f"{CHANNEL_SHORT[view.channel]}: residual{' along the motion' if view.along else ''}"
-    layout = plane_layout(
-        Axis(x.quantity, x.unit, _whole(x.values)), Axis(quantity, unit, _span([r * sign * unit.factor for r, *_ in residuals]))
-    )
-    note = f"The {x.quantity} explains {number(100.0 * view.explained, 2)} % of the given model's residual."
-    if found.verdict == "unknown":
-        note = f"The {x.quantity} alone explains {number(100.0 * view.explained, 2)} % of the residual."
-    note += " Lines: means over classes."
-    if len(trace.time) > POINTS:
-        note += f" Dots: one window in {-(-len(trace.time) // POINTS)}."
-    layout["legend"] |= {"itemsizing": "constant"}
-    return Panel(title, traces, layout, note, height=460, over_time=False)
-
-
-def _thinned(count: int) -> slice:
-    return slice(None, None, max(1, -(-count // POINTS)))
-
-
-def _whole(values: Array) -> tuple[float, float]:
-    low, high = float(np.min(values)), float(np.max(values))
-    air = 0.02 * (high - low) or 1.0
-    return low - air, high + air
-
-
-def _span(residuals: Sequence[Array], part: float = 0.002) -> tuple[float, float]:
-    low = min(float(np.quantile(r, part)) for r in residuals)
-    high = max(float(np.quantile(r, 1.0 - part)) for r in residuals)
-    air = 0.12 * (high - low) or 1.0
-    return low - air, high + air
-
-
-def _band(x: Shown, floor: Array, unit: Unit) -> list[Trace]:
-    squares, middles, _ = classes(x.values, floor**2, SMALL_BINS)
-    half = _SPREAD * np.sqrt(squares) * unit.factor
-    at = np.concatenate([middles, middles[::-1]])
-    return [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "x": packed(at),
-            "y": packed(np.concatenate([half, -half[::-1]])),
-            "fill": "toself",
-            "fillcolor": "rgba(0, 158, 115, 0.22)",
-            "line": {"color": GREEN, "width": 0.8},
-            "name": FLOOR,
-            "hoverinfo": "skip",
-        }
-    ]
-
-
-def _cloud(x: Array, y: Array, name: str, unit: Unit, color: str) -> Trace:
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "x": packed(x),
-        "y": packed(y),
-        "name": name,
-        "marker": {"color": color, "size": 3.5, "opacity": 0.35},
-        "hovertemplate": f"%{{y:,.4~g}} {unit.symbol}<extra></extra>",
-    }
-
-
-def curve(x: Array, y: Array, name: str, unit: Unit, color: str) -> Trace:
-    """Return a line over a signal, in a darker shade of its color."""
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": packed(x),
-        "y": packed(y),
-        "name": name,
-        "line": {"color": "white" if color == "" else _dark(color), "width": 2.4},
-        "hovertemplate": f"%{{y:,.4~g}} {unit.symbol}<extra></extra>",
-    }
-
-
-def _dark(color: str) -> str:
-    return {VERMILION: "#8a3c00", BLUE: "#003e63"}.get(color, color)
-
-
 # --- the stages ----------------------------------------------------------------------------------
 
 
@@ -167,31 +71,32 @@ def stage_bars(found: Diagnosis) -> Panel | LeftOut:
         return LeftOut(title, "no stage could be evaluated")
     names = [STAGE_NAMES[stage] for stage, _ in evaluated]
     columns: list[tuple[str, str, list[float | None]]] = [
-        (BEFORE, VERMILION, [result.nrmse_before for _, result in evaluated]),
-        *([(AFTER, BLUE, [r.nrmse_after for _, r in evaluated])] if compares(found) else []),
+        (before_name(found), VERMILION, [result.nrmse_before for _, result in evaluated]),
+        *([(after_name(found), BLUE, [r.nrmse_after for _, r in evaluated])] if compares(found) else []),
         ("noise floor", GREEN, [result.noise_floor for _, result in evaluated]),
     ]
     largest = max((value for *_, values in columns for value in values if value is not None), default=0.0)
     traces: list[Trace] = [
         {
             "type": "bar",
-            "x": list(range(1, len(names) + 1)),
-            "y": [None if value is None else 100.0 * value for value in values],
+            "orientation": "h",
+            "x": [None if value is None else 100.0 * value for value in values],
+            "y": list(range(1, len(names) + 1)),
             "name": name,
             "marker": {"color": color},
             "text": ["" if value is None else f"{number(100.0 * value, 2)} %" for value in values],
             "textposition": "outside",
             "cliponaxis": False,
-            "hovertemplate": "%{y:,.3~g} %<extra></extra>",
+            "hovertemplate": "%{x:,.3~g} %<extra></extra>",
         }
         for name, color, values in columns
     ]
     layout = plane_layout(
-        Axis("stage of the model", PURE_NUMBER, (0.4, len(names) + 0.6), names=tuple(names)),
-        Axis("residual, rms", Unit("% of the largest term"), (0.0, 115.0 * largest or 1.0)),
+        Axis("rms residual", Unit("% of largest term"), (0.0, 120.0 * largest or 1.0)),
+        Axis("", PURE_NUMBER, (len(names) + 0.6, 0.4), names=tuple(names)),
     )
     layout |= {"barmode": "group", "bargap": 0.3, "uniformtext": {"minsize": 10, "mode": "show"}}
-    return Panel(title, traces, layout, height=340, over_time=False)
+    return Panel(title, traces, layout, height=110 + ROW_OF_STAGE * len(names), over_time=False)
 
 
 # --- small pictures ---------------------------------------------------------------------------
@@ -207,7 +112,8 @@ def residuals_of(found: Diagnosis, channel: Channel) -> Panel | LeftOut:
         return LeftOut(title, "it closes exactly and has no noise")
     unit = unit_for(trace.unit, float(np.quantile(np.abs(trace.before), 0.98)))
     same = np.array_equal(trace.before, trace.after)
-    residuals = [(trace.before, BEFORE, VERMILION)] + ([] if same else [(trace.after, AFTER, BLUE)])
+    residuals = [(trace.before, before_name(found), VERMILION)]
+    residuals += [] if same else [(trace.after, after_name(found), BLUE)]
     signals = signals_of(trace)
     shown = [next((name for name in group if name in signals), None) for group in SMALL]
     last = LAST.get(channel, "acceleration_m_s2")
@@ -220,18 +126,19 @@ def residuals_of(found: Diagnosis, channel: Channel) -> Panel | LeftOut:
     for place, signal in enumerate(against):
         x = shown_signal(signal, signals[signal])
         traces += _small(x, trace, residuals, unit, place + 1)
-        _place(layout, place, (rows, columns), Axis(x.quantity, x.unit, _whole(x.values)), y)
+        _place(layout, place, (rows, columns), Axis(x.quantity, x.unit, whole(x.values)), y)
     lines, axes = _spectra(trace, residuals, unit, len(against) + 1)
     traces += lines
     _place(layout, len(against), (rows, columns), *axes)
     layout["legend"] |= {"y": 1.0 + 0.03 * 3 / rows}
     note = "The extension changes nothing here." if same and found.names_causes else ""
-    return Panel(title, traces, layout, note, height=ROW_HEIGHT * rows + 60, over_time=False)
+    height, width = ROW_HEIGHT * rows + 60, COLUMN_WIDTH * columns
+    return Panel(title, traces, layout, note, height=height, over_time=False, least_width=width)
 
 
 def _small_span(trace: ChannelTrace, residuals: Sequence[Array], unit: Unit) -> tuple[float, float]:
-    low, high = _span([r * unit.factor for r in residuals], 0.02)
-    noise = 1.3 * _SPREAD * float(np.sqrt(np.mean(trace.floor**2))) * unit.factor
+    low, high = span([r * unit.factor for r in residuals], 0.02)
+    noise = 1.3 * SPREAD * float(np.sqrt(np.mean(trace.floor**2))) * unit.factor
     return min(low, -noise), max(high, noise)
 
 
@@ -242,7 +149,7 @@ def _small(
     out: list[Trace] = []
     groups = members(x.values, SMALL_BINS)
     middles = np.array([float(np.mean(x.values[group])) for group in groups])
-    noise = np.array([_SPREAD * float(np.sqrt(np.mean(trace.floor[group] ** 2))) for group in groups]) * unit.factor
+    noise = np.array([SPREAD * float(np.sqrt(np.mean(trace.floor[group] ** 2))) for group in groups]) * unit.factor
     for residual, name, color in residuals:
         low, mean, high = (
             np.array([float(f(residual[group])) for group in groups]) * unit.factor
@@ -341,7 +248,7 @@ def free_run_panel(run: FreeRun) -> Panel | LeftOut:
     for signal in chosen:
         x = shown_signal(signal.name, signal.measured)
         rows.append(Axis(x.quantity, x.unit, _free_span(signal.measured, x.unit)))
-        drawn = [(signal.measured, "measured", SKY, 4.0, "solid"), (signal.before, BEFORE, VERMILION, 1.5, "solid")]
+        drawn = [(signal.measured, "measured", SKY, 4.0, "solid"), (signal.before, "given model", VERMILION, 1.5, "solid")]
         if signal.after is not None:
             drawn.append((signal.after, "extended model", BLACK, 1.2, "dash"))
         for values, name, color, width, dash in drawn:

@@ -1,12 +1,13 @@
 """The sentences of a diagnosis' report."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival, Sensitivity, StageResult
 from ehls_ros.diagnosis.stage_results import NEEDED_MOTION, NEEDED_SIGNALS
-from ehls_ros.diagnosis.stages import Channel, Stage
+from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Words
@@ -17,11 +18,14 @@ from ehls_ros.schema import declarations
 CLOSED = 1.2
 """Ratio of residual to noise floor up to which a balance is said to close to the noise."""
 
+IN_A_SENTENCE = 2
+"""Largest number of causes, or of signals, that the sentence of the verdict lists."""
+
 SURE = 0.95
 """Probability above which a cause is named without a "probably"."""
 
-HOPELESS = 1000.0
-"""Deficit above which a rival is out of the question, however large it is [nats]."""
+HOPELESS = 1e6
+"""Odds above which a rival is out of the question, however large they are."""
 
 LEAKY = 1.5
 """Ratio of residual to noise floor above which the form of the extended model is doubted."""
@@ -84,18 +88,20 @@ def parameters_text(parameters: Mapping[str, Estimate], digits: int = 1) -> str:
 
 
 def verdict_sentence(found: Diagnosis) -> tuple[str, bool | None]:
-    """Summarise a diagnosis.
+    """Summarise a diagnosis without baselines.
 
     Args:
         found: the diagnosis.
 
     Returns:
-        One or two sentences, and whether the simulation is right; None where the data do not tell.
+        A sentence, and whether the simulation is right; None where the data do not tell.
     """
     if found.verdict == "effect":
-        return _effect_sentence(found), False
+        return f"The simulation {_probably(found)}{_wrong(found)}{_closed_part(found)}.", False
     if found.verdict == "partial":
-        return f"{_effect_sentence(found)} {_remains_sentence(found)}", False
+        closed = "Part" if found.gain is None else percent(found.gain.closed_fraction)
+        causes = f"{_probably(found)}{comes_from(found)}"
+        return f"{closed} of the simulation's error {causes}; {rest(found)}, and no known effect explains it.", False
     if found.verdict == "unknown":
         return _unknown_sentence(found), False
     if found.verdict == "consistent":
@@ -104,55 +110,66 @@ def verdict_sentence(found: Diagnosis) -> tuple[str, bool | None]:
     return f"The data are insufficient to assess the simulation: {missing} cannot be evaluated.", None
 
 
-def _effect_sentence(found: Diagnosis) -> str:
-    lacks = [_named(cause) for cause in found.causes if words(cause.name).lacking]
-    wrong = [_named(cause) for cause in found.causes if not words(cause.name).lacking]
-    said = [*([f"lacks {listed(lacks)}"] if lacks else []), *([f"has {listed(wrong)} wrong"] if wrong else [])]
-    sure = min(cause.probability for cause in found.causes) >= SURE
-    text = f"The simulation {'' if sure else 'probably '}{' and '.join(said)}"
-    for cause in found.causes:
-        if cause.equivalent_to:
-            others = " or ".join(words(name).noun for name in cause.equivalent_to)
-            text += f"; {others} would explain these data equally well"
+def _probably(found: Diagnosis) -> str:
+    return "" if min(cause.probability for cause in found.causes) >= SURE else "probably "
+
+
+def _wrong(found: Diagnosis) -> str:
+    lacks = [named(found, cause) for cause in found.causes if words(cause.name).lacking]
+    wrong = [named(found, cause) for cause in found.causes if not words(cause.name).lacking]
+    return " and ".join([*([f"lacks {listed(lacks)}"] if lacks else []), *([f"has {listed(wrong)} wrong"] if wrong else [])])
+
+
+def comes_from(found: Diagnosis) -> str:
+    """Say which causes an error has, the largest first; in a sentence there is no room for more than two."""
+    said = [named(found, cause) for cause in found.causes[:IN_A_SENTENCE]]
+    more = len(found.causes) - len(said)
+    return f"comes from {listed([*said, *([f'{more} more' if more > 1 else 'one more'] if more else [])])}"
+
+
+def named(found: Diagnosis, cause: Cause) -> str:
+    """Name a cause within a sentence; if it is the only one, with its size and what the data cannot distinguish from it."""
+    noun = words(cause.name).noun
+    if len(found.causes) > 1:
+        return noun
+    others = " or ".join(words(name).noun for name in cause.equivalent_to)
+    beside = [parameters_text(cause.parameters), f"or {others}" if others else ""]
+    return f"{noun} ({'; '.join(filter(None, beside))})" if any(beside) else noun
+
+
+def _closed_part(found: Diagnosis) -> str:
     wrong_before = [(stage, result) for stage, result in found.stages.items() if result.judged and result.exceeds]
     if found.gain is None or not wrong_before:
-        return f"{text}."
+        return ""
     with_it = "with it" if len(found.causes) == 1 else "with them"
     balances = listed([f"the {STAGE_NAMES[stage]}" for stage, _ in wrong_before])
     if all((result.nrmse_after or 0.0) <= CLOSED * (result.noise_floor or 0.0) for _, result in wrong_before):
-        return f"{text}; {with_it} {balances} close{'s' if len(wrong_before) == 1 else ''} to the noise."
+        return f"; {with_it} {balances} close{'s' if len(wrong_before) == 1 else ''} to the noise"
     closed = percent(found.gain.closed_fraction)
-    return f"{text}; {with_it} {closed} of the error beyond the noise disappears from {balances}."
+    return f"; {with_it} {closed} of the error beyond the noise disappears from {balances}"
 
 
-def _remains_sentence(found: Diagnosis) -> str:
-    stage = found.unknown_stage
-    if stage is None:
-        return "More than noise remains."
-    result, signals = found.stages[stage], listed([quantity(s) for s in found.depends_on])
-    depends = f"depends on {signals}" if found.depends_on else "depends on no recorded signal alone"
-    size = f"{percent(result.nrmse_after)}, where noise would leave {percent(result.noise_floor)}"
-    return f"In the {STAGE_NAMES[stage]} an error of {size}, remains unexplained; it {depends}."
+def rest(found: Diagnosis) -> str:
+    """Say what the error that no effect explains depends on."""
+    where = "" if found.unknown_stage is None else f" in the {STAGE_NAMES[found.unknown_stage]}"
+    return f"the rest{where} {depends(found)}"
 
 
-def _named(cause: Cause) -> str:
-    noun = words(cause.name).noun
-    return f"{noun} ({parameters_text(cause.parameters)})" if cause.parameters else noun
+def depends(found: Diagnosis) -> str:
+    """Say on which signals an unexplained error depends."""
+    signals = (
+        listed([quantity(s) for s in found.depends_on[:IN_A_SENTENCE]]) if found.depends_on else "no recorded signal alone"
+    )
+    return f"depends on {signals}"
 
 
 def _unknown_sentence(found: Diagnosis) -> str:
-    stage = found.unknown_stage
-    if stage is None:
+    if found.unknown_stage is None:
         return "The simulation is wrong, and no known effect explains how."
-    result = found.stages[stage]
-    text = f"The simulation is wrong in the {STAGE_NAMES[stage]}, and no known effect explains how"
-    if result.nrmse_after is not None and result.noise_floor:
-        text += f": a residual of {percent(result.nrmse_after)} remains, with a noise floor of {percent(result.noise_floor)}"
-    signals = listed([quantity(s) for s in found.depends_on]) if found.depends_on else "no recorded signal alone"
-    text += f". It depends on {signals}"
-    if found.partial:
-        text += f"; {listed([words(name).noun for name in found.partial])} would explain a fraction of it"
-    return f"{text}."
+    result = found.stages[found.unknown_stage]
+    size = f"{percent(result.nrmse_before)} of its largest term (noise: {percent(result.noise_floor)})"
+    text = f"The simulation's {STAGE_NAMES[found.unknown_stage]} is wrong by {size}, and no known effect explains how"
+    return f"{text}; the error {depends(found)}."
 
 
 def _consistent_sentence(found: Diagnosis) -> str:
@@ -162,12 +179,45 @@ def _consistent_sentence(found: Diagnosis) -> str:
     return f"{text}; the data are insufficient to assess {listed(rest)}." if rest else f"{text}."
 
 
+def gain_sentence(found: Diagnosis) -> str:
+    """Say in figures what the causes close on held-out data; empty without causes."""
+    gain = found.gain
+    if gain is None:
+        return ""
+    low, high = gain.ci95
+    return (
+        f"On held-out data the residual of the {STAGE_NAMES[CHANNELS[gain.channel]]} falls from"
+        f" {percent(gain.heldout_nrmse_before)} to {percent(gain.heldout_nrmse_after)} of its largest term, noise"
+        f" {percent(gain.noise_floor)}; {percent(gain.closed_fraction)} of the mean square beyond the noise is closed"
+        f" (95 % interval {percent(low)} to {percent(high)})."
+    )
+
+
 # --- parts of the page -------------------------------------------------------------------------
 
 
-def behind(rival: Rival) -> str:
-    """Write by how much a rival explains the data worse [nats]; a hopeless one only by its order."""
-    return f"more than {number(int(HOPELESS))}" if rival.behind > HOPELESS else number(max(rival.behind, 0.0), 2)
+def odds(rival: Rival) -> str:
+    """Write the odds for a cause against a rival on held-out data; where there is no question, only their order."""
+    if rival.behind > math.log(HOPELESS):
+        return f">\u202f{number(int(HOPELESS))}\u202f:\u202f1"
+    return f"{number(math.exp(max(rival.behind, 0.0)), 2)}\u202f:\u202f1"
+
+
+def runner_up_sentences(found: Diagnosis) -> list[str]:
+    """Return for each cause which effect in its place comes next, and which cannot be told from it."""
+    out = []
+    for cause in found.causes:
+        noun, runner, text = words(cause.name).noun, runner_up(cause), ""
+        if runner is not None:
+            text = (
+                f"The runner-up to {noun} is {words(runner.name).noun}: it {why_lost(cause, runner)}, and the odds against it"
+                f" are {odds(runner)} on held-out data."
+            )
+        if cause.equivalent_to:
+            names = listed([words(name).noun for name in cause.equivalent_to])
+            text = f"{text} These data cannot distinguish {noun} from {names}.".lstrip()
+        out += [text] if text else []
+    return out
 
 
 def why_lost(cause: Cause, rival: Rival) -> str:
@@ -216,9 +266,8 @@ def caveats(found: Diagnosis, remarks: Sequence[str] = ()) -> list[str]:
             )
     if found.verdict == "partial":
         out.append(
-            "More than noise remains with the causes in the model. What remains was counted as noise when their probabilities"
-            " and errors were found: the causes are those that matter beside it. Another cause, unknown to this list, may be"
-            " among what they stand for, so none is held for certain."
+            "What remains was counted as noise when probabilities and standard errors were found. The causes may stand for an"
+            " effect outside the list, so none is held for certain."
         )
     if found.names_causes:
         out.append(
@@ -234,14 +283,16 @@ def caveats(found: Diagnosis, remarks: Sequence[str] = ()) -> list[str]:
         if any(cause.fixed for cause in found.causes):
             out.append("Parameters that were not fitted have the values that their form prescribes in the extended rig file.")
     if found.verdict == "consistent":
+        proves = "no proof that the model is right" if found.baseline is None else "no proof that nothing has changed"
         out.append(
-            "Agreement does not prove the model right: no effect larger than the sizes under 'Sensitivity' acts in the motions"
-            " of this recording."
+            f"Agreement is {proves}: effects smaller than the sizes under 'Sensitivity', or in motions that this recording does"
+            " not contain, would not have been seen."
         )
-    return [*out, *(f"{_capital(remark)}." for remark in (*found.remarks, *remarks))]
+    return [*out, *(f"{capital(remark)}." for remark in (*found.remarks, *remarks))]
 
 
-def _capital(text: str) -> str:
+def capital(text: str) -> str:
+    """Begin a sentence, without its full stop; the name of a signal stays as it is."""
     text = text.rstrip(".")
     return text if text[:1].isupper() or "_" in text.split(" ", maxsplit=1)[0] else text[:1].upper() + text[1:]
 
@@ -304,6 +355,17 @@ def smallest_text(item: Sensitivity) -> str:
 def runner_up(cause: Cause) -> Rival | None:
     """Return the best rival that the data distinguish from a cause."""
     return next((rival for rival in cause.rivals if rival.name not in cause.equivalent_to), None)
+
+
+def before_name(found: Diagnosis) -> str:
+    """Name the model without the causes."""
+    return "given model" if found.baseline is None else "no change assumed"
+
+
+def after_name(found: Diagnosis) -> str:
+    """Name the model with the causes."""
+    extended = "extended model" if found.baseline is None else "with the change"
+    return f"{extended if found.causes else 'with effects that explain a part'}, held-out data"
 
 
 def compares(found: Diagnosis) -> bool:

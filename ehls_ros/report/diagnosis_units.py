@@ -125,17 +125,19 @@ def quantity(signal: str) -> str:
     return _QUANTITIES.get(signal, (signal.replace("_", " "), ""))[0]
 
 
-def shown_signal(signal: str, values: Array) -> Shown:
+def shown_signal(signal: str, values: Array, largest: float | None = None) -> Shown:
     """Return a signal in the unit of its axis.
 
     Args:
         signal: name in the data contract, or one derived from it.
         values: in SI, shape (n,).
+        largest: magnitude that decides the unit, where several recordings share an axis; by default that of the values.
     """
     name, unit = _QUANTITIES.get(signal, (signal.replace("_", " "), "1"))
     if unit == "°C":
         return Shown(name, Unit("°C"), values - _KELVIN)
     finite = values[np.isfinite(values)]
-    largest = float(np.max(np.abs(finite))) if finite.size else 0.0
+    if largest is None:
+        largest = float(np.max(np.abs(finite))) if finite.size else 0.0
     shown = Unit("s") if signal == "time_s" else unit_for(unit, largest)
     return Shown(name, shown, values * shown.factor)

@@ -15,6 +15,9 @@ from ehls_ros.physics.effects.base import Group
 BINS, LEAST_IN_BIN = 40, 12
 """Number of classes of a signal for which means are drawn, and smallest number of windows in a class."""
 
+MOST_SIGNALS = 4
+"""Largest number of signals over which a remainder is drawn."""
+
 TIMES = 8
 """Number of classes of time in which a residual is checked for drift."""
 
@@ -30,19 +33,6 @@ NATURAL: Mapping[Group, tuple[str, ...]] = {
     "environment": ("time_s",),
 }
 """Signals through which effects of a group act, the preferred one first."""
-
-SHOWN_IN: Mapping[Group, tuple[Channel, ...]] = {
-    "valve": ("spool", "volume"),
-    "flow": ("volume", "supply"),
-    "friction": ("force",),
-    "mechanics": ("force",),
-    "sensors": ("cell", "velocity", "force", "volume"),
-    "environment": ("force",),
-}
-"""Residuals in which effects of a group appear."""
-
-MENDED = 0.9
-"""Fraction of a residual's power below which the extension has reduced it enough to be shown."""
 
 
 class View(NamedTuple):
@@ -63,40 +53,26 @@ class View(NamedTuple):
 
 def view_of_cause(found: Diagnosis, cause: Cause) -> View | None:
     """Return the view that shows a cause best; None without traces."""
-    own = [c for c in SHOWN_IN[EFFECTS.load(cause.name).GROUP] if c in found.traces and _mended(found.traces[c])]
-    channels = own or list(found.traces)
-    if not channels:
+    if cause.channel not in found.traces:
         return None
-    return _best_view(
-        found, max(channels, key=lambda c: _gained(found.traces[c])), NATURAL[EFFECTS.load(cause.name).GROUP], after=False
-    )
+    return _best_view(found, cause.channel, NATURAL[EFFECTS.load(cause.name).GROUP], after=False)
 
 
-def view_of_rest(found: Diagnosis) -> View | None:
-    """Return the view that shows an unexplained residual best; None without traces."""
+def views_of_rest(found: Diagnosis) -> list[View]:
+    """Return the views that show what remains unexplained over the signals it depends on; over the best one without such."""
     channels = [c for c in found.traces if CHANNELS[c] == found.unknown_stage]
     if not channels:
-        return None
-    channel = max(channels, key=lambda c: _power(found.traces[c].after / _safe(found.traces[c].floor)))
-    return _best_view(found, channel, (), after=True, first=found.depends_on[:1])
-
-
-def _gained(trace: ChannelTrace) -> float:
-    floor = _safe(trace.floor)
-    return _power(trace.before / floor) - _power(trace.after / floor)
-
-
-def _mended(trace: ChannelTrace) -> bool:
-    return _power(trace.after) < MENDED * _power(trace.before)
+        return []
+    channel = max(channels, key=lambda c: _power(found.traces[c].after / np.maximum(found.traces[c].floor, 1e-300)))
+    signals = [signal for signal in found.depends_on if signal in signals_of(found.traces[channel])][:MOST_SIGNALS]
+    return [_best_view(found, channel, (), after=True, first=(signal,)) for signal in signals] or [
+        _best_view(found, channel, (), after=True)
+    ]
 
 
 def _power(values: Array) -> float:
     known = values[np.isfinite(values)]
     return float(np.mean(known**2)) if known.size else 0.0
-
-
-def _safe(floor: Array) -> Array:
-    return np.maximum(floor, 1e-300)
 
 
 def _best_view(found: Diagnosis, channel: Channel, natural: Sequence[str], *, after: bool, first: Sequence[str] = ()) -> View:

@@ -5,8 +5,14 @@ const options = {
   modeBarButtons: [['toImage'], ['zoom2d', 'pan2d'], ['zoomIn2d', 'zoomOut2d', 'autoScale2d', 'resetScale2d']],
   toImageButtonOptions: {format: 'svg'},
 };
+const narrow = innerWidth <= 700;
+if (narrow) options.displayModeBar = false;
 for (const figure of figures) {
   const {data, layout} = JSON.parse(figure.nextElementSibling.textContent);
+  if (narrow) {
+    layout.margin = {...layout.margin, l: Math.min(layout.margin.l, 58), r: 8};
+    layout.legend = {...layout.legend, font: {size: 11}};
+  }
   Plotly.newPlot(figure, data, layout, options);
 }
 

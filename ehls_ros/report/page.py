@@ -34,6 +34,7 @@ class Panel:
         note: how to read the figure, in one or two sentences.
         height: height of the figure in pixels.
         over_time: the horizontal axis is the time of the run; all such figures zoom together.
+        least_width: width in pixels below which the figure scrolls instead of shrinking.
     """
 
     title: str
@@ -42,6 +43,7 @@ class Panel:
     note: str = ""
     height: int = 260
     over_time: bool = True
+    least_width: int = 0
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,11 @@ def paragraph(text: str) -> str:
     return f"<p>{escape(text)}</p>"
 
 
+def bullets(texts: Iterable[str]) -> str:
+    """Make a list of short texts."""
+    return f"<ul>{''.join(f'<li>{escape(text)}</li>' for text in texts)}</ul>"
+
+
 def facts(items: Iterable[tuple[str, str]]) -> str:
     """Make a compact grid of key figures.
 
@@ -160,7 +167,7 @@ Row = Sequence[str | Entry]
 
 
 def table(header: Sequence[str], rows: Sequence[Row]) -> str:
-    """Make a table whose first column names the row.
+    """Make a table whose first column names the row. On a narrow screen it becomes a list, unless shades are to be compared.
 
     Args:
         header: one title a column.
@@ -170,13 +177,18 @@ def table(header: Sequence[str], rows: Sequence[Row]) -> str:
     head = "".join(
         f'<th scope="col"{_PROSE if place in prose else ""}>{escape(cell)}</th>' for place, cell in enumerate(header)
     )
+    listed = not any(isinstance(cell, Entry) and cell.heat for row in rows for cell in row)
+    columns = [f' data-column="{escape(title)}"' if listed and title else "" for title in header[1:]]
     body = "".join(
         f'<tr><th scope="row">{_cell(row[0])[1]}</th>'
-        + "".join(f"<td{style}>{inner}</td>" for style, inner in map(_cell, row[1:]))
+        + "".join(
+            f"<td{column}{style}>{inner}</td>" for column, (style, inner) in zip(columns, map(_cell, row[1:]), strict=True)
+        )
         + "</tr>"
         for row in rows
     )
-    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    kind = ' class="listed"' if listed else ""
+    return f'<div class="wide"><table{kind}><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 _PROSE = ' class="prose"'
@@ -223,7 +235,7 @@ def _figure(panel: Panel) -> str:
     kind = "figure over-time" if panel.over_time else "figure"
     return (
         f"<section><header><h2>{escape(panel.title)}</h2>{note}</header>"
-        f'<div class="{kind}" style="height: {panel.height}px"></div>'
+        f'<div class="{kind}" style="height: {panel.height}px; min-width: {panel.least_width}px"></div>'
         f'<script type="application/json">{description.replace("<", chr(92) + "u003c")}</script></section>'
     )
 

@@ -64,7 +64,7 @@ def test_a_change_is_told_and_shown_beside_the_baseline(recordings, tmp_path, ca
     report = (tmp_path / "report.html").read_text()
     assert "Old and new" in report
     assert "mean, baseline" in report
-    assert "mean, new recording" in report
+    assert "New recording: rms" in report
 
 
 def test_an_unreadable_baseline_is_named(recordings, tmp_path, capsys):

@@ -63,7 +63,7 @@ def test_the_fraction_closed_is_of_what_noise_does_not_explain(rng):
     best = linear_fit(evidence, (MASS,), shape[:, None])
     # The mean squares of shape and form, of which the first is gone.
     before, after = evidence.base.values["force"], best.held_out.residuals.values["force"]
-    assert closed(before, after, power(evidence.noise["force"])) == pytest.approx(18.0 / 22.0, abs=0.03)
+    assert closed(before, after, evidence.noise["force"]) == pytest.approx(18.0 / 22.0, abs=0.03)
     assert worthwhile(evidence, best)
 
 
@@ -97,9 +97,11 @@ def test_what_only_fits_the_form_of_the_remainder_is_not_a_cause(rng):
     assert (first, second) == (True, False)
 
 
-def test_shares_are_those_of_the_removable_error(rng):
+@pytest.mark.parametrize("floor", [1.0, 10.0], ids=["of the noise", "far above the noise"])
+def test_shares_are_those_of_the_removable_error(rng, floor):
     one, other = np.sin(np.arange(WINDOWS) / 9.0), np.sin(np.arange(WINDOWS) / 2.0)
-    evidence = evidence_of({"force": 6.0 * one + 4.0 * other + rng.standard_normal(WINDOWS)})
+    noise = rng.standard_normal(WINDOWS)
+    evidence = evidence_of({"force": (6.0 * one + 4.0 * other + noise) / floor}, {"force": noise / floor})
     best = linear_fit(evidence, (MASS, VISCOUS), np.column_stack([one, other]))
     without = (linear_fit(evidence, (VISCOUS,), other[:, None]), linear_fit(evidence, (MASS,), one[:, None]))
     found = Searched(best, tuple(Place(j, ()) for j in without), (), {"force": 1.0})

@@ -311,7 +311,9 @@ def test_only_smooth_effects_of_one_parameter_have_a_smallest_size():
     smooth = assessed((one,), {"force": np.zeros(100)}, [0.0]).fit._replace(jacobian=np.full((100, 1), 2.0))
     away = smooth._replace(values=np.array([0.5]))
     many = assessed((two,), {"force": np.zeros(100)}, [0.0, 0.0]).fit._replace(jacobian=np.full((100, 2), 2.0))
-    (found,) = sensitivities(evidence, [smooth, away, many])
+    bounded = candidate("mass_shift", "factor", lower=-1.0, upper=1.0)
+    out_of_reach = smooth._replace(hypothesis=(bounded,), jacobian=np.full((100, 1), 1e-20))
+    (found,) = sensitivities(evidence, [smooth, away, many, out_of_reach])
     assert (found.name, found.parameter, found.unit) == ("mass_shift", "factor", "1")
     assert found.smallest == pytest.approx(smallest_detectable(400.0, 2.0 / SIZE))
 
@@ -456,6 +458,8 @@ def test_channels_without_an_error_do_not_dilute_the_closed_fraction():
     found = gain(evidence, half, 0)
     assert found.channel == "force"
     assert found.closed_fraction == pytest.approx(0.5)
+    assert found.channels.keys() == {"force"}
+    assert found.channels["force"] == pytest.approx((0.5, 1.0 / 25.0), rel=1e-6)
 
 
 @pytest.mark.parametrize("closed", [0.3, 0.9, 1.0])

@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple, get_type_hints
 
-from ehls_ros.diagnosis.result import BaselineSummary, Coverage, Fitted, Gain, Healthy, Sensitivity, StageResult
+from ehls_ros.diagnosis.result import BaselineSummary, ChannelGain, Coverage, Fitted, Gain, Healthy, Sensitivity, StageResult
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments import diagnosis_document as document
 from ehls_ros.experiments.controller_benefit import BenefitCase, ControllerBenefit, Steady
@@ -25,12 +25,13 @@ SCHEMA = {
     Coverage: "signal baseline new beyond",
     document.ParameterEntry: "value std unit ci95",
     document.RemainderEntry: "nrmse noise_floor depends_on",
-    document.CauseEntry: "name probability share equivalent_to stage group parameters fixed evidence",
+    document.CauseEntry: "name probability share channel equivalent_to stage group parameters fixed evidence",
     document.Evidence: "gain_nats standard_errors_from_neutral equation rivals",
     document.RivalEntry: "name behind_nats closed_fraction parameters",
     document.UnknownEntry: "name probability equivalent_to stage parameters evidence",
     document.UnknownEvidence: "depends_on partial nrmse noise_floor",
-    document.GainEntry: "channel heldout_nrmse_before heldout_nrmse_after noise_floor closed_fraction ci95",
+    document.GainEntry: "channel heldout_nrmse_before heldout_nrmse_after noise_floor closed_fraction ci95 channels",
+    ChannelGain: "closed noise",
     document.FreeRunEntry: "seconds nrmse remarks",
     document.BeforeAfter: "before after",
     Estimate: "value std unit",

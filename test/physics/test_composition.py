@@ -1,6 +1,9 @@
 """The cache of compiled kernels."""
 
+import contextlib
 import importlib.util
+import io
+import multiprocessing
 import os
 import pickle
 import py_compile
@@ -105,14 +108,37 @@ def test_changed_compile_flags_make_another_module(folder, package):
     assert len(names) == 2
 
 
+FORKING = multiprocessing.get_context("forkserver")
+FORKING.set_forkserver_preload(["ehls_ros.physics.composition"])
+
+
 def in_another_process(source):
-    """Return what a process that starts now gets from the kernel, and whether it compiled it; then what it complained of."""
-    script = (
-        "import sys; from ehls_ros.physics.composition import kernel_module; m = kernel_module(sys.argv[1]); "
-        "print(m.twice(4.0), sum(m.twice.stats.cache_misses.values()))"
-    )
-    done = subprocess.run([sys.executable, "-c", script, source], capture_output=True, text=True, check=False)
-    return done.stdout.split(), done.stderr
+    """Return what a new process gets from the kernel, and whether it compiled it; then what it complained of."""
+    mine, its = FORKING.Pipe(duplex=False)
+    child = FORKING.Process(target=run_twice, args=(its, source, os.environ["EHLS_CACHE_DIR"], current_umask()))
+    child.start()
+    its.close()
+    try:
+        return mine.recv()
+    finally:
+        child.join()
+
+
+def current_umask():
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def run_twice(answer, source, folder, umask):
+    """Send what :func:`in_another_process` returns; runs in a process of its own."""
+    os.environ["EHLS_CACHE_DIR"] = folder
+    os.umask(umask)
+    out, complaints = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(complaints):
+        module = kernel_module(source)
+        print(module.twice(4.0), sum(module.twice.stats.cache_misses.values()))
+    answer.send((out.getvalue().split(), complaints.getvalue()))
 
 
 def test_the_folder_is_the_users_alone_whatever_the_umask(folder):
@@ -216,14 +242,16 @@ def test_a_folder_of_somebody_else_is_refused(folder, monkeypatch):
         kernel_module(SOURCE.format(factor=31.0))
 
 
-def test_machine_code_that_numba_keeps_elsewhere_is_the_users_alone_too(folder, tmp_path, monkeypatch):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "numba"))
-    source = SOURCE.format(factor=37.0)
-    in_another_process(source)
+def test_machine_code_that_numba_keeps_elsewhere_is_the_users_alone_too(folder, tmp_path):
+    script = "import sys; from ehls_ros.physics.composition import kernel_module; print(kernel_module(sys.argv[1]).twice(4.0))"
+    command = [sys.executable, "-c", script, SOURCE.format(factor=37.0)]
+    elsewhere = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "numba")}
+    assert subprocess.check_output(command, env=elsewhere, text=True) == "148.0\n"
     [code] = (tmp_path / "numba").iterdir()
     code.chmod(0o777)
     (code / "thesis.tex").touch()
-    assert "others may write the folder" in in_another_process(source)[1]
+    refused = subprocess.run(command, env=elsewhere, capture_output=True, text=True, check=False)
+    assert "others may write the folder" in refused.stderr
 
 
 def test_on_a_full_disk_a_kernel_is_compiled_and_not_kept(folder):

@@ -32,6 +32,7 @@ from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.columns import ColumnMap, read_columns
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
+from ehls_ros.report.diagnosis_findings import gain_sentence
 from ehls_ros.report.diagnosis_units import estimate, likely, percent
 from ehls_ros.trajectory import Trajectory
 
@@ -196,14 +197,8 @@ def _print(found: Diagnosis, follows: Consequences, folder: Path, wall: float) -
         console.print(_causes_table(found.causes))
     for sentence in found.missing if found.verdict == "insufficient" else ():
         print(f"  {sentence}")
-    gain = found.gain
-    if gain is not None:
-        low, high = gain.ci95
-        print(
-            f"held-out NRMSE {percent(gain.heldout_nrmse_before)} -> {percent(gain.heldout_nrmse_after)}, noise floor"
-            f" {percent(gain.noise_floor)}; {percent(gain.closed_fraction)} of the removable error is closed"
-            f" ({percent(low)} to {percent(high)})"
-        )
+    if found.gain is not None:
+        print(gain_sentence(found))
     proposed = follows.next_experiment
     if proposed is not None:
         print(f"next experiment: {proposed.name}, {proposed.purpose}")
@@ -221,15 +216,16 @@ def _causes_table(causes: Sequence[Cause]) -> Table:
     table = Table(title="Causes")
     table.add_column("cause", no_wrap=True)
     table.add_column("probability", justify="right")
+    table.add_column("share", justify="right")
     table.add_column("parameter")
     table.add_column("value ± error", justify="right", no_wrap=True)
     equivalents = any(cause.equivalent_to for cause in causes)
     if equivalents:
         table.add_column("or")
     for cause in causes:
-        said = [cause.name, likely(cause.probability)]
+        said = [cause.name, likely(cause.probability), percent(cause.share)]
         others = [", ".join(cause.equivalent_to)] if equivalents else []
         for name, e in cause.parameters.items():
             table.add_row(*said, name, estimate(e), *others)
-            said, others = ["", ""], [""] * len(others)
+            said, others = [""] * len(said), [""] * len(others)
     return table

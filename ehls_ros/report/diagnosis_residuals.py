@@ -1,0 +1,214 @@
+"""The pictures of a diagnosis' residuals: over time, and over a signal, without and with the causes."""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis
+from ehls_ros.diagnosis.stages import Channel
+from ehls_ros.report.diagnosis_findings import CHANNEL_SHORT, after_name, before_name, capital
+from ehls_ros.report.diagnosis_units import Shown, quantity, shown_signal, unit_for
+from ehls_ros.report.diagnosis_views import BINS, View, classes, signals_of
+from ehls_ros.report.page import Panel, number
+from ehls_ros.report.plot import (
+    BLACK,
+    BLUE,
+    GREEN,
+    VERMILION,
+    Axis,
+    Trace,
+    Unit,
+    band,
+    packed,
+    plane_layout,
+    time_layout,
+    time_line,
+)
+
+POINTS = 2000
+"""Largest number of dots of one residual in the main picture."""
+
+SMALL_BINS = 24
+"""Classes of the band of noise, and of the small pictures."""
+
+GAP = 3.0
+"""Time between two windows over which no line is drawn, as a multiple of the usual one."""
+
+FLOOR, SPREAD = "noise, 95 %", 2.0
+"""Name of the band of noise, and its half width in standard deviations."""
+
+BESIDE = ((BLACK, "dash"), (GREEN, "dot"))
+"""Colour and pattern of further means in a picture."""
+
+
+class Cloud(NamedTuple):
+    """The residuals of one model along one recording, for a picture over a signal.
+
+    Attributes:
+        title: heading of the picture.
+        color: of the dots and their mean.
+        signal: the signal over the windows, in SI, shape (n,).
+        residual: the residual, in the unit of its channel, shape (n,).
+        floor: noise floor, shape (n,).
+        beside: other means to compare with, by name: signal and residual, shape (m,) each.
+    """
+
+    title: str
+    color: str
+    signal: Array
+    residual: Array
+    floor: Array
+    beside: Mapping[str, tuple[Array, Array]] = MappingProxyType({})
+
+
+def over_time(found: Diagnosis, channel: Channel) -> Panel:
+    """Draw a channel's residual over time, without and with the causes, and the band of noise."""
+    trace = found.traces[channel]
+    unit = unit_for(trace.unit, float(np.quantile(np.abs(trace.before), 0.98)))
+    traces = band(trace.time, SPREAD * trace.floor, FLOOR, unit)
+    gaps = np.flatnonzero(np.diff(trace.time) > GAP * np.median(np.diff(trace.time))) + 1
+    time = np.insert(trace.time, gaps, trace.time[gaps - 1])
+    for name, color, residual in ((before_name(found), VERMILION, trace.before), (after_name(found), BLUE, trace.after)):
+        broken = np.insert(residual, gaps, np.nan)
+        traces.append(time_line(time, broken, f"{name}, {_rms(residual, unit)}", unit, color, width=1.2))
+    layout = time_layout(float(trace.time[-1]), [Axis(f"{CHANNEL_SHORT[channel]}, residual", unit)])
+    title = f"{capital(CHANNEL_SHORT[channel])}, without and with the {'cause' if len(found.causes) == 1 else 'causes'}"
+    note = "" if found.baseline is None else "Less what the baselines lead to expect, and what varies without a fault."
+    return Panel(title, traces, layout, note, height=360)
+
+
+def _rms(residual: Array, unit: Unit) -> str:
+    return f"rms {number(float(np.sqrt(np.mean(residual**2))) * unit.factor, 2)} {unit.symbol}"
+
+
+def over_signal(found: Diagnosis, view: View) -> list[Panel]:
+    """Draw a channel's residual over a signal, without and with the causes."""
+    trace = found.traces[view.channel]
+    models = ((capital(before_name(found)), VERMILION, trace.before), (capital(after_name(found)), BLUE, trace.after))
+    clouds = [_cloud_of(trace, view, *model) for model in models]
+    return planes(view.channel, view.signal, trace.unit, clouds, along=view.along)
+
+
+def remaining(found: Diagnosis, views: Sequence[View]) -> list[Panel]:
+    """Draw what remains of a channel's residual over each signal."""
+    drawn = []
+    for view in views:
+        trace = found.traces[view.channel]
+        cloud = _cloud_of(trace, view, f"Unexplained, over the {quantity(view.signal)}", BLUE, trace.after)
+        drawn += planes(view.channel, view.signal, trace.unit, [cloud], along=view.along)
+    return drawn
+
+
+def _cloud_of(trace: ChannelTrace, view: View, title: str, color: str, residual: Array) -> Cloud:
+    sign = np.sign(trace.against["velocity_m_s"]) if view.along else 1.0
+    return Cloud(title, color, signals_of(trace)[view.signal], residual * sign, trace.floor)
+
+
+def planes(channel: Channel, signal: str, unit: str, clouds: Sequence[Cloud], *, along: bool = False) -> list[Panel]:
+    """Draw residuals over a signal, a picture each, all with the same axes.
+
+    Args:
+        channel: channel of the residuals.
+        signal: name of the signal.
+        unit: unit of the residuals.
+        clouds: what to draw.
+        along: the residuals are counted along the motion.
+    """
+    y_unit = unit_for(unit, max(float(np.quantile(np.abs(cloud.residual), 0.98)) for cloud in clouds))
+    largest = max(float(np.max(np.abs(cloud.signal))) for cloud in clouds)
+
+    def scaled(values: Array) -> Shown:
+        return shown_signal(signal, values, largest)
+
+    x = scaled(np.concatenate([cloud.signal for cloud in clouds]))
+    name = f"{CHANNEL_SHORT[channel]}, residual{' × sign of velocity' if along else ''}"
+    axes = (
+        Axis(x.quantity, x.unit, whole(x.values)),
+        Axis(name, y_unit, span([cloud.residual * y_unit.factor for cloud in clouds])),
+    )
+    return [_plane(cloud, scaled, axes) for cloud in clouds]
+
+
+def _plane(cloud: Cloud, scaled: Callable[[Array], Shown], axes: tuple[Axis, Axis]) -> Panel:
+    x, unit = scaled(cloud.signal), axes[1].unit
+    kept = _thinned(len(x.values))
+    traces = _band(x, cloud.floor, unit)
+    traces.append(_dots(x.values[kept], cloud.residual[kept] * unit.factor, unit, cloud.color))
+    lines = {"mean": (cloud.signal, cloud.residual), **cloud.beside}
+    styles = ((_dark(cloud.color), "solid"), *BESIDE)
+    for (name, (signal, residual)), (color, dash) in zip(lines.items(), styles, strict=False):
+        means, middles, _ = classes(scaled(signal).values, residual * unit.factor, BINS)
+        traces.append(curve(middles, means, name, unit, color) | {"line": {"color": color, "width": 2.2, "dash": dash}})
+    layout = plane_layout(*axes)
+    layout["legend"] |= {"itemsizing": "constant"}
+    return Panel(f"{cloud.title}: {_rms(cloud.residual, unit)}", traces, layout, height=400, over_time=False)
+
+
+def _thinned(count: int) -> slice:
+    return slice(None, None, max(1, -(-count // POINTS)))
+
+
+def whole(values: Array) -> tuple[float, float]:
+    """Return the ends of an axis that shows all values, with some air."""
+    low, high = float(np.min(values)), float(np.max(values))
+    air = 0.02 * (high - low) or 1.0
+    return low - air, high + air
+
+
+def span(residuals: Sequence[Array], part: float = 0.002) -> tuple[float, float]:
+    """Return the ends of an axis for residuals, without the fraction ``part`` at either end that lies farthest out."""
+    low = min(float(np.quantile(r, part)) for r in residuals)
+    high = max(float(np.quantile(r, 1.0 - part)) for r in residuals)
+    air = 0.12 * (high - low) or 1.0
+    return low - air, high + air
+
+
+def _band(x: Shown, floor: Array, unit: Unit) -> list[Trace]:
+    squares, middles, _ = classes(x.values, floor**2, SMALL_BINS)
+    half = SPREAD * np.sqrt(squares) * unit.factor
+    at = np.concatenate([middles, middles[::-1]])
+    return [
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "x": packed(at),
+            "y": packed(np.concatenate([half, -half[::-1]])),
+            "fill": "toself",
+            "fillcolor": "rgba(0, 158, 115, 0.22)",
+            "line": {"color": GREEN, "width": 0.8},
+            "name": FLOOR,
+            "hoverinfo": "skip",
+        }
+    ]
+
+
+def _dots(x: Array, y: Array, unit: Unit, color: str) -> Trace:
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "x": packed(x),
+        "y": packed(y),
+        "name": "windows",
+        "marker": {"color": color, "size": 3.5, "opacity": 0.35},
+        "hovertemplate": f"%{{y:,.4~g}} {unit.symbol}<extra></extra>",
+    }
+
+
+def curve(x: Array, y: Array, name: str, unit: Unit, color: str) -> Trace:
+    """Return a line over a signal."""
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": packed(x),
+        "y": packed(y),
+        "name": name,
+        "line": {"color": color, "width": 2.4},
+        "hovertemplate": f"%{{y:,.4~g}} {unit.symbol}<extra></extra>",
+    }
+
+
+def _dark(color: str) -> str:
+    return {VERMILION: "#8a3c00", BLUE: "#003e63"}.get(color, color)
