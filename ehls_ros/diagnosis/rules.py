@@ -665,8 +665,8 @@ RIGHT_BESIDE_FORM: Annotated[
         "partial answer",
         "1",
         "Factor on the probability of a cause that is named although more than noise remains.",
-        "right in 34 of 36 that would have 0.85 or more without it in benchmarks/diagnosis --exam partial, seeds 9001, 9002, 40417"
-        " and 52093; rounded down, as they are few",
+        "right in 34 of 36 that would have 0.85 or more without it, in benchmarks/diagnosis --exam partial, seeds 9001, 9002,"
+        " 40417 and 52093; rounded down, as they are few",
     ),
 ] = 0.9
 
