@@ -26,7 +26,7 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     main = mostly_in(more, less)
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
     if evidence.form is not None:
-        share = closed(before, after, power(evidence.noise[main]))
+        share = closed(before, after, evidence.noise[main])
         # What closes all but a little of what the others leave is no error of form, however small it is.
         needed = rules.RELEVANT if share >= rules.CLOSED else rules.FORM_ERROR if less.names else evidence.form
         if share < rules.WORTHWHILE or gain <= 0.0 or relevance(evidence, more, less) < needed:

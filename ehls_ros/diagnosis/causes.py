@@ -11,7 +11,7 @@ from ehls_ros.diagnosis.acceptance import mostly_in
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import parts
-from ehls_ros.diagnosis.loss import closed, power
+from ehls_ros.diagnosis.loss import closed
 from ehls_ros.diagnosis.missing_signals import deciding, untried
 from ehls_ros.diagnosis.probability import probability_of_first
 from ehls_ros.diagnosis.remainder import remainder_in
@@ -32,14 +32,14 @@ STAGE_OF_GROUP: Mapping[str, Stage] = {
 """The stage of the model an effect belongs to, by the group its file names."""
 
 
-def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0, last: Collection[str] = ()) -> tuple[Cause, ...]:
+def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, last: Collection[str] = ()) -> tuple[Cause, ...]:
     """Describe the causes of the best hypothesis, those that explain most first.
 
     Args:
         evidence: the recording compared with the given model.
         found: the result of the search.
         seed: of the resampling.
-        most: largest probability that a cause may have.
+        right: factor on the probability of each cause: how often such names are right.
         last: names of causes that come after the others.
     """
     best, scale = found.best, found.inflation
@@ -58,7 +58,7 @@ def causes(evidence: Evidence, found: Searched, seed: int, most: float = 1.0, la
             probability *= rules.BOTH_RIGHT
         if remainder_in(evidence, best, main).doubtful:
             probability *= rules.FORM_RIGHT
-        probability = min(probability, most)
+        probability *= right
         alike = _alike(evidence, best, others, gain, scale) | untried(evidence, best.fit, place.without.fit)
         out.append(
             Cause(
@@ -102,7 +102,7 @@ def _alike(
 
 def _share(evidence: Evidence, best: Assessment, without: Assessment, channel: Channel) -> float:
     """Return the fraction of a channel's removable error that returns without a cause."""
-    before, noise = evidence.base.values[channel], power(evidence.noise[channel])
+    before, noise = evidence.base.values[channel], evidence.noise[channel]
     with_it, without_it = (min(closed(before, j.held_out.residuals.values[channel], noise), 1.0) for j in (best, without))
     return with_it - without_it
 

@@ -77,7 +77,7 @@ def diagnose(
     answer = partial_answer(evidence, found, tried, workers, progress) if verdict == "unknown" else None
     known, best = (seen, told.best) if answer is None else (answer.evidence, answer.found.best)
     if answer is not None:
-        verdict, named = "partial", causes(answer.evidence, answer.found, seed, rules.IMPERFECT, answer.refitted)
+        verdict, named = "partial", causes(answer.evidence, answer.found, seed, rules.RIGHT_BESIDE_FORM, answer.refitted)
         model = extended(rig, best.hypothesis, best.fit.values)
     names = verdict in NAMING
     signals = signals_along(evidence.comparison(), model)

@@ -49,7 +49,7 @@ def gain(evidence: Evidence, best: Assessment, seed: int) -> Gain | None:
 def _channel_gain(evidence: Evidence, after: Array, channel: Channel) -> ChannelGain:
     before, noise = evidence.base.values[channel], evidence.noise[channel]
     removable = max(power(before) - power(noise), 1e-300)
-    return ChannelGain(min(closed(before, after, power(noise)), 1.0), power(noise) / removable)
+    return ChannelGain(min(closed(before, after, noise), 1.0), power(noise) / removable)
 
 
 def closed_fraction(before: Array, after: Array, noise: Array, seed: int) -> tuple[float, tuple[float, float]]:

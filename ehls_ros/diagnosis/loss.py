@@ -22,17 +22,11 @@ def power(e: Array) -> float:
     return float(np.mean(e * e))
 
 
+def closed(before: Array, after: Array, noise: Array) -> float:
+    """Return the fraction of the error beyond noise that is gone, of whitened residuals."""
+    return (power(before) - power(after)) / max(power(before) - power(noise), 1e-300)
+
+
 def inflation(e: Array) -> float:
     """Return by how much the variance of whitened residuals exceeds that of noise: at least 1."""
     return max(1.0, float(np.mean(np.minimum(e * e, rules.MOST_SQUARE))))
-
-
-def closed(before: Array, after: Array, noise: float) -> float:
-    """Return the fraction of the mean square beyond noise that is gone, of whitened residuals.
-
-    Args:
-        before: the residuals before, shape (n,).
-        after: the residuals after, shape (n,).
-        noise: mean square due to noise.
-    """
-    return (power(before) - power(after)) / max(power(before) - noise, 1e-300)

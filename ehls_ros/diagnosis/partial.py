@@ -14,8 +14,8 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.evidence import Evidence, measured_in
-from ehls_ros.diagnosis.fit import Fit, Worker
+from ehls_ros.diagnosis.evidence import Evidence, Residuals, measured_in
+from ehls_ros.diagnosis.fit import Worker
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate, parts
 from ehls_ros.diagnosis.loss import closed, power
@@ -60,10 +60,14 @@ def partial_answer(
     few = _beside_form(evidence, found, tried, threads, progress)
     worker = Worker(evidence)
     values = fitted_values(worker, found.screened)
-    if few is not None and (values is None or not _explains_more(evidence, values, few)):
+    # One cause is simpler than several values that are wrong together.
+    simple = few is not None and len(few.found.best.names) == 1
+    if few is not None and (values is None or (simple and not _explains_more(evidence, values.residuals, few))):
         return few
     many = found if values is None else search(evidence, tried, threads, progress, values)
     if not many.best.names or not worthwhile(evidence, many.best):
+        return few
+    if few is not None and not _explains_more(evidence, many.best.held_out.residuals, few):
         return few
     needed = pruned(worker, many)
     best = needed.best
@@ -84,12 +88,12 @@ def _beside_form(
     return PartialAnswer(known, again) if again.best.names and worthwhile(known, again.best) else None
 
 
-def _explains_more(evidence: Evidence, values: Fit, few: PartialAnswer) -> bool:
-    """Tell whether the fitted values leave so much less than a few causes that these miss something worthwhile."""
+def _explains_more(evidence: Evidence, residuals: Residuals, few: PartialAnswer) -> bool:
+    """Tell whether residuals are so much smaller than what a few causes leave that these miss something worthwhile."""
     best = few.found.best
     main = max(best.held_out.gain, key=lambda c: float(np.sum(best.held_out.gain[c])))
     left = best.held_out.residuals.values[main] * few.evidence.floor[main] / evidence.floor[main]
-    return closed(left, values.residuals.values[main], power(evidence.noise[main])) >= rules.WORTHWHILE
+    return closed(left, residuals.values[main], evidence.noise[main]) >= rules.WORTHWHILE
 
 
 def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evidence:
@@ -117,4 +121,4 @@ def worthwhile(evidence: Evidence, best: Assessment) -> bool:
     after = best.held_out.residuals.values
     main = max(evidence.channels, key=lambda c: float(np.sum(evidence.base.values[c] ** 2 - after[c] ** 2)))
     little = evidence.nrmse(main, after[main]) <= rules.FORM_LEFT
-    return little and closed(evidence.base.values[main], after[main], power(evidence.noise[main])) >= rules.WORTHWHILE
+    return little and closed(evidence.base.values[main], after[main], evidence.noise[main]) >= rules.WORTHWHILE

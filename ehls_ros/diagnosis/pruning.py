@@ -5,12 +5,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.acceptance import mostly_in
+from ehls_ros.diagnosis.acceptance import mostly_in, relevance
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.held_out import Assessment, assess
 from ehls_ros.diagnosis.hypotheses import parts
-from ehls_ros.diagnosis.loss import closed, power
+from ehls_ros.diagnosis.loss import closed
 from ehls_ros.diagnosis.search import Place, Searched, inflations
 
 
@@ -46,9 +46,9 @@ def pruned(worker: Worker, found: Searched) -> Pruned:
         rivals[best.names[-1]] = rivals.pop(instead)
     while True:
         without = tuple(fitted(worker, _left_out(best.fit, index)) for index in range(len(best.names)))
-        worth = [_worth(evidence, best, other) for other in without]
+        worth = [_worth(evidence, best, other) if _matters(evidence, best, other) else 0.0 for other in without]
         least = int(np.argmin(worth))
-        if worth[least] >= rules.REMOVED_EXCESS or len(without) == 1:
+        if worth[least] >= rules.NEEDED_SHARE or len(without) == 1:
             return Pruned(best, without, rivals)
         best = without[least]
 
@@ -100,8 +100,15 @@ def _beside(fit: Fit, other: Fit) -> Fit:
     )
 
 
+def _matters(evidence: Evidence, best: Assessment, less: Assessment) -> bool:
+    """Tell whether a cause acts where the hypothesis explains most, or is larger than an error of form."""
+    base, after = evidence.base.values, best.held_out.residuals.values
+    main = max(evidence.channels, key=lambda c: float(np.sum(base[c] ** 2 - after[c] ** 2)))
+    return mostly_in(best, less) == main or relevance(evidence, best, less) >= rules.FORM_ERROR
+
+
 def _worth(evidence: Evidence, more: Assessment, less: Assessment) -> float:
     """Return the fraction of what one hypothesis leaves that is gone with another."""
     main = mostly_in(more, less)
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
-    return closed(before, after, power(evidence.noise[main]))
+    return closed(before, after, evidence.noise[main])

@@ -85,7 +85,7 @@ def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress
         # Nothing is larger than an error of form: then a single cause may be smaller.
         evidence = replace(evidence, form=rules.RELEVANT)
         best, scale = _added(evidence, pool, starts, base, level, progress)
-    best, places = _exchanged(evidence, pool, best, starts, Place(base, tuple(level)), scale, len(base.hypothesis))
+    best, places = _exchanged(evidence, pool, best, starts, Place(base, tuple(level)), scale)
     scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
     progress("causes together", 1.0)
     return Searched(best, places, tuple(screened), scale)
@@ -195,7 +195,6 @@ def _exchanged(
     starts: Starts,
     alone: Place,
     scale: Mapping[Channel, float],
-    kept: int,
 ) -> tuple[Assessment, tuple[Place, ...]]:
     """Exchange or drop each cause of a hypothesis until nothing better is found.
 
@@ -204,13 +203,13 @@ def _exchanged(
         pool: the threads.
         best: the hypothesis to start from.
         starts: where fits start.
-        alone: the place of a single cause.
+        alone: the place of a single cause; the causes beside it stay.
         scale: the inflation to rank the first rivals by.
-        kept: number of its first causes, which stay.
     """
     places: tuple[Place, ...] = ()
+    kept = len(alone.without.hypothesis)
     # What remains without a cause is the same whichever cause had taken its place.
-    known = {_key(best.hypothesis[:kept]): alone}
+    known = {_key(alone.without.hypothesis): alone}
 
     def place_of(best: Assessment, index: int) -> Place:
         without = _without(evidence, pool, best, index, alone.without)

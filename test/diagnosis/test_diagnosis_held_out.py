@@ -116,3 +116,11 @@ def test_sigmas_are_those_of_the_best_determined_parameter():
     assessed = linear_fit(evidence, (candidate("stribeck_shift", "static_offset", "velocity_factor"),), j)
     deviation = np.sqrt(np.diag(assessed.held_out.covariance))
     assert assessed.sigmas(0) == pytest.approx(max(np.abs(assessed.fit.values) / deviation))
+
+
+def test_a_parameter_that_changes_nothing_is_no_standard_error_from_neutral():
+    j, base, _, _, _ = linear_case()
+    j[:, 1] = 0.0
+    found = linear_fit(evidence_of({"force": base}, blocks=6), (candidate("stribeck_shift", "offset", "factor"),), j)
+    found.fit.values[:] = 0.0, 3.0
+    assert found.sigmas(0) == 0.0
