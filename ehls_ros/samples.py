@@ -57,18 +57,18 @@ def _sides(medians: Array) -> tuple[Array, Array]:
     return wide[: len(medians)], wide[-len(medians) :]
 
 
+def noise_of(third_differences: Array) -> float:
+    """Return the standard deviation of white noise from third differences wherever they were taken, the largest included."""
+    return float(np.sqrt(np.mean(third_differences**2) / 20.0)) if third_differences.size else 0.0
+
+
 def noise(values: Array) -> float:
     """Return the standard deviation of white noise from the third differences, which vanish for a smooth signal.
 
     The mean square without the largest differences is used rather than the median, which is zero for a quantised signal at
     rest.
     """
-    return noise_of(np.diff(values, 3))
-
-
-def noise_of(third_differences: Array) -> float:
-    """Return the same from some of the third differences, wherever they were taken."""
-    differences = np.abs(third_differences)
+    differences = np.abs(np.diff(values, 3))
     if not differences.size:
         return 0.0
     kept = differences[differences <= np.quantile(differences, KEPT)]

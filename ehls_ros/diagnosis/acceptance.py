@@ -41,6 +41,8 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
         return False
     if (not beside and not shows(apart)) or earned(evidence, more, less) < rules.EARNED:
         return False
+    if not harmless(more, less, inflation):
+        return False
     if beside and corrects_form(evidence.base.values[main], before, after, noise_power(evidence, main)):
         return False
     # A cause that removes little of what remains beside it corrects the form of another, not the model.
@@ -81,6 +83,16 @@ def earned(evidence: Evidence, more: Assessment, less: Assessment) -> float:
         gained += float(np.sum(loss(before) - loss(after)))
         changed += 0.5 * float(np.sum(weights(before) * (after - before) ** 2))
     return gained / changed if changed > 0.0 else 0.0
+
+
+def harmless(more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:
+    """Tell whether a hypothesis loses no more than chance does in the blocks other than that in which it gains most.
+
+    An error of the model repeats. What explains an incident at the cost of the rest of the recording is none.
+    """
+    blocks = sum(gain / inflation[c] for c, gain in more.held_out.gain.items())
+    blocks = np.asarray(blocks - sum(gain / inflation[c] for c, gain in less.held_out.gain.items()))
+    return bool(np.sum(blocks) - np.max(blocks) > -rules.NEEDED_GAIN)
 
 
 def shows(apart: Sequence[Array], least: float = rules.SHOWN) -> bool:

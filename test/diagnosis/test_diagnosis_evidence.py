@@ -198,5 +198,5 @@ def test_noise_that_grows_with_the_rate_is_jitter(jitter, rig):
     speed = 1e-4 * np.abs(np.cos(2e-3 * k))
     for part in (speed < 3e-5, speed > 9e-5):
         said, true = (np.sqrt(np.mean(x[part] ** 2)) for x in (found["position_m"], np.hypot(2e-6, jitter * speed)))
-        assert said == pytest.approx(true, rel=0.1)
+        assert said == pytest.approx(true, rel=0.15)
     np.testing.assert_allclose(found["supply_pressure_pa"], 1e3, rtol=0.05)
