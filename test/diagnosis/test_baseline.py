@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ import pytest
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.baseline import diagnose_against
+from ehls_ros.experiments.spec import load_rig
 from ehls_ros.physics.rig import rig_from_mapping
-from ehls_ros.trajectory import Trajectory
+from ehls_ros.trajectory import Preparation, Trajectory
 
+ROOT = Path(__file__).parents[2]
 COLUMNS = ("position_m", "load_pressure_pa", "disturbance_force_n")
 SECONDS = 12.0
 
@@ -112,3 +115,40 @@ def test_a_baseline_that_shows_nothing_is_refused(healthy, rig):
     blind = Trajectory(healthy.time_s, {"position_m": healthy["position_m"]})
     with pytest.raises(BadInput, match="baseline 1"):
         against(healthy, [blind], rig)
+
+
+@pytest.fixture(scope="module")
+def seal_rig():
+    return load_rig(ROOT / "examples" / "seals" / "rig.yaml")
+
+
+def seal(rig, level, seed, pressure=3e5, drift=0.0):
+    """Return a slow stroke to and fro at a held pressure: friction of some level, the load cell answering to it."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 30.0, 0.01)
+    x = 0.016 * np.sin(2.0 * np.pi * t / 7.0)
+    v = np.gradient(x, t)
+    friction = level * (1.0 + drift * (t / t[-1] - 0.5)) * np.tanh(v / 2e-4) + 20.0 * v
+    p = pressure - 5e3 * np.tanh(v / 2e-4) + 30.0 * rng.standard_normal(len(t))
+    # The area is not quite the rig file's.
+    load = 1.03 * rig.plant.piston_area * p - friction + 0.05 * rng.standard_normal(len(t))
+    signals = {"position_m": x + 2e-6 * rng.standard_normal(len(t)), "load_pressure_pa": p, "disturbance_force_n": load}
+    return Trajectory(t, signals, preparation=Preparation(measured=("disturbance_force_n",)))
+
+
+def test_friction_shows_in_a_load_cell_although_it_answers_to_it(seal_rig):
+    found = against(seal(seal_rig, 6.5, 2), [seal(seal_rig, 5.0, 1)], seal_rig)
+    assert found.causes[0].group == "friction"
+    offset = found.causes[0].parameters["offset"]
+    assert offset.value == pytest.approx(1.5, abs=0.15)
+
+
+def test_at_another_pressure_the_area_is_no_change_and_friction_is(seal_rig):
+    found = against(seal(seal_rig, 7.0, 2, pressure=5e5), [seal(seal_rig, 5.0, 1)], seal_rig)
+    assert [cause.group for cause in found.causes] == ["friction"]
+
+
+def test_a_seal_that_drifts_may_have_drifted_on(seal_rig):
+    found = against(seal(seal_rig, 5.75, 2), [seal(seal_rig, 5.0, 1, drift=0.15)], seal_rig)
+    assert found.verdict == "consistent"
+    assert against(seal(seal_rig, 5.75, 2), [seal(seal_rig, 5.0, 1)], seal_rig).verdict == "effect"
