@@ -100,6 +100,11 @@ class Learnt(NamedTuple):
     errors: Array
     deviations: Array
 
+    @property
+    def told(self) -> Mask:
+        """Which coefficients' errors the recordings tell, shape (terms,)."""
+        return self.deviations < rules.TOLD * rules.LEFT_ERROR
+
     def expected(self, terms: Array, signals: Array, factor: Array) -> Expected:
         """Return what a healthy rig would leave in other windows.
 
