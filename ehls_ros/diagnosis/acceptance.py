@@ -23,25 +23,17 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
         inflation: by which each channel's losses are divided.
     """
     gain = more.score(inflation) - less.score(inflation)
-    main = mostly_in(more, less)
-    before, after = (j.held_out.residuals.values[main] for j in (less, more))
     if evidence.form is not None:
-        share = closed(before, after, evidence.noise[main])
-        # What closes all but a little of what the others leave is no error of form, however small it is.
-        needed = rules.RELEVANT if share >= rules.CLOSED else rules.FORM_ERROR if less.names else evidence.form
-        if share < rules.WORTHWHILE or gain <= 0.0 or relevance(evidence, more, less) < needed:
-            return False
-        # Standard errors hold the form of what remains. Whether there is anything at all is judged by the scatter.
-        return _surest(assess(replace(evidence, correlation={}), more.fit), less) >= rules.SURE
+        return gain > 0.0 and _stands_out(evidence, evidence.form, more, less)
+    main = mostly_in(more, less)
     beside = main in less.fit.channels
     apart = list(differences(evidence, more, less))
+    before, after = (j.held_out.residuals.values[main] for j in (less, more))
     matters = relevance(evidence, more, less) >= (rules.RELEVANT_BESIDE if beside else rules.RELEVANT)
     clear = not less.names and shows(apart, rules.CLEAR)
-    if gain < rules.NEEDED_GAIN or not (matters or clear):
+    if gain < rules.NEEDED_GAIN or not (matters or clear) or not (beside or shows(apart)):
         return False
-    if (not beside and not shows(apart)) or earned(evidence, more, less) < rules.EARNED:
-        return False
-    if not harmless(more, less, inflation):
+    if earned(evidence, more, less) < rules.EARNED or not harmless(more, less, inflation):
         return False
     if beside and corrects_form(evidence.base.values[main], before, after, noise_power(evidence, main)):
         return False
@@ -50,6 +42,18 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     # A cause that gains more by averaging noise than by explaining is an average.
     averaged = more.held_out.averaged - less.held_out.averaged
     return gain >= rules.REMOVED_EXCESS * excess and gain >= averaged and _surest(more, less) >= rules.SURE
+
+
+def _stands_out(evidence: Evidence, form: float, more: Assessment, less: Assessment) -> bool:
+    """Tell whether a further cause stands out of errors of the model's form, of which it must be sure whatever they do to it."""
+    main = mostly_in(more, less)
+    share = closed(*(j.held_out.residuals.values[main] for j in (less, more)), evidence.noise[main])
+    # What closes all but a little of what the others leave is no error of form, however small it is.
+    needed = rules.RELEVANT if share >= rules.CLOSED else rules.FORM_ERROR if less.names else form
+    if share < rules.WORTHWHILE or relevance(evidence, more, less) < needed:
+        return False
+    # Standard errors hold the form of what remains. Whether there is anything at all is judged by the scatter.
+    return _surest(assess(replace(evidence, correlation={}), more.fit), less) >= rules.SURE
 
 
 def differences(evidence: Evidence, more: Assessment, less: Assessment) -> Iterator[Array]:

@@ -41,6 +41,9 @@ def varied(rig: Rig, part: float) -> Iterator[tuple[str, Rig]]:
         if larger == value:
             continue
         friction = rig.friction._replace(**{name: larger})
+        if name == "coulomb_force" and "static_force" in rig.friction._fields:
+            # Static friction keeps its ratio, and is never the smaller one.
+            friction = friction._replace(static_force=rig.friction.static_force * (1.0 + part))
         try:
             rig.friction_law.check(friction, name)
         except BadInput:

@@ -100,6 +100,11 @@ class Learnt(NamedTuple):
     errors: Array
     deviations: Array
 
+    @property
+    def told(self) -> Mask:
+        """Which coefficients' errors the recordings tell, shape (terms,)."""
+        return self.deviations < rules.TOLD * rules.LEFT_ERROR
+
     def expected(self, terms: Array, signals: Array, factor: Array) -> Expected:
         """Return what a healthy rig would leave in other windows.
 
@@ -316,7 +321,11 @@ def _with_spread(found: Learnt, default_spread: Array, only: bool) -> Learnt:
     group = np.concatenate([np.arange(terms), terms + features.group])
     default = np.concatenate([default_spread / rules.LEFT_ERROR, np.full(len(found.sizes), rules.FUNCTION_SPREAD)])
     rest = found._replace(windows=data._replace(residual=data.residual - columns @ mean))
-    beyond = np.maximum(_between(rest, columns, own, group, default) ** 2 - default**2, 0.0)
+    between = _between(rest, columns, own, group, default)
+    if only:
+        # Within one recording, nothing varies by more than it may be off at all.
+        between = np.minimum(between, 1.0)
+    beyond = np.maximum(between**2 - default**2, 0.0)
     # What drifts within an only recording goes on drifting until the next, as in a random walk.
     spread = np.sqrt(default**2 + beyond * (rules.SECTIONS if only else 1))
     return found._replace(

@@ -876,7 +876,7 @@ LONGEST_MEMORY: Annotated[int, Rule("baseline", "1", "Windows over which what is
 UNCORRELATED: Annotated[float, Rule("baseline", "1", "Correlation below which windows no longer err together.")] = 0.05
 
 TOLD: Annotated[
-    float, Rule("baseline", "1", "Fraction of a coefficient's variance that a recording must resolve to count for the spread.")
+    float, Rule("baseline", "1", "Standard error of a coefficient, relative to LEFT_ERROR, below which baselines tell it.")
 ] = 0.5
 
 SEEN: Annotated[

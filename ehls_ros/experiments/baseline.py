@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.coefficients import unit_of, value_of
 from ehls_ros.diagnosis.coverage import covered, remarks
 from ehls_ros.diagnosis.dependence import signals_along
@@ -130,15 +129,16 @@ def _coefficients(given: Rig, fitted: Rig, natural: Natural) -> dict[str, Fitted
     """Return the coefficients that the baselines tell, each with what all channels say of it together."""
     precision, spread = dict[str, float](), dict[str, float]()
     for own in natural.channels.values():
-        for name, deviation, varies in zip(own.terms, own.learnt.deviations, own.learnt.spread, strict=True):
-            if deviation < rules.TOLD * rules.LEFT_ERROR:
+        learnt = own.learnt
+        for name, told, deviation, varies in zip(own.terms, learnt.told, learnt.deviations, learnt.spread, strict=True):
+            if told:
                 precision[name] = precision.get(name, 0.0) + 1.0 / max(float(deviation), 1e-12) ** 2
                 spread[name] = max(spread.get(name, 0.0), float(varies))
     out = {}
-    for name, told in precision.items():
+    for name, sharpness in precision.items():
         before, after = value_of(given, name), value_of(fitted, name)
         if before is not None and after is not None:
-            out[name] = Fitted(before, Estimate(after, abs(after) / math.sqrt(told), unit_of(given, name)), spread[name])
+            out[name] = Fitted(before, Estimate(after, abs(after) / math.sqrt(sharpness), unit_of(given, name)), spread[name])
     return out
 
 

@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ import pytest
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.baseline import diagnose_against
+from ehls_ros.experiments.spec import load_rig
 from ehls_ros.physics.rig import rig_from_mapping
-from ehls_ros.trajectory import Trajectory
+from ehls_ros.trajectory import Preparation, Trajectory
 
+ROOT = Path(__file__).parents[2]
 COLUMNS = ("position_m", "load_pressure_pa", "disturbance_force_n")
 SECONDS = 12.0
 
@@ -112,3 +115,38 @@ def test_a_baseline_that_shows_nothing_is_refused(healthy, rig):
     blind = Trajectory(healthy.time_s, {"position_m": healthy["position_m"]})
     with pytest.raises(BadInput, match="baseline 1"):
         against(healthy, [blind], rig)
+
+
+@pytest.fixture(scope="module")
+def seal_rig():
+    return load_rig(ROOT / "examples" / "seals" / "rig.yaml")
+
+
+def seal(rig, level, seed, pressure=3e5, drift=0.0):
+    """Return slow strokes to and fro at a held pressure: friction of some level, the load cell answering to it."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 30.0, 0.01)
+    x = 0.016 * np.sin(2.0 * np.pi * t / 5.0)
+    v = np.gradient(x, t)
+    side = np.zeros(len(t))
+    for i, step in enumerate(np.diff(x)):
+        # Dahl's model: the seal gives way by 0.2 mm before it slides.
+        side[i + 1] = side[i] + (1.0 - side[i] * np.sign(step)) * step / 2e-4
+    friction = level * (1.0 + drift * (t / t[-1] - 0.5)) * np.clip(side, -1.0, 1.0) + 20.0 * v
+    p = pressure - 5e3 * side + 30.0 * rng.standard_normal(len(t))
+    # The area is not quite the rig file's.
+    load = 1.03 * rig.plant.piston_area * p - friction + 0.05 * rng.standard_normal(len(t))
+    signals = {"position_m": x + 2e-6 * rng.standard_normal(len(t)), "load_pressure_pa": p, "disturbance_force_n": load}
+    return Trajectory(t, signals, preparation=Preparation(measured=("disturbance_force_n",)))
+
+
+def test_friction_shows_in_a_load_cell_although_it_answers_to_it(seal_rig):
+    found = against(seal(seal_rig, 6.5, 2), [seal(seal_rig, 5.0, 1)], seal_rig)
+    assert found.names_causes
+    assert "coulomb_shift" in {found.causes[0].name, *found.causes[0].equivalent_to}
+
+
+def test_a_seal_that_drifts_may_have_drifted_on(seal_rig):
+    found = against(seal(seal_rig, 5.75, 2), [seal(seal_rig, 5.0, 1, drift=0.15)], seal_rig)
+    assert found.verdict == "consistent"
+    assert against(seal(seal_rig, 5.75, 2), [seal(seal_rig, 5.0, 1)], seal_rig).verdict != "consistent"
