@@ -45,9 +45,10 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
 
 
 def _stands_out(evidence: Evidence, form: float, more: Assessment, less: Assessment) -> bool:
-    """Tell whether a further cause stands out of errors of the model's form, of which it must be sure whatever they do to it."""
+    """Tell whether a further cause stands out of errors of the model's form."""
     main = mostly_in(more, less)
-    share = closed(*(j.held_out.residuals.values[main] for j in (less, more)), evidence.noise[main])
+    before, after = (j.held_out.residuals.values[main] for j in (less, more))
+    share = closed(before, after, evidence.noise[main])
     # What closes all but a little of what the others leave is no error of form, however small it is.
     needed = rules.RELEVANT if share >= rules.CLOSED else rules.FORM_ERROR if less.names else form
     if share < rules.WORTHWHILE or relevance(evidence, more, less) < needed:
