@@ -8,7 +8,7 @@ import numpy as np
 
 from .experiments import TICK
 from .forms import KINDS, LARGEST, PER_STAGE, SMALLEST, STAGES, FormErrors, Rng, Signals, draw_shapes
-from .recording import Recording, record
+from .recording import IntegrationStopped, Recording, record
 from .visibility import leftovers
 
 ROUNDS, TOLERANCE, TRIES = 4, 0.05, 20
@@ -88,14 +88,27 @@ def draw_forms(
     """
     scale = Scale(rig, experiment, seed, duration)
     for _ in range(TRIES):
-        forms = _equal(draw_shapes(rng, scale.signals, smallest, largest), scale)
-        for _ in range(ROUNDS):
-            reached = scale.sizes(forms)
-            factors = {stage: forms.sizes[stage] / reached[stage] for stage in STAGES}
-            if all(abs(factor - 1.0) < TOLERANCE for factor in factors.values()):
-                return replace(forms, sizes=reached)
-            forms = _within(forms.scaled({kind: factors[stage] for stage in STAGES for kind in forms.kinds[stage]}))
+        shapes = draw_shapes(rng, scale.signals, smallest, largest)
+        try:
+            forms = _fitted(shapes, scale)
+        except IntegrationStopped:
+            # While their sizes are found, some shapes go beyond what a rig can be.
+            continue
+        if forms is not None:
+            return forms
     raise RuntimeError(f"form errors of {smallest:g} to {largest:g} of the largest terms: not reached in {TRIES} draws")
+
+
+def _fitted(shapes: FormErrors, scale: Scale) -> FormErrors | None:
+    """Return form errors of the sizes drawn; None if they cannot reach these."""
+    forms = _equal(shapes, scale)
+    for _ in range(ROUNDS):
+        reached = scale.sizes(forms)
+        factors = {stage: forms.sizes[stage] / reached[stage] for stage in STAGES}
+        if all(abs(factor - 1.0) < TOLERANCE for factor in factors.values()):
+            return replace(forms, sizes=reached)
+        forms = _within(forms.scaled({kind: factors[stage] for stage in STAGES for kind in forms.kinds[stage]}))
+    return None
 
 
 def _equal(forms: FormErrors, scale: Scale) -> FormErrors:

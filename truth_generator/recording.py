@@ -45,6 +45,10 @@ COLUMNS = (
 SERVO_COLUMNS = ("disturbance_displacement_m", "disturbance_velocity_m_s")
 
 
+class IntegrationStopped(RuntimeError):
+    """The rig cannot be integrated: an effect or a form error is beyond what a rig can be."""
+
+
 @dataclass
 class Recording:
     """Samples by the data contract's column names, and the truth behind them.
@@ -198,7 +202,7 @@ def record(
     Raises:
         KeyError: unknown experiment or effect.
         ValueError: unknown size or column, or a rig file that is not supported.
-        RuntimeError: the integration failed.
+        IntegrationStopped: the integration failed.
     """
     rig = dict(rig)
     seeds = np.random.SeedSequence(seed).spawn(3)
@@ -254,7 +258,9 @@ def record(
         at, sample_noise, same, signals, command, disturbance, displacement, states,
     )  # fmt: skip
     if done < n_ticks:
-        raise RuntimeError(f"{experiment} with {dict(effects)}: integration stopped after {done * TICK:.3f} s of {duration} s")
+        raise IntegrationStopped(
+            f"{experiment} with {dict(effects)}: integration stopped after {done * TICK:.3f} s of {duration} s"
+        )
 
     everything = {name: np.ascontiguousarray(signals[:, channel]) for name, channel in CHANNELS.items()}
     everything["valve_command_m"], everything["disturbance_force_n"] = command, disturbance

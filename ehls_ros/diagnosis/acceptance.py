@@ -39,9 +39,10 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
         return False
     # A cause that removes little of what remains beside it corrects the form of another, not the model.
     excess = sum(more.excess(evidence, c) / inflation[c] for c in more.held_out.gain)
+    much = gain >= rules.REMOVED_EXCESS * excess or closed(before, after, evidence.noise[main]) >= rules.NEEDED_SHARE
     # A cause that gains more by averaging noise than by explaining is an average.
     averaged = more.held_out.averaged - less.held_out.averaged
-    return gain >= rules.REMOVED_EXCESS * excess and gain >= averaged and _surest(more, less) >= rules.SURE
+    return much and gain >= averaged and _surest(more, less) >= rules.SURE
 
 
 def _stands_out(evidence: Evidence, form: float, more: Assessment, less: Assessment) -> bool:
@@ -58,10 +59,14 @@ def _stands_out(evidence: Evidence, form: float, more: Assessment, less: Assessm
 
 
 def differences(evidence: Evidence, more: Assessment, less: Assessment) -> Iterator[Array]:
-    """Yield the difference between two hypotheses' residuals in each channel, in units of the noise floor."""
+    """Yield the difference between two hypotheses' residuals in each channel, in units of the noise floor.
+
+    Of a difference that the measurement may add, only what exceeds that matters. A rig's natural spread can make a change less
+    sure, but not smaller.
+    """
     for c in evidence.channels:
-        # What may vary without any fault can make a change less sure, not smaller.
-        yield evidence.whole(c, more.fit.residuals.values[c]) - evidence.whole(c, less.fit.residuals.values[c])
+        one, other = more.fit.residuals.values[c], less.fit.residuals.values[c]
+        yield evidence.whole(c, one) - evidence.whole(c, other) if evidence.against_baselines else one - other
 
 
 def relevance(evidence: Evidence, more: Assessment, less: Assessment) -> float:
