@@ -17,8 +17,9 @@ from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import shift
-from scipy.signal import savgol_coeffs
+from scipy.signal import savgol_coeffs, savgol_filter
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
@@ -374,11 +375,10 @@ class Comparison:
         record = self.record
         if POSITION in record:
             position = self.corrected(rig, "position")
-            velocity = (
-                self.local_fit(self.corrected(rig, "velocity"), 0)
-                if self.setup.velocity_measured
-                else self.local_fit(position, 1)
-            )
+            if self.setup.velocity_measured:
+                velocity = self._kept_to(position, self.local_fit(self.corrected(rig, "velocity"), 0))
+            else:
+                velocity = self.local_fit(position, 1)
             position = self.local_fit(position, 0)
         else:
             velocity = self.corrected(rig, "velocity")
@@ -400,6 +400,22 @@ class Comparison:
             servo_velocity=record.values(SERVO_VELOCITY),
             temperature=np.ascontiguousarray(temperature),
         )
+
+    def _kept_to(self, position: Array, velocity: Array) -> Array:
+        """Return a measured velocity without what makes its integral leave the measured position.
+
+        Near rest, an offset of the velocity sensor would turn friction round. Over times so long that the position tells the
+        velocity as well as the sensor does, the position is believed.
+        """
+        noise, period = self.record.noise, self.record.period
+        # The slope of a line through n samples scatters by sqrt(12/n³) of theirs, the mean of n samples by 1/sqrt(n).
+        samples = math.sqrt(12.0) * noise[POSITION] / (max(noise[VELOCITY], 1e-300) * period)
+        window = 2 * round(0.5 * max(samples, self.setup.fit)) + 1
+        if window >= len(position):
+            return velocity
+        left = position - cumulative_trapezoid(velocity, dx=period, initial=0.0)
+        kept: Array = velocity + savgol_filter(left, window, 1, deriv=1, delta=period)
+        return kept
 
     def _keep(self, what: str, key: Any, compute: Any) -> Any:
         kept = self._kept.setdefault(what, {})
