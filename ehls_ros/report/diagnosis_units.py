@@ -28,6 +28,7 @@ _UNITS: Mapping[str, tuple[tuple[float, Unit], ...]] = {
     "N/m": ((math.inf, Unit("N/mm", 1e-3)),),
     "N/m^2": ((math.inf, Unit("N/mm²", 1e-6)),),
     "N/m^3": ((math.inf, Unit("N/mm³", 1e-9)),),
+    "N/m^5": ((math.inf, Unit("N/mm⁵", 1e-15)),),
     "N s/m": ((math.inf, Unit("N s/mm", 1e-3)),),
     "N s/(m K)": ((math.inf, Unit("N s/(mm K)", 1e-3)),),
     "N/Pa": ((math.inf, Unit("N/bar", 1e5)),),

@@ -54,10 +54,9 @@ def test_allowances_stay_what_they_are_when_a_remainder_counts_as_noise():
     rng = np.random.default_rng(2)
     e = 5.0 * rng.standard_normal(WINDOWS) + 80.0 * UNIT
     known = remainder_as_noise(judged := beyond(e, allowance()), judged.base.values)
-    assert np.std(known.base.values["force"]) == pytest.approx(1.0, abs=0.1)
     np.testing.assert_allclose(known.whole("force", known.base.values["force"]) * known.floor["force"], e, atol=1e-9)
-    # Two prior standard deviations, with noise as large as it is now counted.
-    expected = e @ UNIT / math.hypot(40.0, known.floor["force"][0])
+    # Two prior standard deviations, with noise as large as it is now counted and alike over so many windows.
+    expected = e @ UNIT / math.hypot(40.0 / math.sqrt(known.correlation["force"]), known.floor["force"][0])
     assert known.base.values["force"] @ UNIT == pytest.approx(expected, rel=1e-6)
 
 
