@@ -39,7 +39,9 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
         return False
     # A cause that removes little of what remains beside it corrects the form of another, not the model.
     excess = sum(more.excess(evidence, c) / inflation[c] for c in more.held_out.gain)
-    much = gain >= rules.REMOVED_EXCESS * excess or closed(before, after, evidence.noise[main]) >= rules.NEEDED_SHARE
+    much = closed(before, after, evidence.noise[main]) >= rules.NEEDED_SHARE
+    # A rig's own remainder is never known so well that a small fraction of it could be told from a change.
+    much = much or (gain >= rules.REMOVED_EXCESS * excess and not evidence.against_baselines)
     # A cause that gains more by averaging noise than by explaining is an average.
     averaged = more.held_out.averaged - less.held_out.averaged
     return much and gain >= averaged and _surest(more, less) >= rules.SURE

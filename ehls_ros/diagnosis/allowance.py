@@ -43,7 +43,7 @@ class Allowance(NamedTuple):
         squares, along = np.linalg.eigh(directions.T @ directions)
         kept = squares > rules.LEAST_ALLOWED * correlation
         basis = directions @ along[:, kept] / np.sqrt(squares[kept])
-        return Allowed(self.mean, basis, np.sqrt(1.0 + squares[kept] / correlation), self.most)
+        return Allowed(self.mean, basis, np.sqrt(1.0 + squares[kept] / correlation), self.most * np.sqrt(1.0 + squares[kept]))
 
 
 class Allowed(NamedTuple):
@@ -53,18 +53,19 @@ class Allowed(NamedTuple):
         mean: expected residual, in the channel's unit, shape (n,).
         basis: orthonormal directions that may vary, of residuals divided by their floor, shape (n, m).
         deviations: standard deviation of a residual along each in units of the others', noise included, shape (m,).
-        most: standard deviations beyond which a variation counts :data:`rules.EDGE` times as much, or in full.
+        bounds: largest residual along each that is allowed for; what exceeds it counts :data:`rules.EDGE` times as much, or in
+            full, shape (m,).
     """
 
     mean: Array
     basis: Array
     deviations: Array
-    most: float
+    bounds: Array
 
     def whitened(self, e: Array) -> Array:
         """Return residuals divided by their floor with less weight on what is allowed for."""
         along = self.basis.T @ e
-        within = np.clip(along, -self.most * self.deviations, self.most * self.deviations)
+        within = np.clip(along, -self.bounds, self.bounds)
         counted = within / self.deviations + (along - within) / self._beyond()
         reduced: Array = e - self.basis @ (along - counted)
         return reduced
@@ -72,12 +73,13 @@ class Allowed(NamedTuple):
     def whole(self, e: Array) -> Array:
         """Return residuals with what the whitening took off again."""
         counted = self.basis.T @ e
-        within = np.clip(counted, -self.most, self.most)
+        bounds = self.bounds / self.deviations
+        within = np.clip(counted, -bounds, bounds)
         full: Array = e + self.basis @ (within * self.deviations + (counted - within) * self._beyond() - counted)
         return full
 
     def _beyond(self) -> Array:
-        """Return by how much a variation is reduced beyond the standard deviations that are allowed for."""
+        """Return by how much a variation is reduced beyond the bounds."""
         return np.maximum(1.0, self.deviations / rules.EDGE)
 
 

@@ -71,8 +71,6 @@ WORKED = [
     ("coulomb_asymmetry", {"offset": 50.0}, "friction_level", 800.0, {"v": -0.1}, 750.0),
     ("coulomb_asymmetry", {"offset": 50.0}, "friction_level", 800.0, {"v": 0.0}, 800.0),
     ("coulomb_asymmetry", {"offset": 900.0}, "friction_level", 800.0, {"v": -0.1}, 1.0),
-    ("coulomb_asymmetry", {"forward": 50.0, "backward": 20.0}, "friction_level", 800.0, {"v": 0.1}, 850.0),
-    ("coulomb_asymmetry", {"forward": 50.0, "backward": 20.0}, "friction_level", 800.0, {"v": -0.1}, 820.0),
     ("viscous_asymmetry", {"forward": 300.0, "backward": 200.0}, "force", 5.0, {"v": 0.1}, -25.0),
     ("viscous_asymmetry", {"forward": 300.0, "backward": 200.0}, "force", 5.0, {"v": -0.1}, 25.0),
     ("viscous_asymmetry", {"asymmetry": 300.0}, "force", 5.0, {"v": 0.1}, -25.0),

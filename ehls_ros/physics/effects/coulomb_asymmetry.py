@@ -12,7 +12,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "friction"
-EQUATION = "s(v) -> s(v) + offset sgn(v), + forward for v > 0, + backward for v < 0, at least 1 N; unchanged at standstill"
+EQUATION = "s(v) -> s(v) + offset sgn(v), at least 1 N; unchanged at standstill"
 SOURCE = "Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models, ... machines with friction, Automatica 30, 1994"
 WORDS = Words(
     "a Coulomb friction that differs between the directions",
@@ -21,20 +21,17 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """Half the difference between the directions, or a change in one of them."""
+    """Half the difference between the directions."""
 
     offset: Annotated[float, quantity("N", "added in motion along +x, subtracted along -x", minimum=-1e5, maximum=1e5)] = 0.0
-    forward: Annotated[float, quantity("N", "added in motion along +x only", minimum=-1e5, maximum=1e5)] = 0.0
-    backward: Annotated[float, quantity("N", "added in motion along -x only", minimum=-1e5, maximum=1e5)] = 0.0
 
 
 @kernel
 def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Shift the level by the direction."""
-    direction = sign(y[V])
-    return shifted_level(value, p.offset * direction + max(direction, 0.0) * p.forward + max(-direction, 0.0) * p.backward)
+    """Raise the level in one direction and lower it in the other."""
+    return shifted_level(value, p.offset * sign(y[V]))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Both directions by opposite amounts, or one of them."""
-    return Form({"offset": ()}), Form({"forward": ()}), Form({"backward": ()})
+    """The offset."""
+    return (Form({"offset": ()}),)
