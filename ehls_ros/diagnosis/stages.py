@@ -413,7 +413,11 @@ class Comparison:
         window = 2 * round(0.5 * max(samples, self.setup.fit)) + 1
         if window >= len(position):
             return velocity
+        good, time = self.record.good, self.record.time
+        # Across a gap of one sensor the other tells the motion.
+        velocity = np.where(good[VELOCITY], velocity, self.local_fit(position, 1))
         left = position - cumulative_trapezoid(velocity, dx=period, initial=0.0)
+        left = np.interp(time, time[good[POSITION]], left[good[POSITION]])
         kept: Array = velocity + savgol_filter(left, window, 1, deriv=1, delta=period)
         return kept
 

@@ -139,6 +139,15 @@ def test_the_models_own_experiment_leaves_no_residual(quiet, rig):
         np.testing.assert_array_equal(wrong[channel], left[channel])
 
 
+def test_an_offset_of_the_velocity_sensor_shows_there_and_leaves_friction_alone(quiet):
+    ours, comparison, r = quiet
+    off = r._replace(signals={**r.signals, "velocity_m_s": r.signals["velocity_m_s"] + 3e-3})
+    left, plain = (Comparison(record, comparison.setup).residuals(ours) for record in (off, r))
+    assert np.mean(left["velocity"] - plain["velocity"]) == pytest.approx(3e-3, rel=1e-3)
+    for channel in ("force", "volume"):
+        assert np.std(left[channel][20:-20]) < 1.1 * np.std(plain[channel][20:-20]), channel
+
+
 def test_residuals_that_are_said_to_be_equal_are(quiet):
     ours, comparison, r = quiet
     before, known = comparison.relevant(ours), comparison.residuals(ours)
