@@ -1,6 +1,6 @@
 """The coefficients of a rig's model, and what a small error of each does to the residuals."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -77,10 +77,3 @@ def terms(evidence: Evidence) -> dict[Channel, tuple[Term, ...]]:
                 spread = rules.SPREAD_WITH_OIL if oily else rules.SPREAD
                 found[c].append(Term(name, moved / rules.COEFFICIENT_STEP, spread))
     return {c: tuple(items) for c, items in found.items()}
-
-
-def changed(rig: Rig, parts: Mapping[str, float]) -> Rig:
-    """Return a rig with coefficients changed by fractions of themselves; a change that contradicts the others is left out."""
-    for name, part in parts.items():
-        rig = next((other for found, other in varied(rig, part) if found == name), rig)
-    return rig
