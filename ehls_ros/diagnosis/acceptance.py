@@ -33,7 +33,7 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     clear = not less.names and shows(apart, rules.CLEAR)
     if gain < rules.NEEDED_GAIN or not (matters or clear) or not (beside or shows(apart)):
         return False
-    if earned(evidence, more, less) < rules.EARNED or not harmless(more, less, inflation):
+    if earned(evidence, more, less) < rules.EARNED or not recurs(more, less, inflation):
         return False
     if beside and corrects_form(evidence.base.values[main], before, after, noise_power(evidence, main)):
         return False
@@ -97,14 +97,16 @@ def earned(evidence: Evidence, more: Assessment, less: Assessment) -> float:
     return gained / changed if changed > 0.0 else 0.0
 
 
-def harmless(more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:
-    """Tell whether a hypothesis loses no more than chance does in the blocks other than that in which it gains most.
+def recurs(more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:
+    """Tell whether a hypothesis gains in more than one block of the recording, or at least loses no more than chance does.
 
-    An error of the model repeats. What explains an incident at the cost of the rest of the recording is none.
+    An error of the model repeats. What explains an incident at the cost of the rest of the recording is none. Beside another
+    cause, what explains an incident alone is none either: that a friction started in a wrong state, say.
     """
     blocks = sum(gain / inflation[c] for c, gain in more.held_out.gain.items())
     blocks = np.asarray(blocks - sum(gain / inflation[c] for c, gain in less.held_out.gain.items()))
-    return bool(np.sum(blocks) - np.max(blocks) > -rules.NEEDED_GAIN)
+    elsewhere = float(np.sum(blocks) - np.max(blocks))
+    return elsewhere > (rules.RECURRING * float(np.sum(blocks)) if less.names else -rules.NEEDED_GAIN)
 
 
 def shows(apart: Sequence[Array], least: float = rules.SHOWN) -> bool:

@@ -525,6 +525,11 @@ EARNED: Annotated[
     ),
 ] = 0.1
 
+RECURRING: Annotated[
+    float,
+    Rule("search", "1", "Fraction of its gain that a further cause must have beyond the block in which it gains most."),
+] = 0.25
+
 SHOWN: Annotated[
     float,
     Rule("search", "1", "Rms change in units of the noise below which a cause may be an error of the noise floor itself."),

@@ -9,7 +9,7 @@ from plain_evidence import MASS, SIZE, VISCOUS, assessed, candidate, evidence_of
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis import search as searching
-from ehls_ros.diagnosis.acceptance import accepted, corrects_form, earned, harmless, mostly_in, relevance, shows
+from ehls_ros.diagnosis.acceptance import accepted, corrects_form, earned, mostly_in, recurs, relevance, shows
 from ehls_ros.diagnosis.evidence import Residuals
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.hypotheses import at_lines, bounds, candidates, extended, parts
@@ -201,13 +201,18 @@ def test_a_fitted_change_earns_all_it_could_and_reshuffled_noise_little():
     assert earned(noisy, nothing(noisy), nothing(noisy)) == 0.0
 
 
-@pytest.mark.parametrize(("elsewhere", "is_harmless"), [(0.0, True), (10.0, True), (-1.0, True), (-4.0, False)])
-def test_what_explains_an_incident_at_the_cost_of_the_rest_is_no_cause(elsewhere, is_harmless):
-    less = assessed((VISCOUS,), {"force": np.zeros(8)}, [1.0], {"force": np.full(12, 5.0)})
-    gains = np.full(12, 5.0 + elsewhere)
+@pytest.mark.parametrize(
+    ("elsewhere", "alone", "beside"),
+    [(0.0, True, False), (10.0, True, False), (20.0, True, True), (-1.0, True, False), (-4.0, False, False)],
+)
+def test_what_explains_an_incident_is_no_cause_at_the_cost_of_the_rest_nor_beside_another(elsewhere, alone, beside):
+    level = np.full(12, 5.0)
+    gains = level + elsewhere
     gains[4] += 500.0
-    more = assessed((VISCOUS, MASS), {"force": np.zeros(8)}, [1.0, 1.0], {"force": gains})
-    assert harmless(more, less, {"force": 2.0}) is is_harmless
+    for names, goes in (((), alone), ((VISCOUS,), beside)):
+        less = assessed(names, {"force": np.zeros(8)}, [1.0] * len(names), {"force": level})
+        more = assessed((*names, MASS), {"force": np.zeros(8)}, [1.0] * (len(names) + 1), {"force": gains})
+        assert recurs(more, less, {"force": 2.0}) is goes
 
 
 # Rms of the given model's error, of what the others leave of it, of what the cause leaves then; whether that is form.
