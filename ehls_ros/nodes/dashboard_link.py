@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from numpy.typing import NDArray
 from rcl_interfaces.msg import ParameterDescriptor
@@ -36,7 +36,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes import SUFFIX, codec, node_names
 from ehls_ros.nodes.control import NAMESPACE
-from ehls_ros.nodes.graph import PLANTS, REALTIME_PRIORITY
+from ehls_ros.nodes.graph import GOALS, LOST, PLANTS, REALTIME_PRIORITY
 from ehls_ros.nodes.transport import DEPTH, Inbox, message_class
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS
 from ehls_ros.recording.cdr import CdrError, decode, flatten
@@ -64,16 +64,6 @@ SILENCE = 3.0
 
 FORGOTTEN = 15.0
 """Time without diagnostics after which a node is no longer shown [s]."""
-
-LOST = 5.0
-"""Time without an answer after which a requested transition may have been lost [s]."""
-
-GOALS = {
-    Transition.TRANSITION_CONFIGURE: State.PRIMARY_STATE_INACTIVE,
-    Transition.TRANSITION_ACTIVATE: State.PRIMARY_STATE_ACTIVE,
-    Transition.TRANSITION_DEACTIVATE: State.PRIMARY_STATE_INACTIVE,
-}
-"""A node's state after a transition."""
 
 GONE = 1.0
 """Time without a snapshot after which there is no graph [s].

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from lifecycle_msgs.msg import Transition, TransitionEvent
-from lifecycle_msgs.srv import ChangeState
+from lifecycle_msgs.msg import State, Transition, TransitionEvent
+from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -46,6 +46,16 @@ DISTURBANCE = "disturbance_node"
 
 UP_TIME = 600.0
 """Longest time a node may take to start and compile [s]."""
+
+LOST = 5.0
+"""Time without an answer after which a requested transition may have been lost [s]."""
+
+GOALS = {
+    Transition.TRANSITION_CONFIGURE: State.PRIMARY_STATE_INACTIVE,
+    Transition.TRANSITION_ACTIVATE: State.PRIMARY_STATE_ACTIVE,
+    Transition.TRANSITION_DEACTIVATE: State.PRIMARY_STATE_INACTIVE,
+}
+"""A node's state after a transition."""
 
 SHUTDOWN_TIME = 60.0
 """Time a node is given to exit after SIGINT before it is killed [s]."""
@@ -304,6 +314,7 @@ class Conductor:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._clients = {node.name: self._node.create_client(ChangeState, f"{node.name}/change_state") for node in running}
+        self._states = {node.name: self._node.create_client(GetState, f"{node.name}/get_state") for node in running}
         self._ended = False
         self._failure = ""
         self._cycle = 0
@@ -361,10 +372,17 @@ class Conductor:
         future = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
 
         def wait() -> None:
+            state, asked = None, time.monotonic()
             while not future.done():
                 self._spin()
-                if time.monotonic() > deadline:
+                now = time.monotonic()
+                if now > deadline:
                     raise WorkFailed(f"{node.name} did not answer in {UP_TIME:.0f} s: see {node.log}")
+                # The middleware may lose the answer; the node's state, told between transitions, stands for it.
+                if state is not None and state.done() and state.result().current_state.id == GOALS[transition]:
+                    return
+                if now - asked > LOST:
+                    state, asked = self._states[node.name].call_async(GetState.Request()), now
             if not future.result().success:
                 raise WorkFailed(f"{node.name} refused the transition: {last_line(node.log)}")
 
