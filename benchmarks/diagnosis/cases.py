@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 
 from ehls_ros.physics.rig import Rig, rig_from_mapping
+from ehls_ros.trajectory import Trajectory
 from truth_generator import FINE, LISTED, OUTSIDE, Day, FormErrors, Measurement, Recording, draw_effect, measured, record
 from truth_generator.visibility import against, background
 
@@ -181,6 +182,11 @@ def shown(rng: np.random.Generator, seed: int, number: int, kind: str, duration:
 def recording_of(case: Case) -> Recording:
     """Return a case's recording."""
     return _recorded(case, case.hidden, case.experiment, case.record_seed, 0)
+
+
+def trajectory_of(recording: Recording) -> Trajectory:
+    """Return a recording as the diagnosis takes it."""
+    return Trajectory(recording.time, recording.columns)
 
 
 def healthy_of(case: Case) -> list[Recording]:

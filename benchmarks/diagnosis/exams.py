@@ -3,8 +3,8 @@
 clean: the rig is the model, the hidden effects apart. partial: the rig has form errors in every stage, which no model has, and
 one hidden effect; the rig file is the nominal one. baseline: the same, with recordings from when the rig was well, and in half
 of the cases nothing has changed since. skew: the rig is the model, but every channel is skewed and jittered. forms: clean, but
-the hidden effect, or one of a hidden pair, follows another formula of the same physics. raw: the rig is
-the model, but its data are slow, at two rates, without the spool, of few signals, or of a single rod, in turn.
+the hidden effect, or one of a hidden pair, follows another formula of the same physics. raw: the rig is the model, but its data
+are slow, at two rates, without the spool, of few signals, or of a single rod, in turn.
 """
 
 from collections.abc import Callable, Sequence

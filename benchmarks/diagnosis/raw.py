@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.diagnosis.cases import rig, rig_file
+from benchmarks.diagnosis.cases import rig, rig_file, trajectory_of
 from ehls_ros.recording.columns import ColumnMap, Cylinder
 from ehls_ros.recording.conversion import converted
 from ehls_ros.recording.joining import join
@@ -45,13 +45,9 @@ class Kind(NamedTuple):
     unseen: tuple[str, ...] = ()
 
 
-def _trajectory(r: Recording) -> Trajectory:
-    return Trajectory(r.time, r.columns)
-
-
 def _joined(r: Recording) -> Trajectory:
     fast, slow = variants.two_rates(r, FAST, SLOW, FIRST)
-    return join({"fast": _trajectory(fast), "slow": _trajectory(slow)}, "", "case")
+    return join({"fast": trajectory_of(fast), "slow": trajectory_of(slow)}, "", "case")
 
 
 def _single_rod(r: Recording) -> Trajectory:
@@ -59,7 +55,7 @@ def _single_rod(r: Recording) -> Trajectory:
     rod_side = 2.0 * area / (1.0 + RATIO)
     areas = (RATIO * rod_side, rod_side)
     given = variants.single_rod(r, areas, np.random.default_rng([r.truth["seed"], 4]))
-    return converted(_trajectory(given), ColumnMap(cylinder=Cylinder(*areas)), "case")
+    return converted(trajectory_of(given), ColumnMap(cylinder=Cylinder(*areas)), "case")
 
 
 def _slow(r: Recording) -> Recording:
@@ -67,10 +63,10 @@ def _slow(r: Recording) -> Recording:
 
 
 KINDS: Mapping[str, Kind] = {
-    "slow": Kind(lambda r: _trajectory(_slow(r)), _slow),
+    "slow": Kind(lambda r: trajectory_of(_slow(r)), _slow),
     "two_rates": Kind(_joined, _slow, fast=("valve",)),
-    "command_only": Kind(lambda r: _trajectory(variants.command_only(r)), variants.command_only),
-    "sparse": Kind(lambda r: _trajectory(variants.sparse(r)), variants.sparse),
+    "command_only": Kind(lambda r: trajectory_of(variants.command_only(r)), variants.command_only),
+    "sparse": Kind(lambda r: trajectory_of(variants.sparse(r)), variants.sparse),
     "single_rod": Kind(_single_rod, lambda r: r, unseen=("flow",)),
 }
 

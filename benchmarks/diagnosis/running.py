@@ -5,29 +5,23 @@ import traceback
 from collections.abc import Mapping
 from typing import Any
 
-from benchmarks.diagnosis.cases import Case, healthy_of, recording_of, rig, sources
+from benchmarks.diagnosis.cases import Case, healthy_of, recording_of, rig, sources, trajectory_of
 from benchmarks.diagnosis.exams import EXAMS
 from benchmarks.diagnosis.raw import KINDS
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.result import Diagnosis
-from ehls_ros.trajectory import Trajectory
-from truth_generator import Recording
-
-
-def _trajectory(recording: Recording) -> Trajectory:
-    return Trajectory(recording.time, recording.columns)
 
 
 def diagnose_case(case: Case) -> Diagnosis:
     """Diagnose a case with what its exam gives: the rig file, and the healthy recordings where there are any."""
     recording = recording_of(case)
-    new = KINDS[case.data].given(recording) if case.data else _trajectory(recording)
+    new = KINDS[case.data].given(recording) if case.data else trajectory_of(recording)
     if not case.healthy:
         return diagnose(new, rig(), "case", seed=case.number, threads=1)
     # The other exams run without it.
     from ehls_ros.experiments.baseline import diagnose_against  # noqa: PLC0415
 
-    baselines = [_trajectory(recording) for recording in healthy_of(case)]
+    baselines = [trajectory_of(recording) for recording in healthy_of(case)]
     return diagnose_against(new, baselines, rig(), "case", seed=case.number, threads=1)
 
 
@@ -49,7 +43,7 @@ def run(exam: str, seed: int, number: int, duration: float, with_peers: bool) ->
             # Imported only here, as they use internals of the package.
             from benchmarks.diagnosis.peers import PEERS, problem_of  # noqa: PLC0415
 
-            problem = problem_of(_trajectory(recording), rig())
+            problem = problem_of(trajectory_of(recording), rig())
             for name, peer in PEERS.items():
                 began = time.perf_counter()
                 named = peer(problem)

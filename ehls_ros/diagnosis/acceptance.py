@@ -7,7 +7,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.evidence import Evidence, noise_power
+from ehls_ros.diagnosis.evidence import Evidence, Residuals, noise_power
 from ehls_ros.diagnosis.held_out import Assessment, assess
 from ehls_ros.diagnosis.loss import closed, loss, power, weights
 from ehls_ros.diagnosis.stages import Channel
@@ -39,7 +39,7 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
         return False
     # A cause that removes little of what remains beside it corrects the form of another, not the model.
     excess = sum(more.excess(evidence, c) / inflation[c] for c in more.held_out.gain)
-    much = closed(before, after, evidence.noise[main]) >= rules.NEEDED_SHARE
+    much = share_closed(evidence, more, less) >= rules.NEEDED_SHARE
     # A rig's own remainder is never known so well that a small fraction of it could be told from a change.
     much = much or (gain >= rules.REMOVED_EXCESS * excess and not evidence.against_baselines)
     # A cause that gains more by averaging noise than by explaining is an average.
@@ -49,9 +49,7 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
 
 def _stands_out(evidence: Evidence, form: float, more: Assessment, less: Assessment) -> bool:
     """Tell whether a further cause stands out of errors of the model's form."""
-    main = mostly_in(more, less)
-    before, after = (j.held_out.residuals.values[main] for j in (less, more))
-    share = closed(before, after, evidence.noise[main])
+    share = share_closed(evidence, more, less)
     # What closes all but a little of what the others leave is no error of form, however small it is.
     needed = rules.RELEVANT if share >= rules.CLOSED else rules.FORM_ERROR if less.names else form
     if share < rules.WORTHWHILE or relevance(evidence, more, less) < needed:
@@ -103,8 +101,7 @@ def recurs(more: Assessment, less: Assessment, inflation: Mapping[Channel, float
     An error of the model repeats. What explains an incident at the cost of the rest of the recording is none. Beside another
     cause, what explains an incident alone is none either: that a friction started in a wrong state, say.
     """
-    blocks = sum(gain / inflation[c] for c, gain in more.held_out.gain.items())
-    blocks = np.asarray(blocks - sum(gain / inflation[c] for c, gain in less.held_out.gain.items()))
+    blocks = more.per_block(inflation) - less.per_block(inflation)
     elsewhere = float(np.sum(blocks) - np.max(blocks))
     return elsewhere > (rules.RECURRING * float(np.sum(blocks)) if less.names else -rules.NEEDED_GAIN)
 
@@ -134,8 +131,19 @@ def corrects_form(given: Array, before: Array, after: Array, noise: float) -> bo
 
 def mostly_in(more: Assessment, less: Assessment) -> Channel:
     """Return the channel in which a hypothesis explains most beyond another."""
-    before, after = less.held_out.residuals.values, more.held_out.residuals.values
-    return max(after, key=lambda c: float(np.sum(before[c] ** 2 - after[c] ** 2)))
+    return most_explained(less.held_out.residuals, more.held_out.residuals)
+
+
+def most_explained(before: Residuals, after: Residuals) -> Channel:
+    """Return the channel in which most of some residuals is gone in others."""
+    return max(after.values, key=lambda c: float(np.sum(before.values[c] ** 2 - after.values[c] ** 2)))
+
+
+def share_closed(evidence: Evidence, more: Assessment, less: Assessment) -> float:
+    """Return the fraction of what one hypothesis leaves that is gone with another, where that explains most."""
+    main = mostly_in(more, less)
+    before, after = (j.held_out.residuals.values[main] for j in (less, more))
+    return closed(before, after, evidence.noise[main])
 
 
 def _surest(more: Assessment, less: Assessment) -> float:

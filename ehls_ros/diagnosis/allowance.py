@@ -1,8 +1,8 @@
 """What is allowed for without any fault: an expectation, and directions in which a residual may vary around it.
 
 An allowance is a normal prior on what is nobody's fault: a skew between two channels, the natural spread of a healthy rig. It
-is marginalised once: along its directions, residuals are reduced so that their variance is 1. Every hypothesis is compared by
-these residuals, and gains nothing from what is allowed for.
+is marginalised once: along its directions, residuals are reduced so that they scatter as all others do. Every hypothesis is
+compared by these residuals, and gains nothing from what is allowed for.
 """
 
 import math

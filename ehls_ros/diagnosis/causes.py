@@ -5,7 +5,6 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import mostly_in
 from ehls_ros.diagnosis.evidence import Evidence
@@ -51,9 +50,7 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
         others = _other_effects(best, place, scale)
         compared = [best, *others, place.without]
         main = mostly_in(best, place.without)
-        probability = probability_of_first(
-            [_per_block(j, scale) for j in compared], [len(j.fit.values) for j in compared], seed
-        )
+        probability = probability_of_first([j.per_block(scale) for j in compared], [len(j.fit.values) for j in compared], seed)
         if stages.count(stages[index]) > 1:
             probability *= rules.BOTH_RIGHT
         if remainder_in(evidence, best, main).doubtful:
@@ -116,11 +113,6 @@ def _other_effects(best: Assessment, place: Place, scale: Mapping[Channel, float
             seen.add(name)
             out.append(rival)
     return out
-
-
-def _per_block(assessed: Assessment, scale: Mapping[Channel, float]) -> Array:
-    rows = [gain / scale[c] for c, gain in assessed.held_out.gain.items()]
-    return np.sum(rows, axis=0) if rows else np.empty(0)
 
 
 def _estimates(assessed: Assessment, index: int) -> dict[str, Estimate]:

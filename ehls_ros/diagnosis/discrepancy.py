@@ -193,7 +193,7 @@ def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) ->
             sizes=np.maximum(now.sizes * np.sqrt(grown), rules.LEAST_FUNCTION * size),
             power=(float(np.mean(y**2)), float(np.mean(after**2))),
         ).leaving(after)
-    return _with_spread(now, default_spread, len(recordings) == 1)
+    return _with_spread(now, features, default_spread, len(recordings) == 1)
 
 
 class _Features(NamedTuple):
@@ -305,16 +305,16 @@ def _together(e: Array, block: NDArray[np.intp]) -> float:
     return total
 
 
-def _with_spread(found: Learnt, default_spread: Array, only: bool) -> Learnt:
+def _with_spread(found: Learnt, features: _Features, default_spread: Array, only: bool) -> Learnt:
     """Return what was learnt with the spread of coefficients and functions from recording to recording.
 
     Args:
         found: what was learnt of all recordings together.
+        features: of its windows.
         default_spread: as for :func:`learn`.
         only: whether the recordings are sections of an only one.
     """
     data, terms = found.windows, found.windows.terms.shape[1]
-    features = _features(found.warped(data.signals), data.factor, data.terms, len(data.residual))
     functions, own = features.sized(found.sizes)
     columns = np.hstack([data.terms * rules.LEFT_ERROR, functions])
     mean, inverse = _posterior(columns, data.residual, found.variance(data, own), found.fitted)

@@ -8,7 +8,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
-from ehls_ros.diagnosis.hypotheses import Hypothesis, bounds, extended
+from ehls_ros.diagnosis.hypotheses import Hypothesis, bounds, extended, parts
 from ehls_ros.diagnosis.least_squares import gauss_newton, linear_loss
 from ehls_ros.diagnosis.loss import loss
 from ehls_ros.diagnosis.stages import Channel, Comparison
@@ -42,6 +42,13 @@ class Fit(NamedTuple):
     def costly(self) -> bool:
         """Whether each derivative needs a simulation of a separate load."""
         return any(c.separates_load for c in self.hypothesis)
+
+    def without(self, index: int) -> "Fit":
+        """Return the hypothesis without one of its causes, to be fitted: residuals and derivatives are still those with it."""
+        kept = np.ones(len(self.values), dtype=np.bool_)
+        kept[parts(self.hypothesis)[index]] = False
+        others = tuple(c for i, c in enumerate(self.hypothesis) if i != index)
+        return self._replace(hypothesis=others, values=self.values[kept], steps=self.steps[kept])
 
     def negligible(self, total: float, windows: int) -> float:
         """Return the decrease below which the fit has settled [nats].

@@ -57,6 +57,14 @@ class Assessment(NamedTuple):
         deviation = np.sqrt(np.where(variance > 0.0, variance, np.inf))
         return float(np.max(np.abs(self.fit.values[part] - self.hypothesis[index].neutral) / deviation))
 
+    def per_block(self, inflation: Mapping[Channel, float]) -> Array:
+        """Return the held-out gain of each block, shape (blocks,) [nats]; of a hypothesis that changes nothing a zero, (1,).
+
+        Args:
+            inflation: by which each channel's losses are divided, the same for all hypotheses that are compared.
+        """
+        return sum((gain / inflation[c] for c, gain in self.held_out.gain.items()), np.zeros(1))
+
     def score(self, inflation: Mapping[Channel, float]) -> float:
         """Return the held-out gain less the penalty for parameters [nats].
 

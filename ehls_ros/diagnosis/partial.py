@@ -14,6 +14,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.acceptance import most_explained
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, measured_in
 from ehls_ros.diagnosis.fit import Worker
 from ehls_ros.diagnosis.held_out import Assessment
@@ -118,7 +119,6 @@ def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evi
 
 def worthwhile(evidence: Evidence, best: Assessment) -> bool:
     """Tell whether a hypothesis is worth naming: where it explains most it closes most of the error, and leaves a small one."""
-    after = best.held_out.residuals.values
-    main = max(evidence.channels, key=lambda c: float(np.sum(evidence.base.values[c] ** 2 - after[c] ** 2)))
+    after, main = best.held_out.residuals.values, most_explained(evidence.base, best.held_out.residuals)
     little = evidence.nrmse(main, after[main]) <= rules.FORM_LEFT
     return little and closed(evidence.base.values[main], after[main], evidence.noise[main]) >= rules.WORTHWHILE

@@ -5,12 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.acceptance import mostly_in, relevance
+from ehls_ros.diagnosis.acceptance import most_explained, mostly_in, relevance, share_closed
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.held_out import Assessment, assess
 from ehls_ros.diagnosis.hypotheses import parts
-from ehls_ros.diagnosis.loss import closed
 from ehls_ros.diagnosis.search import Place, Searched, inflations
 
 
@@ -39,14 +38,17 @@ def pruned(worker: Worker, found: Searched) -> Pruned:
     rivals = {name: place.rivals for name, place in zip(names, found.places, strict=True)}
     # What more parameters explain beyond that is an error of form.
     alike = [
-        (other, name) for name in names for other in rivals[name] if _worth(evidence, found.best, other) < rules.REMOVED_EXCESS
+        (other, name)
+        for name in names
+        for other in rivals[name]
+        if share_closed(evidence, found.best, other) < rules.REMOVED_EXCESS
     ]
     best, instead = min([(found.best, ""), *alike], key=lambda pair: len(pair[0].fit.values))
     if instead:
         rivals[best.names[-1]] = rivals.pop(instead)
     while True:
-        without = tuple(fitted(worker, _left_out(best.fit, index)) for index in range(len(best.names)))
-        worth = [_worth(evidence, best, other) if _matters(evidence, best, other) else 0.0 for other in without]
+        without = tuple(fitted(worker, best.fit.without(index)) for index in range(len(best.names)))
+        worth = [share_closed(evidence, best, other) if _matters(evidence, best, other) else 0.0 for other in without]
         least = int(np.argmin(worth))
         if worth[least] >= rules.NEEDED_SHARE or len(without) == 1:
             return Pruned(best, without, rivals)
@@ -82,14 +84,6 @@ def fitted(worker: Worker, start: Fit) -> Assessment:
     return assess(worker.evidence, worker.fit(fit) if fit.hypothesis else fit)
 
 
-def _left_out(fit: Fit, index: int) -> Fit:
-    """Return a hypothesis without one of its causes, to be fitted."""
-    kept = np.ones(len(fit.values), dtype=np.bool_)
-    kept[parts(fit.hypothesis)[index]] = False
-    hypothesis = tuple(c for i, c in enumerate(fit.hypothesis) if i != index)
-    return fit._replace(hypothesis=hypothesis, values=fit.values[kept], steps=fit.steps[kept])
-
-
 def _beside(fit: Fit, other: Fit) -> Fit:
     """Return a hypothesis with the last cause of another, to be fitted."""
     part = parts(other.hypothesis)[-1]
@@ -102,13 +96,5 @@ def _beside(fit: Fit, other: Fit) -> Fit:
 
 def _matters(evidence: Evidence, best: Assessment, less: Assessment) -> bool:
     """Tell whether a cause acts where the hypothesis explains most, or is larger than an error of form."""
-    base, after = evidence.base.values, best.held_out.residuals.values
-    main = max(evidence.channels, key=lambda c: float(np.sum(base[c] ** 2 - after[c] ** 2)))
+    main = most_explained(evidence.base, best.held_out.residuals)
     return mostly_in(best, less) == main or relevance(evidence, best, less) >= rules.FORM_ERROR
-
-
-def _worth(evidence: Evidence, more: Assessment, less: Assessment) -> float:
-    """Return the fraction of what one hypothesis leaves that is gone with another."""
-    main = mostly_in(more, less)
-    before, after = (j.held_out.residuals.values[main] for j in (less, more))
-    return closed(before, after, evidence.noise[main])

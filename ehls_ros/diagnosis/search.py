@@ -13,7 +13,7 @@ from ehls_ros.diagnosis.acceptance import accepted
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Start, Worker, base_loss, newton_start, predicted_loss
 from ehls_ros.diagnosis.held_out import Assessment, assess
-from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, parts
+from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis
 from ehls_ros.diagnosis.loss import inflation, loss
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.stages import Channel
@@ -104,7 +104,6 @@ def _added(
         level: the same with one more cause.
         progress: called with the progress.
     """
-    scale = inflations(evidence, [best, *level])
     for count in range(1, rules.MOST_CAUSES + 1):
         scale = inflations(evidence, [best, *level])
         ranked = [j for j in _ranked(level, scale) if accepted(evidence, j, best, scale)]
@@ -189,12 +188,7 @@ def _distinct(ranked: Sequence[Assessment]) -> list[Assessment]:
 
 
 def _exchanged(
-    evidence: Evidence,
-    pool: Pool,
-    best: Assessment,
-    starts: Starts,
-    alone: Place,
-    scale: Mapping[Channel, float],
+    evidence: Evidence, pool: Pool, best: Assessment, starts: Starts, alone: Place, scale: Mapping[Channel, float]
 ) -> tuple[Assessment, tuple[Place, ...]]:
     """Exchange or drop each cause of a hypothesis until nothing better is found.
 
@@ -278,10 +272,8 @@ def simpler(best: Assessment, places: Sequence[Place], scale: Mapping[Channel, f
 
 def _without(evidence: Evidence, pool: Pool, best: Assessment, index: int, nothing: Assessment) -> Assessment:
     """Return a hypothesis fitted again without one of its causes."""
-    hypothesis = tuple(c for i, c in enumerate(best.hypothesis) if i != index)
-    if not hypothesis:
+    left = best.fit.without(index)
+    if not left.hypothesis:
         return nothing
-    keep = np.ones(len(best.fit.values), dtype=np.bool_)
-    keep[parts(best.hypothesis)[index]] = False
-    start = _afresh(evidence, hypothesis, best.fit.values[keep], best.fit.steps[keep])
+    start = _afresh(evidence, left.hypothesis, left.values, left.steps)
     return _fitted(evidence, pool, [Start(start._replace(residuals=best.fit.residuals))])[0]

@@ -14,6 +14,7 @@ from ehls_ros.report.diagnosis_findings import (
     STAGE_NAMES,
     after_name,
     before_name,
+    capital,
     compares,
 )
 from ehls_ros.report.diagnosis_residuals import FLOOR, SMALL_BINS, SPREAD, curve, span, whole
@@ -105,7 +106,7 @@ def stage_bars(found: Diagnosis) -> Panel | LeftOut:
 def residuals_of(found: Diagnosis, channel: Channel) -> Panel | LeftOut:
     """Draw a channel's residual against every signal, and its spectrum."""
     trace = found.traces[channel]
-    title = CHANNEL_NAMES[channel][0].upper() + CHANNEL_NAMES[channel][1:]
+    title = capital(CHANNEL_NAMES[channel])
     if len(trace.time) < LEAST_IN_BIN:
         return LeftOut(title, f"only {len(trace.time)} windows are usable")
     if not (np.any(trace.before) or np.any(trace.after)):
