@@ -100,12 +100,10 @@ class Trial:
         self.rig.participant.until(lambda: bool(states) and states[-1].cycle >= seen + cycles, PATIENCE)
 
     def told(self, words):
-        """Wait until the diagnostics contain some words."""
-
-        def said(status):
-            return words in status.message or any(words in pair.key for pair in status.values)
-
-        self.rig.participant.until(lambda: any(said(s) for array in self.rig.diagnostics for s in array.status), PATIENCE)
+        """Wait until the message of a node's diagnostics contains some words."""
+        self.rig.participant.until(
+            lambda: any(words in status.message for array in self.rig.diagnostics for status in array.status), PATIENCE
+        )
 
     def trips_it(self, fault, put_in, limit, end=lambda: None, span=0.0, cycles=UNTIL_NULL):
         """Inject a fault, wait for the trip, end the fault, and go on; ``put_in`` may return the exact time of injection."""
