@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.coefficients import unit_of, value_of
 from ehls_ros.diagnosis.coverage import covered, remarks
 from ehls_ros.diagnosis.dependence import signals_along
@@ -121,7 +122,9 @@ def _fitted(baselines: Sequence[Evidence], rig: Rig) -> Rig:
     known = {c.path: c for c in coefficients(rig, sizes(records, rig))}
     missing = without_signals(records, stack, known)
     wanted = [c for path, c in known.items() if path.startswith(("plant.", "friction.")) or path in BIASES]
-    found = fit(stack, rig, [c for c in wanted if c.path not in missing], stack.channels, ITERATIONS).rig
+    told = [c for c in wanted if c.path not in missing]
+    # What errors of form seem to tell of a coefficient that seldom matters is not believed.
+    found = fit(stack, rig, told, stack.channels, ITERATIONS, freedoms=rules.FORM_FREEDOMS).rig
     return found._replace(effects=rig.effects)
 
 

@@ -1,5 +1,6 @@
 """Fitting the coefficients of a rig to the residuals of all stages of its recordings."""
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
@@ -85,13 +86,19 @@ class Stack:
         inside: NDArray[np.bool_] = np.isin(self.channel, numbers)
         return inside
 
-    def scales(self, e: Array) -> Array:
-        """Return the scale of each row's channel: its residuals in units of their noise, at least 1, shape (rows,)."""
+    def scales(self, e: Array, freedoms: float = math.inf) -> Array:
+        """Return the scale of each row's channel: its residuals in units of their noise, at least 1, shape (rows,).
+
+        Args:
+            e: whitened residuals, shape (rows,).
+            freedoms: number of rows of a channel, in effect, over which what exceeds the noise averages out.
+        """
         out = np.ones(len(e))
         for i in range(len(self.channels)):
             inside = self.channel == i
             if np.any(inside):
-                out[inside] = max(1.0, GAUSS * float(np.median(np.abs(e[inside]))))
+                beyond = max(0.0, (GAUSS * float(np.median(np.abs(e[inside])))) ** 2 - 1.0)
+                out[inside] = math.sqrt(1.0 + beyond * max(1.0, float(np.sum(inside)) / freedoms))
         return out
 
 
@@ -140,6 +147,7 @@ def fit(
     channels: Collection[Channel],
     iterations: int = 20,
     steps: Mapping[str, float] | None = None,
+    freedoms: float = math.inf,
 ) -> RigFit:
     """Fit coefficients by damped Gauss-Newton steps of Huber's loss.
 
@@ -153,6 +161,7 @@ def fit(
         channels: the channels to fit to.
         iterations: most steps; 0: the derivatives where it starts.
         steps: of the difference quotients by path, from an earlier fit.
+        freedoms: number of windows of a channel, in effect, over which errors of the model's form average out; by default all.
     """
     rows = stack.rows(channels)
     low, high = np.array([c.low for c in chosen]), np.array([c.high for c in chosen])
@@ -168,7 +177,7 @@ def fit(
 
     residuals = stack.residuals(model(z))
     whole = stack.joined(residuals)
-    scales = stack.scales(whole)[rows]
+    scales = stack.scales(whole, freedoms)[rows]
     jacobian = np.empty((int(rows.sum()), len(chosen)))
     settled = not chosen
     for iteration in range(iterations + 1):
@@ -210,7 +219,7 @@ def fit(
                 break
             continue
         z, residuals, whole, after = taken
-        now = stack.scales(whole)[rows]
+        now = stack.scales(whole, freedoms)[rows]
         steady = bool(np.all(np.abs(now / scales - 1.0) < STEADY_SCALE))
         scales = now
         settled = steady and before - after < SETTLED + SETTLED_FRACTION * before
