@@ -105,13 +105,14 @@ class Learnt(NamedTuple):
         """Which coefficients' errors the recordings tell, shape (terms,)."""
         return self.deviations < rules.TOLD * rules.LEFT_ERROR
 
-    def expected(self, terms: Array, signals: Array, factor: Array) -> Expected:
+    def expected(self, terms: Array, signals: Array, factor: Array, growth: Array) -> Expected:
         """Return what a healthy rig would leave in other windows.
 
         Args:
             terms: change of the residual by each coefficient there, shape (n, terms).
             signals: what the residual may depend on there, shape (n, signals).
             factor: the stage's input there, shape (n,).
+            growth: by which what is uncertain is larger there than on the recordings, shape (n,).
         """
         known = len(self.windows.residual)
         warped = self.warped(np.vstack([self.windows.signals, signals]))
@@ -124,10 +125,12 @@ class Learnt(NamedTuple):
         changing = np.concatenate([self.spread / rules.LEFT_ERROR, self.changing[features.group]])
         covariance = inverse + np.diag(changing**2)
         here = columns[known:]
+        free = here.copy()
+        free[:, terms.shape[1] :] *= growth[:, None]
         return Expected(
             mean=here @ mean,
-            directions=here @ np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance))),
-            variance=self.left**2 + own[known:],
+            directions=free @ np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance))),
+            variance=growth**2 * (self.left**2 + own[known:]),
         )
 
     def leaving(self, after: Array) -> "Learnt":
@@ -322,9 +325,8 @@ def _with_spread(found: Learnt, features: _Features, default_spread: Array, only
     default = np.concatenate([default_spread / rules.LEFT_ERROR, np.full(len(found.sizes), rules.FUNCTION_SPREAD)])
     rest = found._replace(windows=data._replace(residual=data.residual - columns @ mean))
     between = _between(rest, columns, own, group, default)
-    if only:
-        # Within one recording, nothing varies by more than it may be off at all.
-        between = np.minimum(between, 1.0)
+    # No function varies by more than its size, and within one recording no coefficient by more than it may be off at all.
+    between[0 if only else terms :] = np.minimum(between[0 if only else terms :], 1.0)
     beyond = np.maximum(between**2 - default**2, 0.0)
     # What drifts within an only recording goes on drifting until the next, as in a random walk.
     spread = np.sqrt(default**2 + beyond * (rules.SECTIONS if only else 1))

@@ -18,14 +18,15 @@ from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, 
 from ehls_ros.diagnosis.stages import Channel
 
 DIRECTION, ACCELERATION, PRESSURE_RATE = "direction", "acceleration_m_s2", "load_pressure_rate_pa_s"
+SPOOL_RATE = "spool_rate_m_s"
 
 SIGNALS: Mapping[Channel, tuple[str, ...]] = {
-    "spool": (COMMAND, PRESSURE, TEMPERATURE),
-    "volume": (SPOOL, PRESSURE, POSITION, SUPPLY, TEMPERATURE),
-    "supply": (SPOOL, PRESSURE, TEMPERATURE),
-    "force": (VELOCITY, DIRECTION, POSITION, ACCELERATION, LOAD, TEMPERATURE),
-    "cell": (PRESSURE, PRESSURE_RATE, VELOCITY, POSITION, TEMPERATURE),
-    "velocity": (VELOCITY, PRESSURE, POSITION, TEMPERATURE),
+    "spool": (COMMAND, SPOOL_RATE, PRESSURE),
+    "volume": (SPOOL, PRESSURE, PRESSURE_RATE, POSITION, SUPPLY),
+    "supply": (SPOOL, PRESSURE),
+    "force": (VELOCITY, DIRECTION, POSITION, ACCELERATION, LOAD),
+    "cell": (PRESSURE, PRESSURE_RATE, VELOCITY, POSITION),
+    "velocity": (VELOCITY, PRESSURE, POSITION),
 }
 """Signals the rig's own remainder may depend on, by channel; those that were not recorded are left out.
 
@@ -49,40 +50,82 @@ No fault changes it. But at a pressure where no baseline has been, its error sho
 """
 
 
+Signals = Mapping[str, Array]
+"""Mean of each signal over a channel's usable windows, by name, shape (windows,)."""
+
+
+class Terms(NamedTuple):
+    """What the remainder of one channel is described by, on baselines and on a new recording alike.
+
+    Attributes:
+        size: largest term of the channel's balance, in whose units all of it is.
+        spreads: spread of each coefficient whose error counts, relative, by name; the first is :data:`OFFSET`.
+        signals: names of the signals the remainder depends on.
+        factor: name of the channel's input.
+        unit: size of that, in whose units it is taken.
+        temperature: mean of the oil's [K]; None if a baseline does not tell it.
+    """
+
+    size: float
+    spreads: Mapping[str, float]
+    signals: tuple[str, ...]
+    factor: str
+    unit: float
+    temperature: float | None
+
+    def windows(self, evidence: Evidence, channel: Channel, found: Sequence[Term], signals: Signals) -> Windows:
+        """Return the windows of one recording.
+
+        A change of the oil's temperature changes the coefficients in proportion to it, the more the more they spread anyway.
+        """
+        count = len(evidence.floor[channel])
+        by_name = {OFFSET: np.ones(count)} | {term.name: term.column / self.size for term in found}
+        columns = np.column_stack([by_name.get(name, np.zeros(count)) for name in self.spreads])
+        if self.temperature is not None:
+            warmer = (signals.get(TEMPERATURE, np.full(count, self.temperature)) - self.temperature) / rules.WARMER
+            follow = np.array(list(self.spreads.values())) / rules.SPREAD_WITH_OIL
+            columns = np.hstack([columns, columns * follow * warmer[:, None]])
+        return Windows(
+            residual=evidence.base.values[channel] * evidence.floor[channel] / self.size,
+            noise=evidence.floor[channel] / self.size,
+            terms=columns,
+            # A signal that is missing is taken to be zero.
+            signals=np.column_stack([np.empty((count, 0)), *(signals.get(name, np.zeros(count)) for name in self.signals)]),
+            factor=signals.get(self.factor, np.zeros(count)) / self.unit,
+            block=evidence.block[channel],
+        )
+
+    def learnt_on(self, recordings: Sequence[Windows]) -> Learnt:
+        """Learn the remainder."""
+        spread = np.array(list(self.spreads.values()))
+        fitted = np.array([name != SCALE for name in self.spreads])
+        if self.temperature is not None:
+            # From recording to recording the oil's temperature varies, not what follows from it.
+            spread, fitted = np.concatenate([spread, np.zeros_like(spread)]), np.tile(fitted, 2)
+        return learn(recordings, spread, fitted)
+
+
 class OfChannel(NamedTuple):
     """What a healthy rig leaves in one channel.
 
     Attributes:
+        terms: what it is described by.
         learnt: what was learnt.
-        size: largest term of the channel's balance, in whose units it was learnt.
-        terms: names of the coefficients whose errors count; the first is :data:`OFFSET`, and :data:`SCALE` is not fitted.
-        signals: names of the signals it depends on.
-        unit: size of the channel's input, in whose units it was learnt.
     """
 
+    terms: Terms
     learnt: Learnt
-    size: float
-    terms: tuple[str, ...]
-    signals: tuple[str, ...]
-    unit: float
 
-    def columns(self, found: Sequence[Term], windows: int) -> Array:
-        """Return what errors of the coefficients add, a column each, zero where one changes nothing, shape (windows, terms)."""
-        return _columns(found, self.terms, self.size, windows)
+    def expected(self, new: Windows) -> Expected:
+        """Return what a healthy rig would leave in windows of another recording.
 
-    def unseen(self, signals: Array) -> Array:
-        """Return how far the remainder may have grown where no baseline has been, standard deviation, shape (windows,).
-
-        Nothing tells how it goes on there: it is taken to grow as the cube of the distance. The oil's temperature does not
-        count, as it moves from day to day.
+        Nothing tells how errors of form go on where no baseline has been: they are taken to grow with the distance.
         """
-        known = [i for i, name in enumerate(self.signals) if name != TEMPERATURE]
-        low, high = np.quantile(self.learnt.windows.signals[:, known], (rules.SEEN, 1.0 - rules.SEEN), axis=0)
+        low, high = np.quantile(self.learnt.windows.signals, (rules.SEEN, 1.0 - rules.SEEN), axis=0)
         middle, half = 0.5 * (low + high), 0.5 * (1.0 + rules.MARGIN) * (high - low)
-        away = np.abs(signals[:, known] - middle) / np.maximum(half, 1e-300)
-        beyond = np.max(np.clip(away, 1.0, rules.FARTHEST_UNSEEN), axis=1, initial=1.0)
-        grown: Array = np.sqrt(self.learnt.power[0]) * (beyond**3 - 1.0)
-        return grown
+        away = np.abs(new.signals - middle) / np.maximum(half, 1e-300)
+        growth = np.max(np.clip(away, 1.0, rules.FARTHEST_UNSEEN), axis=1, initial=1.0)
+        return self.learnt.expected(new.terms, new.signals, new.factor, growth)
 
 
 class Natural(NamedTuple):
@@ -92,15 +135,12 @@ class Natural(NamedTuple):
 
     def expected(self, evidence: Evidence) -> dict[Channel, Expected]:
         """Return what a healthy rig would leave in each channel that a baseline has too, in units of its size."""
-        found, signals, out = terms(evidence), signals_of(evidence), dict[Channel, Expected]()
-        for c in evidence.channels:
-            if c in self.channels:
-                own, count = self.channels[c], len(evidence.floor[c])
-                table = _table(signals[c], own.signals, count)
-                factor = _table(signals[c], (FACTORS[c],), count)[:, 0] / own.unit
-                healthy = own.learnt.expected(own.columns(found[c], count), table, factor)
-                out[c] = healthy._replace(variance=healthy.variance + own.unseen(table) ** 2)
-        return out
+        found, signals = terms(evidence), signals_of(evidence)
+        return {
+            c: self.channels[c].expected(self.channels[c].terms.windows(evidence, c, found[c], signals[c]))
+            for c in evidence.channels
+            if c in self.channels
+        }
 
     def judged(self, evidence: Evidence) -> Evidence:
         """Return the evidence with the rig's own remainder expected and its natural spread allowed for.
@@ -113,7 +153,7 @@ class Natural(NamedTuple):
         """Return the same with the expectation given."""
         allowances, measured = {}, measurement(evidence)
         for c, healthy in expected.items():
-            size = self.channels[c].size
+            size = self.channels[c].terms.size
             natural = Allowance(
                 mean=healthy.mean * size,
                 directions=healthy.directions * size,
@@ -130,46 +170,34 @@ def learn_natural(baselines: Sequence[Evidence]) -> Natural:
     out = dict[Channel, OfChannel]()
     for c in dict.fromkeys(c for e in baselines for c in e.channels):
         have = [i for i, e in enumerate(baselines) if c in e.channels]
-        size = max(1e-300, *(baselines[i].sizes[c] for i in have))
+        told = set.intersection(*(set(signals[i][c]) for i in have))
+        along = {name: np.concatenate([signals[i][c][name] for i in have]) for name in told}
         spreads = {OFFSET: rules.SPREAD_OF_OFFSET} | {term.name: term.spread for i in have for term in columns[i][c]}
-        spreads |= dict.fromkeys({SCALE} & set(spreads), 0.0)
-        # A signal that one of them lacks cannot be learnt from.
-        told = tuple(name for name in SIGNALS[c] if all(name in signals[i][c] for i in have))
-        factors = {i: _table(signals[i][c], (FACTORS[c],), len(baselines[i].floor[c]))[:, 0] for i in have}
-        unit = float(np.sqrt(np.mean(np.concatenate(list(factors.values())) ** 2))) or 1.0
-        windows = [
-            Windows(
-                residual=e.base.values[c] * e.floor[c] / size,
-                noise=e.floor[c] / size,
-                terms=_columns(columns[i][c], tuple(spreads), size, len(e.floor[c])),
-                signals=_table(signals[i][c], told, len(e.floor[c])),
-                factor=factors[i] / unit,
-                block=e.block[c],
-            )
-            for i, e in enumerate(baselines)
-            if i in have
-        ]
-        learnt = learn(windows, np.array(list(spreads.values())), np.array([name != SCALE for name in spreads]))
-        out[c] = OfChannel(learnt, size, tuple(spreads), told, unit)
+        described = Terms(
+            size=max(1e-300, *(baselines[i].sizes[c] for i in have)),
+            spreads=spreads | dict.fromkeys({SCALE} & set(spreads), 0.0),
+            signals=tuple(name for name in SIGNALS[c] if name in told),
+            factor=FACTORS[c],
+            unit=float(np.sqrt(np.mean(along.get(FACTORS[c], np.zeros(1)) ** 2))) or 1.0,
+            temperature=float(np.mean(along[TEMPERATURE])) if TEMPERATURE in told else None,
+        )
+        windows = [described.windows(baselines[i], c, columns[i][c], signals[i][c]) for i in have]
+        out[c] = OfChannel(described, described.learnt_on(windows))
     return Natural(out)
 
 
 def signals_of(evidence: Evidence) -> dict[Channel, dict[str, Array]]:
-    """Return the signals each channel's remainder may depend on, their means over its usable windows."""
+    """Return the signals each channel's remainder may depend on, and the oil's temperature, over its usable windows."""
     along = signals_along(evidence.comparison(), evidence.rig)
     if VELOCITY in along:
         slow = max(float(getattr(evidence.rig.friction, "stribeck_velocity", 0.0)), 1e-6)
         along[DIRECTION] = np.tanh(along[VELOCITY] / slow)
+    comparison = evidence.comparison()
+    if COMMAND in along and "spool" in evidence.channels:
+        along[SPOOL_RATE] = np.gradient(comparison.simulated_spool(evidence.rig.effective()), evidence.record.period)
     # A load that a sensor gives answers to the friction: where the pressure is held it would tell the residual.
     told = [name for name in along if name not in evidence.record.measured]
-    return {c: {name: evidence.means(c, along[name]) for name in SIGNALS[c] if name in told} for c in evidence.channels}
-
-
-def _table(signals: Mapping[str, Array], names: Sequence[str], windows: int) -> Array:
-    """Return the signals of some names side by side; one that is missing is taken to be zero."""
-    return np.column_stack([np.empty((windows, 0)), *(signals.get(name, np.zeros(windows)) for name in names)])
-
-
-def _columns(found: Sequence[Term], names: Sequence[str], size: float, windows: int) -> Array:
-    by_name = {OFFSET: np.ones(windows)} | {term.name: term.column / size for term in found}
-    return np.column_stack([by_name.get(name, np.zeros(windows)) for name in names])
+    return {
+        c: {name: evidence.means(c, along[name]) for name in (*SIGNALS[c], TEMPERATURE) if name in told}
+        for c in evidence.channels
+    }

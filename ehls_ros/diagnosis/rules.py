@@ -823,6 +823,17 @@ SPREAD_OF_OFFSET: Annotated[
     float, Rule("baseline", "1", "The same for a channel's offset, as a fraction of its largest term.")
 ] = 2e-4
 
+WARMER: Annotated[
+    float,
+    Rule(
+        "baseline",
+        "K",
+        "Change of the oil's temperature that may change a coefficient that follows the oil by LEFT_ERROR, and others by less as"
+        " they spread less.",
+        "the viscosity of mineral oil falls by some 3 % per K at 40 °C; a third of that, as little of the friction is viscous",
+    ),
+] = 5.0
+
 FUNCTION_SPREAD: Annotated[
     float, Rule("baseline", "1", "The same for the smooth remainder, as a fraction of its standard deviation.")
 ] = 0.1
@@ -891,7 +902,11 @@ SEEN: Annotated[
 
 FARTHEST_UNSEEN: Annotated[
     float,
-    Rule("baseline", "1", "Distance from the middle, in half ranges of the baselines, beyond which nothing is judged anyway."),
+    Rule(
+        "baseline",
+        "1",
+        "Distance from the middle, in half ranges of the baselines, beyond which errors of form are taken to grow no further.",
+    ),
 ] = 10.0
 
 MARGIN: Annotated[

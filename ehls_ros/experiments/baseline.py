@@ -133,7 +133,9 @@ def _coefficients(given: Rig, fitted: Rig, natural: Natural) -> dict[str, Fitted
     precision, spread = dict[str, float](), dict[str, float]()
     for own in natural.channels.values():
         learnt = own.learnt
-        for name, told, deviation, varies in zip(own.terms, learnt.told, learnt.deviations, learnt.spread, strict=True):
+        for name, told, deviation, varies in zip(
+            own.terms.spreads, learnt.told, learnt.deviations, learnt.spread, strict=False
+        ):
             if told:
                 precision[name] = precision.get(name, 0.0) + 1.0 / max(float(deviation), 1e-12) ** 2
                 spread[name] = max(spread.get(name, 0.0), float(varies))
@@ -170,7 +172,7 @@ def _traces(evidence: Evidence, expected: Mapping[Channel, Expected], natural: N
             unit=UNITS[c],
             time=evidence.times[c],
             before=before,
-            after=before - healthy.mean * natural.channels[c].size,
+            after=before - healthy.mean * natural.channels[c].terms.size,
             floor=floor,
             noise=evidence.noise[c] * floor,
             against={name: evidence.means(c, values) for name, values in signals.items()},
