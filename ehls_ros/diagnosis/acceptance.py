@@ -9,6 +9,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, noise_power
 from ehls_ros.diagnosis.held_out import Assessment, assess
+from ehls_ros.diagnosis.hypotheses import extended
 from ehls_ros.diagnosis.loss import closed, loss, power, weights
 from ehls_ros.diagnosis.stages import Channel
 
@@ -41,10 +42,11 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     excess = sum(more.excess(evidence, c) / inflation[c] for c in more.held_out.gain)
     much = share_closed(evidence, more, less) >= rules.NEEDED_SHARE
     # A rig's own remainder is never known so well that a small fraction of it could be told from a change.
-    much = much or (gain >= rules.REMOVED_EXCESS * excess and not evidence.against_baselines)
+    much = much or (gain >= rules.REMOVED_EXCESS * excess and not evidence.baselines)
     # A cause that gains more by averaging noise than by explaining is an average.
     averaged = more.held_out.averaged - less.held_out.averaged
-    return much and gain >= averaged and _surest(more, less) >= rules.SURE
+    sure = much and gain >= averaged and _surest(more, less) >= rules.SURE
+    return sure and is_new(evidence, more, less, inflation)
 
 
 def _stands_out(evidence: Evidence, form: float, more: Assessment, less: Assessment) -> bool:
@@ -66,7 +68,7 @@ def differences(evidence: Evidence, more: Assessment, less: Assessment) -> Itera
     """
     for c in evidence.channels:
         one, other = more.fit.residuals.values[c], less.fit.residuals.values[c]
-        yield evidence.whole(c, one) - evidence.whole(c, other) if evidence.against_baselines else one - other
+        yield evidence.whole(c, one) - evidence.whole(c, other) if evidence.baselines else one - other
 
 
 def relevance(evidence: Evidence, more: Assessment, less: Assessment) -> float:
@@ -114,6 +116,20 @@ def shows(apart: Sequence[Array], least: float = rules.SHOWN) -> bool:
         least: its least rms.
     """
     return any(float(np.sqrt(np.mean(a * a))) >= least for a in apart)
+
+
+def is_new(evidence: Evidence, more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:
+    """Tell whether the baselines, if there are any, speak against a cause: what they allow may always have been so."""
+    if not evidence.baselines:
+        return True
+    against = 0.0
+    for healthy in evidence.baselines:
+        comparison = healthy.comparison()
+        then, always = (
+            healthy.residuals(comparison, extended(healthy.rig, j.hypothesis, j.fit.values)).values for j in (less, more)
+        )
+        against += sum(float(np.sum(loss(always[c]) - loss(then[c]))) / inflation[c] for c in then if c in inflation)
+    return against >= rules.NEEDED_GAIN
 
 
 def corrects_form(given: Array, before: Array, after: Array, noise: float) -> bool:

@@ -106,7 +106,7 @@ def diagnose(
 def _findings(evidence: Evidence, sizes: Sequence[Sensitivity], left: Sequence[Remainder]) -> dict[Stage, Finding]:
     slid = sliding(evidence)
     # What hides in the natural spread is no lack of the data.
-    telling = rules.TELLING_BESIDE_SPREAD if evidence.against_baselines else rules.TELLING
+    telling = rules.TELLING_BESIDE_SPREAD if evidence.baselines else rules.TELLING
     return {
         stage: Finding(tuple(item for item in left if CHANNELS[item.channel] == stage), excited(stage, sizes, slid, telling))
         for stage in STAGES

@@ -66,7 +66,7 @@ class Evidence:
         allowances: what is allowed for without any fault, by channel.
         allowed: the same as whitened residuals need it.
         judge: makes the same allowances for evidence from a part of the recording.
-        against_baselines: whether recordings of the rig from when it was well tell what to expect.
+        baselines: recordings of the rig from when it was well, compared with the same model and judged alike.
     """
 
     record: Record
@@ -88,7 +88,7 @@ class Evidence:
     allowances: Mapping[Channel, Allowance] = field(default_factory=dict, repr=False)
     allowed: Mapping[Channel, Allowed] = field(default_factory=dict, repr=False)
     judge: "Callable[[Evidence], Evidence] | None" = field(default=None, repr=False)
-    against_baselines: bool = False
+    baselines: "tuple[Evidence, ...]" = field(default=(), repr=False)
 
     def comparison(self) -> Comparison:
         """Return a new comparison, one for each thread."""
@@ -257,7 +257,7 @@ def sections(block: Mapping[Channel, NDArray[np.intp]], channels: Sequence[Chann
 
 def noise_power(evidence: Evidence, channel: Channel) -> float:
     """Return the mean square of a channel's whitened residual without a fault: due to noise, or to all that is allowed for."""
-    if evidence.against_baselines:
+    if evidence.baselines:
         return 1.0
     e = evidence.noise[channel]
     return max(float(np.mean(e * e)), rules.LEAST_NOISE_POWER)

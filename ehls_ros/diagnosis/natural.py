@@ -54,6 +54,25 @@ Signals = Mapping[str, Array]
 """Mean of each signal over a channel's usable windows, by name, shape (windows,)."""
 
 
+class Described(NamedTuple):
+    """Evidence with what its remainder may be made of.
+
+    Attributes:
+        evidence: a recording compared with the model.
+        errors: what errors of the coefficients add, by channel.
+        signals: signals the remainder may depend on, by channel.
+    """
+
+    evidence: Evidence
+    errors: Mapping[Channel, Sequence[Term]]
+    signals: Mapping[Channel, Signals]
+
+
+def describe(evidence: Evidence) -> Described:
+    """Return evidence with what its remainder may be made of."""
+    return Described(evidence, terms(evidence), signals_of(evidence))
+
+
 class Terms(NamedTuple):
     """What the remainder of one channel is described by, on baselines and on a new recording alike.
 
@@ -73,13 +92,14 @@ class Terms(NamedTuple):
     unit: float
     temperature: float | None
 
-    def windows(self, evidence: Evidence, channel: Channel, found: Sequence[Term], signals: Signals) -> Windows:
-        """Return the windows of one recording.
+    def windows(self, recording: Described, channel: Channel) -> Windows:
+        """Return a channel's windows of one recording.
 
         A change of the oil's temperature changes the coefficients in proportion to it, the more the more they spread anyway.
         """
+        evidence, signals = recording.evidence, recording.signals[channel]
         count = len(evidence.floor[channel])
-        by_name = {OFFSET: np.ones(count)} | {term.name: term.column / self.size for term in found}
+        by_name = {OFFSET: np.ones(count)} | {term.name: term.column / self.size for term in recording.errors[channel]}
         columns = np.column_stack([by_name.get(name, np.zeros(count)) for name in self.spreads])
         if self.temperature is not None:
             warmer = (signals.get(TEMPERATURE, np.full(count, self.temperature)) - self.temperature) / rules.WARMER
@@ -129,25 +149,27 @@ class OfChannel(NamedTuple):
 
 
 class Natural(NamedTuple):
-    """What a healthy rig leaves in each channel."""
+    """What a healthy rig leaves.
+
+    Attributes:
+        channels: what it leaves in each channel.
+        healthy: the baselines, judged by it.
+    """
 
     channels: Mapping[Channel, OfChannel]
+    healthy: tuple[Evidence, ...] = ()
 
-    def expected(self, evidence: Evidence) -> dict[Channel, Expected]:
+    def expected(self, recording: Described) -> dict[Channel, Expected]:
         """Return what a healthy rig would leave in each channel that a baseline has too, in units of its size."""
-        found, signals = terms(evidence), signals_of(evidence)
-        return {
-            c: self.channels[c].expected(self.channels[c].terms.windows(evidence, c, found[c], signals[c]))
-            for c in evidence.channels
-            if c in self.channels
-        }
+        channels = [c for c in recording.evidence.channels if c in self.channels]
+        return {c: self.channels[c].expected(self.channels[c].terms.windows(recording, c)) for c in channels}
 
     def judged(self, evidence: Evidence) -> Evidence:
         """Return the evidence with the rig's own remainder expected and its natural spread allowed for.
 
         Channels that no baseline has are left out.
         """
-        return self.judged_by(evidence, self.expected(evidence))
+        return self.judged_by(evidence, self.expected(describe(evidence)))
 
     def judged_by(self, evidence: Evidence, expected: Mapping[Channel, Expected]) -> Evidence:
         """Return the same with the expectation given."""
@@ -161,29 +183,29 @@ class Natural(NamedTuple):
                 alike=self.channels[c].learnt.together,
             )
             allowances[c] = together([natural, measured[c]])
-        return replace(allowing(evidence, allowances, self.judged), against_baselines=True)
+        return replace(allowing(evidence, allowances, self.judged), baselines=self.healthy)
 
 
-def learn_natural(baselines: Sequence[Evidence]) -> Natural:
+def learn_natural(baselines: Sequence[Described]) -> Natural:
     """Learn what a healthy rig leaves, from its recordings compared with one and the same model."""
-    columns, signals = [terms(e) for e in baselines], [signals_of(e) for e in baselines]
     out = dict[Channel, OfChannel]()
-    for c in dict.fromkeys(c for e in baselines for c in e.channels):
-        have = [i for i, e in enumerate(baselines) if c in e.channels]
-        told = set.intersection(*(set(signals[i][c]) for i in have))
-        along = {name: np.concatenate([signals[i][c][name] for i in have]) for name in told}
-        spreads = {OFFSET: rules.SPREAD_OF_OFFSET} | {term.name: term.spread for i in have for term in columns[i][c]}
-        described = Terms(
-            size=max(1e-300, *(baselines[i].sizes[c] for i in have)),
+    for c in dict.fromkeys(c for b in baselines for c in b.evidence.channels):
+        having = [b for b in baselines if c in b.evidence.channels]
+        told = set.intersection(*(set(b.signals[c]) for b in having))
+        values = {name: np.concatenate([b.signals[c][name] for b in having]) for name in told}
+        spreads = {OFFSET: rules.SPREAD_OF_OFFSET} | {term.name: term.spread for b in having for term in b.errors[c]}
+        made_of = Terms(
+            size=max(1e-300, *(b.evidence.sizes[c] for b in having)),
             spreads=spreads | dict.fromkeys({SCALE} & set(spreads), 0.0),
+            # A signal that one of them lacks cannot be learnt from.
             signals=tuple(name for name in SIGNALS[c] if name in told),
             factor=FACTORS[c],
-            unit=float(np.sqrt(np.mean(along.get(FACTORS[c], np.zeros(1)) ** 2))) or 1.0,
-            temperature=float(np.mean(along[TEMPERATURE])) if TEMPERATURE in told else None,
+            unit=float(np.sqrt(np.mean(values.get(FACTORS[c], np.zeros(1)) ** 2))) or 1.0,
+            temperature=float(np.mean(values[TEMPERATURE])) if TEMPERATURE in told else None,
         )
-        windows = [described.windows(baselines[i], c, columns[i][c], signals[i][c]) for i in have]
-        out[c] = OfChannel(described, described.learnt_on(windows))
-    return Natural(out)
+        out[c] = OfChannel(made_of, made_of.learnt_on([made_of.windows(b, c) for b in having]))
+    natural = Natural(out)
+    return natural._replace(healthy=tuple(natural.judged_by(b.evidence, natural.expected(b)) for b in baselines))
 
 
 def signals_of(evidence: Evidence) -> dict[Channel, dict[str, Array]]:

@@ -54,7 +54,7 @@ def partial_answer(
         threads: how many to try at once.
         progress: called with the progress.
     """
-    if evidence.against_baselines:
+    if evidence.baselines:
         # What the rig's own form leaves counted as noise from the beginning.
         named = found.best.names and worthwhile(evidence, found.best)
         return PartialAnswer(*in_full(evidence, found)) if named else None

@@ -828,7 +828,7 @@ WARMER: Annotated[
     Rule(
         "baseline",
         "K",
-        "Change of the oil's temperature that may change a coefficient that follows the oil by LEFT_ERROR, and others by less as"
+        "Change of the oil's temperature that may change a coefficient that follows the oil by LEFT_ERROR, others by less as"
         " they spread less.",
         "the viscosity of mineral oil falls by some 3 % per K at 40 °C; a third of that, as little of the friction is viscous",
     ),

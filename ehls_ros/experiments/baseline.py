@@ -14,7 +14,7 @@ from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.discrepancy import Expected
 from ehls_ros.diagnosis.evidence import Evidence, gather
-from ehls_ros.diagnosis.natural import Natural, learn_natural
+from ehls_ros.diagnosis.natural import Natural, describe, learn_natural
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis, Fitted, Healthy
@@ -71,12 +71,12 @@ def diagnose_against(
     first = [_evidence(recording, rig, what, seed) for recording, what in zip(baselines, called, strict=True)]
     fitted = _fitted(first, rig)
     progress("learning the baselines", 0.3 * LEARNING)
-    healthy = [_evidence(recording, fitted, what, seed) for recording, what in zip(baselines, called, strict=True)]
+    healthy = [describe(_evidence(recording, fitted, what, seed)) for recording, what in zip(baselines, called, strict=True)]
     natural = learn_natural(healthy)
     judged = list[tuple[Evidence, dict[Channel, Expected]]]()
 
     def judge(evidence: Evidence) -> Evidence:
-        expected = natural.expected(evidence)
+        expected = natural.expected(describe(evidence))
         judged.append((evidence, expected))
         return natural.judged_by(evidence, expected)
 
@@ -90,7 +90,7 @@ def diagnose_against(
         judge=judge,
     )
     evidence, expected = judged[0] if judged else (None, {})
-    coverage = () if evidence is None else covered(healthy, evidence)
+    coverage = () if evidence is None else covered([b.evidence for b in healthy], evidence)
     not_compared = () if evidence is None else tuple(c for c in evidence.channels if c not in natural.channels)
     summary = BaselineSummary(
         recordings=called,
@@ -98,7 +98,7 @@ def diagnose_against(
         channels=_channels(natural, expected),
         coverage=coverage,
         not_compared=not_compared,
-        old=_traces(healthy[0], natural.expected(healthy[0]), natural),
+        old=_traces(healthy[0].evidence, natural.expected(healthy[0]), natural),
         new={} if evidence is None else _traces(evidence, expected, natural),
     )
     said = (*found.remarks, *remarks(coverage))

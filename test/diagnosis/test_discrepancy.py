@@ -6,8 +6,10 @@ from plain_evidence import evidence_of
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.allowance import Allowance
+from ehls_ros.diagnosis.coefficients import Term
 from ehls_ros.diagnosis.discrepancy import Windows, learn
 from ehls_ros.diagnosis.evidence import allowing
+from ehls_ros.diagnosis.natural import Described, Terms
 
 NOISE, SPREAD, FITTED = 0.01, np.array([1e-3]), np.array([True])
 
@@ -26,10 +28,14 @@ def curve(x):
     return 0.2 * np.sin(2.0 * x)
 
 
+def expected(learnt, windows, growth=1.0):
+    return learnt.expected(windows.terms, windows.signals, windows.factor, np.full(len(windows.residual), growth))
+
+
 def test_a_smooth_remainder_is_learnt():
     learnt = learn([made(1)], SPREAD, FITTED)
     other = made(2)
-    found = learnt.expected(other.terms, other.signals, other.factor)
+    found = expected(learnt, other)
     assert np.sqrt(np.mean((found.mean - curve(other.signals[:, 0])) ** 2)) < 0.4 * NOISE
     before, after = np.sqrt(learnt.power)
     assert before > 0.1
@@ -39,12 +45,39 @@ def test_a_smooth_remainder_is_learnt():
 
 def test_where_no_baseline_has_been_nothing_is_expected_and_everything_allowed():
     learnt = learn([made(1)], SPREAD, FITTED)
-    far = learnt.expected(np.zeros((3, 1)), np.array([[0.5], [40.0], [400.0]]), np.ones(3))
+    far = learnt.expected(np.zeros((3, 1)), np.array([[0.5], [40.0], [400.0]]), np.ones(3), np.ones(3))
     deviation = np.sqrt(np.sum(far.directions**2, axis=1) + far.variance)
     assert far.mean[0] == pytest.approx(curve(0.5), abs=NOISE)
     assert abs(far.mean[2]) < 0.1 * abs(far.mean[0])
     assert deviation[2] > 3.0 * deviation[0]
     assert deviation[2] > 0.05
+
+
+def test_errors_of_form_grow_and_those_of_coefficients_do_not():
+    learnt, data = learn([made(1)], SPREAD, FITTED), made(2)
+    term, one, grown = data.terms[:, 0], expected(learnt, data), expected(learnt, data, growth=3.0)
+    np.testing.assert_array_equal(grown.mean, one.mean)
+    np.testing.assert_allclose(grown.variance, 9.0 * one.variance)
+    along = [np.sum((e.directions.T @ term) ** 2) / (term @ term) for e in (one, grown)]
+    assert along[1] < 4.0 * along[0]
+    beside = [np.sum(e.directions**2) - coefficient for e, coefficient in zip((one, grown), along, strict=True)]
+    assert beside[1] == pytest.approx(9.0 * beside[0], rel=0.05)
+
+
+def test_what_a_coefficient_does_as_the_oil_warms_is_told_from_days_of_other_temperatures():
+    # In units of the noise, of which a channel's largest term has a hundred.
+    size, column = 100.0, 100.0 * np.random.default_rng(4).standard_normal(600)
+    made_of = Terms(size, {"offset": 2e-4, "drag": rules.SPREAD_WITH_OIL}, (), "x", 1.0, 315.0)
+
+    def day(kelvin):
+        noise = np.random.default_rng(kelvin).standard_normal(600)
+        evidence = evidence_of({"force": noise - 0.01 * (kelvin - 315) * column})
+        signals = {"oil_temperature_k": np.full(600, float(kelvin))}
+        return made_of.windows(Described(evidence, {"force": [Term("drag", column, 0.0)]}, {"force": signals}), "force")
+
+    learnt = made_of.learnt_on([day(311), day(315), day(318)])
+    warm = size * expected(learnt, day(322)).mean
+    assert column @ warm / (column @ column) == pytest.approx(-0.07, rel=0.1)
 
 
 def test_what_a_coefficient_can_do_no_function_does():
@@ -54,7 +87,7 @@ def test_what_a_coefficient_can_do_no_function_does():
     # The coefficient has to change by the opposite of what is left.
     assert learnt.errors[0] == pytest.approx(-(term @ data.residual) / (term @ term), abs=4.0 * learnt.deviations[0])
     assert learnt.deviations[0] < 1e-3
-    again = learnt.expected(data.terms, data.signals, data.factor)
+    again = expected(learnt, data)
     varies = np.linalg.norm(again.directions.T @ term) / (term @ term)
     assert varies == pytest.approx(np.hypot(SPREAD[0], learnt.deviations[0]), rel=0.1)
 
@@ -64,7 +97,7 @@ def test_a_coefficient_that_is_not_fitted_may_be_off_where_no_baseline_has_been(
     held = data._replace(terms=np.ones_like(data.terms))
     learnt = learn([held], np.zeros(1), np.array([False]))
     assert learnt.errors[0] == 0.0
-    same, twice = (learnt.expected(held.terms * size, held.signals, held.factor).directions for size in (1.0, 2.0))
+    same, twice = (expected(learnt, held._replace(terms=held.terms * size)).directions for size in (1.0, 2.0))
     told, open_ = (float(np.linalg.norm(np.mean(d, axis=0))) for d in (same, twice))
     assert open_ > told + 0.5 * rules.LEFT_ERROR
 
