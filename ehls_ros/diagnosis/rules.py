@@ -808,7 +808,7 @@ COEFFICIENT_STEP: Annotated[
 LEFT_ERROR: Annotated[
     float,
     Rule("baseline", "1", "Relative error of a coefficient after that fit, standard deviation, where the data do not tell."),
-] = 0.05
+] = 0.2
 
 SPREAD: Annotated[
     float,
@@ -832,7 +832,7 @@ WARMER: Annotated[
         " they spread less.",
         "the viscosity of mineral oil falls by some 3 % per K at 40 °C; a third of that, as little of the friction is viscous",
     ),
-] = 5.0
+] = 20.0
 
 FUNCTION_SPREAD: Annotated[
     float, Rule("baseline", "1", "The same for the smooth remainder, as a fraction of its standard deviation.")
@@ -893,7 +893,7 @@ UNCORRELATED: Annotated[float, Rule("baseline", "1", "Correlation below which wi
 
 TOLD: Annotated[
     float, Rule("baseline", "1", "Standard error of a coefficient, relative to LEFT_ERROR, below which baselines tell it.")
-] = 0.5
+] = 0.125
 
 SEEN: Annotated[
     float,
