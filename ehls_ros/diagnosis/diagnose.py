@@ -73,7 +73,7 @@ def diagnose(
     seen, told = in_full(evidence, found)
     findings = _findings(seen, sizes, remainders(seen, told))
     named = causes(seen, told, seed)
-    verdict, unknown = decide(findings, [cause.stage for cause in named])
+    verdict, unknown = decide(findings, [cause.stage for cause in named], against_baselines=bool(evidence.baselines))
     answer = partial_answer(evidence, found, tried, workers, progress) if verdict == "unknown" else None
     known, best = (seen, told.best) if answer is None else (answer.evidence, answer.found.best)
     if answer is not None:

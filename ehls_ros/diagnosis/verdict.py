@@ -34,19 +34,21 @@ class Decision(NamedTuple):
     unknown_stage: Stage | None
 
 
-def decide(findings: Mapping[Stage, Finding], causes: Sequence[Stage]) -> Decision:
+def decide(findings: Mapping[Stage, Finding], causes: Sequence[Stage], *, against_baselines: bool = False) -> Decision:
     """Decide the verdict.
 
     Args:
         findings: what is known of each stage.
         causes: the stage of each cause that the search accepted.
+        against_baselines: whether causes are changes since baselines: what stands out of these needs no other proof that the
+            data could show it.
 
     Returns:
         ``insufficient`` if a cause lies in a stage that was not excited; ``unknown`` if something remains that no cause
         explains; ``effect`` if there are causes; ``consistent`` if enough was excited to show an error, else ``insufficient``.
     """
     unknown = unknown_stage(findings)
-    if not all(findings[stage].excited for stage in causes):
+    if not (against_baselines or all(findings[stage].excited for stage in causes)):
         return Decision("insufficient", unknown)
     if unknown is not None:
         return Decision("unknown", unknown)
