@@ -102,7 +102,9 @@ class ControllerNode(ControlNode):
         self.arrivals = {
             "snapshot": Waiter([self.states]),
             "friction": Waiter([self.friction]),
-            "anything": Waiter([self.states, self.friction, self.reference]),
+            "reference": Waiter([self.states, self.friction, self.reference]),
+            # References of later cycles are not read yet: with them, a wait for the estimate would end at once, again and again.
+            "estimate": Waiter([self.states, self.friction]),
         }
         self.measured = np.zeros(7)
         self.wanted = np.zeros(3)
