@@ -16,7 +16,7 @@ from ehls_ros.trajectory import Preparation, Trajectory
 
 ROOT = Path(__file__).parents[2]
 COLUMNS = ("position_m", "load_pressure_pa", "disturbance_force_n")
-SECONDS = 12.0
+SECONDS = 8.0
 
 
 @pytest.fixture(scope="module")
