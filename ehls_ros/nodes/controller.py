@@ -103,7 +103,7 @@ class ControllerNode(ControlNode):
             "snapshot": Waiter([self.states]),
             "friction": Waiter([self.friction]),
             "reference": Waiter([self.states, self.friction, self.reference]),
-            # References of later cycles are not read yet: with them, a wait for the estimate would end at once, again and again.
+            # Unread references of later cycles would end a wait for the estimate at once, again and again.
             "estimate": Waiter([self.states, self.friction]),
         }
         self.measured = np.zeros(7)

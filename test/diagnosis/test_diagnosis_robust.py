@@ -59,10 +59,9 @@ def test_a_signal_that_comes_late_is_a_sensors_delay(column, late, recorded, dia
     assert d.verdict in {"effect", "unknown", "insufficient"}, told(d)
 
 
+# With neither velocity nor load cell: test_a_slow_friction_loop_at_100_hz_is_judged_and_its_error_found.
 LEFT_OUT = {
     "no spool": ("spool_m",),
-    "no velocity": ("velocity_m_s",),
-    "no load cell": ("force_n",),
     "no pressure": ("load_pressure_pa",),
     "no position": ("position_m",),
     "no command": ("valve_command_m",),
