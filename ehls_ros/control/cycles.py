@@ -91,13 +91,13 @@ class Cycles:
         return bool(self._pending) and self._newest not in self._references
 
     @property
-    def lacks(self) -> Literal["snapshot", "friction", "anything"]:
-        """The message that the next cycle waits for: the last to arrive, or any once its snapshot is there.
+    def lacks(self) -> Literal["snapshot", "friction", "reference", "estimate"]:
+        """The message that the next cycle waits for: the last to arrive, or, once its snapshot is there, what it has not got.
 
         The friction estimate usually arrives after the snapshot, so a loop that waits for it wakes up once per cycle.
         """
         if self._pending:
-            return "anything"
+            return "reference" if self.lacks_reference else "estimate"
         return "friction" if self.friction_comes and self._newest_friction <= self.answered else "snapshot"
 
     def waited(self, now: float) -> float:

@@ -102,7 +102,9 @@ class ControllerNode(ControlNode):
         self.arrivals = {
             "snapshot": Waiter([self.states]),
             "friction": Waiter([self.friction]),
-            "anything": Waiter([self.states, self.friction, self.reference]),
+            "reference": Waiter([self.states, self.friction, self.reference]),
+            # Unread references of later cycles would end a wait for the estimate at once, again and again.
+            "estimate": Waiter([self.states, self.friction]),
         }
         self.measured = np.zeros(7)
         self.wanted = np.zeros(3)

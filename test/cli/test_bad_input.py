@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from patience import PATIENCE
 
 from ehls_ros.cli.main import main
 from ehls_ros.errors import BadInput
@@ -105,7 +106,7 @@ def limited(*arguments, largest_file):
     command = [sys.executable, "-m", "ehls_ros.cli.main", *map(str, arguments)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (largest_file, largest_file))
-    _, complaint = process.communicate(timeout=240)
+    _, complaint = process.communicate(timeout=PATIENCE)
     return process.returncode, complaint.strip().splitlines()
 
 

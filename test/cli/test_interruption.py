@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 
-import pytest
+from patience import PATIENCE
 
 from ehls_ros.cli import main as entry
 from ehls_ros.cli.main import main
@@ -31,7 +31,6 @@ def test_ctrl_c_while_a_verb_is_loaded_is_one_line(monkeypatch, capsys):
     assert capsys.readouterr().err == "ehls diagnose: interrupted\n"
 
 
-@pytest.mark.timeout(60)
 def test_ctrl_c_ends_processes_inside_compiled_code(tmp_path):
     script = tmp_path / "deaf.py"
     script.write_text(DEAF)
@@ -41,7 +40,7 @@ def test_ctrl_c_ends_processes_inside_compiled_code(tmp_path):
         assert [process.stdout.readline() for _ in range(2)] == ["begun\n", "begun\n"]
         os.killpg(process.pid, signal.SIGINT)
         # The end of the output: no process that inherited it is left.
-        process.communicate(timeout=30)
+        process.communicate(timeout=PATIENCE)
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)

@@ -54,7 +54,7 @@ def test_a_loop_waits_for_the_message_that_comes_last():
     cycles = make()
     assert cycles.lacks == "friction"
     snapshot(cycles, 0)
-    assert cycles.lacks == "anything"
+    assert cycles.lacks == "estimate"
     assert cycles.take(0.0) is None
     cycles.add_friction(0, friction(0))
     assert cycles.take(0.0).cycle == 0
@@ -87,6 +87,7 @@ def test_the_reference_is_asked_for_only_where_it_is_not_there():
     snapshot(cycles, 2, now=1.0)
     cycles.add_friction(2, friction(2))
     assert cycles.lacks_reference
+    assert cycles.lacks == "reference"
     # It has all the time there is: without a reference there is nothing to follow.
     assert cycles.take(1000.0) is None
     assert cycles.waited(1000.0) == 999.0

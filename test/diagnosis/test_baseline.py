@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.baseline import diagnose_against
 from ehls_ros.experiments.spec import load_rig
@@ -16,7 +15,7 @@ from ehls_ros.trajectory import Preparation, Trajectory
 
 ROOT = Path(__file__).parents[2]
 COLUMNS = ("position_m", "load_pressure_pa", "disturbance_force_n")
-SECONDS = 12.0
+SECONDS = 8.0
 
 
 @pytest.fixture(scope="module")
@@ -79,12 +78,11 @@ def imperfect(trajectory, rig):
 
 
 def test_an_imperfect_rig_agrees_with_its_own_past(run, healthy, rig):
-    new = imperfect(run({}, "rich", 4), rig)
-    alone = diagnose(new, rig, threads=1)
-    assert alone.verdict != "consistent"
-    found = against(new, [imperfect(healthy, rig)], rig)
+    found = against(imperfect(run({}, "rich", 4), rig), [imperfect(healthy, rig)], rig)
     assert found.verdict == "consistent"
     channel = found.baseline.channels["force"]
+    # No coefficients of the model make it this rig.
+    assert channel.fitted > 3.0 * channel.noise_floor
     assert channel.left < 0.5 * channel.fitted
 
 

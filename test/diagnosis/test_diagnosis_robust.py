@@ -8,7 +8,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import rig_from_mapping
 from truth_generator import degrade
 
-DURATION = 10.0
+DURATION = 8.0
 HIDDEN = {"coulomb_shift": {"offset": 250.0}}
 NAMES = {"coulomb_shift"}
 
@@ -59,10 +59,9 @@ def test_a_signal_that_comes_late_is_a_sensors_delay(column, late, recorded, dia
     assert d.verdict in {"effect", "unknown", "insufficient"}, told(d)
 
 
+# With neither velocity nor load cell: test_a_slow_friction_loop_at_100_hz_is_judged_and_its_error_found.
 LEFT_OUT = {
     "no spool": ("spool_m",),
-    "no velocity": ("velocity_m_s",),
-    "no load cell": ("force_n",),
     "no pressure": ("load_pressure_pa",),
     "no position": ("position_m",),
     "no command": ("valve_command_m",),
@@ -103,7 +102,7 @@ def test_one_signal_alone_tells_nothing(hidden, diagnosed):
     assert not any(s.judged for s in d.stages.values())
 
 
-@pytest.mark.parametrize(("rate", "duration"), [(100.0, 20.0), (500.0, 12.0), (2000.0, 8.0)])
+@pytest.mark.parametrize(("rate", "duration"), [(100.0, 20.0), (2000.0, 6.0)])
 def test_other_rates_do_as_well(rate, duration, recorded, diagnosed):
     d = diagnosed(recorded(HIDDEN, "rich", seed=204, duration=duration, rate=rate))
     assert_no_wrong_name(d, NAMES)
@@ -113,7 +112,7 @@ def test_other_rates_do_as_well(rate, duration, recorded, diagnosed):
 
 
 def test_a_right_model_is_consistent_at_a_low_rate(recorded, diagnosed):
-    d = diagnosed(recorded({}, "rich", seed=205, duration=20.0, rate=200.0))
+    d = diagnosed(recorded({}, "rich", seed=205, duration=12.0, rate=200.0))
     assert d.verdict in {"consistent", "insufficient"}, told(d)
     # Command and piston move little within a sample: no stage is left out for the rate.
     assert all(result.judged for result in d.stages.values()), told(d)
@@ -123,7 +122,7 @@ def test_three_wrong_parameters_of_the_rig_file_are_named(recorded, diagnosed, r
     wrong = degrade.wrong_rig(
         rig_file, {"plant.bulk_modulus": 1.3, "plant.spring_stiffness": 0.7, "friction.viscous_coefficient": 1.3}
     )
-    d = diagnosed(recorded({}, "rich", seed=206, duration=15.0), rig_from_mapping(wrong, "wrong"))
+    d = diagnosed(recorded({}, "rich", seed=206, duration=DURATION), rig_from_mapping(wrong, "wrong"))
     named = [
         shift
         for shift in ("bulk_modulus_shift", "spring_rate_shift", "viscous_shift")
@@ -145,7 +144,7 @@ def test_three_wrong_parameters_of_the_rig_file_are_named(recorded, diagnosed, r
 
 
 def test_at_rest_the_data_tell_nothing(recorded, diagnosed):
-    d = diagnosed(recorded({}, "rest", seed=207, duration=10.0))
+    d = diagnosed(recorded({}, "rest", seed=207, duration=5.0))
     assert d.verdict == "insufficient", told(d)
     assert not d.causes
     assert d.missing

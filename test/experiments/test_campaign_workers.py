@@ -22,7 +22,7 @@ from ehls_ros.experiments.campaign.plan import load_plan
 from ehls_ros.experiments.campaign.store import opened, read_results
 
 COUNT = 60
-CAMPAIGN = {"base": {**BASE, "duration": 20.0}, "runs": COUNT, "vary": DRAWS}
+CAMPAIGN = {"base": {**BASE, "duration": 10.0}, "runs": COUNT, "vary": DRAWS}
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """The safety gate with the simulated rig: the paper's experiments pass unchanged, and stops are gentle."""
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +23,17 @@ EXPERIMENTS = sorted(path.stem for path in (CONFIG / "experiments").glob("*.yaml
 LEAVES_THE_STROKE = {"constant_fd2", "constant_fd2_sic"}
 
 
-def through_the_gate(experiment, rig, parameters):
-    """Return an experiment's commands before and after the gate, and the gate."""
-    rig = load_rig(CONFIG / f"{rig}.yaml")
+@functools.cache
+def recorded(experiment):
+    """Return the rig, and an experiment's recording on it."""
+    rig = load_rig(CONFIG / "rig_paper_measured.yaml")
     spec = load_spec(CONFIG / "experiments" / f"{experiment}.yaml")
-    run = run_in_process(spec._replace(rig=rig, controller_rig=rig))
+    return rig, run_in_process(spec._replace(rig=rig, controller_rig=rig))
+
+
+def through_the_gate(experiment, parameters):
+    """Return an experiment's commands before and after the gate, and the gate."""
+    rig, run = recorded(experiment)
     readings = np.stack([run[name] for name in LOADER_STATE.signals.values()], axis=1).tolist()
     reference = run["force_reference_n"].tolist() if "force_reference_n" in run.signals else [np.nan] * len(readings)
     commands = run["valve_command_m"].tolist()
@@ -44,21 +51,21 @@ def through_the_gate(experiment, rig, parameters):
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_every_experiment_passes_bit_for_bit_on_the_simulated_rig(experiment):
-    commands, written, gate = through_the_gate(experiment, "rig_paper_measured", Parameters(**SIMULATED))
+    commands, written, gate = through_the_gate(experiment, Parameters(**SIMULATED))
     assert written == commands
     assert {d.name for d in gate.detectors.values() if d.count} == set()
 
 
 @pytest.mark.parametrize("experiment", sorted(set(EXPERIMENTS) - LEAVES_THE_STROKE))
 def test_the_defaults_of_a_real_rig_pass_experiments_within_the_stroke(experiment):
-    commands, written, gate = through_the_gate(experiment, "rig_paper_measured", Parameters(enable_time=0.0))
+    commands, written, gate = through_the_gate(experiment, Parameters(enable_time=0.0))
     assert written == commands
     assert gate.causes == []
 
 
 @pytest.mark.parametrize("experiment", sorted(LEAVES_THE_STROKE))
 def test_the_defaults_of_a_real_rig_stop_experiments_that_leave_the_stroke(experiment):
-    _, written, gate = through_the_gate(experiment, "rig_paper_measured", Parameters(enable_time=0.0))
+    _, written, gate = through_the_gate(experiment, Parameters(enable_time=0.0))
     assert [cause.detector for cause in gate.causes][:1] == ["position"]
     assert written[-1] == 0.0
 

@@ -21,6 +21,9 @@ from ehls_ros.physics.rig import SENSED
 ROOT = Path(__file__).resolve().parents[2]
 PERIOD = 1e-3
 
+BLEND_IN = 0.1
+"""Time over which the gate blends the commands in after it was enabled, short because a test enables it many times [s]."""
+
 SPEC = {
     "title": "a rig to put faults into",
     "rig": str(ROOT / "config" / "rig_paper_measured.yaml"),
@@ -61,7 +64,7 @@ class EmulatedRig:
 
     def start(self, name: str, **options: Any) -> subprocess.Popen[bytes]:
         """Start a node, or restart it."""
-        own = {"bridge": self.bridge} if name == "hardware_bridge_node" else {}
+        own = {"bridge": self.bridge, "enable_time": BLEND_IN} if name == "hardware_bridge_node" else {}
         return self.graph.start(name, spec=self.spec, timing="lockstep", **own, **options)
 
     def start_emulator(self) -> None:
@@ -93,6 +96,7 @@ class EmulatedRig:
             if answer.success:
                 return
             assert time.monotonic() < deadline, f"reset: {reset.message}; enable: {answer.message}"
+            self.participant.rest(0.02)
 
     def emergency_stop(self) -> float:
         """Stop, and return the monotonic time of the answer [s]."""

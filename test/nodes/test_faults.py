@@ -19,15 +19,16 @@ import pytest
 pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
 
 from diagnostic_msgs.msg import DiagnosticArray
-from emulated_rig import PERIOD, EmulatedRig
+from emulated_rig import BLEND_IN, PERIOD, EmulatedRig
 from patience import PATIENCE
 from rosbags.rosbag2 import Reader
 
 from ehls_msgs.msg import LoaderState
 from ehls_ros.cli.main import main
 from ehls_ros.hardware.gate_parameters import Parameters as Gate
+from ehls_ros.nodes.recorder_node import FLUSH
 from ehls_ros.recording.bag_reader import read_bag
-from ehls_ros.recording.recording_note import NOTE, read_note
+from ehls_ros.recording.recording_note import NOTE, Flushed, read_note
 
 LAW = "fasmc_output_feedback"
 CONTROLLER, BRIDGE, REFERENCE, RECORDER = f"{LAW}_node", "hardware_bridge_node", "reference_node", "recorder_node"
@@ -39,10 +40,14 @@ MARGIN = 5e-3
 UNTIL_NULL = round((GATE.hold_time + GATE.ramp_time) / PERIOD) + 10
 """Cycles after a trip in which the gate has certainly closed."""
 
+BLENDED_IN = round(2.0 * BLEND_IN / PERIOD)
+"""Cycles after which the commands act in full on a gate that was enabled."""
+
 AFTER_CUT = 15
 """The same when the gate cuts at once for lack of answers; then each cycle takes the bridge's patience."""
 
 SEED = random.SystemRandom().randrange(2**32)
+PARAMETERS_TRIED = 80
 
 
 def longest_rest(command):
@@ -90,7 +95,7 @@ class Trial:
     def enable(self):
         """Reset and enable the gate, and wait for the blend-in."""
         self.rig.enable()
-        self.run(700)
+        self.run(BLENDED_IN)
         self.rig.diagnostics.clear()
 
     def run(self, cycles):
@@ -129,7 +134,7 @@ class Trial:
         counts = self.rig.stop_emulator()
         seen = self.rig.seen()
         command, clock = seen["valve_command_m"], seen["monotonic_s"]
-        assert len(command) > 500
+        assert len(command) >= BLENDED_IN
         assert np.all(np.isfinite(command))
         assert np.max(np.abs(command)) <= SPOOL_LIMIT * (1.0 + 1e-9)
         for trip in self.trips:
@@ -264,25 +269,28 @@ def test_foreign_packets_second_controllers_and_random_parameters(trial, graph):
                 running.rig.participant.rest(2e-3)
 
     def second():
-        running.rig.start("fasmc_node")
+        # It waits for no friction estimate, so it answers at once.
+        running.rig.start("sic_node")
         running.told("second_sender")
 
     running.bears_it("foreign packets", flood)
-    running.bears_it("a second controller", second, lambda: graph.stop("fasmc_node"))
+    running.bears_it("a second controller", second, lambda: graph.stop("sic_node"))
 
     names = {CONTROLLER: ("k", "g", "h", "b", "xi"), BRIDGE: Gate._fields}
     values = (float("nan"), float("inf"), -1.0, 0.0, 1e-9, 1.0, 12.0, 1e3, 1e30, "cut", "warn", "", True, 7, -(2**63))
     accepted = 0
-    for _ in range(200):
+    for _ in range(PARAMETERS_TRIED):
         node = chance.choice(list(names))
         answer = running.rig.participant.set_parameter(node, chance.choice(names[node]), chance.choice(values))
         accepted += answer.successful
         assert answer.successful or answer.reason
     counts = running.finish()
     assert sum(count for name, count in counts.items() if name.startswith("refused")) > 200
-    assert 0 < accepted < 200
+    assert 0 < accepted < PARAMETERS_TRIED
     assert all(graph.processes[name].poll() is None for name in names)
-    running.tell("parameters fuzzed", f"{accepted} of 200 accepted, the others refused with a reason; within limits")
+    running.tell(
+        "parameters fuzzed", f"{accepted} of {PARAMETERS_TRIED} accepted, the others refused with a reason; within limits"
+    )
 
 
 def test_a_killed_recorder_and_a_full_disk(trial, graph, tmp_path):
@@ -291,13 +299,17 @@ def test_a_killed_recorder_and_a_full_disk(trial, graph, tmp_path):
     running.rig.start(RECORDER, bag=died)
 
     def flushed():
-        return (died / NOTE).exists() and read_note(died)["/ehls/loader_state"].messages
+        return read_note(died)["/ehls/loader_state"] if (died / NOTE).exists() else Flushed(0, 0)
 
-    running.rig.participant.until(lambda: flushed() > 1500)
+    # More than one flush.
+    for _ in range(3):
+        so_far = flushed().messages
+        running.rig.participant.until(lambda so_far=so_far: flushed().messages > so_far)
+    last_ns = flushed().newest_ns
     killed_ns = time.time_ns()
     running.bears_it("recorder killed", lambda: graph.kill(RECORDER))
     # After a kill, the next recorder may discover a node only 3 s later, when Fast DDS announces it again.
-    running.rig.start(RECORDER, bag=full, largest_file=5_000_000)
+    running.rig.start(RECORDER, bag=full, largest_file=1_000_000)
     running.told("not recording")
     running.bears_it("disk full")
     running.finish()
@@ -305,9 +317,9 @@ def test_a_killed_recorder_and_a_full_disk(trial, graph, tmp_path):
     for bag in (died, full):
         assert main(["recover", str(bag), "--out", str(bag.with_suffix(".whole"))]) == 0
     with Reader(died.with_suffix(".whole")) as reader:
+        assert reader.end_time >= last_ns
         lost = (killed_ns - reader.end_time) * 1e-9
-    running.tell("recorder killed", "bag recovered up to its last second", 1.0, lost)
-    assert lost <= 1.0
+    running.tell("recorder killed", "bag recovered up to its last flush", FLUSH, lost)
     recovered = read_bag(died.with_suffix(".whole"))
     # The recorder joined a running graph; after that nothing is missing.
     joined = 100
@@ -317,6 +329,6 @@ def test_a_killed_recorder_and_a_full_disk(trial, graph, tmp_path):
     known = [
         (force[cycle], value) for cycle, value in zip(cycles, recovered["force_n"][joined:], strict=True) if cycle in force
     ]
-    assert len(known) > 1000
+    assert len(known) > 300
     assert all(seen == value for seen, value in known)
     assert len(read_bag(full.with_suffix(".whole"))) > 500

@@ -54,7 +54,7 @@ def test_an_experiment_requests_the_priority_for_all_its_nodes(spec_file, tmp_pa
 def test_a_loop_that_answers_and_its_receivers_have_the_priority(graph, participant, spec_file):
     process = graph.start("friction_estimator_node", spec=spec_file(), timing="realtime", priority=PRIORITY)
     heard = participant.collect(DiagnosticArray, "/diagnostics")
-    participant.until(lambda: any(status.message == "running" for array in heard for status in array.status), 120.0)
+    participant.until(lambda: any(status.message == "running" for array in heard for status in array.status))
     found = priorities(process.pid)
     assert found["middleware"] == {(os.SCHED_FIFO, PRIORITY)}
     assert found["loop"] == {(os.SCHED_FIFO, PRIORITY)}

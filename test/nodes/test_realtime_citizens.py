@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
 
 from diagnostic_msgs.msg import DiagnosticArray
+from patience import PATIENCE
 from test_priorities import PRIORITY, needs_permission, priorities
 
 from ehls_msgs.msg import LoaderState, ValveCommand
@@ -31,7 +32,7 @@ def memory_of(process: int, key: str) -> float:
 def test_a_background_node_locks_only_the_memory_it_uses_and_only_its_loop_has_lower_priority(graph, participant, spec_file):
     process = graph.start("reference_node", spec=spec_file(), timing="realtime", priority=PRIORITY)
     heard = participant.collect(DiagnosticArray, "/diagnostics")
-    participant.until(lambda: any(status.message == "running" for array in heard for status in array.status), 120.0)
+    participant.until(lambda: any(status.message == "running" for array in heard for status in array.status))
     locked, resident = memory_of(process.pid, "VmLck"), memory_of(process.pid, "VmRSS")
     assert 50.0 < locked < MEMORY
     assert resident < MEMORY
@@ -46,7 +47,7 @@ def test_a_background_node_locks_only_the_memory_it_uses_and_only_its_loop_has_l
 def test_an_overloaded_loop_gives_up_its_priority(graph, participant):
     heard = participant.collect(DiagnosticArray, "/diagnostics")
     process = graph.run("overloaded", [str(OVERLOADED), "--be-overloaded", "--ros-args", "-p", f"priority:={PRIORITY}"])
-    participant.until(lambda: any("processor_share is 90 %" in s.message for array in heard for s in array.status), 60.0)
+    participant.until(lambda: any("processor_share is 90 %" in s.message for array in heard for s in array.status))
     found = priorities(process.pid)
     assert set.union(*found.values()) == {(os.SCHED_OTHER, 0)}
     participant.until(lambda: "SCHED_FIFO is given back" in graph.log("overloaded"))
@@ -62,7 +63,7 @@ def test_the_memory_of_a_process_is_all_there():
 def test_frugality_does_not_keep_threads_from_working():
     deep = "t = threading.Thread(target=lambda: json.loads('[' * 900 + ']' * 900)); t.start(); t.join(); print('done')"
     script = f"import json, threading; from ehls_ros.hardware.realtime import be_frugal; be_frugal(); {deep}"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert done.stdout == "done\n"
 
 
@@ -96,7 +97,7 @@ def test_a_simulated_rig_waits_for_a_controller_that_is_too_slow_and_says_so(gra
     graph.start("plant_sim_node", spec=spec_file(duration=1000.0), timing="realtime")
 
     def until(condition) -> None:
-        deadline = time.monotonic() + 120.0
+        deadline = time.monotonic() + PATIENCE
         while not condition():
             controller.turn()
             participant.executor.spin_once(timeout_sec=0.0)

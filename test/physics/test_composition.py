@@ -11,6 +11,7 @@ import subprocess
 import sys
 
 import pytest
+from patience import PATIENCE
 
 from ehls_ros import sources
 from ehls_ros.errors import BadInput
@@ -61,7 +62,7 @@ def test_of_two_processes_that_need_a_kernel_at_once_one_compiles_and_the_other_
     for child in children:
         child.stdin.write("\n")
         child.stdin.flush()
-    counts = sorted(child.communicate(timeout=60.0)[0].split() for child in children)
+    counts = sorted(child.communicate(timeout=PATIENCE)[0].split() for child in children)
     assert counts == [["0", "1"], ["1", "0"]]
 
 

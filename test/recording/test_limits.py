@@ -21,7 +21,7 @@ from ehls_ros.recording.csv_file import read_csv, write_csv
 from ehls_ros.recording.load import load
 from ehls_ros.trajectory import Trajectory
 
-PROCESSOR = 10.0
+PROCESSOR = 30.0
 """Longest processor time for any input [s]."""
 
 MEMORY = 1500.0
