@@ -1,6 +1,7 @@
 """The search's steps: hypotheses, spectral lines, acceptance of a further cause, exchanges, threads."""
 
 import threading
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,7 @@ from plain_evidence import MASS, SIZE, VISCOUS, assessed, candidate, evidence_of
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis import search as searching
-from ehls_ros.diagnosis.acceptance import accepted, corrects_form, earned, mostly_in, recurs, relevance, shows
+from ehls_ros.diagnosis.acceptance import accepted, corrects_form, earned, is_new, mostly_in, recurs, relevance, shows
 from ehls_ros.diagnosis.evidence import Residuals
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.hypotheses import at_lines, bounds, candidates, extended, parts
@@ -199,6 +200,30 @@ def test_a_fitted_change_earns_all_it_could_and_reshuffled_noise_little():
     moved = assessed((MASS,), {"force": 5.0 * np.roll(noise, 1)}, [1.0])
     assert abs(earned(noisy, moved, nothing(noisy))) < rules.EARNED
     assert earned(noisy, nothing(noisy), nothing(noisy)) == 0.0
+
+
+@pytest.mark.parametrize(("seen", "new"), [(True, True), (False, False)])
+def test_what_the_baselines_allow_as_well_is_no_change(seen, new):
+    column = np.random.default_rng(9).standard_normal(400)
+
+    class Healthy:
+        """A baseline in which a heavier mass shows, or not."""
+
+        base = Residuals({"force": np.zeros(400)})
+        rig = SimpleNamespace(with_effects=lambda uses: uses)
+
+        def comparison(self):
+            return None
+
+        def residuals(self, comparison, uses):
+            ((name, parameters),) = [(use.name, use.parameters) for use in uses]
+            assert name == "mass_shift"
+            return Residuals({"force": 10.0 * seen * (parameters.factor - 1.0) * column})
+
+    evidence = replace(evidence_of({"force": column}), baselines=(Healthy(), Healthy()))
+    alone, beside = (assessed((*names, MASS), {"force": column}, [0.2] * len(names) + [1.2]) for names in ((), (VISCOUS,)))
+    assert is_new(evidence, alone, nothing(evidence), {"force": 2.0}) is new
+    assert is_new(evidence, beside, assessed((VISCOUS,), {"force": column}, [0.2]), {"force": 2.0}) is new
 
 
 @pytest.mark.parametrize(

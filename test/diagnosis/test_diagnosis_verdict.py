@@ -126,6 +126,12 @@ def test_what_is_known_decides_the_verdict(case):
     assert decide(CLEAN | changed, named) == Decision(*expected)
 
 
+def test_a_change_since_baselines_may_lie_in_a_stage_that_could_not_show_any_smaller_one():
+    findings = CLEAN | {"flow": still("flow")}
+    assert decide(findings, ["flow"]).verdict == "insufficient"
+    assert decide(findings, ["flow"], against_baselines=True).verdict == "effect"
+
+
 # -------------------------------------------------------------------------------------------------------- stage results
 
 
