@@ -323,8 +323,8 @@ def _with_spread(found: Learnt, features: _Features, default_spread: Array, only
     rest = found._replace(windows=data._replace(residual=data.residual - columns @ mean))
     between = _between(rest, columns, own, group, default)
     if only:
-        # Within one recording, nothing varies by more than it may be off at all.
-        between = np.minimum(between, 1.0)
+        # Within one recording, nothing varies by more than it is off, or may be, at all.
+        between = np.minimum(between, np.concatenate([np.maximum(np.abs(mean[:terms]), 1.0), np.ones(len(found.sizes))]))
     beyond = np.maximum(between**2 - default**2, 0.0)
     # What drifts within an only recording goes on drifting until the next, as in a random walk.
     spread = np.sqrt(default**2 + beyond * (rules.SECTIONS if only else 1))

@@ -78,11 +78,12 @@ def test_an_error_of_gain_is_learnt():
     assert np.sqrt(after) == pytest.approx(NOISE, rel=0.2)
 
 
-def test_what_drifts_within_an_only_recording_goes_on_drifting():
-    data = made(1, windows=3000)
-    drift = np.repeat([-0.03, 0.0, 0.03], 1000)
-    learnt = learn([data._replace(residual=data.residual + drift * data.terms[:, 0])], SPREAD, FITTED)
-    assert learnt.spread[0] == pytest.approx(0.03 * np.sqrt(rules.SECTIONS), rel=0.2)
+@pytest.mark.parametrize(("level", "drift"), [(0.0, 0.03), (0.4, 0.12)])
+def test_what_drifts_within_an_only_recording_goes_on_drifting(level, drift):
+    data = made(1, level=level, windows=3000)
+    drifting = np.repeat([-drift, 0.0, drift], 1000)
+    learnt = learn([data._replace(residual=data.residual + drifting * data.terms[:, 0])], SPREAD, FITTED)
+    assert learnt.spread[0] == pytest.approx(drift * np.sqrt(rules.SECTIONS), rel=0.2)
     assert learn([data], SPREAD, FITTED).spread[0] < 3.0 * SPREAD[0]
 
 
