@@ -67,7 +67,7 @@ def diagnose(
     lines = spectral_lines(evidence.base.values[main], evidence.times[main])
     tried, not_tried = candidates(record, rig, lines)
     if not mass_shows(evidence):
-        tried = [c for c in tried if not c.separates_load]
+        tried = [c for c in tried if not c.parts_mass]
     workers = threads or os.cpu_count() or 1
     found = search(evidence, tried, workers, progress)
     model = extended(rig, found.best.hypothesis, found.best.fit.values)

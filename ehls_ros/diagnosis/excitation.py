@@ -73,8 +73,8 @@ def smallest_detectable(information: float, effect: float) -> float | None:
 def mass_shows(evidence: Evidence) -> bool:
     """Tell whether the moving mass shows at all: whether one twice as heavy would change a balance visibly.
 
-    A piston that hardly accelerates would move the same with any mass. A load behind play or elasticity is simulated with that
-    mass; where it does not show, a joint is but another name for a friction that gives way.
+    A piston that hardly accelerates would move the same with any mass, and a mass apart from it could only be one that is far
+    larger, or a load that is simulated with a mass nobody knows: another name for a friction.
     """
     plant = evidence.rig.plant
     heavier = evidence.rig._replace(plant=plant._replace(moving_mass=2.0 * plant.moving_mass))

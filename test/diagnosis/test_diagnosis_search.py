@@ -45,6 +45,7 @@ def test_every_form_of_every_effect_is_tried(noisy, rig):
     assert not out
     asked = {(c.name, c.number) for c in found}
     assert asked == {(n, i) for n in EFFECTS.names() for i in range(len(EFFECTS.load(n).forms(rig)))}
+    assert {c.name for c in found if c.parts_mass} == {"flexible_mode", "hinge_backlash"}
     for c in found:
         assert len(c.free) >= 1
         assert c.starts.shape[1] == len(c.free) == len(c.units) == len(c.neutral)
