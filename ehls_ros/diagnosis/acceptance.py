@@ -154,9 +154,15 @@ def most_explained(before: Residuals, after: Residuals) -> Channel:
 
 
 def share_closed(evidence: Evidence, more: Assessment, less: Assessment) -> float:
-    """Return the fraction of what one hypothesis leaves that is gone with another, where that explains most."""
+    """Return the fraction of what one hypothesis leaves that is gone with another, where that explains most.
+
+    Of a change in what varies without fault, all counts: measured by what exceeds the spread, it would be small beside the
+    scatter of a long recording however large it is.
+    """
     main = mostly_in(more, less)
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
+    if evidence.baselines:
+        before = evidence.whole(main, before) - (evidence.whole(main, after) - after)
     return closed(before, after, evidence.noise[main])
 
 

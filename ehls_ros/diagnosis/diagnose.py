@@ -9,7 +9,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.causes import causes
 from ehls_ros.diagnosis.dependence import depends_on, signals_along
 from ehls_ros.diagnosis.evidence import Evidence, gather
-from ehls_ros.diagnosis.excitation import excited, sensitivities, sliding
+from ehls_ros.diagnosis.excitation import excited, mass_shows, sensitivities, sliding
 from ehls_ros.diagnosis.gain import gain
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
@@ -66,6 +66,8 @@ def diagnose(
     main = main_channel(evidence.channels)
     lines = spectral_lines(evidence.base.values[main], evidence.times[main])
     tried, not_tried = candidates(record, rig, lines)
+    if not mass_shows(evidence):
+        tried = [c for c in tried if not c.parts_mass]
     workers = threads or os.cpu_count() or 1
     found = search(evidence, tried, workers, progress)
     model = extended(rig, found.best.hypothesis, found.best.fit.values)

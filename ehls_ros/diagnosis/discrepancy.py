@@ -325,8 +325,10 @@ def _with_spread(found: Learnt, features: _Features, default_spread: Array, only
     default = np.concatenate([default_spread / rules.LEFT_ERROR, np.full(len(found.sizes), rules.FUNCTION_SPREAD)])
     rest = found._replace(windows=data._replace(residual=data.residual - columns @ mean))
     between = _between(rest, columns, own, group, default)
-    # No function varies by more than its size, and within one recording no coefficient by more than it may be off at all.
-    between[0 if only else terms :] = np.minimum(between[0 if only else terms :], 1.0)
+    # No function varies by more than its size, and within one recording no coefficient by more than it is off, or may be.
+    between[terms:] = np.minimum(between[terms:], 1.0)
+    if only:
+        between[:terms] = np.minimum(between[:terms], np.maximum(np.abs(mean[:terms]), 1.0))
     beyond = np.maximum(between**2 - default**2, 0.0)
     # What drifts within an only recording goes on drifting until the next, as in a random walk.
     spread = np.sqrt(default**2 + beyond * (rules.SECTIONS if only else 1))

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.acceptance import shows
 from ehls_ros.diagnosis.evidence import Evidence, sections
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.result import Sensitivity
@@ -67,6 +68,18 @@ def smallest_detectable(information: float, effect: float) -> float | None:
         return None
     smallest = max(rules.SURE, math.sqrt(2.0 * rules.NEEDED_GAIN)) / math.sqrt(information)
     return max(smallest, rules.RELEVANT / effect) if effect > 0.0 else smallest
+
+
+def mass_shows(evidence: Evidence) -> bool:
+    """Tell whether the moving mass shows at all: whether one twice as heavy would change a balance visibly.
+
+    A piston that hardly accelerates would move the same with any mass, and a mass apart from it could only be one that is far
+    larger, or a load that is simulated with a mass nobody knows: another name for a friction.
+    """
+    plant = evidence.rig.plant
+    heavier = evidence.rig._replace(plant=plant._replace(moving_mass=2.0 * plant.moving_mass))
+    changed = evidence.residuals(evidence.comparison(), heavier).values
+    return shows([evidence.whole(c, changed[c]) - evidence.whole(c, evidence.base.values[c]) for c in evidence.channels])
 
 
 class Sliding(NamedTuple):

@@ -46,6 +46,11 @@ class Candidate(NamedTuple):
         """Whether this separates the load from the piston; a rig can have only one such effect."""
         return self.use(self.starts[-1]).piston_share > 0.0
 
+    @property
+    def parts_mass(self) -> bool:
+        """Whether this lets a mass move apart from the piston: the load, or one that is fitted."""
+        return self.separates_load or "kg" in self.units
+
     def use(self, values: Array) -> EffectUse:
         """Return the effect with values of the free parameters, clipped to their ranges."""
         inside = np.clip(values, self.lower, self.upper)

@@ -56,8 +56,8 @@ def partial_answer(
     """
     if evidence.baselines:
         # What the rig's own form leaves counted as noise from the beginning.
-        named = found.best.names and worthwhile(evidence, found.best)
-        return PartialAnswer(*in_full(evidence, found)) if named else None
+        whole, told = in_full(evidence, found)
+        return PartialAnswer(whole, told) if told.best.names and worthwhile(whole, told.best) else None
     few = _beside_form(evidence, found, tried, threads, progress)
     worker = Worker(evidence)
     values = fitted_values(worker, found.screened)

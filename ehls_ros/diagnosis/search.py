@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -224,14 +225,15 @@ def _exchanged(
         if simple is not None and _key(simple.hypothesis) not in visited:
             best = simple
             continue
-        better = [place.without for place in places if not accepted(evidence, best, place.without, scale)]
-        # Only for what would stay: an unsure rival would be dropped again, and the sure cause with it.
-        better += [
-            rival
-            for place in places
-            for rival in place.rivals[:1]
-            if rival.score(scale) > best.score(scale) + rules.BETTER and accepted(evidence, rival, place.without, scale)
-        ]
+        better = list[Assessment]()
+        for place in places:
+            sure = (rival for rival in place.rivals if accepted(evidence, rival, place.without, scale))
+            if accepted(evidence, best, place.without, scale):
+                # Only for what would stay: an unsure rival would be dropped again, and the sure cause with it.
+                better += [rival for rival in islice(sure, 1) if rival.score(scale) > best.score(scale) + rules.BETTER]
+            else:
+                # Before its place is given up, an unsure cause gives way to a sure one.
+                better += [place.without, *islice(sure, 1)]
         if not better:
             break
         best = max(better, key=lambda j: j.score(scale))

@@ -7,6 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehls_ros.diagnosis.evidence import gather
+from ehls_ros.diagnosis.excitation import mass_shows
+from ehls_ros.diagnosis.record import prepare
+from ehls_ros.diagnosis.stages import setup
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.baseline import diagnose_against
 from ehls_ros.experiments.spec import load_rig
@@ -136,6 +140,15 @@ def seal(rig, level, seed, pressure=3e5, drift=0.0):
     load = 1.03 * rig.plant.piston_area * p - friction + 0.05 * rng.standard_normal(len(t))
     signals = {"position_m": x + 2e-6 * rng.standard_normal(len(t)), "load_pressure_pa": p, "disturbance_force_n": load}
     return Trajectory(t, signals, preparation=Preparation(measured=("disturbance_force_n",)))
+
+
+def test_a_piston_pushed_slowly_does_not_show_its_mass(seal_rig, healthy, rig):
+    def shown(recording, of):
+        record = prepare(recording, of, "recording")
+        return mass_shows(gather(record, of, setup(record, of), seed=0))
+
+    assert not shown(seal(seal_rig, 5.0, 1), seal_rig)
+    assert shown(healthy, rig)
 
 
 def test_friction_shows_in_a_load_cell_although_it_answers_to_it(seal_rig):

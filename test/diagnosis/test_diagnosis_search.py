@@ -46,6 +46,7 @@ def test_every_form_of_every_effect_is_tried(noisy, rig):
     assert not out
     asked = {(c.name, c.number) for c in found}
     assert asked == {(n, i) for n in EFFECTS.names() for i in range(len(EFFECTS.load(n).forms(rig)))}
+    assert {c.name for c in found if c.parts_mass} == {"flexible_mode", "hinge_backlash"}
     for c in found:
         assert len(c.free) >= 1
         assert c.starts.shape[1] == len(c.free) == len(c.units) == len(c.neutral)
@@ -305,9 +306,9 @@ def test_fewer_parameters_are_preferred_where_little_is_lost(rival, behind, take
     assert simpler(best, [Place(scored((), 0.0), (other,))], FORCE) is (other if taken else None)
 
 
-def exchanged(monkeypatch, best, alone, dropped=None):
+def exchanged(monkeypatch, best, alone, dropped=None, sure=lambda hypothesis: len(hypothesis) == 1):
     """Exchange the causes of a hypothesis; of two, one may be dropped, and nothing else can take its place."""
-    monkeypatch.setattr(searching, "accepted", lambda evidence, more, less, scale: len(more.hypothesis) == 1)
+    monkeypatch.setattr(searching, "accepted", lambda evidence, more, less, scale: sure(more.hypothesis))
     monkeypatch.setattr(searching, "_without", lambda *given: dropped)
     monkeypatch.setattr(searching, "_fitted", lambda *given, **named: [])
     pool = SimpleNamespace(lead=lambda work, items: [work(item) for item in items])
@@ -323,6 +324,15 @@ def test_a_simpler_form_that_was_exchanged_is_not_returned_to(monkeypatch):
         best, places = exchanged(monkeypatch, start, alone)
         assert best is full
         assert places == (alone,)
+
+
+def test_an_unsure_cause_gives_way_to_a_sure_one_and_not_to_nothing(monkeypatch):
+    unsure, less, least = scored((TWO,), 1000.0), scored((VISCOUS,), 600.0), scored((MASS,), 500.0)
+    alone = Place(scored((), 0.0), (unsure, least, less))
+    best, _ = exchanged(monkeypatch, unsure, alone, sure=lambda hypothesis: hypothesis[0] in (VISCOUS, MASS))
+    assert best is less
+    best, _ = exchanged(monkeypatch, unsure, alone, sure=lambda hypothesis: False)
+    assert best is alone.without
 
 
 def test_places_are_those_of_the_hypothesis_when_the_rounds_are_used_up(monkeypatch):

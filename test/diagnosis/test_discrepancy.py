@@ -1,10 +1,13 @@
 """What a healthy rig leaves, learnt on plain arrays: a remainder, its spread, and nothing where it was never seen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from plain_evidence import evidence_of
+from plain_evidence import MASS, assessed, evidence_of, nothing
 
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.acceptance import share_closed
 from ehls_ros.diagnosis.allowance import Allowance
 from ehls_ros.diagnosis.coefficients import Term
 from ehls_ros.diagnosis.discrepancy import Windows, learn
@@ -111,11 +114,12 @@ def test_an_error_of_gain_is_learnt():
     assert np.sqrt(after) == pytest.approx(NOISE, rel=0.2)
 
 
-def test_what_drifts_within_an_only_recording_goes_on_drifting():
-    data = made(1, windows=3000)
-    drift = np.repeat([-0.03, 0.0, 0.03], 1000)
-    learnt = learn([data._replace(residual=data.residual + drift * data.terms[:, 0])], SPREAD, FITTED)
-    assert learnt.spread[0] == pytest.approx(0.03 * np.sqrt(rules.SECTIONS), rel=0.2)
+@pytest.mark.parametrize(("level", "drift"), [(0.0, 0.03), (0.4, 0.12)])
+def test_what_drifts_within_an_only_recording_goes_on_drifting(level, drift):
+    data = made(1, level=level, windows=3000)
+    drifting = np.repeat([-drift, 0.0, drift], 1000)
+    learnt = learn([data._replace(residual=data.residual + drifting * data.terms[:, 0])], SPREAD, FITTED)
+    assert learnt.spread[0] == pytest.approx(drift * np.sqrt(rules.SECTIONS), rel=0.2)
     assert learn([data], SPREAD, FITTED).spread[0] < 3.0 * SPREAD[0]
 
 
@@ -159,6 +163,18 @@ def test_a_change_along_an_allowed_direction_is_as_large_as_ever():
     reduced = judged.allowed["force"].whitened(direction)
     assert np.linalg.norm(reduced) < 0.1 * np.linalg.norm(direction)
     np.testing.assert_allclose(judged.whole("force", reduced), direction, atol=1e-9)
+
+
+def test_of_a_change_along_what_varies_without_fault_all_is_closed():
+    rng = np.random.default_rng(3)
+    direction, scatter = np.sin(np.arange(600) / 30.0), rng.standard_normal(600)
+    noise = {"force": 0.1 * rng.standard_normal(600)}
+    allowance = Allowance(np.zeros(600), 3.0 * direction[:, None], np.zeros(600))
+    evidence = evidence_of({"force": scatter + 30.0 * direction}, noise)
+    judged = replace(allowing(evidence, {"force": allowance}, lambda e: e), baselines=(evidence_of({"force": np.zeros(600)}),))
+    cause = assessed((MASS,), {"force": judged.allowed["force"].whitened(scatter)}, [1.3])
+    # By what exceeds the spread it would be 0.15.
+    assert share_closed(judged, cause, nothing(judged)) > 0.99
 
 
 def test_windows_that_err_together_tell_less_but_are_no_larger():

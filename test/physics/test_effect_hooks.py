@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.plant import INPUTS, PL, TEMPERATURE, VD, XD, XV, V, X
+from ehls_ros.physics.plant import FD, INPUTS, PL, TEMPERATURE, VD, XD, XV, V, X
 
 STATE = {"x": X, "v": V, "pL": PL, "xv": XV}
 INPUT = {"T": TEMPERATURE, "xd": XD, "vd": VD}
@@ -182,6 +182,19 @@ def test_a_mass_taken_over_by_a_flexible_mode_weighs_what_it_did(make_rig):
     p = rig.effects[0].parameters
     pulled = force(0.0, 0.0, np.zeros(7), np.zeros(INPUTS), np.zeros(2), p, rig.plant)
     assert pulled - rig.plant.moving_mass * rig.plant.gravity == pytest.approx(-70.0 * 9.81)
+
+
+@pytest.mark.parametrize("mass", [0.0, 0.02, 20.0])
+def test_a_load_on_a_flexible_mass_at_rest_reaches_the_piston_in_full_however_light_the_mass(mass, make_rig):
+    mode, plant = EFFECTS.load("flexible_mode"), make_rig(plant={"spring_stiffness": 0.0}).plant
+    p = mode.Parameters(mass=mass, frequency=20.0, loaded=1.0)
+    y, w, z, rates = np.zeros(7), np.zeros(INPUTS), np.zeros(2), np.zeros(2)
+    w[FD] = 150.0
+    mode.derivatives.py_func(0.0, 0.0, y, w, z, p, plant, rates)
+    z[0] = rates[1] / (2.0 * math.pi * p.frequency) ** 2
+    mode.derivatives.py_func(0.0, 0.0, y, w, z, p, plant, rates)
+    np.testing.assert_allclose(rates, 0.0, atol=1e-9)
+    assert mode.force.py_func(7.0, 0.0, y, w, z, p, plant) == pytest.approx(7.0)
 
 
 @pytest.mark.parametrize("spool", [2e-4, -2e-4])

@@ -33,7 +33,7 @@ STATES = 2
 PISTON = 0
 
 LEAST_MASS = 0.1
-"""Least mass by which a load on it is divided [kg]."""
+"""Mass below which it carries less of the load, in proportion: without mass it would be thrown about [kg]."""
 
 LEAST_FRACTION = 0.01
 """Fraction of the moving mass that always stays with the piston."""
@@ -86,7 +86,8 @@ def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, p
     """Add the spring's force, restore the weight removed and remove the loads on the mass; or add the joint's force."""
     if p.piston_share > 0.0:
         return transmitted_force(value, joint_force(y, z, p, plant), p.piston_share, y, plant)
-    far = p.loaded * (plant.spring_stiffness * y[X] + disturbance_force(t, w))
+    carried = p.loaded * min(1.0, p.mass / LEAST_MASS)
+    far = carried * (plant.spring_stiffness * y[X] + disturbance_force(t, w))
     return value + p.mass * (pull(y[V], z, p) - p.taken * plant.gravity) + far
 
 
