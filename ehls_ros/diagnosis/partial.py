@@ -6,7 +6,8 @@ coarsened posterior: Miller, Dunson 2019), and a cause must stand out of the err
 or where several values of the rig file are wrong, these are fitted first and the causes sought beside them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ from ehls_ros.diagnosis.acceptance import most_explained
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, measured_in
 from ehls_ros.diagnosis.fit import Worker
 from ehls_ros.diagnosis.held_out import Assessment
-from ehls_ros.diagnosis.hypotheses import Candidate, parts
+from ehls_ros.diagnosis.hypotheses import parts
 from ehls_ros.diagnosis.loss import closed, power
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.pruning import assessed_again, pruned
@@ -26,6 +27,7 @@ from ehls_ros.diagnosis.remainder import at_a_bound, in_full
 from ehls_ros.diagnosis.rig_values import fitted_values
 from ehls_ros.diagnosis.search import Searched, search
 from ehls_ros.diagnosis.stages import Channel
+from ehls_ros.diagnosis.starts import Starts
 
 
 class PartialAnswer(NamedTuple):
@@ -42,30 +44,27 @@ class PartialAnswer(NamedTuple):
     refitted: tuple[str, ...] = ()
 
 
-def partial_answer(
-    evidence: Evidence, found: Searched, tried: Sequence[Candidate], threads: int, progress: Progress
-) -> PartialAnswer | None:
+def partial_answer(found: Searched, starts: Starts, progress: Progress) -> PartialAnswer | None:
     """Return the causes that matter although something remains; None if none does.
 
     Args:
-        evidence: the recording compared with the given model.
         found: what the search found while only the sensors' noise counted as noise.
-        tried: the causes to try.
-        threads: how many to try at once.
+        starts: where its fits started.
         progress: called with the progress.
     """
+    evidence = starts.pool.evidence
     if evidence.against_baselines:
         # What the rig's own form leaves counted as noise from the beginning.
         named = found.best.names and worthwhile(evidence, found.best)
         return PartialAnswer(*in_full(evidence, found)) if named else None
-    few = _beside_form(evidence, found, tried, threads, progress)
+    few = _beside_form(found, starts, progress)
     worker = Worker(evidence)
     values = fitted_values(worker, found.screened)
     # One cause is simpler than several values that are wrong together.
     simple = few is not None and len(few.found.best.names) == 1
     if few is not None and (values is None or (simple and not _explains_more(evidence, values.residuals, few))):
         return few
-    many = found if values is None else search(evidence, tried, threads, progress, values)
+    many = found if values is None else search(starts, progress, values)
     if not many.best.names or not worthwhile(evidence, many.best):
         return few
     if few is not None and not _explains_more(evidence, many.best.held_out.residuals, few):
@@ -80,12 +79,12 @@ def partial_answer(
     return PartialAnswer(*in_full(known, assessed_again(Worker(known), many, needed)), refitted)
 
 
-def _beside_form(
-    evidence: Evidence, found: Searched, tried: Sequence[Candidate], threads: int, progress: Progress
-) -> PartialAnswer | None:
+def _beside_form(found: Searched, starts: Starts, progress: Progress) -> PartialAnswer | None:
     """Return the few causes that stand out of errors of form, if there are any."""
-    known = replace(remainder_as_noise(evidence, found.best.held_out.residuals.values), form=rules.FORM_ERROR)
-    known, again = in_full(known, search(known, tried, threads, progress))
+    remains = remainder_as_noise(starts.pool.evidence, found.best.held_out.residuals.values)
+    known = replace(remains, form=rules.FORM_ERROR)
+    with closing(starts.pool.beside(known)) as pool:
+        known, again = in_full(known, search(Starts(pool, starts.tried), progress))
     return PartialAnswer(known, again) if again.best.names and worthwhile(known, again.best) else None
 
 
