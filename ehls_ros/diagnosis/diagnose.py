@@ -75,7 +75,7 @@ def diagnose(
         findings = _findings(seen, sizes, remainders(seen, told))
         named = causes(seen, told, seed)
         verdict, unknown = decide(findings, [cause.stage for cause in named])
-        answer = partial_answer(found, starts, progress) if verdict == "unknown" else None
+        answer = partial_answer(found, starts, progress, seed) if verdict == "unknown" else None
     known, best = (seen, told.best) if answer is None else (answer.evidence, answer.found.best)
     if answer is not None:
         verdict, named = "partial", causes(answer.evidence, answer.found, seed, rules.RIGHT_BESIDE_FORM, answer.refitted)

@@ -437,6 +437,10 @@ SETTLED_EXCESS: Annotated[
     ),
 ] = 3e-3
 
+MANY_PARAMETERS: Annotated[
+    int, Rule("fit", "1", "Free parameters above which derivatives are updated and not evaluated again after every step.")
+] = 6
+
 LOW_DAMPING: Annotated[float, Rule("fit", "1", "Levenberg damping of the first step from fresh derivatives.")] = 1e-6
 
 LEAST_DAMPING: Annotated[float, Rule("fit", "1", "Least Levenberg damping, also used to predict what a step reaches.")] = 1e-9
@@ -762,6 +766,15 @@ NEEDED_SHARE: Annotated[
         "1.8 standard errors where all that remains is worth FORM_FREEDOMS windows",
     ),
 ] = 0.25
+
+LEAST_PROBABLE: Annotated[
+    float,
+    Rule(
+        "partial answer",
+        "1",
+        "Probability that a cause, or another in its place, is there at all, below which it is not named beside others.",
+    ),
+] = 0.2
 
 FORM_ERROR: Annotated[
     float,
