@@ -56,7 +56,7 @@ class Fit(NamedTuple):
         return self._replace(hypothesis=(self.hypothesis[index],), values=self.values[part], steps=self.steps[part])
 
     def beside(self, cause: "Fit") -> "Fit":
-        """Return the hypothesis with further causes, to be fitted: residuals and derivatives are still those without them."""
+        """Return the hypothesis with one more cause, to be fitted: residuals and derivatives are still those without it."""
         return self._replace(
             hypothesis=(*self.hypothesis, *cause.hypothesis),
             values=np.concatenate([self.values, cause.values]),

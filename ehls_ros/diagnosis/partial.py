@@ -66,7 +66,7 @@ def partial_answer(found: Searched, starts: Starts, progress: Progress, seed: in
         return few
     if few is not None and not _explains_more(evidence, many.best.held_out.residuals, few):
         return few
-    known, again = needed(starts.pool, many, seed)
+    known, again = needed(starts, many, seed)
     best = again.best
     # What is stretched as far as it goes stands for something else.
     if any(at_a_bound(c, best.fit.values[p]) for c, p in zip(best.hypothesis, parts(best.hypothesis), strict=True)):

@@ -13,10 +13,12 @@ from ehls_ros.diagnosis.acceptance import most_explained, mostly_in, relevance
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.held_out import Assessment, assess
+from ehls_ros.diagnosis.hypotheses import Candidate
 from ehls_ros.diagnosis.pool import Pool
 from ehls_ros.diagnosis.probability import probabilities
 from ehls_ros.diagnosis.remainder import remainder_as_noise
 from ehls_ros.diagnosis.search import Place, Searched, inflations
+from ehls_ros.diagnosis.starts import Starts
 
 Rivals = Mapping[str, tuple[Fit, ...]]
 """By the name of a cause that was sought, the causes that may take its place."""
@@ -29,27 +31,23 @@ class Changed(NamedTuple):
     rivals: Rivals
 
 
-def needed(pool: Pool, found: Searched, seed: int) -> tuple[Evidence, Searched]:
+def needed(starts: Starts, found: Searched, seed: int) -> tuple[Evidence, Searched]:
     """Leave out and exchange causes of a hypothesis until each is probable enough.
 
     Args:
-        pool: the threads, of the recording compared with the given model.
+        starts: where the search's fits started.
         found: the causes, of which the places of the last are known.
         seed: of the resampling.
 
     Returns:
         The comparison with what remains counted as noise, and the causes as assessed there, with a place for each.
     """
-    best, evidence = found.best.fit, pool.evidence
-    left = found.best.held_out.residuals.values
-    sought = range(len(best.hypothesis) - len(found.places), len(best.hypothesis))
-    rivals: Rivals = {
-        best.hypothesis[i].name: tuple(r.fit.only(-1) for r in place.rivals)
-        for i, place in zip(sought, found.places, strict=True)
-    }
+    pool, best, left = starts.pool, found.best.fit, found.best.held_out.residuals.values
+    sought = best.hypothesis[len(best.hypothesis) - len(found.places) :]
+    rivals: Rivals = {c.name: _rivals(starts, place, c) for c, place in zip(sought, found.places, strict=True)}
     tried = set[frozenset[str]]()
     while True:
-        known = remainder_as_noise(evidence, left)
+        known = remainder_as_noise(pool.evidence, left)
         with closing(pool.beside(known)) as threads:
             now = _assessed(threads, best, rivals, found)
         tried.add(frozenset(now.best.names))
@@ -58,22 +56,28 @@ def needed(pool: Pool, found: Searched, seed: int) -> tuple[Evidence, Searched]:
             return known, now
         after, rivals = max(changed, key=lambda c: c.best.score(now.inflation))
         best = after.fit
-        left = {c: e * known.floor[c] / evidence.floor[c] for c, e in after.held_out.residuals.values.items()}
+        left = {c: e * known.floor[c] / pool.evidence.floor[c] for c, e in after.held_out.residuals.values.items()}
+
+
+def _rivals(starts: Starts, place: Place, cause: Candidate) -> tuple[Fit, ...]:
+    """Return other causes for the place of one, first those with fewer parameters, which a search may not have come to."""
+    simple = [start.fit for start in starts.extensions(place.without, len(cause.free) - 1)]
+    others = {fit.hypothesis[-1].name: fit.only(-1) for fit in (*simple, *(rival.fit for rival in place.rivals))}
+    others.pop(cause.name, None)
+    return tuple(sorted(others.values(), key=lambda fit: len(fit.values)))
 
 
 def _assessed(pool: Pool, best: Fit, rivals: Rivals, found: Searched) -> Searched:
     """Fit a hypothesis, the same without each of its causes, and with the rivals in their places."""
     (now,) = pool.map(_fitted, [best])
     without = pool.map(_fitted, [now.fit.without(i) for i in range(len(now.names))])
-    others = [
-        [less.fit.beside(other) for other in rivals.get(name, ()) if other.hypothesis[0].name not in now.names]
-        for name, less in zip(now.names, without, strict=True)
-    ]
-    places = tuple(
-        Place(less, tuple(pool.map(_fitted, starts[: rules.RIVALS]))) for less, starts in zip(without, others, strict=True)
-    )
+    places = []
+    for name, less in zip(now.names, without, strict=True):
+        others = [other for other in rivals.get(name, ()) if other.hypothesis[0].name not in now.names]
+        starts = [less.fit.beside(other) for other in others[: rules.RIVALS]]
+        places.append(Place(less, tuple(pool.map(_fitted, starts))))
     scale = inflations(pool.evidence, [now, *(rival for place in places for rival in place.rivals)])
-    return Searched(now, places, found.screened, scale)
+    return Searched(now, tuple(places), found.screened, scale)
 
 
 def _changes(evidence: Evidence, now: Searched, rivals: Rivals, seed: int) -> list[Changed]:

@@ -1,5 +1,6 @@
 """Where fits start: every cause alone, and beside the causes already found."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -80,8 +81,13 @@ class Starts:
             chosen.append(best if gains[best] > rules.MORE_PROMISING * max(gains[0], rules.PROMISING) else 0)
         return self._on_all_blocks(chosen)
 
-    def extensions(self, member: Assessment) -> list[Start]:
-        """Return the most promising starts of a hypothesis with one more cause."""
+    def extensions(self, member: Assessment, most: float = math.inf) -> list[Start]:
+        """Return the most promising starts of a hypothesis with one more cause.
+
+        Args:
+            member: the hypothesis.
+            most: free parameters of that cause, at most.
+        """
         evidence = self.pool.evidence
         promises = dict[tuple[str, int], Start]()
         excess = sum(member.excess(evidence, c) for c in member.held_out.gain)
@@ -90,7 +96,11 @@ class Starts:
         least += member.fit.loss - predicted_loss(member.fit)
         for other in [*self.beside(member), *self._at_lines(member)]:
             (cause,) = other.hypothesis
-            if cause.name in member.names or (cause.separates_load and any(c.separates_load for c in member.hypothesis)):
+            if (
+                len(cause.free) > most
+                or cause.name in member.names
+                or (cause.separates_load and any(c.separates_load for c in member.hypothesis))
+            ):
                 continue
             start = combined(evidence, member.fit, other)
             key = cause.name, cause.number
