@@ -96,11 +96,8 @@ class Starts:
         least += member.fit.loss - predicted_loss(member.fit)
         for other in [*self.beside(member), *self._at_lines(member)]:
             (cause,) = other.hypothesis
-            if (
-                len(cause.free) > most
-                or cause.name in member.names
-                or (cause.separates_load and any(c.separates_load for c in member.hypothesis))
-            ):
+            parted = cause.separates_load and any(c.separates_load for c in member.hypothesis)
+            if parted or cause.name in member.names or len(cause.free) > most:
                 continue
             start = combined(evidence, member.fit, other)
             key = cause.name, cause.number
