@@ -438,7 +438,13 @@ SETTLED_EXCESS: Annotated[
 ] = 3e-3
 
 MANY_PARAMETERS: Annotated[
-    int, Rule("fit", "1", "Free parameters above which derivatives are updated and not evaluated again after every step.")
+    int,
+    Rule(
+        "fit",
+        "1",
+        "Free parameters above which derivatives are updated and not evaluated again after every step.",
+        "fits of about 10 take at most 70 evaluations then, on EMPS, instead of 104 to 191",
+    ),
 ] = 6
 
 LOW_DAMPING: Annotated[float, Rule("fit", "1", "Levenberg damping of the first step from fresh derivatives.")] = 1e-6
@@ -773,6 +779,8 @@ LEAST_PROBABLE: Annotated[
         "partial answer",
         "1",
         "Probability that a cause, or another in its place, is there at all, below which it is not named beside others.",
+        "on EMPS with three values of the rig file 30 % off, in two patterns of signs: what is not there has at most 0.06, what"
+        " is there 0.3 or more, but for one wrong value with 0.15",
     ),
 ] = 0.2
 
