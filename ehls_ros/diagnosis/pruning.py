@@ -9,7 +9,7 @@ from contextlib import closing
 from typing import NamedTuple
 
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.acceptance import most_explained, mostly_in, relevance
+from ehls_ros.diagnosis.acceptance import differences, most_explained, mostly_in, relevance
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.held_out import Assessment, assess
@@ -105,4 +105,4 @@ def _fitted(worker: Worker, start: Fit) -> Assessment:
 def _matters(evidence: Evidence, best: Assessment, less: Assessment) -> bool:
     """Tell whether a cause acts where the hypothesis explains most, or is larger than an error of form."""
     main = most_explained(evidence.base, best.held_out.residuals)
-    return mostly_in(best, less) == main or relevance(evidence, best, less) >= rules.FORM_ERROR
+    return mostly_in(best, less) == main or relevance(evidence, differences(evidence, best, less)) >= rules.FORM_ERROR

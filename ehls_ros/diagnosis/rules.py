@@ -561,6 +561,13 @@ PROMISED_EXCESS: Annotated[
     float, Rule("search", "1", "Fraction of that gain which must be predicted for a fit to be made.")
 ] = 0.5
 
+NEEDED_SHARE: Annotated[
+    float,
+    Rule(
+        "search", "1", "Fraction of what the others leave that a further cause must close if it gains less than REMOVED_EXCESS."
+    ),
+] = 0.25
+
 CLOSED: Annotated[
     float, Rule("search", "1", "Minimum fraction of the removable error a cause must explain to be reported.")
 ] = 0.95
@@ -762,16 +769,6 @@ FORM_LEFT: Annotated[
         "twice the 5 % that models of real rigs are off by in one stage",
     ),
 ] = 0.1
-
-NEEDED_SHARE: Annotated[
-    float,
-    Rule(
-        "partial answer",
-        "1",
-        "Fraction of what remains without it that each of many causes must close.",
-        "1.8 standard errors where all that remains is worth FORM_FREEDOMS windows",
-    ),
-] = 0.25
 
 LEAST_PROBABLE: Annotated[
     float,
