@@ -1,6 +1,6 @@
 """When a further cause is accepted: it must gain enough, be sure enough and matter enough."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,9 +28,9 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
         return gain > 0.0 and _stands_out(evidence, evidence.form, more, less)
     main = mostly_in(more, less)
     beside = main in less.fit.channels
-    apart = list(differences(evidence, more, less))
+    apart = differences(evidence, more, less)
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
-    matters = relevance(evidence, more, less) >= (rules.RELEVANT_BESIDE if beside else rules.RELEVANT)
+    matters = relevance(evidence, apart) >= (rules.RELEVANT_BESIDE if beside else rules.RELEVANT)
     clear = not less.names and shows(apart, rules.CLEAR)
     if gain < rules.NEEDED_GAIN or not (matters or clear) or not (beside or shows(apart)):
         return False
@@ -54,32 +54,38 @@ def _stands_out(evidence: Evidence, form: float, more: Assessment, less: Assessm
     share = share_closed(evidence, more, less)
     # What closes all but a little of what the others leave is no error of form, however small it is.
     needed = rules.RELEVANT if share >= rules.CLOSED else rules.FORM_ERROR if less.names else form
-    if share < rules.WORTHWHILE or relevance(evidence, more, less) < needed:
+    if share < rules.WORTHWHILE or relevance(evidence, differences(evidence, more, less)) < needed:
         return False
     # Standard errors hold the form of what remains. Whether there is anything at all is judged by the scatter.
     return _surest(assess(replace(evidence, correlation={}), more.fit), less) >= rules.SURE
 
 
-def differences(evidence: Evidence, more: Assessment, less: Assessment) -> Iterator[Array]:
-    """Yield the difference between two hypotheses' residuals in each channel, in units of the noise floor.
+def differences(evidence: Evidence, more: Assessment, less: Assessment) -> list[Array]:
+    """Return the difference between two hypotheses' residuals in each channel, in units of the noise floor.
 
     Of a difference that the measurement may add, only what exceeds that matters. A rig's natural spread can make a change less
     sure, but not smaller.
     """
-    for c in evidence.channels:
-        one, other = more.fit.residuals.values[c], less.fit.residuals.values[c]
-        yield evidence.whole(c, one) - evidence.whole(c, other) if evidence.baselines else one - other
+    one, other = more.fit.residuals.values, less.fit.residuals.values
+    if evidence.baselines:
+        return [evidence.whole(c, one[c]) - evidence.whole(c, other[c]) for c in evidence.channels]
+    return [one[c] - other[c] for c in evidence.channels]
 
 
-def relevance(evidence: Evidence, more: Assessment, less: Assessment) -> float:
-    """Return how far two hypotheses differ, as a fraction of the largest term of the balance they differ most in."""
+def relevance(evidence: Evidence, apart: Sequence[Array]) -> float:
+    """Return how far two hypotheses differ, as a fraction of the largest term of the balance they differ most in.
+
+    Args:
+        evidence: the recording compared with the given model.
+        apart: result of :func:`differences`.
+    """
     largest = 0.0
-    for c, difference in zip(evidence.channels, differences(evidence, more, less), strict=True):
-        apart = np.abs(difference) * evidence.floor[c]
+    for c, difference in zip(evidence.channels, apart, strict=True):
+        change = np.abs(difference) * evidence.floor[c]
         size = max(evidence.sizes[c], 1e-300)
         # What acts seldom has a small rms; where it acts it matters.
-        rare = float(np.quantile(apart, rules.RARE_QUANTILE)) / rules.RARE_FACTOR
-        largest = max(largest, float(np.sqrt(np.mean(apart**2))) / size, rare / size)
+        rare = float(np.quantile(change, rules.RARE_QUANTILE)) / rules.RARE_FACTOR
+        largest = max(largest, float(np.sqrt(np.mean(change**2))) / size, rare / size)
     return largest
 
 

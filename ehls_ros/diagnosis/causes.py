@@ -12,7 +12,7 @@ from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import parts
 from ehls_ros.diagnosis.loss import closed
 from ehls_ros.diagnosis.missing_signals import deciding, untried
-from ehls_ros.diagnosis.probability import probability_of_first
+from ehls_ros.diagnosis.probability import probabilities
 from ehls_ros.diagnosis.remainder import remainder_in
 from ehls_ros.diagnosis.result import Cause, Rival
 from ehls_ros.diagnosis.search import Place, Searched
@@ -50,7 +50,8 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
         others = _other_effects(best, place, scale)
         compared = [best, *others, place.without]
         main = mostly_in(best, place.without)
-        probability = probability_of_first([j.per_block(scale) for j in compared], [len(j.fit.values) for j in compared], seed)
+        alone = probabilities([j.per_block(scale) for j in compared], [len(j.fit.values) for j in compared], seed)
+        probability = float(alone[0])
         if stages.count(stages[index]) > 1:
             probability *= rules.BOTH_RIGHT
         if remainder_in(evidence, best, main).doubtful:

@@ -3,6 +3,7 @@
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
@@ -15,7 +16,7 @@ from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
 from ehls_ros.diagnosis.measurement import allowed_for, beyond_measurement
 from ehls_ros.diagnosis.partial import partial_answer
-from ehls_ros.diagnosis.pool import Progress
+from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.remainder import Remainder, in_full, remainders
 from ehls_ros.diagnosis.result import NAMING, Cause, ChannelTrace, Diagnosis, Sensitivity, StageResult
@@ -23,7 +24,7 @@ from ehls_ros.diagnosis.search import search
 from ehls_ros.diagnosis.spectrum import spectral_lines
 from ehls_ros.diagnosis.stage_results import Nrmse, not_recorded, stage_result
 from ehls_ros.diagnosis.stages import CHANNELS, STAGES, UNITS, Channel, Setup, Stage, setup
-from ehls_ros.diagnosis.starts import main_channel
+from ehls_ros.diagnosis.starts import Starts, main_channel, try_starts
 from ehls_ros.diagnosis.verdict import Finding, decide
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
@@ -67,20 +68,21 @@ def diagnose(
     lines = spectral_lines(evidence.base.values[main], evidence.times[main])
     tried, not_tried = candidates(record, rig, lines)
     if not mass_shows(evidence):
-        tried = [c for c in tried if not c.parts_mass]
-    workers = threads or os.cpu_count() or 1
-    found = search(evidence, tried, workers, progress)
-    model = extended(rig, found.best.hypothesis, found.best.fit.values)
-    sizes = sensitivities(evidence, found.screened)
-    seen, told = in_full(evidence, found)
-    findings = _findings(seen, sizes, remainders(seen, told))
-    named = causes(seen, told, seed)
-    verdict, unknown = decide(findings, [cause.stage for cause in named], against_baselines=bool(evidence.baselines))
-    answer = partial_answer(evidence, found, tried, workers, progress) if verdict == "unknown" else None
+        everything, tried = {c.name for c in tried}, [c for c in tried if not c.parts_mass]
+        not_tried |= dict.fromkeys(everything - {c.name for c in tried}, "the piston hardly accelerates: no mass shows")
+    with closing(Pool(evidence, threads or os.cpu_count() or 1)) as pool:
+        starts = Starts(pool, try_starts(pool, tried, progress))
+        found = search(starts, progress)
+        sizes = sensitivities(evidence, found.screened)
+        seen, told = in_full(evidence, found)
+        findings = _findings(seen, sizes, remainders(seen, told))
+        named = causes(seen, told, seed)
+        verdict, unknown = decide(findings, [cause.stage for cause in named], against_baselines=bool(evidence.baselines))
+        answer = partial_answer(found, starts, progress, seed) if verdict == "unknown" else None
     known, best = (seen, told.best) if answer is None else (answer.evidence, answer.found.best)
     if answer is not None:
         verdict, named = "partial", causes(answer.evidence, answer.found, seed, rules.RIGHT_BESIDE_FORM, answer.refitted)
-        model = extended(rig, best.hypothesis, best.fit.values)
+    model = extended(rig, best.hypothesis, best.fit.values)
     names = verdict in NAMING
     signals = signals_along(evidence.comparison(), model)
     said = allowed_for(known, best.held_out.residuals.values)

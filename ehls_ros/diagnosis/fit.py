@@ -40,8 +40,8 @@ class Fit(NamedTuple):
 
     @property
     def costly(self) -> bool:
-        """Whether each derivative needs a simulation of a separate load."""
-        return any(c.separates_load for c in self.hypothesis)
+        """Whether derivatives take long: each needs a simulation of a separate load, or they are many."""
+        return len(self.values) > rules.MANY_PARAMETERS or any(c.separates_load for c in self.hypothesis)
 
     def without(self, index: int) -> "Fit":
         """Return the hypothesis without one of its causes, to be fitted: residuals and derivatives are still those with it."""
@@ -49,6 +49,19 @@ class Fit(NamedTuple):
         kept[parts(self.hypothesis)[index]] = False
         others = tuple(c for i, c in enumerate(self.hypothesis) if i != index)
         return self._replace(hypothesis=others, values=self.values[kept], steps=self.steps[kept])
+
+    def only(self, index: int) -> "Fit":
+        """Return one of the causes alone, to be fitted: residuals and derivatives are still those with all."""
+        part = parts(self.hypothesis)[index]
+        return self._replace(hypothesis=(self.hypothesis[index],), values=self.values[part], steps=self.steps[part])
+
+    def beside(self, cause: "Fit") -> "Fit":
+        """Return the hypothesis with one more cause, to be fitted: residuals and derivatives are still those without it."""
+        return self._replace(
+            hypothesis=(*self.hypothesis, *cause.hypothesis),
+            values=np.concatenate([self.values, cause.values]),
+            steps=np.concatenate([self.steps, cause.steps]),
+        )
 
     def negligible(self, total: float, windows: int) -> float:
         """Return the decrease below which the fit has settled [nats].

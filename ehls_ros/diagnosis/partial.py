@@ -6,26 +6,25 @@ coarsened posterior: Miller, Dunson 2019), and a cause must stand out of the err
 or where several values of the rig file are wrong, these are fitted first and the causes sought beside them.
 """
 
-from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import most_explained
-from ehls_ros.diagnosis.evidence import Evidence, Residuals, measured_in
+from ehls_ros.diagnosis.evidence import Evidence, Residuals
 from ehls_ros.diagnosis.fit import Worker
 from ehls_ros.diagnosis.held_out import Assessment
-from ehls_ros.diagnosis.hypotheses import Candidate, parts
-from ehls_ros.diagnosis.loss import closed, power
+from ehls_ros.diagnosis.hypotheses import parts
+from ehls_ros.diagnosis.loss import closed
 from ehls_ros.diagnosis.pool import Progress
-from ehls_ros.diagnosis.pruning import assessed_again, pruned
-from ehls_ros.diagnosis.remainder import at_a_bound, in_full
+from ehls_ros.diagnosis.pruning import needed
+from ehls_ros.diagnosis.remainder import at_a_bound, in_full, remainder_as_noise
 from ehls_ros.diagnosis.rig_values import fitted_values
 from ehls_ros.diagnosis.search import Searched, search
-from ehls_ros.diagnosis.stages import Channel
+from ehls_ros.diagnosis.starts import Starts
 
 
 class PartialAnswer(NamedTuple):
@@ -42,50 +41,47 @@ class PartialAnswer(NamedTuple):
     refitted: tuple[str, ...] = ()
 
 
-def partial_answer(
-    evidence: Evidence, found: Searched, tried: Sequence[Candidate], threads: int, progress: Progress
-) -> PartialAnswer | None:
+def partial_answer(found: Searched, starts: Starts, progress: Progress, seed: int) -> PartialAnswer | None:
     """Return the causes that matter although something remains; None if none does.
 
     Args:
-        evidence: the recording compared with the given model.
         found: what the search found while only the sensors' noise counted as noise.
-        tried: the causes to try.
-        threads: how many to try at once.
+        starts: where its fits started.
         progress: called with the progress.
+        seed: of the resampling.
     """
+    evidence = starts.pool.evidence
     if evidence.baselines:
         # What the rig's own form leaves counted as noise from the beginning.
         whole, told = in_full(evidence, found)
         return PartialAnswer(whole, told) if told.best.names and worthwhile(whole, told.best) else None
-    few = _beside_form(evidence, found, tried, threads, progress)
-    worker = Worker(evidence)
-    values = fitted_values(worker, found.screened)
+    few = _beside_form(found, starts, progress)
+    values = fitted_values(Worker(evidence), found.screened)
     # One cause is simpler than several values that are wrong together.
     simple = few is not None and len(few.found.best.names) == 1
     if few is not None and (values is None or (simple and not _explains_more(evidence, values.residuals, few))):
         return few
-    many = found if values is None else search(evidence, tried, threads, progress, values)
+    many = found if values is None else search(starts, progress, values)
     if not many.best.names or not worthwhile(evidence, many.best):
         return few
     if few is not None and not _explains_more(evidence, many.best.held_out.residuals, few):
         return few
-    needed = pruned(worker, many)
-    best = needed.best
+    known, again = needed(starts, many, seed)
+    best = again.best
     # What is stretched as far as it goes stands for something else.
     if any(at_a_bound(c, best.fit.values[p]) for c, p in zip(best.hypothesis, parts(best.hypothesis), strict=True)):
         return few
-    known = remainder_as_noise(evidence, best.held_out.residuals.values)
-    refitted = tuple(name for name in best.names if name not in needed.rivals)
-    return PartialAnswer(*in_full(known, assessed_again(Worker(known), many, needed)), refitted)
+    given = () if values is None else values.hypothesis
+    refitted = tuple(name for name in best.names if name in {c.name for c in given})
+    return PartialAnswer(*in_full(known, again), refitted)
 
 
-def _beside_form(
-    evidence: Evidence, found: Searched, tried: Sequence[Candidate], threads: int, progress: Progress
-) -> PartialAnswer | None:
+def _beside_form(found: Searched, starts: Starts, progress: Progress) -> PartialAnswer | None:
     """Return the few causes that stand out of errors of form, if there are any."""
-    known = replace(remainder_as_noise(evidence, found.best.held_out.residuals.values), form=rules.FORM_ERROR)
-    known, again = in_full(known, search(known, tried, threads, progress))
+    remains = remainder_as_noise(starts.pool.evidence, found.best.held_out.residuals.values)
+    known = replace(remains, form=rules.FORM_ERROR)
+    with closing(starts.pool.beside(known)) as pool:
+        known, again = in_full(known, search(Starts(pool, starts.tried), progress))
     return PartialAnswer(known, again) if again.best.names and worthwhile(known, again.best) else None
 
 
@@ -95,26 +91,6 @@ def _explains_more(evidence: Evidence, residuals: Residuals, few: PartialAnswer)
     main = max(best.held_out.gain, key=lambda c: float(np.sum(best.held_out.gain[c])))
     left = best.held_out.residuals.values[main] * few.evidence.floor[main] / evidence.floor[main]
     return closed(left, residuals.values[main], evidence.noise[main]) >= rules.WORTHWHILE
-
-
-def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evidence:
-    """Return the comparison with what a hypothesis leaves counted as noise, channel by channel.
-
-    The sensors' noise is independent from window to window. An error of form repeats wherever the rig comes by again: however
-    long the recording, it tells no more than :data:`rules.FORM_FREEDOMS` independent windows would.
-
-    Args:
-        evidence: the comparison.
-        left: held-out residuals of the hypothesis, whitened with the comparison's own noise floor.
-    """
-    floor, correlation = dict[Channel, Array](), dict[Channel, float]()
-    for c in evidence.channels:
-        remains, noise = (power(e * evidence.floor[c]) for e in (left[c], evidence.noise[c]))
-        beyond = max(0.0, remains - noise)
-        alike = max(1.0, len(left[c]) / rules.FORM_FREEDOMS)
-        floor[c] = np.sqrt(evidence.floor[c] ** 2 + beyond)
-        correlation[c] = (noise + alike * beyond) / max(noise + beyond, 1e-300)
-    return measured_in(evidence, floor, correlation)
 
 
 def worthwhile(evidence: Evidence, best: Assessment) -> bool:

@@ -20,19 +20,32 @@ Progress = Callable[[str, float], None]
 
 
 class Pool:
-    """Threads, each with its own worker; the kernels run without Python's lock."""
+    """Threads, each with its own worker; the kernels run without Python's lock.
 
-    def __init__(self, evidence: Evidence, threads: int) -> None:
-        """Start the threads."""
-        ranges = informative_blocks(evidence)
-        few = None if ranges is None else gather(evidence.record.parts(ranges), evidence.rig, evidence.setup, seed=0)
-        if few is not None and evidence.judge is not None:
-            few = evidence.judge(few)
-        self.subset = few or evidence
+    Attributes:
+        evidence: the recording compared with the given model.
+        few: a few blocks of it if it is long enough for these to save time, or else all of it.
+    """
+
+    def __init__(self, evidence: Evidence, threads: int, few: Evidence | None = None) -> None:
+        """Start the threads.
+
+        Args:
+            evidence: the recording compared with the given model.
+            threads: how many.
+            few: of another pool, to take the same blocks.
+        """
+        self.evidence, self.few = evidence, few or few_blocks(evidence)
+        self._threads = threads
+        subset = None if self.few.record is evidence.record else self.few
         self._free: SimpleQueue[Worker] = SimpleQueue()
         for _ in range(threads):
-            self._free.put(Worker(evidence, few))
+            self._free.put(Worker(evidence, subset))
         self._executor, self._leaders = ThreadPoolExecutor(threads), ThreadPoolExecutor(threads)
+
+    def beside(self, evidence: Evidence) -> "Pool":
+        """Return as many threads for the same recording beside another noise floor."""
+        return Pool(evidence, self._threads, self.few)
 
     def map(self, work: Callable[[Worker, Item], Done], items: Sequence[Item]) -> list[Done]:
         """Do the work on every item and return the results in the items' order; the first exception is raised."""
@@ -54,6 +67,15 @@ class Pool:
         """Stop the threads."""
         self._leaders.shutdown()
         self._executor.shutdown()
+
+
+def few_blocks(evidence: Evidence) -> Evidence:
+    """Return the evidence from a few blocks of a recording; all of it where a selection would save no time."""
+    ranges = informative_blocks(evidence)
+    if ranges is None:
+        return evidence
+    few = gather(evidence.record.parts(ranges), evidence.rig, evidence.setup, seed=0)
+    return few if evidence.judge is None else evidence.judge(few)
 
 
 def informative_blocks(evidence: Evidence) -> list[tuple[int, int]] | None:

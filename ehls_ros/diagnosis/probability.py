@@ -1,4 +1,4 @@
-"""How probable a hypothesis is among its rivals."""
+"""How probable hypotheses are among each other."""
 
 from collections.abc import Sequence
 
@@ -8,8 +8,8 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 
 
-def probability_of_first(gains: Sequence[Array], parameters: Sequence[int], seed: int) -> float:
-    """Return the probability of the first of several hypotheses, given what each gains on every held-out block.
+def probabilities(gains: Sequence[Array], parameters: Sequence[int], seed: int) -> Array:
+    """Return the probability of each of several hypotheses, given what it gains on every held-out block.
 
     Stacking by a Bayesian bootstrap of the blocks (Yao, Vehtari, Simpson, Gelman 2018): the mean over resamplings of its share
     of the likelihood.
@@ -18,6 +18,9 @@ def probability_of_first(gains: Sequence[Array], parameters: Sequence[int], seed
         gains: of each hypothesis, shape (blocks,) [nats]; empty for one that changes nothing.
         parameters: number of free parameters of each.
         seed: of the resampling.
+
+    Returns:
+        The probabilities, shape (hypotheses,).
     """
     rng = np.random.default_rng(seed)
     blocks = max((len(g) for g in gains), default=1)
@@ -27,4 +30,5 @@ def probability_of_first(gains: Sequence[Array], parameters: Sequence[int], seed
     scores = weights @ table.T - penalty
     scores -= scores.max(axis=1, keepdims=True)
     likelihood = np.exp(scores)
-    return float(np.mean(likelihood[:, 0] / likelihood.sum(axis=1)))
+    mean: Array = np.mean(likelihood / likelihood.sum(axis=1, keepdims=True), axis=0)
+    return mean

@@ -1,100 +1,108 @@
-"""What is needed of a hypothesis: the causes without which clearly more remains."""
+"""What is needed of many causes: those that are probable enough where what remains is counted as noise.
 
+A search that takes for noise only what the sensors have adds causes that fit the form of what remains, and takes one with many
+parameters for one with few. Where what remains is counted as noise, each cause has to be more than such a form.
+"""
+
+from collections.abc import Mapping
+from contextlib import closing
 from typing import NamedTuple
 
-import numpy as np
-
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.acceptance import most_explained, mostly_in, relevance, share_closed
+from ehls_ros.diagnosis.acceptance import differences, most_explained, mostly_in, relevance
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.held_out import Assessment, assess
-from ehls_ros.diagnosis.hypotheses import parts
+from ehls_ros.diagnosis.hypotheses import Candidate
+from ehls_ros.diagnosis.pool import Pool
+from ehls_ros.diagnosis.probability import probabilities
+from ehls_ros.diagnosis.remainder import remainder_as_noise
 from ehls_ros.diagnosis.search import Place, Searched, inflations
+from ehls_ros.diagnosis.starts import Starts
+
+Rivals = Mapping[str, tuple[Fit, ...]]
+"""By the name of a cause that was sought, the causes that may take its place."""
 
 
-class Pruned(NamedTuple):
-    """A hypothesis of which nothing can be left out.
-
-    Attributes:
-        best: the hypothesis.
-        without: the same without each of its causes.
-        rivals: by the name of a cause that was sought, hypotheses with another in its place.
-    """
+class Changed(NamedTuple):
+    """A hypothesis with one cause less, or with another in its place."""
 
     best: Assessment
-    without: tuple[Assessment, ...]
-    rivals: dict[str, tuple[Assessment, ...]]
+    rivals: Rivals
 
 
-def pruned(worker: Worker, found: Searched) -> Pruned:
-    """Leave out the causes without which hardly more remains, the least needed first.
+def needed(starts: Starts, found: Searched, seed: int) -> tuple[Evidence, Searched]:
+    """Leave out and exchange causes of a hypothesis until each is probable enough.
 
     Args:
-        worker: of the recording compared with the given model.
+        starts: where the search's fits started.
         found: the causes, of which the places of the last are known.
+        seed: of the resampling.
+
+    Returns:
+        The comparison with what remains counted as noise, and the causes as assessed there, with a place for each.
     """
-    evidence, names = worker.evidence, found.best.names[len(found.best.names) - len(found.places) :]
-    rivals = {name: place.rivals for name, place in zip(names, found.places, strict=True)}
-    # What more parameters explain beyond that is an error of form.
-    alike = [
-        (other, name)
-        for name in names
-        for other in rivals[name]
-        if share_closed(evidence, found.best, other) < rules.REMOVED_EXCESS
-    ]
-    best, instead = min([(found.best, ""), *alike], key=lambda pair: len(pair[0].fit.values))
-    if instead:
-        rivals[best.names[-1]] = rivals.pop(instead)
+    pool, best, left = starts.pool, found.best.fit, found.best.held_out.residuals.values
+    sought = best.hypothesis[len(best.hypothesis) - len(found.places) :]
+    rivals: Rivals = {c.name: _rivals(starts, place, c) for c, place in zip(sought, found.places, strict=True)}
+    tried = set[frozenset[str]]()
     while True:
-        without = tuple(fitted(worker, best.fit.without(index)) for index in range(len(best.names)))
-        worth = [share_closed(evidence, best, other) if _matters(evidence, best, other) else 0.0 for other in without]
-        least = int(np.argmin(worth))
-        if worth[least] >= rules.NEEDED_SHARE or len(without) == 1:
-            return Pruned(best, without, rivals)
-        best = without[least]
+        known = remainder_as_noise(pool.evidence, left)
+        with closing(pool.beside(known)) as threads:
+            now = _assessed(threads, best, rivals, found)
+        tried.add(frozenset(now.best.names))
+        changed = [c for c in _changes(known, now, rivals, seed) if frozenset(c.best.names) not in tried]
+        if not changed:
+            return known, now
+        after, rivals = max(changed, key=lambda c: c.best.score(now.inflation))
+        best = after.fit
+        left = {c: e * known.floor[c] / pool.evidence.floor[c] for c, e in after.held_out.residuals.values.items()}
 
 
-def assessed_again(worker: Worker, found: Searched, best: Pruned) -> Searched:
-    """Return a pruned hypothesis and the rivals of its causes as assessed beside another noise floor.
+def _rivals(starts: Starts, place: Place, cause: Candidate) -> tuple[Fit, ...]:
+    """Return other causes for the place of one, first those with fewer parameters, which a search may not have come to."""
+    simple = [start.fit for start in starts.extensions(place.without, len(cause.free) - 1)]
+    others = {fit.hypothesis[-1].name: fit.only(-1) for fit in (*simple, *(rival.fit for rival in place.rivals))}
+    others.pop(cause.name, None)
+    return tuple(sorted(others.values(), key=lambda fit: len(fit.values)))
 
-    Args:
-        worker: of the recording beside that noise floor.
-        found: what was pruned.
-        best: the pruned hypothesis.
-    """
+
+def _assessed(pool: Pool, best: Fit, rivals: Rivals, found: Searched) -> Searched:
+    """Fit a hypothesis, the same without each of its causes, and with the rivals in their places."""
+    (now,) = pool.map(_fitted, [best])
+    without = pool.map(_fitted, [now.fit.without(i) for i in range(len(now.names))])
     places = []
-    for name, without in zip(best.best.names, best.without, strict=True):
-        others = [r for r in best.rivals.get(name, ()) if r.names[-1] not in best.best.names]
-        rivals = tuple(fitted(worker, _beside(without.fit, other.fit)) for other in others[: rules.RIVALS])
-        places.append(Place(fitted(worker, without.fit), rivals))
-    now = fitted(worker, best.best.fit)
-    scale = inflations(worker.evidence, [now, *(rival for place in places for rival in place.rivals)])
+    for name, less in zip(now.names, without, strict=True):
+        others = [other for other in rivals.get(name, ()) if other.hypothesis[0].name not in now.names]
+        starts = [less.fit.beside(other) for other in others[: rules.RIVALS]]
+        places.append(Place(less, tuple(pool.map(_fitted, starts))))
+    scale = inflations(pool.evidence, [now, *(rival for place in places for rival in place.rivals)])
     return Searched(now, tuple(places), found.screened, scale)
 
 
-def fitted(worker: Worker, start: Fit) -> Assessment:
-    """Fit a hypothesis from its values and assess it.
+def _changes(evidence: Evidence, now: Searched, rivals: Rivals, seed: int) -> list[Changed]:
+    """Return the hypotheses without a cause that is too improbable, and those with a better one in its place."""
+    best, scale, out = now.best, now.inflation, list[Changed]()
+    for index, (name, place) in enumerate(zip(best.names, now.places, strict=True)):
+        rest = {n: causes for n, causes in rivals.items() if n != name}
+        for other in place.rivals:
+            if other.score(scale) > best.score(scale) + rules.BETTER:
+                cause = best.fit.only(index), *(r for r in rivals[name] if r.hypothesis[0].name != other.names[-1])
+                out.append(Changed(other, {**rest, other.names[-1]: cause}))
+        compared = [place.without, best, *place.rivals]
+        absent = probabilities([j.per_block(scale) for j in compared], [len(j.fit.values) for j in compared], seed)[0]
+        if len(best.names) > 1 and (1.0 - absent < rules.LEAST_PROBABLE or not _matters(evidence, best, place.without)):
+            out.append(Changed(place.without, rest))
+    return out
 
-    Args:
-        worker: of the recording.
-        start: the hypothesis; its residuals and derivatives need not be the recording's.
-    """
+
+def _fitted(worker: Worker, start: Fit) -> Assessment:
+    """Fit a hypothesis from its values and assess it; its residuals and derivatives need not be the worker's."""
     fit = worker.linearise(start.hypothesis, start.values, start.steps)
     return assess(worker.evidence, worker.fit(fit) if fit.hypothesis else fit)
-
-
-def _beside(fit: Fit, other: Fit) -> Fit:
-    """Return a hypothesis with the last cause of another, to be fitted."""
-    part = parts(other.hypothesis)[-1]
-    return fit._replace(
-        hypothesis=(*fit.hypothesis, other.hypothesis[-1]),
-        values=np.concatenate([fit.values, other.values[part]]),
-        steps=np.concatenate([fit.steps, other.steps[part]]),
-    )
 
 
 def _matters(evidence: Evidence, best: Assessment, less: Assessment) -> bool:
     """Tell whether a cause acts where the hypothesis explains most, or is larger than an error of form."""
     main = most_explained(evidence.base, best.held_out.residuals)
-    return mostly_in(best, less) == main or relevance(evidence, best, less) >= rules.FORM_ERROR
+    return mostly_in(best, less) == main or relevance(evidence, differences(evidence, best, less)) >= rules.FORM_ERROR

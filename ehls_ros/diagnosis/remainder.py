@@ -1,6 +1,7 @@
 """What remains of each channel's residual with the causes named: noise, an incident, or an error that no cause explains."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import mostly_in
-from ehls_ros.diagnosis.evidence import Evidence, Residuals, noise_power
+from ehls_ros.diagnosis.evidence import Evidence, Residuals, measured_in, noise_power
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate, parts
 from ehls_ros.diagnosis.loss import power
@@ -180,6 +181,26 @@ def in_full(evidence: Evidence, found: Searched) -> tuple[Evidence, Searched]:
 
     places = tuple(Place(seen(place.without), tuple(seen(rival) for rival in place.rivals)) for place in found.places)
     return replace(evidence, base=full(evidence.base)), found._replace(places=places)
+
+
+def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evidence:
+    """Return the comparison with what a hypothesis leaves counted as noise, channel by channel.
+
+    The sensors' noise is independent from window to window. An error of form repeats wherever the rig comes by again: however
+    long the recording, it tells no more than :data:`rules.FORM_FREEDOMS` independent windows would.
+
+    Args:
+        evidence: the comparison.
+        left: held-out residuals of the hypothesis, whitened with the comparison's own noise floor.
+    """
+    floor, correlation = dict[Channel, Array](), dict[Channel, float]()
+    for c in evidence.channels:
+        remains, noise = (power(e * evidence.floor[c]) for e in (left[c], evidence.noise[c]))
+        beyond = max(0.0, remains - noise)
+        alike = max(1.0, len(left[c]) / rules.FORM_FREEDOMS)
+        floor[c] = np.sqrt(evidence.floor[c] ** 2 + beyond)
+        correlation[c] = (noise + alike * beyond) / max(noise + beyond, 1e-300)
+    return measured_in(evidence, floor, correlation)
 
 
 def remainders(evidence: Evidence, found: Searched) -> tuple[Remainder, ...]:

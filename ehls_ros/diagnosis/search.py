@@ -49,38 +49,20 @@ class Searched(NamedTuple):
     inflation: Mapping[Channel, float]
 
 
-def search(
-    evidence: Evidence, found: Sequence[Candidate], threads: int, progress: Progress, begin: Fit | None = None
-) -> Searched:
+def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Searched:
     """Find the causes that explain a recording.
 
     Args:
-        evidence: the recording compared with the given model.
-        found: the causes to try.
-        threads: how many to try at once.
+        starts: where the fits of the causes to try start.
         progress: called with the progress.
         begin: a hypothesis that causes are added to; its own stay, and have no place. By default the given model.
     """
-    pool = Pool(evidence, threads)
-    try:
-        return _search(evidence, found, pool, progress, begin)
-    finally:
-        pool.close()
-
-
-def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress: Progress, begin: Fit | None) -> Searched:
-    starts = Starts(evidence, pool, found, progress)
-    screened = starts.alone
-    nothing = assess(evidence, _nothing(evidence))
-    gains = np.array([base_loss(evidence, f) - predicted_loss(f) for f in screened])
-    order = [int(i) for i in np.argsort(-gains) if gains[i] > rules.PROMISING][: rules.TRIED_SINGLES]
-    singles = _fitted(evidence, pool, [newton_start(screened[i]) for i in order], rules.FITTED_SINGLES)
+    pool = starts.pool
+    evidence = pool.evidence
+    progress("causes one by one", 0.35)
+    base = assess(evidence, _nothing(evidence) if begin is None else begin)
+    level = _fitted(evidence, pool, starts.extensions(base)) if base.names else _alone(evidence, pool, starts.alone)
     progress("causes together", 0.55)
-
-    base, level = nothing, singles
-    if begin is not None:
-        base = assess(evidence, begin)
-        level = _fitted(evidence, pool, starts.extensions(base))
     best, scale = _added(evidence, pool, starts, base, level, progress)
     if evidence.form is not None and not best.names:
         # Nothing is larger than an error of form: then a single cause may be smaller.
@@ -89,7 +71,14 @@ def _search(evidence: Evidence, found: Sequence[Candidate], pool: Pool, progress
     best, places = _exchanged(evidence, pool, best, starts, Place(base, tuple(level)), scale)
     scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
     progress("causes together", 1.0)
-    return Searched(best, places, tuple(screened), scale)
+    return Searched(best, places, tuple(starts.alone), scale)
+
+
+def _alone(evidence: Evidence, pool: Pool, screened: Sequence[Fit]) -> list[Assessment]:
+    """Fit the most promising of single causes."""
+    gains = np.array([base_loss(evidence, f) - predicted_loss(f) for f in screened])
+    order = [int(i) for i in np.argsort(-gains) if gains[i] > rules.PROMISING][: rules.TRIED_SINGLES]
+    return _fitted(evidence, pool, [newton_start(screened[i]) for i in order], rules.FITTED_SINGLES)
 
 
 def _added(

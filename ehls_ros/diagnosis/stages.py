@@ -221,9 +221,14 @@ class Comparison:
 
     def _driving(self, rig: EffectiveRig, motion: Motion) -> Array:
         """Return the force on the mass but for friction, damping and inertia [N]."""
-        plant = rig.plant
-        pushed = plant.piston_area * self.pressure(rig) - plant.spring_stiffness * motion.position
-        return pushed - plant.moving_mass * plant.gravity - motion.disturbance + self.extra_force(rig)[:, 0]
+
+        def compute() -> Array:
+            plant = rig.plant
+            pushed = plant.piston_area * self.pressure(rig) - plant.spring_stiffness * motion.position
+            return pushed - plant.moving_mass * plant.gravity - motion.disturbance + self.extra_force(rig)[:, 0]
+
+        driving: Array = self._keep("driving", (_beam(rig), self.relevant_parts(rig, "force")), compute)
+        return driving
 
     def _cell(self, rig: EffectiveRig) -> Array:
         return self.setup.average.mean(
@@ -314,13 +319,15 @@ class Comparison:
 
     def _stiff_steps(self, rig: EffectiveRig, motion: Motion) -> int:
         """Return the steps in a sample that the friction model's relaxation asks for."""
-        speed = float(np.quantile(np.abs(motion.velocity), rules.FASTEST_SHARE))
+        speed: float = self._keep(
+            "speed", self._moves(rig), lambda: float(np.quantile(np.abs(motion.velocity), rules.FASTEST_SHARE))
+        )
         fastest = rig.friction_law.relaxation_rate(rig.friction, speed)
         return min(rules.MOST_STEPS, max(1, math.ceil(fastest * self.record.period / rules.RELAXED)))
 
     def _balance(self, rig: EffectiveRig, motion: Motion) -> Array:
         """Return the friction that the other forces ask for, from smoothed motion [N]."""
-        acceleration = np.gradient(motion.velocity, self.record.period)
+        acceleration = self._keep("acceleration", self._moves(rig), lambda: np.gradient(motion.velocity, self.record.period))
         plant = rig.plant
         inertia = (
             plant.moving_mass * acceleration + (plant.viscous_damping + rig.friction.viscous_coefficient) * motion.velocity
@@ -367,9 +374,12 @@ class Comparison:
         return motion if SPOOL in self.record else motion._replace(spool=self.simulated_spool(rig))
 
     def _measured_motion(self, rig: EffectiveRig) -> Motion:
-        sensors = tuple((name, rig.sensors.get(name)) for name in SENSED)
-        motion: Motion = self._keep("motion", (sensors, rig.plant.piston_area), lambda: self._make_motion(rig))
+        motion: Motion = self._keep("motion", self._moves(rig), lambda: self._make_motion(rig))
         return motion
+
+    def _moves(self, rig: EffectiveRig) -> Any:
+        """Return what the recorded motion depends on."""
+        return tuple((name, rig.sensors.get(name)) for name in SENSED), rig.plant.piston_area
 
     def _make_motion(self, rig: EffectiveRig) -> Motion:
         record = self.record

@@ -1,9 +1,12 @@
 """Where fits start: every cause alone, and beside the causes already found."""
 
+import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
 from ehls_ros.diagnosis.fit import Fit, Start, Worker, base_loss, newton_start, predicted_loss
@@ -16,52 +19,76 @@ from ehls_ros.diagnosis.spectrum import spectral_lines
 from ehls_ros.diagnosis.stages import Channel
 
 
+class Tried(NamedTuple):
+    """All starts of every cause in a few blocks of a recording.
+
+    Attributes:
+        causes: the causes that were tried.
+        few: these blocks.
+        fits: of each cause that changes anything there, its starts with their derivatives, the best first.
+    """
+
+    causes: Sequence[Candidate]
+    few: Evidence
+    fits: Sequence[Sequence[Fit]]
+
+
+def try_starts(pool: Pool, causes: Sequence[Candidate], progress: Progress) -> Tried:
+    """Evaluate all starts of every cause in a few blocks of a recording.
+
+    Args:
+        pool: the threads.
+        causes: the causes to try.
+        progress: called with the progress.
+    """
+    progress("causes one by one", 0.0)
+    fits = [fits for fits in pool.map(_screen, causes) if fits]
+    progress("causes one by one", 0.2)
+    return Tried(causes, pool.few, fits)
+
+
 class Starts:
     """Where the fits of every cause start, alone and beside others.
 
     Attributes:
+        pool: the threads.
+        tried: the starts in a few blocks, which may have been whitened with another noise floor.
         alone: each cause at its best starting values, with its derivatives.
     """
 
-    def __init__(self, evidence: Evidence, pool: Pool, found: Sequence[Candidate], progress: Progress) -> None:
-        """Find the best starting values of every cause alone.
-
-        Args:
-            evidence: the recording compared with the given model.
-            pool: the threads.
-            found: the causes to try.
-            progress: called with the progress.
-        """
-        self._evidence, self._pool, self._found = evidence, pool, found
-        progress("causes one by one", 0.0)
-        # All starts of each cause in a few blocks of the recording, the best first.
-        self._few = [fits for fits in pool.map(_screen, found) if fits]
-        progress("causes one by one", 0.2)
+    def __init__(self, pool: Pool, tried: Tried) -> None:
+        """Evaluate the best start of every cause on all blocks."""
+        self.pool, self.tried = pool, tried
         self._complete = dict[tuple[int, int], Fit | None]()
-        self.alone = self._on_all_blocks([0] * len(self._few))
-        progress("causes one by one", 0.35)
+        self._lines = dict[tuple[str, int, tuple[float, ...]], Fit | None]()
+        self.alone = self._on_all_blocks([0] * len(tried.fits))
 
     def beside(self, member: Assessment) -> list[Fit]:
         """Return every cause at its best starting values beside a hypothesis, whose own error may have hidden them."""
         if not member.names:
             return self.alone
-        few = self._pool.subset
+        few = self.tried.few
 
         def remaining(worker: Worker, other: Assessment) -> Residuals:
             model = extended(few.rig, other.hypothesis, other.fit.values)
-            return (worker.subset or worker).residuals(model)
+            return few.residuals((worker.subset or worker).comparison, model)
 
-        (remainder,) = self._pool.map(remaining, [member])
+        (remainder,) = self.pool.map(remaining, [member])
         chosen = []
-        for fits in self._few:
+        for fits in self.tried.fits:
             gains = [_gain_beside(few, remainder, f) for f in fits] if len(fits) > 1 else [0.0]
             best = int(np.argmax(gains))
             chosen.append(best if gains[best] > rules.MORE_PROMISING * max(gains[0], rules.PROMISING) else 0)
         return self._on_all_blocks(chosen)
 
-    def extensions(self, member: Assessment) -> list[Start]:
-        """Return the most promising starts of a hypothesis with one more cause."""
-        evidence = self._evidence
+    def extensions(self, member: Assessment, most: float = math.inf) -> list[Start]:
+        """Return the most promising starts of a hypothesis with one more cause.
+
+        Args:
+            member: the hypothesis.
+            most: free parameters of that cause, at most.
+        """
+        evidence = self.pool.evidence
         promises = dict[tuple[str, int], Start]()
         excess = sum(member.excess(evidence, c) for c in member.held_out.gain)
         least = max(rules.PROMISING, rules.PROMISED_EXCESS * rules.REMOVED_EXCESS * excess)
@@ -69,7 +96,8 @@ class Starts:
         least += member.fit.loss - predicted_loss(member.fit)
         for other in [*self.beside(member), *self._at_lines(member)]:
             (cause,) = other.hypothesis
-            if cause.name in member.names or (cause.separates_load and any(c.separates_load for c in member.hypothesis)):
+            parted = cause.separates_load and any(c.separates_load for c in member.hypothesis)
+            if parted or cause.name in member.names or len(cause.free) > most:
                 continue
             start = combined(evidence, member.fit, other)
             key = cause.name, cause.number
@@ -79,20 +107,28 @@ class Starts:
 
     def _at_lines(self, member: Assessment) -> list[Fit]:
         """Return causes of one frequency at the spectral lines a hypothesis leaves, which its causes may have hidden."""
-        evidence = self._evidence
+        evidence = self.pool.evidence
         main = main_channel(evidence.channels)
         if not member.names or member.excess(evidence, main) < rules.PROMISING:
             return []
         lines = spectral_lines(member.fit.residuals.values[main], evidence.times[main])
-        starts = [(c, values) for c in at_lines(self._found, evidence.record, evidence.rig, lines) for values in c.starts]
-        fits = self._pool.map(lambda worker, start: worker.linearise((start[0],), start[1]), starts)
-        return [f for f in fits if f.channels and np.any(f.jacobian)]
+        found = at_lines(self.tried.causes, evidence.record, evidence.rig, lines)
+        starts = {(c.name, c.number, tuple(values)): (c, values) for c in found for values in c.starts}
+        missing = [key for key in starts if key not in self._lines]
+
+        def changes(worker: Worker, start: tuple[Candidate, Array]) -> Fit | None:
+            return _changing(worker.linearise((start[0],), start[1]))
+
+        self._lines.update(zip(missing, self.pool.map(changes, [starts[key] for key in missing]), strict=True))
+        return [fit for key in starts if (fit := self._lines[key]) is not None]
 
     def _on_all_blocks(self, chosen: Sequence[int]) -> list[Fit]:
         """Return the chosen start of each cause with its derivatives on the complete recording."""
         keys = list(enumerate(chosen))
         missing = [key for key in keys if key not in self._complete]
-        fits = self._pool.map(_linearised, [self._few[i][j] for i, j in missing])
+        starts = [self.tried.fits[i][j] for i, j in missing]
+        # Where all blocks were tried, that is known.
+        fits = starts if self.tried.few is self.pool.evidence else self.pool.map(_linearised, starts)
         self._complete.update(zip(missing, fits, strict=True))
         return [fit for key in keys if (fit := self._complete[key]) is not None]
 
@@ -113,7 +149,10 @@ def _gain_beside(few: Evidence, remainder: Residuals, other: Fit) -> float:
 
 def _linearised(worker: Worker, start: Fit) -> Fit | None:
     """Evaluate a cause and its derivatives at its start; None where it changes nothing."""
-    fit = worker.linearise(start.hypothesis, start.values, start.steps)
+    return _changing(worker.linearise(start.hypothesis, start.values, start.steps))
+
+
+def _changing(fit: Fit) -> Fit | None:
     return fit if fit.channels and np.any(fit.jacobian) else None
 
 
@@ -125,7 +164,7 @@ def _screen(worker: Worker, candidate: Candidate) -> list[Fit]:
     for values in candidate.starts:
         fit = few.linearise((candidate,), values, steps)
         steps = fit.steps
-        if not fit.channels or not np.any(fit.jacobian):
+        if _changing(fit) is None:
             continue
         reached = few.first_step(newton_start(fit)).loss if len(candidate.starts) > 1 else predicted_loss(fit)
         found.append((base_loss(few.evidence, fit) - reached, fit))

@@ -24,6 +24,9 @@ IN_A_SENTENCE = 2
 SURE = 0.95
 """Probability above which a cause is named without a "probably"."""
 
+LIKELY = 0.5
+"""Probability from which the sentence of a partial answer names a cause among those that the error comes from."""
+
 HOPELESS = 1e6
 """Odds above which a rival is out of the question, however large they are."""
 
@@ -97,11 +100,10 @@ def verdict_sentence(found: Diagnosis) -> tuple[str, bool | None]:
         A sentence, and whether the simulation is right; None where the data do not tell.
     """
     if found.verdict == "effect":
-        return f"The simulation {_probably(found)}{_wrong(found)}{_closed_part(found)}.", False
+        return f"The simulation {_probably(found.causes)}{_wrong(found)}{_closed_part(found)}.", False
     if found.verdict == "partial":
         closed = "Part" if found.gain is None else percent(found.gain.closed_fraction)
-        causes = f"{_probably(found)}{comes_from(found)}"
-        return f"{closed} of the simulation's error {causes}; {rest(found)}, and no known effect explains it.", False
+        return f"{closed} of the simulation's error {comes_from(found)}; {rest(found)}, and no known effect explains it.", False
     if found.verdict == "unknown":
         return _unknown_sentence(found), False
     if found.verdict == "consistent":
@@ -110,8 +112,8 @@ def verdict_sentence(found: Diagnosis) -> tuple[str, bool | None]:
     return f"The data are insufficient to assess the simulation: {missing} cannot be evaluated.", None
 
 
-def _probably(found: Diagnosis) -> str:
-    return "" if min(cause.probability for cause in found.causes) >= SURE else "probably "
+def _probably(causes: Sequence[Cause]) -> str:
+    return "" if min(cause.probability for cause in causes) >= SURE else "probably "
 
 
 def _wrong(found: Diagnosis) -> str:
@@ -121,10 +123,18 @@ def _wrong(found: Diagnosis) -> str:
 
 
 def comes_from(found: Diagnosis) -> str:
-    """Say which causes an error has, the largest first; in a sentence there is no room for more than two."""
-    said = [named(found, cause) for cause in found.causes[:IN_A_SENTENCE]]
-    more = len(found.causes) - len(said)
-    return f"comes from {listed([*said, *([f'{more} more' if more > 1 else 'one more'] if more else [])])}"
+    """Say which causes an error has, the first ones first, and apart from them those that are less likely than not."""
+    likely = [cause for cause in found.causes if cause.probability >= LIKELY] or found.causes[:1]
+    text = f"{_probably(likely)}comes from {_in_short(found, likely)}"
+    possible = [cause for cause in found.causes if cause not in likely]
+    return f"{text}, possibly also from {_in_short(found, possible)}" if possible else text
+
+
+def _in_short(found: Diagnosis, causes: Sequence[Cause]) -> str:
+    """List causes within a sentence, in which there is no room for more than two."""
+    said = [named(found, cause) for cause in causes[:IN_A_SENTENCE]]
+    more = len(causes) - len(said)
+    return listed([*said, *([f"{more} more" if more > 1 else "one more"] if more else [])])
 
 
 def named(found: Diagnosis, cause: Cause) -> str:

@@ -1,5 +1,7 @@
 """Fits: steps within bounds, derivatives that are reused, and where a fit starts beside another cause."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from ehls_ros.diagnosis.loss import loss
 from ehls_ros.diagnosis.pool import Pool
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import Comparison, setup
-from ehls_ros.diagnosis.starts import Starts, combined
+from ehls_ros.diagnosis.starts import Starts, combined, try_starts
 from ehls_ros.trajectory import Trajectory
 
 
@@ -89,13 +91,10 @@ def test_a_cause_starts_otherwise_beside_what_hid_it(recorded, rig):
     hidden = {"presliding_stiffness_shift": {"factor": 4.7}, "pressure_sensor_lag": {"time_constant": 0.012}}
     worker, found = worker_of(recorded, rig, hidden)
     few = [found["presliding_stiffness_shift", 0], found["pressure_sensor_lag", 0]]
-    pool = Pool(worker.evidence, 1)
-    try:
-        starts = Starts(worker.evidence, pool, few, lambda what, part: None)
+    with closing(Pool(worker.evidence, 1)) as pool:
+        starts = Starts(pool, try_starts(pool, few, lambda what, part: None))
         lag = worker.fit(next(f for f in starts.alone if f.hypothesis == (few[1],)))
         beside = starts.beside(assess(worker.evidence, lag))
-    finally:
-        pool.close()
     alone, after = (next(f.values[0] for f in fits if f.hypothesis == (few[0],)) for fits in (starts.alone, beside))
     # The start nearest to the truth, which the lag's error had covered.
     assert after == max(few[0].starts) == 3.0

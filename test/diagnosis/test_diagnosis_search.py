@@ -184,12 +184,13 @@ def test_a_difference_much_smaller_than_the_noise_does_not_show(size, shown):
     assert shows([np.zeros(9), np.full(9, size * rules.SHOWN)]) is shown
 
 
-def test_relevance_is_the_change_of_the_balance_and_rare_events_count():
-    evidence = evidence_of({"force": np.zeros(1000)})
-    less = assessed((), {"force": np.zeros(1000)})
-    rare = np.where(np.arange(1000) < 20, 10.0, 0.0)
-    assert relevance(evidence, assessed((VISCOUS,), {"force": np.full(1000, 0.3)}, [0.0]), less) == pytest.approx(0.3 / SIZE)
-    assert relevance(evidence, assessed((VISCOUS,), {"force": rare}, [0.0]), less) == pytest.approx(10.0 / 5.0 / SIZE)
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [(np.full(1000, 0.3), 0.3), (np.where(np.arange(1000) < 20, 10.0, 0.0), 10.0 / rules.RARE_FACTOR)],
+    ids=["everywhere", "seldom"],
+)
+def test_relevance_is_the_change_of_the_balance_and_rare_events_count(change, expected):
+    assert relevance(evidence_of({"force": np.zeros(1000)}), [change]) == pytest.approx(expected / SIZE)
 
 
 def test_a_fitted_change_earns_all_it_could_and_reshuffled_noise_little():

@@ -11,7 +11,7 @@ from ehls_ros.diagnosis.causes import causes, estimate
 from ehls_ros.diagnosis.dependence import depends_on, explained_fraction
 from ehls_ros.diagnosis.excitation import Sliding, excited, sensitivities, smallest_detectable
 from ehls_ros.diagnosis.gain import closed_fraction, gain
-from ehls_ros.diagnosis.probability import probability_of_first
+from ehls_ros.diagnosis.probability import probabilities
 from ehls_ros.diagnosis.remainder import (
     Blocks,
     Relevance,
@@ -379,25 +379,26 @@ def test_a_stage_is_excited_if_its_key_parameter_is_detectable(stage, key, limit
 
 def test_equal_hypotheses_share_the_probability():
     gains = np.full(12, 3.0)
-    assert probability_of_first([gains] * 4, [1] * 4, 0) == pytest.approx(0.25)
+    assert probabilities([gains] * 4, [1] * 4, 0) == pytest.approx(np.full(4, 0.25))
 
 
 def test_a_parameter_more_costs_its_penalty():
     gains = np.full(12, 3.0)
     odds = math.exp(-rules.PENALTY)
-    assert probability_of_first([gains, gains], [2, 1], 0) == pytest.approx(odds / (1.0 + odds))
+    assert probabilities([gains, gains], [2, 1], 0) == pytest.approx(np.array([odds, 1.0]) / (1.0 + odds))
 
 
 def test_a_hypothesis_that_gains_in_every_block_is_certain():
-    assert probability_of_first([np.full(12, 5.0), np.full(12, 1.0), np.empty(0)], [1, 1, 0], 0) > 0.9999
-    assert probability_of_first([np.empty(0), np.full(12, 5.0)], [0, 1], 0) < 1e-4
+    first, second, nothing = probabilities([np.full(12, 5.0), np.full(12, 1.0), np.empty(0)], [1, 1, 0], 0)
+    assert first > 0.9999
+    assert max(second, nothing) < 1e-4
 
 
 def test_a_gain_in_one_block_of_many_is_not_certain():
     # As large in total as above, but two blocks decide in different directions.
     one, other = np.zeros(12), np.zeros(12)
     one[3], other[8] = 60.0, 50.0
-    assert 0.5 < probability_of_first([one, other], [1, 1], 0) < 0.8
+    assert 0.5 < probabilities([one, other], [1, 1], 0)[0] < 0.8
 
 
 # -------------------------------------------------------------------------------------------------------------- causes

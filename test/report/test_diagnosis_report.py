@@ -192,18 +192,20 @@ def test_the_verdict_of_two_causes_says_what_is_lacking_and_what_is_wrong():
 
 
 def test_the_verdict_of_a_partial_answer_is_one_short_sentence():
-    second, third = CAUSE._replace(name="viscous_shift", probability=0.3), CAUSE._replace(name="mass_shift")
+    others = [CAUSE._replace(name=name) for name in ("mass_shift", "viscous_shift", "coulomb_shift")]
+    unlikely = CAUSE._replace(name="constant_load", probability=0.3)
     gain = GAIN._replace(closed_fraction=0.7)
     found = make_found(
         verdict="partial",
-        causes=(CAUSE, second, third),
+        causes=(CAUSE._replace(probability=0.8), unlikely, *others),
         gain=gain,
         unknown_stage="flow",
         depends_on=("velocity_m_s", "position_m", "spool_m"),
     )
     assert verdict_sentence(found)[0] == (
-        "70 % of the simulation's error probably comes from a dead zone of the valve, the viscous friction and one more;"
-        " the rest in the flow balance depends on velocity and position, and no known effect explains it."
+        "70 % of the simulation's error probably comes from a dead zone of the valve, the moving mass and 2 more, possibly also"
+        " from a constant force; the rest in the flow balance depends on velocity and position, and no known effect explains"
+        " it."
     )
 
 
