@@ -59,7 +59,7 @@ class Expected(NamedTuple):
     Attributes:
         mean: expected residual, shape (n,).
         directions: factor of its covariance: directions directionsᵀ, shape (n, m).
-        variance: what else each window may be off by, shape (n,).
+        variance: what else each window may be off by, infinite where nothing can be expected, shape (n,).
     """
 
     mean: Array

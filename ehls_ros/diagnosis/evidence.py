@@ -209,6 +209,34 @@ def allowing(evidence: Evidence, allowances: Mapping[Channel, Allowance], judge:
     return measured_in(replace(evidence, channels=channels, base=base, allowances=allowances, judge=judge), floor, correlation)
 
 
+def part_of(evidence: Evidence, kept: Mapping[Channel, Mask]) -> Evidence:
+    """Return evidence of some of its windows, nothing allowed for yet; a channel of which little is left is left out.
+
+    Args:
+        evidence: the recording compared with the given model.
+        kept: which of the usable windows are kept, by channel.
+    """
+    channels = tuple(c for c in evidence.channels if c in kept and np.mean(kept[c]) >= rules.LEAST_SEEN)
+    masks = dict(evidence.masks)
+    for c in channels:
+        masks[c] = evidence.masks[c].copy()
+        masks[c][evidence.masks[c]] = kept[c]
+
+    def left(of: Mapping[Channel, Array]) -> dict[Channel, Array]:
+        return {c: of[c][kept[c]] for c in channels}
+
+    return replace(
+        evidence,
+        channels=channels,
+        masks=masks,
+        floor=left(evidence.floor),
+        times=left(evidence.times),
+        block={c: evidence.block[c][kept[c]] for c in channels},
+        noise=left(evidence.noise),
+        base=Residuals(left(evidence.base.values), evidence.base.depends),
+    )
+
+
 def measured_in(evidence: Evidence, floor: Mapping[Channel, Array], correlation: Mapping[Channel, float]) -> Evidence:
     """Return evidence in units of another noise floor, with the same allowances.
 

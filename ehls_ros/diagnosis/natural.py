@@ -12,7 +12,7 @@ from ehls_ros.diagnosis.allowance import Allowance, together
 from ehls_ros.diagnosis.coefficients import Term, terms
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.discrepancy import Expected, Learnt, Windows, learn
-from ehls_ros.diagnosis.evidence import Evidence, allowing
+from ehls_ros.diagnosis.evidence import Evidence, allowing, part_of
 from ehls_ros.diagnosis.measurement import measurement
 from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Channel
@@ -139,13 +139,14 @@ class OfChannel(NamedTuple):
     def expected(self, new: Windows) -> Expected:
         """Return what a healthy rig would leave in windows of another recording.
 
-        Nothing tells how errors of form go on where no baseline has been: they are taken to grow with the distance.
+        Nothing tells how errors of form go on where no baseline has been: they are taken to grow with the distance, and far
+        away nothing is expected.
         """
         low, high = np.quantile(self.learnt.windows.signals, (rules.SEEN, 1.0 - rules.SEEN), axis=0)
         middle, half = 0.5 * (low + high), 0.5 * (1.0 + rules.MARGIN) * (high - low)
-        away = np.abs(new.signals - middle) / np.maximum(half, 1e-300)
-        growth = np.max(np.clip(away, 1.0, rules.FARTHEST_UNSEEN), axis=1, initial=1.0)
-        return self.learnt.expected(new.terms, new.signals, new.factor, growth)
+        away = np.max(np.abs(new.signals - middle) / np.maximum(half, 1e-300), axis=1, initial=1.0)
+        found = self.learnt.expected(new.terms, new.signals, new.factor, away)
+        return found._replace(variance=np.where(away > rules.FARTHEST_UNSEEN, np.inf, found.variance))
 
 
 class Natural(NamedTuple):
@@ -173,13 +174,15 @@ class Natural(NamedTuple):
 
     def judged_by(self, evidence: Evidence, expected: Mapping[Channel, Expected]) -> Evidence:
         """Return the same with the expectation given."""
-        allowances, measured = {}, measurement(evidence)
-        for c, healthy in expected.items():
-            size = self.channels[c].terms.size
+        near = {c: np.isfinite(healthy.variance) for c, healthy in expected.items()}
+        allowances, evidence = {}, part_of(evidence, near)
+        measured = measurement(evidence)
+        for c in evidence.channels:
+            size, healthy = self.channels[c].terms.size, expected[c]
             natural = Allowance(
-                mean=healthy.mean * size,
-                directions=healthy.directions * size,
-                variance=healthy.variance * size**2,
+                mean=healthy.mean[near[c]] * size,
+                directions=healthy.directions[near[c]] * size,
+                variance=healthy.variance[near[c]] * size**2,
                 alike=self.channels[c].learnt.together,
             )
             allowances[c] = together([natural, measured[c]])

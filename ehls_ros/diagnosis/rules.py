@@ -164,7 +164,11 @@ CLEAR_TURN: Annotated[
 
 LEAST_SEEN: Annotated[
     float,
-    Rule("stages", "1", "Part of a slow recording that unresolved turns must leave for the force balance to be judged."),
+    Rule(
+        "stages",
+        "1",
+        "Part of the windows that must be left for a balance to be judged, after unresolved turns or what no baseline covers.",
+    ),
 ] = 0.25
 
 SETTLING: Annotated[
@@ -920,12 +924,8 @@ SEEN: Annotated[
 
 FARTHEST_UNSEEN: Annotated[
     float,
-    Rule(
-        "baseline",
-        "1",
-        "Distance from the middle, in half ranges of the baselines, beyond which errors of form are taken to grow no further.",
-    ),
-] = 10.0
+    Rule("baseline", "1", "Distance from the middle, in half ranges of the baselines, beyond which nothing is judged."),
+] = 2.0
 
 MARGIN: Annotated[
     float, Rule("baseline", "1", "Fraction of a signal's range in the baselines by which it may leave it and still be covered.")

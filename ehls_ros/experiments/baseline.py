@@ -153,7 +153,8 @@ def _channels(natural: Natural, expected: Mapping[Channel, Expected]) -> dict[Ch
         allowed = None
         if c in expected:
             variance = np.sum(expected[c].directions ** 2, axis=1) + expected[c].variance
-            allowed = float(np.sqrt(np.mean(variance)))
+            near = np.isfinite(variance)
+            allowed = float(np.sqrt(np.mean(variance[near]))) if np.any(near) else None
         before, after = own.learnt.power
         noise = float(np.sqrt(np.mean(own.learnt.windows.noise**2)))
         out[c] = Healthy(CHANNELS[c], math.sqrt(before), math.sqrt(after), noise, allowed, own.learnt.together)

@@ -39,7 +39,7 @@ def test_every_number_of_the_table_is_declared():
 def test_every_rule_says_what_it_is():
     for name, value, rule in rules.table():
         assert rule.step in rules.STEPS, name
-        assert rule.unit in {"1", "s", "nat"}, name
+        assert rule.unit in {"1", "s", "K", "nat"}, name
         assert rule.meaning.endswith("."), name
         assert ". " not in rule.meaning, f"{name}: one sentence"
         assert rule.origin, name
