@@ -163,11 +163,11 @@ def share_closed(evidence: Evidence, more: Assessment, less: Assessment) -> floa
     """Return the fraction of what one hypothesis leaves that is gone with another, where that explains most.
 
     Of a change in what varies without fault, all counts: measured by what exceeds the spread, it would be small beside the
-    scatter of a long recording however large it is.
+    scatter of a long recording however large it is. What another cause leaves is mostly spread; there only the excess counts.
     """
     main = mostly_in(more, less)
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
-    if evidence.baselines:
+    if evidence.baselines and not less.names:
         before = evidence.whole(main, before) - (evidence.whole(main, after) - after)
     return closed(before, after, evidence.noise[main])
 
