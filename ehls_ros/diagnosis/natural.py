@@ -145,7 +145,8 @@ class OfChannel(NamedTuple):
         low, high = np.quantile(self.learnt.windows.signals, (rules.SEEN, 1.0 - rules.SEEN), axis=0)
         middle, half = 0.5 * (low + high), 0.5 * (1.0 + rules.MARGIN) * (high - low)
         away = np.max(np.abs(new.signals - middle) / np.maximum(half, 1e-300), axis=1, initial=1.0)
-        found = self.learnt.expected(new.terms, new.signals, new.factor, away)
+        growth = np.minimum(away, rules.FARTHEST_UNSEEN)
+        found = self.learnt.expected(new.terms, new.signals, new.factor, growth)
         return found._replace(variance=np.where(away > rules.FARTHEST_UNSEEN, np.inf, found.variance))
 
 

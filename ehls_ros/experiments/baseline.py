@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.coefficients import unit_of, value_of
 from ehls_ros.diagnosis.coverage import covered, remarks
 from ehls_ros.diagnosis.dependence import signals_along
@@ -30,8 +29,14 @@ from ehls_ros.trajectory import Trajectory
 LEARNING = 0.35
 """Fraction of the work that learning the baselines takes."""
 
-ITERATIONS = 8
-"""Most steps in which the rig is fitted to the baselines: what they leave is learnt anyway."""
+ITERATIONS = 20
+"""Most steps in which the rig is fitted to the baselines."""
+
+FREEDOMS = 30.0
+"""Windows of a channel, in effect, over which errors of form average out in that fit.
+
+Of a file 30 % off in three values, too few leave much of the error; more drag a static friction away that seldom matters.
+"""
 
 
 def diagnose_against(
@@ -124,7 +129,7 @@ def _fitted(baselines: Sequence[Evidence], rig: Rig) -> Rig:
     wanted = [c for path, c in known.items() if path.startswith(("plant.", "friction.")) or path in BIASES]
     told = [c for c in wanted if c.path not in missing]
     # What errors of form seem to tell of a coefficient that seldom matters is not believed.
-    found = fit(stack, rig, told, stack.channels, ITERATIONS, freedoms=rules.FORM_FREEDOMS).rig
+    found = fit(stack, rig, told, stack.channels, ITERATIONS, freedoms=FREEDOMS).rig
     return found._replace(effects=rig.effects)
 
 
