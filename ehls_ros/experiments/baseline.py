@@ -13,6 +13,7 @@ from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.discrepancy import Expected
 from ehls_ros.diagnosis.evidence import Evidence, gather
+from ehls_ros.diagnosis.loss import loss
 from ehls_ros.diagnosis.natural import Natural, describe, learn_natural
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import prepare
@@ -20,7 +21,7 @@ from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis, 
 from ehls_ros.diagnosis.stages import CHANNELS, UNITS, Channel, setup
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
-from ehls_ros.identification.rig_coefficients import BIASES, coefficients
+from ehls_ros.identification.rig_coefficients import BIASES, COULOMB, VISCOUS, coefficients
 from ehls_ros.identification.rig_fit import Stack, fit
 from ehls_ros.identification.rig_stages import sizes, without_signals
 from ehls_ros.physics.rig import Rig
@@ -121,16 +122,21 @@ def _evidence(recording: Trajectory, rig: Rig, name: str, seed: int) -> Evidence
 def _fitted(baselines: Sequence[Evidence], rig: Rig) -> Rig:
     """Return the rig with the coefficients of plant and friction that fit the baselines best.
 
-    Constant errors are fitted beside them, so that they bias none, but left to what is learnt of each channel.
+    Constant errors are fitted beside them, so that they bias none, but left to what is learnt of each channel. The shape of the
+    friction near rest matters seldom, so that errors of form would bend it: it stays as given where a fit does without it.
     """
     stack, records = Stack(baselines), [e.record for e in baselines]
     known = {c.path: c for c in coefficients(rig, sizes(records, rig))}
     missing = without_signals(records, stack, known)
     wanted = [c for path, c in known.items() if path.startswith(("plant.", "friction.")) or path in BIASES]
     told = [c for c in wanted if c.path not in missing]
-    # What errors of form seem to tell of a coefficient that seldom matters is not believed.
-    found = fit(stack, rig, told, stack.channels, ITERATIONS, freedoms=FREEDOMS).rig
-    return found._replace(effects=rig.effects)
+    plain = [c for c in told if not c.path.startswith("friction.") or c.path in (COULOMB, VISCOUS)]
+    few = fit(stack, rig, plain, stack.channels, ITERATIONS, freedoms=FREEDOMS)
+    many = fit(stack, few.rig, told, stack.channels, ITERATIONS, freedoms=FREEDOMS)
+    gained = few.loss - float(np.sum(loss(many.e * many.scales / few.scales)))
+    # A nat for each coefficient (Akaike, 1974).
+    better = many if gained > len(told) - len(plain) else few
+    return better.rig._replace(effects=rig.effects)
 
 
 def _coefficients(given: Rig, fitted: Rig, natural: Natural) -> dict[str, Fitted]:
