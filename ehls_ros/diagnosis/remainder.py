@@ -58,17 +58,19 @@ class Relevance(NamedTuple):
         noise: mean square due to noise.
         limit: rms whitened residual beyond the noise that matters.
         clear: mean square that matters even if it is small beside the largest term, or comes from one block only.
+        scatter: multiple of the noise above which there may be more.
     """
 
     noise: float
     limit: float
     clear: float = math.inf
+    scatter: float = rules.SCATTER
 
     def exceeded(self, e: Array) -> bool:
         """Tell whether whitened residuals are more than noise by enough to matter."""
-        rms = power(e) - rules.SCATTER * self.noise
+        rms = power(e) - self.scatter * self.noise
         # What acts seldom has a small rms; where it acts it matters.
-        rare = float(np.quantile(e * e, rules.RARE_QUANTILE)) - rules.RARE_SCATTER * rules.SCATTER * self.noise
+        rare = float(np.quantile(e * e, rules.RARE_QUANTILE)) - rules.RARE_SCATTER * self.scatter * self.noise
         return math.sqrt(max(rms, 0.0)) > self.limit or math.sqrt(max(rare, 0.0)) > rules.RARE_FACTOR * self.limit
 
     def recurs(self, e: Array, blocks: Blocks) -> bool:
@@ -226,7 +228,12 @@ def relevance_in(evidence: Evidence, channel: Channel, *, alone: bool = False) -
     typical = float(np.sqrt(np.mean(evidence.floor[channel] ** 2)))
     size = max(evidence.sizes[channel], 1e-300)
     limit = rules.RELEVANT_BESIDE * size / typical if typical > 0.0 else math.inf
-    return Relevance(noise, limit, (rules.SCATTER + rules.CLEAR**2) * noise if alone else math.inf)
+    scatter = rules.SCATTER
+    if evidence.baselines:
+        # The mean square of few windows, or of many that err together, scatters itself.
+        windows = len(evidence.floor[channel]) / evidence.correlation[channel]
+        scatter *= 1.0 + rules.MOST_ALLOWED * math.sqrt(2.0 / windows)
+    return Relevance(noise, limit, (scatter + rules.CLEAR**2) * noise if alone else math.inf, scatter)
 
 
 def imitated_channels(evidence: Evidence, found: Searched) -> frozenset[Channel]:
