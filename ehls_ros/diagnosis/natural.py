@@ -42,13 +42,11 @@ FACTORS: Mapping[Channel, str] = {
 OFFSET = "offset"
 """Name of a channel's constant error, which is a sensor's and no coefficient's."""
 
-
 SCALE = "piston_area"
 """The coefficient in whose units the balances are weighed; it is not fitted, as all of them at zero close the balances, too.
 
 No fault changes it. But at a pressure where no baseline has been, its error shows.
 """
-
 
 Signals = Mapping[str, Array]
 """Mean of each signal over a channel's usable windows, by name, shape (windows,)."""
@@ -214,12 +212,12 @@ def learn_natural(baselines: Sequence[Described]) -> Natural:
 
 def signals_of(evidence: Evidence) -> dict[Channel, dict[str, Array]]:
     """Return the signals each channel's remainder may depend on, and the oil's temperature, over its usable windows."""
-    along = signals_along(evidence.comparison(), evidence.rig)
+    comparison = evidence.comparison()
+    along = signals_along(comparison, evidence.rig)
     if VELOCITY in along:
         slow = max(float(getattr(evidence.rig.friction, "stribeck_velocity", 0.0)), 1e-6)
         along[DIRECTION] = np.tanh(along[VELOCITY] / slow)
-    comparison = evidence.comparison()
-    if COMMAND in along and "spool" in evidence.channels:
+    if "spool" in evidence.channels:
         along[SPOOL_RATE] = np.gradient(comparison.simulated_spool(evidence.rig.effective()), evidence.record.period)
     # A load that a sensor gives answers to the friction: where the pressure is held it would tell the residual.
     told = [name for name in along if name not in evidence.record.measured]

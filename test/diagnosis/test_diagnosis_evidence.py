@@ -8,7 +8,7 @@ import pytest
 from plain_evidence import evidence_of
 
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.evidence import Residuals, gather, sections, whitened
+from ehls_ros.diagnosis.evidence import Residuals, gather, part_of, sections, whitened
 from ehls_ros.diagnosis.loss import inflation, loss, power, weights
 from ehls_ros.diagnosis.noise import deviations, with_noise
 from ehls_ros.diagnosis.record import prepare
@@ -140,6 +140,18 @@ class Model:
     def residuals(self, rig, channels):
         self.asked += channels
         return {c: self.raw[c] for c in channels}
+
+
+def test_a_model_leaves_in_part_of_the_windows_what_it_leaves_there_in_all(evidence, rig):
+    kept = {c: np.arange(len(e)) % 3 > 0 for c, e in evidence.base.values.items()}
+    kept["supply"][:] = False
+    part = part_of(evidence, kept)
+    assert part.channels == tuple(c for c in evidence.channels if c != "supply")
+    heavier = rig._replace(plant=rig.plant._replace(moving_mass=80.0, valve_gain=1.1))
+    all_of, some = (e.residuals(e.comparison(), heavier).values for e in (evidence, part))
+    for c in part.channels:
+        np.testing.assert_array_equal(some[c], all_of[c][kept[c]])
+        np.testing.assert_array_equal(part.times[c], evidence.times[c][kept[c]])
 
 
 def test_only_channels_that_depend_on_something_else_are_computed():
