@@ -29,6 +29,9 @@ from ehls_ros.hardware.safety_gate import STOP_TIME
 
 BRIDGE = "hardware_bridge_node"
 
+LATE = ("command_stale", "sensor_stale", "gap", "device_null")
+"""Trips of a gate whose computer was held up for longer than it waits."""
+
 
 class Pace(NamedTuple):
     """Pace of a rig and the corresponding times of its gate [s]; the velocity limit in m/s."""
@@ -184,6 +187,13 @@ class CommandedRig:
                     return
             assert time.monotonic() < deadline, f"reset: {reset.message}; enable: {answer.message}; {self.said()['message']}"
             self.participant.rest(0.2 * STOP_TIME)
+
+    def follows_on(self) -> None:
+        """Check that the valve still follows the commands; where the computer itself was late, open the valve again."""
+        said = self.said()
+        if said["state"] != "active":
+            assert said.get("cause_1", "").startswith(LATE), said["message"]
+            self.open()
 
     def tripped(self) -> str:
         """Wait until the gate has tripped and return its message."""

@@ -95,7 +95,7 @@ def test_invalid_requests_are_refused_and_the_stop_still_works(rig):
     running = rig(use_sim_time=True)
     for what, send in INVALID.items():
         assert not send(running), what
-    assert running.said()["state"] == "active"
+    running.follows_on()
     assert running.participant.set_parameter(BRIDGE, "force_error", 1000.0).successful
     stopped = running.emergency_stop()
     running.participant.rest(0.5)

@@ -37,4 +37,4 @@ def forms(rig: Rig) -> tuple[Form, ...]:
     """The offset, from none, and from several: when a stuck piston breaks loose depends on it, so that small ones mislead."""
     if not has(rig, *SHIFTS):
         return ()
-    return Form({"offset": ()}), Form({"offset": tuple(part * rig.friction.coulomb_force for part in (-0.3, -0.1, 0.1, 0.3))})
+    return Form({"offset": ()}), Form({"offset": tuple(part * rig.friction.coulomb_force for part in (-0.2, -0.1, 0.1, 0.2))})
