@@ -98,6 +98,8 @@ class Terms(NamedTuple):
         evidence, signals = recording.evidence, recording.signals[channel]
         count = len(evidence.floor[channel])
         by_name = {OFFSET: np.ones(count)} | {term.name: term.column / self.size for term in recording.errors[channel]}
+        # The piston's area is in its drawing.
+        by_name[SCALE] = by_name.get(SCALE, np.zeros(count)) * rules.AREA_ERROR / rules.LEFT_ERROR
         columns = np.column_stack([by_name.get(name, np.zeros(count)) for name in self.spreads])
         if self.temperature is not None:
             warmer = (signals.get(TEMPERATURE, np.full(count, self.temperature)) - self.temperature) / rules.WARMER

@@ -832,6 +832,8 @@ LEFT_ERROR: Annotated[
     Rule("baseline", "1", "Relative error of a coefficient after that fit, standard deviation, where the data do not tell."),
 ] = 0.2
 
+AREA_ERROR: Annotated[float, Rule("baseline", "1", "Relative error of the piston area, standard deviation.")] = 0.05
+
 SPREAD: Annotated[
     float,
     Rule("baseline", "1", "Relative change of a coefficient from recording to recording that is no fault, standard deviation."),
