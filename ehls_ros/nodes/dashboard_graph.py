@@ -228,8 +228,9 @@ class _Started:
         self.running = self._stack.enter_context(processes)
 
     def end(self) -> None:
-        self._stack.close()
+        # Nodes end one after the other: those that are told to have not died.
         self.running = []
+        self._stack.close()
         self.says = ""
 
     def dead(self) -> list[Running]:
