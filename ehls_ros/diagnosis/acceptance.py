@@ -9,7 +9,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, noise_power
 from ehls_ros.diagnosis.held_out import Assessment, assess
-from ehls_ros.diagnosis.hypotheses import parts
+from ehls_ros.diagnosis.hypotheses import extended
 from ehls_ros.diagnosis.loss import closed, loss, power, weights
 from ehls_ros.diagnosis.stages import Channel
 
@@ -128,11 +128,12 @@ def is_new(evidence: Evidence, more: Assessment, less: Assessment, inflation: Ma
     """Tell whether the baselines, if there are any, speak against a cause: what they allow as well may always have been so."""
     if not evidence.baselines:
         return True
-    place = next((i for i, c in enumerate(more.hypothesis) if c not in less.hypothesis), 0)
-    cause, against = more.hypothesis[place].use(more.fit.values[parts(more.hypothesis)[place]]), 0.0
+    added = more.fit.only(next(i for i, name in enumerate(more.names) if name not in less.names))
+    against = 0.0
     for healthy in evidence.baselines:
-        then, always = healthy.base.values, healthy.residuals(healthy.comparison(), healthy.rig.with_effects((cause,))).values
-        against += sum(float(np.sum(loss(always[c]) - loss(then[c]))) / inflation[c] for c in then if c in inflation)
+        always = extended(healthy.rig, added.hypothesis, added.values)
+        before, after = healthy.base.values, healthy.residuals(healthy.comparison(), always).values
+        against += sum(float(np.sum(loss(after[c]) - loss(before[c]))) / inflation[c] for c in before if c in inflation)
     return against >= rules.NEEDED_GAIN
 
 
