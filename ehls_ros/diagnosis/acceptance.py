@@ -15,6 +15,11 @@ from ehls_ros.diagnosis.stages import Channel
 
 
 def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:
+    """Tell whether a further cause is accepted: it explains the recording, and no baseline allows it as well."""
+    return explains(evidence, more, less, inflation) and is_new(evidence, more, less, inflation)
+
+
+def explains(evidence: Evidence, more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:
     """Tell whether a hypothesis with one more cause is surer than chance allows, and different enough to matter.
 
     Args:
@@ -45,8 +50,7 @@ def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     much = much or (gain >= rules.REMOVED_EXCESS * excess and not evidence.baselines)
     # A cause that gains more by averaging noise than by explaining is an average.
     averaged = more.held_out.averaged - less.held_out.averaged
-    sure = much and gain >= averaged and _surest(more, less) >= rules.SURE
-    return sure and is_new(evidence, more, less, inflation)
+    return much and gain >= averaged and _surest(more, less) >= rules.SURE
 
 
 def _stands_out(evidence: Evidence, form: float, more: Assessment, less: Assessment) -> bool:

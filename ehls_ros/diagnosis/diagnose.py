@@ -101,7 +101,13 @@ def diagnose(
         traces={c: _trace(seen, signals, known.floor[c] * best.held_out.residuals.values[c], c) for c in evidence.channels},
         sensitivities=sizes,
         not_judged=not_tried,
-        remarks=(*record.remarks, said, *_incidents(findings), *(_would_tell(named) if names else ())),
+        remarks=(
+            *record.remarks,
+            said,
+            *remarks_on_baselines(found.always),
+            *_incidents(findings),
+            *(_would_tell(named) if names else ()),
+        ),
         seed=seed,
         wall_s=time.perf_counter() - began,
     )
@@ -148,6 +154,15 @@ def _incidents(findings: Mapping[Stage, Finding]) -> list[str]:
         for stage, finding in findings.items()
         for item in finding.remainders
         if item.incident is not None
+    ]
+
+
+def remarks_on_baselines(allowed: Assessment | None) -> list[str]:
+    """Say which cause is no change because the baselines allow it as well."""
+    return [
+        f"{name} would explain the recording, but the baselines allow it as well: it may always have been so;"
+        " only a baseline in which it would show can tell"
+        for name in (() if allowed is None else allowed.names)
     ]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.acceptance import accepted
+from ehls_ros.diagnosis.acceptance import accepted, explains
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Start, Worker, base_loss, newton_start, predicted_loss
 from ehls_ros.diagnosis.held_out import Assessment, assess
@@ -41,12 +41,15 @@ class Searched(NamedTuple):
         places: one for each of its causes that was sought, in their order; they come last in the hypothesis.
         screened: every cause alone at its starting values, with its derivatives.
         inflation: by which each channel's losses are divided.
+        always: the hypothesis with a cause that would explain the recording, but that the baselines allow as well; only where
+            no cause is found.
     """
 
     best: Assessment
     places: tuple[Place, ...]
     screened: tuple[Fit, ...]
     inflation: Mapping[Channel, float]
+    always: Assessment | None = None
 
 
 def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Searched:
@@ -68,10 +71,11 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
         # Nothing is larger than an error of form: then a single cause may be smaller.
         evidence = replace(evidence, form=rules.RELEVANT)
         best, scale = _added(evidence, pool, starts, base, level, progress)
+    always = None if best.names else explaining(evidence, base, level, scale)
     best, places = _exchanged(evidence, pool, best, starts, Place(base, tuple(level)), scale)
     scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
     progress("causes together", 1.0)
-    return Searched(best, places, tuple(starts.alone), scale)
+    return Searched(best, places, tuple(starts.alone), scale, always)
 
 
 def _alone(evidence: Evidence, pool: Pool, screened: Sequence[Fit]) -> list[Assessment]:
@@ -106,6 +110,13 @@ def _added(
         level = _fitted(evidence, pool, [start for member in beam for start in starts.extensions(member)])
         progress("causes together", 0.55 + 0.1 * count)
     return best, scale
+
+
+def explaining(
+    evidence: Evidence, base: Assessment, level: Sequence[Assessment], scale: Mapping[Channel, float]
+) -> Assessment | None:
+    """Return the best hypothesis that explains the recording, whatever the baselines say of it."""
+    return next((j for j in _ranked(level, scale) if explains(evidence, j, base, scale)), None)
 
 
 def _nothing(evidence: Evidence) -> Fit:

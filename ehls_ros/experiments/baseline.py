@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.coefficients import unit_of, value_of
 from ehls_ros.diagnosis.coverage import covered, remarks
 from ehls_ros.diagnosis.dependence import signals_along
@@ -29,15 +30,6 @@ from ehls_ros.trajectory import Trajectory
 
 LEARNING = 0.35
 """Fraction of the work that learning the baselines takes."""
-
-ITERATIONS = 20
-"""Most steps in which the rig is fitted to the baselines."""
-
-FREEDOMS = 30.0
-"""Windows of a channel, in effect, over which errors of form average out in that fit.
-
-Of a file 30 % off in three values, too few leave much of the error; more drag a static friction away that seldom matters.
-"""
 
 
 def diagnose_against(
@@ -131,8 +123,8 @@ def _fitted(baselines: Sequence[Evidence], rig: Rig) -> Rig:
     wanted = [c for path, c in known.items() if path.startswith(("plant.", "friction.")) or path in BIASES]
     told = [c for c in wanted if c.path not in missing]
     plain = [c for c in told if not c.path.startswith("friction.") or c.path in (COULOMB, VISCOUS)]
-    few = fit(stack, rig, plain, stack.channels, ITERATIONS, freedoms=FREEDOMS)
-    many = fit(stack, few.rig, told, stack.channels, ITERATIONS, freedoms=FREEDOMS)
+    few = fit(stack, rig, plain, stack.channels, rules.BASELINE_STEPS, freedoms=rules.BASELINE_FREEDOMS)
+    many = fit(stack, few.rig, told, stack.channels, rules.BASELINE_STEPS, freedoms=rules.BASELINE_FREEDOMS)
     gained = few.loss - float(np.sum(loss(many.e * many.scales / few.scales)))
     # A nat for each coefficient (Akaike, 1974).
     better = many if gained > len(told) - len(plain) else few

@@ -11,6 +11,7 @@ from plain_evidence import MASS, SIZE, VISCOUS, assessed, candidate, evidence_of
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis import search as searching
 from ehls_ros.diagnosis.acceptance import accepted, corrects_form, earned, is_new, mostly_in, recurs, relevance, shows
+from ehls_ros.diagnosis.diagnose import remarks_on_baselines
 from ehls_ros.diagnosis.evidence import Residuals
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.hypotheses import at_lines, bounds, candidates, extended, parts
@@ -226,6 +227,15 @@ def test_what_the_baselines_allow_as_well_is_no_change(seen, new):
     alone, beside = (assessed((*names, MASS), {"force": column}, [0.2] * len(names) + [1.2]) for names in ((), (VISCOUS,)))
     assert is_new(evidence, alone, nothing(evidence), {"force": 2.0}) is new
     assert is_new(evidence, beside, assessed((VISCOUS,), {"force": column}, [0.2]), {"force": 2.0}) is new
+
+
+@pytest.mark.parametrize(("size", "said"), [(0.45, False), (3.0, True)])
+def test_a_cause_that_the_baselines_allow_as_well_is_said(size, said):
+    evidence, more, less = with_and_without(np.random.default_rng(3), size)
+    found = searching.explaining(evidence, less, [more], FORCE)
+    assert found is (more if said else None)
+    remarks = remarks_on_baselines(found)
+    assert [remark.partition(" would")[0] for remark in remarks] == ["viscous_shift"] * said
 
 
 @pytest.mark.parametrize(
