@@ -119,12 +119,13 @@ class Emulator:
             self._values[channel.channel] = converted(raw, channel) if raw == raw else raw  # noqa: PLR0124
         return tuple(self._values)
 
-    def advance(self, raw: float, status: Status, now: float) -> None:
+    def advance(self, raw: float, status: Status, sequence: int, now: float) -> None:
         """Advance by one cycle, after :meth:`sense`.
 
         Args:
             raw: raw valve command, held over the cycle.
             status: why the command is at null, for the log.
+            sequence: number of the last command accepted, for the log.
             now: time of this computer, for the log [s].
         """
         simulator, output = self._simulator, self._calibration.output
@@ -137,7 +138,7 @@ class Emulator:
             if self._disturbs:
                 self._row = self._disturbance.first().copy()
         if self.log is not None:
-            self.log.add((*self._truth(spool), raw, status, now))
+            self.log.add((*self._truth(spool), raw, status, sequence, now))
         position, velocity = float(simulator.y[X]), float(simulator.y[V])
         force, rate, displacement, speed = self._row.tolist()
         simulator.advance(spool, force, rate, displacement, speed)

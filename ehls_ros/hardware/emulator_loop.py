@@ -86,7 +86,7 @@ def run_realtime(emulator: Emulator, target: Target, wire: Wire, run: Run, delay
                 target.receive(data, sender, now, cycle - 1)
         raw, status = target.output(now)
         _send(emulator, target, wire, status, values)
-        emulator.advance(raw, status, now)
+        emulator.advance(raw, status, target.commanded, now)
         values = emulator.sense()
 
 
@@ -104,6 +104,7 @@ def run_lockstep(emulator: Emulator, target: Target, wire: Wire, run: Run, patie
         WorkFailed: no answer in time.
     """
     raw, status = target.output(0.0)
+    commanded = target.commanded
     for cycle in range(run.cycles):
         values = emulator.sense()
         target.greeted = True
@@ -122,8 +123,9 @@ def run_lockstep(emulator: Emulator, target: Target, wire: Wire, run: Run, patie
             _put_faults(emulator, run, now)
             for data, sender in wire.received():
                 target.receive(data, sender, now, cycle)
-        emulator.advance(raw, status, now)
+        emulator.advance(raw, status, commanded, now)
         raw, status = target.output(now)
+        commanded = target.commanded
 
 
 def _send(emulator: Emulator, target: Target, wire: Wire, status: Status, values: tuple[float, ...]) -> None:

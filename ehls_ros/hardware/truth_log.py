@@ -14,6 +14,7 @@ COLUMNS = (
     "disturbance_velocity_m_s",
     "output_raw",
     "output_status",
+    "output_sequence",
     "monotonic_s",
 )
 """Names of the data contract; raw output, its status (:class:`ehls_ros.hardware.packet.Status`) and this computer's clock."""

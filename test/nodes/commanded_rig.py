@@ -6,18 +6,19 @@ and all of the gate's times are longer in proportion.
 
 import csv
 import json
+import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
-from emulated_rig import ROOT, free_port
+from emulated_rig import ROOT, own_port
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from patience import PATIENCE
@@ -28,6 +29,9 @@ from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.hardware.safety_gate import STOP_TIME
 
 BRIDGE = "hardware_bridge_node"
+
+IN_FLIGHT = 2
+"""Commands from before the valve was closed that may arrive after it: one on the wire, one that the bridge is sending."""
 
 LATE = ("command_stale", "sensor_stale", "gap", "device_null")
 """Trips of a gate whose computer was held up for longer than it waits."""
@@ -78,7 +82,7 @@ class CommandedRig:
         spec = {"title": "attacked", "rig": "measured.yaml", "control_period": pace.period, "reference": reference}
         self.spec = self._write("attacked.yaml", {**spec, "controller": "fasmc_output_feedback"})
         wiring = yaml.safe_load((ROOT / "config" / "bridge_udp.yaml").read_text(encoding="utf-8"))
-        self.port = wiring["backend"]["port"] = free_port()
+        self.port = wiring["backend"]["port"] = own_port()
         wiring["backend"]["watchdog"] = pace.watchdog
         self.wiring = self._write("wiring.yaml", wiring)
         times = {"command_timeout": pace.timeout, "sensor_timeout": pace.timeout, "hold_time": pace.ramp}
@@ -138,6 +142,12 @@ class CommandedRig:
         self.emulator.stdin.flush()
         return float(self.emulator.stdout.readline().split()[1])
 
+    def live(self, seconds: float) -> None:
+        """Let the rig run for a while by its own clock; it has no faults then."""
+        end = time.monotonic() + seconds
+        while self.fault("clear") < end:
+            self.participant.rest(self.pace.period)
+
     def ask(self, kind: Any, service: str, **fields: Any) -> Any:
         """Call a service of the graph."""
         return self.participant.call(kind, service, kind.Request(**fields))
@@ -153,6 +163,16 @@ class CommandedRig:
         self.stop = answer.message.partition(";")[0]
         return time.monotonic()
 
+    def acknowledge(self) -> None:
+        """Acknowledge the last stop, as soon as that is allowed."""
+        answer = self.ask(AcknowledgeStop, "acknowledge_stop", stop=self.stop)
+        engaged = re.match(r"the engaged stop is ([\w-]+)", answer.message)
+        if answer.success:
+            self.stop = ""
+        elif engaged:
+            # The request to stop was repeated, for want of an answer.
+            self.stop = engaged[1]
+
     def transition(self, label: str) -> bool:
         """Request a transition of the bridge and return whether it succeeded."""
         return bool(self.ask(ChangeState, f"{BRIDGE}/change_state", transition=Transition(label=label)).success)
@@ -162,23 +182,23 @@ class CommandedRig:
         return str(self.ask(GetState, f"{BRIDGE}/get_state").current_state.label)
 
     def said(self) -> dict[str, str]:
-        """Return the values and the message of the bridge's next diagnostics."""
+        """Return the values and the message of diagnostics that the bridge publishes after this call."""
+        called = time.time_ns()
         self.diagnostics.clear()
-        found: list[Any] = []
 
-        def bridge_spoke() -> bool:
-            found.extend(s for array in self.diagnostics for s in array.status if s.name == BRIDGE)
-            return bool(found)
+        def told() -> list[Any]:
+            return [status for array in self.diagnostics.after(called) for status in array.status if status.name == BRIDGE]
 
-        self.participant.until(bridge_spoke, PATIENCE)
-        return {pair.key: pair.value for pair in found[-1].values} | {"message": found[-1].message}
+        self.participant.until(told)
+        newest = told()[-1]
+        return {pair.key: pair.value for pair in newest.values} | {"message": newest.message}
 
     def open(self) -> None:
         """Acknowledge, reset and enable, and wait until the valve follows the commands."""
         deadline = time.monotonic() + PATIENCE
         while True:
-            if self.stop and self.ask(AcknowledgeStop, "acknowledge_stop", stop=self.stop).success:
-                self.stop = ""
+            if self.stop:
+                self.acknowledge()
             reset, answer = self.ask(Trigger, "reset_trips"), self.enable()
             if answer.success:
                 self.participant.rest(self.pace.enable)
@@ -188,12 +208,20 @@ class CommandedRig:
             assert time.monotonic() < deadline, f"reset: {reset.message}; enable: {answer.message}; {self.said()['message']}"
             self.participant.rest(0.2 * STOP_TIME)
 
-    def follows_on(self) -> None:
-        """Check that the valve still follows the commands; where the computer itself was late, open the valve again."""
+    def was_late(self) -> bool:
+        """Tell whether the gate has tripped since this computer was late; if it follows the commands, it has not."""
         said = self.said()
-        if said["state"] != "active":
-            assert said.get("cause_1", "").startswith(LATE), said["message"]
+        assert said["state"] == "active" or said.get("cause_1", "").startswith(LATE), said["message"]
+        return said["state"] != "active"
+
+    def bears(self, attack: Callable[[], None]) -> None:
+        """Check that the valve follows the commands after an attack, repeated where the computer itself was late."""
+        deadline = time.monotonic() + PATIENCE
+        attack()
+        while self.was_late():
+            assert time.monotonic() < deadline, "the gate trips each time"
             self.open()
+            attack()
 
     def tripped(self) -> str:
         """Wait until the gate has tripped and return its message."""
@@ -205,7 +233,7 @@ class CommandedRig:
     def finish(self) -> "Truth":
         """Stop the emulator and return the valve's motion."""
         columns = self.seen()
-        return Truth(columns["monotonic_s"], columns["valve_command_m"], self.pace)
+        return truth_of(columns, self.pace)
 
     def seen(self) -> dict[str, np.ndarray]:
         """Stop the emulator and return its log by column."""
@@ -222,17 +250,25 @@ class CommandedRig:
             self.emulator.communicate()
 
 
+def truth_of(columns: Mapping[str, np.ndarray], pace: Pace) -> "Truth":
+    """Return the valve's motion in the rig's log."""
+    sequence = columns["output_sequence"]
+    return Truth(columns["monotonic_s"], columns["valve_command_m"], np.diff(sequence, prepend=sequence[0]) != 0.0, pace)
+
+
 class Truth(NamedTuple):
     """The valve's true motion.
 
     Attributes:
         time: monotonic time of each of the rig's cycles [s].
         command: command that acted on the valve in that cycle [m].
+        arrived: whether the rig accepted a command in that cycle; if not, it held the last one.
         pace: pace of the rig.
     """
 
     time: np.ndarray
     command: np.ndarray
+    arrived: np.ndarray
     pace: Pace
 
     def between(self, since: float, until: float = np.inf) -> np.ndarray:
@@ -240,14 +276,21 @@ class Truth(NamedTuple):
         return self.command[(self.time >= since) & (self.time < until)]
 
     def time_to_null(self, since: float, until: float = np.inf) -> float:
-        """Return how long the valve stayed open after ``since``, looking up to ``until``; infinite if it did not close [s]."""
+        """Return how long the valve stayed open after ``since``, looking up to ``until`` [s]."""
         rows = (self.time >= since) & (self.time < until)
-        times, commands = self.time[rows], self.command[rows]
-        assert len(times), "the rig's log does not cover that time"
-        moving = np.flatnonzero(commands)
-        if not moving.size:
-            return 0.0
-        return np.inf if moving[-1] == len(commands) - 1 else float(times[moving[-1] + 1] - since)
+        moving = self.time[rows][self.command[rows] != 0.0]
+        return float(moving[-1] - since) + self.pace.period if moving.size else 0.0
+
+    def open_when_closed(self, since: float, until: float = np.inf) -> float:
+        """Return the largest command after the bridge has closed the valve [m], whenever rig and bridge get to run.
+
+        What the bridge sent before may arrive late, and the rig holds a command for its watchdog time. Neither counts.
+        """
+        rows = (self.time >= since) & (self.time < until)
+        times, arrived = self.time[rows], self.arrived[rows]
+        newest = np.maximum.accumulate(np.where(arrived, times, since))
+        before = (np.cumsum(arrived) <= IN_FLIGHT) & (times - newest <= self.pace.watchdog + self.pace.period)
+        return float(np.max(np.abs(self.command[rows][~before]), initial=0.0))
 
     def openings(self, amplitude: float = COMMANDED) -> list[tuple[float, float]]:
         """Return, for each opening after a lasting null, its time and the largest excess of the command over its ramp [m].

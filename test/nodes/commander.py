@@ -1,7 +1,7 @@
 """A simple controller that answers each snapshot as the last line on stdin says: `commander.py PERIOD`, in s.
 
 ``sine A F`` commands A sin(2 pi F t) [m, Hz] plus a little towards mid-stroke, ``constant U`` commands U [m], ``mute`` nothing,
-``skip N`` null in every Nth cycle only. It prints ``up`` once it is running.
+``skip N`` null on every Nth snapshot only. It prints ``up`` once it is running.
 """
 
 import math
@@ -20,18 +20,20 @@ def main() -> None:
     period = float(sys.argv[1])
     with told_node("commander", LoaderState, "loader_state", "mute") as node:
         waiter = Waiter([node.inbox])
+        snapshots = 0
         print("up", flush=True)
         while not node.stopping.is_set():
             waiter.wait(0.05)
             while (state := node.inbox.take()) is not None:
                 stamp, cycle = state[:2]
+                snapshots += 1
                 match node.told().split():
                     case ["sine", amplitude, frequency]:
                         turn = (float(frequency) * period * cycle) % 1.0
                         back = max(-MOST, min(MOST, -STIFFNESS * state[2]))
                         node.outbox.send(stamp, cycle, float(amplitude) * math.sin(2.0 * math.pi * turn) + back)
                     case ["skip", count]:
-                        if cycle % int(count) == 0:
+                        if snapshots % int(count) == 0:
                             node.outbox.send(stamp, cycle, 0.0)
                     case ["constant", value]:
                         node.outbox.send(stamp, cycle, float(value))

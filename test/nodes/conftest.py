@@ -77,12 +77,18 @@ class Graph:
         stdin.flush()
 
     def kill(self, name: str) -> float:
-        """Kill a process and return the monotonic time [s]."""
+        """Kill a process and return the monotonic time at which it was gone [s]."""
         process = self.processes.pop(name)
         process.kill()
-        killed = time.monotonic()
         process.wait(PATIENCE)
-        return killed
+        return time.monotonic()
+
+    @staticmethod
+    def freeze(process: subprocess.Popen[bytes]) -> float:
+        """Stop a child process with SIGSTOP, and return the monotonic time at which all its threads had stopped [s]."""
+        process.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, process.pid, os.WSTOPPED)
+        return time.monotonic()
 
     def stop(self, name: str, number: int = signal.SIGINT) -> int:
         process = self.processes.pop(name)
@@ -124,6 +130,33 @@ def write_spec() -> Callable[..., Path]:
 def spec_file(write_spec: Callable[..., Path], tmp_path: Path) -> Callable[..., Path]:
     """Return the same for the test's own folder."""
     return partial(write_spec, tmp_path)
+
+
+class Heard(list[Any]):
+    """Messages of a topic, in order of arrival.
+
+    Attributes:
+        published_ns: when each was published, by the system's clock [ns].
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.published_ns: list[int] = []
+
+    def add(self, message: Any, info: dict[str, int]) -> None:
+        """Receive a message."""
+        self.append(message)
+        self.published_ns.append(info["source_timestamp"])
+
+    def clear(self) -> None:
+        """Forget all messages."""
+        super().clear()
+        self.published_ns.clear()
+
+    def after(self, moment_ns: int, first: int = 0) -> list[Any]:
+        """Return the messages published after a moment [ns], however late they arrived; those before ``first`` are skipped."""
+        published = zip(self[first:], self.published_ns[first:], strict=True)
+        return [message for message, when in published if when > moment_ns]
 
 
 class Participant:
@@ -175,12 +208,12 @@ class Participant:
         self.node.destroy_client(client)
         return answers()[0]
 
-    def collect(self, kind: Any, topic: str) -> list[Any]:
+    def collect(self, kind: Any, topic: str) -> Heard:
         from ehls_ros.nodes.transport import control_qos
 
-        received: list[Any] = []
-        self.node.create_subscription(kind, topic, received.append, control_qos() if not topic.startswith("/") else 10)
-        return received
+        heard = Heard()
+        self.node.create_subscription(kind, topic, heard.add, control_qos() if not topic.startswith("/") else 10)
+        return heard
 
     def set_parameter(self, node: str, name: str, value: Any) -> Any:
         from rcl_interfaces.srv import SetParameters

@@ -2,8 +2,8 @@
 
 import csv
 import json
+import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -33,11 +33,9 @@ SPEC = {
 }
 
 
-def free_port() -> int:
-    """Return a free UDP port of this host."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+def own_port() -> int:
+    """Return a UDP port that nobody else takes: one of the test's ROS domain, beyond those of 100 participants."""
+    return 7400 + 250 * int(os.environ["ROS_DOMAIN_ID"]) + 249
 
 
 class EmulatedRig:
@@ -48,7 +46,7 @@ class EmulatedRig:
         self.spec = folder / "rig.yaml"
         self.spec.write_text(yaml.safe_dump({**SPEC, "controller": {"name": law}}), encoding="utf-8")
         bridge = yaml.safe_load((ROOT / "config" / "bridge_udp.yaml").read_text(encoding="utf-8"))
-        self.port = bridge["backend"]["port"] = free_port()
+        self.port = bridge["backend"]["port"] = own_port()
         self.bridge = folder / "bridge.yaml"
         self.bridge.write_text(yaml.safe_dump(bridge), encoding="utf-8")
         self.wired = [signal for signal in SENSED if signal in bridge["channels"]]
@@ -80,7 +78,7 @@ class EmulatedRig:
             "--bridge",
             str(self.bridge),
         ]
-        command += ["--log", str(self.log), "--json", "--faults-from-stdin", "--lockstep"]
+        command += ["--log", str(self.log), "--json", "--faults-from-stdin", "--lockstep", "--patience", str(PATIENCE)]
         with (self.folder / "emulator.err").open("ab") as errors:
             self.emulator = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors)
         assert b"listening" in self.emulator.stdout.readline(), (self.folder / "emulator.err").read_text()
@@ -119,9 +117,18 @@ class EmulatedRig:
         assert (word, what.strip()) == ("fault:", line), told
         return float(when)
 
-    def spoil_commands(self, mode: str) -> None:
-        """Change what the node between controller and bridge does to the commands."""
+    def spoil_commands(self, mode: str) -> float:
+        """Change what the node between controller and bridge does to the commands; return the time from which it does [s]."""
+        before = len(self._spoilt())
         self.graph.tell("spoil_commands", mode)
+        self.participant.until(lambda: len(self._spoilt()) > before)
+        when, told = self._spoilt()[before]
+        assert told == mode
+        return float(when)
+
+    def _spoilt(self) -> list[list[str]]:
+        """Return what that node has said: times and modes, without a line it is still writing."""
+        return [line.split() for line in self.graph.log("spoil_commands").split("\n")[:-1]]
 
     def stop_emulator(self, number: int = signal.SIGINT) -> dict[str, Any]:
         """Stop the emulator and return its counts."""

@@ -12,7 +12,7 @@ from random import Random
 from typing import Any, NamedTuple
 
 import numpy as np
-from commanded_rig import BRIDGE, CommandedRig, Pace, Truth
+from commanded_rig import BRIDGE, CommandedRig, Pace, truth_of
 from patience import PATIENCE
 from std_srvs.srv import SetBool, Trigger
 
@@ -27,9 +27,6 @@ ACTIONS = 8
 """Actions of a sequence."""
 
 DECLARED = {declared.name: declared for declared in declarations(Parameters)}
-
-ON_THE_WAY = 20e-3
-"""Time for an answer to arrive, and for the rig's log to reach the next cycle [s]."""
 
 
 class Closed(NamedTuple):
@@ -51,7 +48,7 @@ class Worst(NamedTuple):
 
     Attributes:
         command: largest command that reached the valve.
-        open_when_closed: largest command in a period in which it had to be at null.
+        open_when_closed: largest command in a period in which it had to be at null, as `Truth.open_when_closed` has it.
         beyond_ramp: largest excess of an opening over its ramp.
         step: largest first command after a lasting null.
         speed: largest speed of the piston.
@@ -83,7 +80,6 @@ class RandomAttacks:
         self.done: Counter[str] = Counter()
         self.closed: list[Closed] = []
         self._shut: tuple[str, float] | None = None
-        self._stop = ""
         self._lifecycle = "active"
         self._changed: set[str] = set()
         self._actions: dict[Callable[[], Any], float] = {
@@ -145,7 +141,7 @@ class RandomAttacks:
     # Actions
 
     def enable(self) -> bool:
-        latched = bool(self._stop) or self._lifecycle != "active"
+        latched = bool(self.rig.stop) or self._lifecycle != "active"
         if not latched:
             self.end_of_null()
         opened = bool(self.rig.enable().success)
@@ -156,17 +152,18 @@ class RandomAttacks:
         self.rig.ask(Trigger, "reset_trips")
 
     def disable(self) -> None:
+        ramp = self.rig.participant.get_parameter(BRIDGE, "ramp_time").double_value
         assert self.rig.ask(SetBool, "enable", data=False).success
-        self._closed_by("disabled", self.rig.pace.ramp)
+        # The ramp begins and ends with a cycle.
+        self._closed_by("disabled", ramp + 2.0 * self.rig.pace.period)
 
     def emergency_stop(self) -> None:
         self.rig.emergency_stop()
-        self._stop = self.rig.stop
         self._closed_by("stopped")
 
     def acknowledge(self) -> None:
-        if self._stop and self.rig.ask(AcknowledgeStop, "acknowledge_stop", stop=self._stop).success:
-            self._stop = ""
+        if self.rig.stop:
+            self.rig.acknowledge()
 
     def acknowledge_wrongly(self) -> None:
         name = self.random.choice(["", "stop", "stop-0", "stop-999", "emergency_stop"])
@@ -199,27 +196,20 @@ class RandomAttacks:
         self.rig.participant.set_parameter(BRIDGE, declared.name, value)
 
     def freeze_bridge(self) -> None:
-        begun = time.monotonic()
         asleep = self._freeze(self.rig.bridge, self.random.choice([0.005, 0.02, 0.05, 0.09, 0.3]))
-        self._delayed_since(begun)
         if asleep > self.rig.pace.timeout + self.rig.pace.period:
-            # The bridge may have been frozen at the end of a cycle.
-            self._closed_by("frozen", 3.0 * self.rig.pace.period)
+            self._closed_by("frozen")
 
     def freeze_emulator(self) -> None:
-        begun = time.monotonic()
         self._freeze(self.rig.emulator, self.random.choice([0.005, 0.02, 0.09]))
-        self._delayed_since(begun)
 
     def freeze_commander(self) -> None:
         self._freeze(self.rig.graph.processes["commander"], self.random.choice([0.005, 0.02, 0.09]))
 
     def lose_packets(self) -> None:
-        begun = time.monotonic()
         self.rig.fault(self.random.choice(["deaf", "silent"]))
         self.rig.participant.rest(self.random.choice([0.003, 0.012, 0.03, 0.1]))
         self.rig.fault("clear")
-        self._delayed_since(begun)
 
     def spoil_sensor(self) -> None:
         lines = ("stick force", "stick position", "bias force 3000", "bias load_pressure 1.5e6", "bias position 0.05")
@@ -244,28 +234,21 @@ class RandomAttacks:
             self.rig.graph.kill(BRIDGE)
         else:
             assert self.rig.graph.stop(BRIDGE, name) == 0
-        self._closed_by(name.name, self.rig.pace.watchdog)
+        self._closed_by(name.name)
         self.rig.restart_bridge()
-        self._lifecycle, self._stop, self.rig.stop = "active", "", ""
+        self._lifecycle, self.rig.stop = "active", ""
 
     def _freeze(self, process: Any, seconds: float) -> float:
         """Freeze a process and return for how long, at least [s]."""
-        process.send_signal(signal.SIGSTOP)
-        begun = time.monotonic()
+        begun = self.rig.graph.freeze(process)
         time.sleep(seconds)
         asleep = time.monotonic() - begun
         process.send_signal(signal.SIGCONT)
         return asleep
 
-    def _delayed_since(self, begun: float) -> None:
-        """Allow for a closing under way that was delayed: by the duration so far, at most until the rig's watchdog acts."""
-        if self._shut is not None and begun < self._shut[1]:
-            why, since = self._shut
-            self._shut = why, since + min(time.monotonic() - begun, self.rig.pace.watchdog + self.rig.pace.period)
-
     def _closed_by(self, why: str, takes: float = 0.0) -> None:
         if self._shut is None:
-            self._shut = why, time.monotonic() + takes + ON_THE_WAY + 3.0 * self.rig.pace.period
+            self._shut = why, time.monotonic() + takes
 
 
 def judge(columns: dict[str, np.ndarray], pace: Pace, closed: list[Closed]) -> Worst:
@@ -276,13 +259,13 @@ def judge(columns: dict[str, np.ndarray], pace: Pace, closed: list[Closed]) -> W
         pace: pace of the rig.
         closed: periods in which the valve had to be at null.
     """
-    truth = Truth(columns["monotonic_s"], columns["valve_command_m"], pace)
+    truth = truth_of(columns, pace)
     open_when_closed = 0.0
     for why, since, until in closed:
-        within = np.abs(truth.between(since, until))
-        if within.size and within.max() > open_when_closed:
-            open_when_closed = float(within.max())
-            print(f"open while {why}: {open_when_closed} m, {since} to {until}")
+        left = truth.open_when_closed(since, until)
+        if left > open_when_closed:
+            open_when_closed = left
+            print(f"open while {why}: {left} m, {since} to {until}")
     beyond = [excess for _, excess in truth.openings(LARGEST)]
     return Worst(
         command=float(np.max(np.abs(truth.command))),

@@ -36,6 +36,7 @@ class SabotagedBridge(HardwareBridgeNode):
     def sabotage(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data:
             raise SystemExit(3)
+        print("hangs", flush=True)
         self.never.wait(HANGS)
         return response
 

@@ -1,8 +1,12 @@
-"""A node between controller and bridge that spoils commands as the last line on stdin says: `spoil_commands.py SEED`."""
+"""A node between controller and bridge that spoils commands as the last line on stdin says: `spoil_commands.py SEED`.
+
+It prints each mode and the monotonic time from which it spoils all commands so.
+"""
 
 import math
 import random
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 
@@ -71,6 +75,7 @@ def main() -> None:
 
         while not node.stopping.is_set():
             mode = node.told()
+            print(f"{time.monotonic():.6f} {mode}", flush=True)
             for command in MODES[mode](arriving(mode), chance):
                 node.outbox.send(*command)
         waiter.destroy()

@@ -20,7 +20,6 @@ pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` 
 
 from diagnostic_msgs.msg import DiagnosticArray
 from emulated_rig import BLEND_IN, PERIOD, EmulatedRig
-from patience import PATIENCE
 from rosbags.rosbag2 import Reader
 
 from ehls_msgs.msg import LoaderState
@@ -49,7 +48,6 @@ BLENDED_IN = round(2.0 * BLEND_IN / PERIOD)
 AFTER_CUT = 15
 """The same when the gate cuts at once for lack of answers; then each cycle takes the bridge's patience."""
 
-SEED = random.SystemRandom().randrange(2**32)
 PARAMETERS_TRIED = 80
 
 
@@ -64,7 +62,7 @@ class Trip(NamedTuple):
 
     Attributes:
         fault: its name.
-        since: monotonic time of the injection, or of the earliest possible detection [s].
+        since: monotonic time from which the fault certainly acts [s].
         until: time at which the gate was reset [s].
         limit: time in which the command must be null [s].
         span: span of the command above which a constant reading is a fault [m]. The limit counts from frozen_time before
@@ -106,21 +104,20 @@ class Trial:
         self.rig.diagnostics.clear()
 
     def run(self, cycles):
-        """Let the rig run for some cycles."""
-        states = self.rig.states
-        seen = states[-1].cycle if states else 0
-        self.rig.participant.until(lambda: bool(states) and states[-1].cycle >= seen + cycles, PATIENCE)
+        """Let the rig run for some cycles that begin after this call."""
+        states, known, called = self.rig.states, len(self.rig.states), time.time_ns()
+        self.rig.participant.until(lambda: len(states.after(called, known)) >= cycles)
 
     def told(self, words):
-        """Wait until the message of a node's diagnostics contains some words."""
+        """Wait until a node's diagnostics, published after this call, contain some words."""
+        heard, called = self.rig.diagnostics, time.time_ns()
         self.rig.participant.until(
-            lambda: any(words in status.message for array in self.rig.diagnostics for status in array.status), PATIENCE
+            lambda: any(words in status.message for array in heard.after(called) for status in array.status)
         )
 
     def trips_it(self, fault, put_in, limit, end=lambda: None, span=0.0, cycles=UNTIL_NULL):
-        """Inject a fault, wait for the trip, end the fault, and go on; ``put_in`` may return the exact time of injection."""
-        before = time.monotonic()
-        since = put_in() or before
+        """Inject a fault, wait for the trip, end the fault, and go on; ``put_in`` returns the time from which it acts [s]."""
+        since = put_in()
         self.told("tripped by")
         self.run(cycles)
         end()
@@ -187,7 +184,7 @@ def test_controller_and_reference_freeze_die_and_return(trial, graph):
     # While it is frozen, time stands still until the bridge gives the present cycle up.
     running.trips_it(
         "controller frozen",
-        lambda: controller.send_signal(signal.SIGSTOP),
+        lambda: graph.freeze(controller),
         GATE.command_timeout,
         lambda: controller.send_signal(signal.SIGCONT),
         cycles=AFTER_CUT,
@@ -253,7 +250,7 @@ def test_the_rig_gone_and_back(trial, graph):
     running.rig.stop_emulator(signal.SIGKILL)
     running.told("tripped by")
     running.rig.start_emulator()
-    running.rig.participant.rest(0.5)
+    running.run(UNTIL_NULL)
     back = time.monotonic()
     running.enable()
     running.finish()
@@ -265,15 +262,15 @@ def test_the_rig_gone_and_back(trial, graph):
 
 def test_foreign_packets_second_controllers_and_random_parameters(trial, graph):
     running = trial()
-    chance = random.Random(SEED)
-    print(f"seed {SEED}")
+    chance = random.Random(1)
 
     def flood():
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-            for _ in range(100):
+            for _ in range(50):
                 for size in (0, 1, 56, 64, 1400):
                     stranger.sendto(b"EHLS\x01\x03\x01\x00" + chance.randbytes(size), ("127.0.0.1", running.rig.port))
-                running.rig.participant.rest(2e-3)
+                # By the second cycle the rig has read them: none is lost for want of room.
+                running.run(2)
 
     def second():
         # It waits for no friction estimate, so it answers at once.
@@ -308,9 +305,9 @@ def test_a_killed_recorder_and_a_full_disk(trial, graph, tmp_path):
     def flushed():
         return read_note(died)["/ehls/loader_state"] if (died / NOTE).exists() else Flushed(0, 0)
 
-    # More than one flush.
-    for _ in range(3):
-        so_far = flushed().messages
+    # More than one flush, and more cycles than are compared below.
+    for least in (0, 0, 600):
+        so_far = max(flushed().messages, least)
         running.rig.participant.until(lambda so_far=so_far: flushed().messages > so_far)
     last_ns = flushed().newest_ns
     killed_ns = time.time_ns()
