@@ -17,8 +17,8 @@ from ehls_ros.control.controllers import CONTROLLERS
 SUFFIX = "_node"
 
 WITHOUT_MESSAGES = (
-    "ehls_msgs, the messages of ehls_ros, is not there: source the workspace, `. install/setup.bash`; if it is not built, which "
-    "colcon does only where it finds it beside ehls_ros: `ln -s ehls_ros/ehls_msgs src/ && colcon build --packages-up-to ehls_ros`"
+    "ehls_msgs, the messages of ehls_ros, is not there: `. install/setup.bash` of the workspace; if it is not built, "
+    "`ln -s ehls_ros/ehls_msgs src/ && colcon build --packages-up-to ehls_ros`: colcon looks for no package inside another"
 )
 
 
