@@ -51,7 +51,8 @@ setup(
     license="Apache-2.0",
     maintainer="ehls_ros maintainers",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    include_package_data=True,  # what MANIFEST.in names
+    package_data={"": ["*.css", "*.js", "*.xml", "py.typed", "msg/*.msg"]},
+    include_package_data=False,  # setuptools warns of each folder without Python in it that MANIFEST.in names
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
