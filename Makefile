@@ -8,10 +8,10 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test docs lint lock clean
+.PHONY: help setup demo test test-noble docs lint lock clean
 
 help:  ## show this list
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
 
 setup:  ## make .venv/ with everything in it, or bring it up to date
 	@command -v $(PYTHON) >/dev/null || { echo "setup: no $(PYTHON) found: set PYTHON to CPython 3.11, 3.12 or 3.13" >&2; exit 1; }
@@ -26,6 +26,11 @@ TIMEOUT := 1800
 test: setup  ## run the tests; PYTEST_ARGS='-k name' picks some
 	PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/python -m pytest -p xdist -p timeout -n 2 --dist loadfile --timeout $(TIMEOUT) \
 		$(PYTEST_ARGS)
+
+test-noble:  ## run them with the versions of Ubuntu 24.04 in .venv-noble/; PYTHON=python3.12
+	@EHLS_VERSIONS=noble $(PYTHON) tools/setup_environment.py
+	PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv-noble/bin/python -m pytest -p xdist -p timeout -n 2 --dist loadfile \
+		--timeout $(TIMEOUT) $(PYTEST_ARGS)
 
 # EHLS_DOCS=all: the snippets that take long as well.
 docs: setup  ## build the documentation into build/docs/ and run its snippets
@@ -50,8 +55,10 @@ lock:  ## pin requirements/*.in anew (needs uv)
 	$(LOCK) --upgrade requirements/base.in -o requirements/base.txt
 	$(LOCK) --upgrade requirements/ros.in requirements/ros_build.in -c requirements/base.txt -o requirements/ros.txt
 	$(LOCK) --upgrade requirements/dev.in -c requirements/base.txt -c requirements/ros.txt -o requirements/dev.txt
+	$(LOCK:3.11=3.12) --upgrade requirements/noble.in -o requirements/noble.txt
+	$(LOCK:3.11=3.12) --upgrade requirements/ros.in requirements/ros_build.in -c requirements/noble.txt -o requirements/noble_ros.txt
 	sed -i "s/ ; $(EVERYWHERE)//" requirements/*.txt
 
 clean:  ## remove .venv/ and everything built, but no recordings
-	rm -rf .venv build install log dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf .venv .venv-noble build install log dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

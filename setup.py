@@ -1,5 +1,7 @@
 """Build of the ament_python package ehls_ros; ``pip install .`` without ROS gives its offline half."""
 
+import os
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
@@ -26,15 +28,31 @@ def installed_tree(top: str) -> list[tuple[str, list[str]]]:
     return list(files.items())
 
 
+def refuse_without_messages() -> None:
+    """End colcon's build of ehls_ros where ehls_msgs is not built: its nodes would not start.
+
+    colcon and rosdep look for no package inside another. A link beside this package shows it to both.
+    """
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    if any(Path(prefix, "share", "ehls_msgs", "package.xml").is_file() for prefix in prefixes):
+        return
+    link = ROOT.parent / "ehls_msgs"
+    shown = "" if link.exists() else f"ln -s {ROOT.name}/ehls_msgs {link} && "
+    sys.exit(f"ehls_ros needs ehls_msgs, which is not built yet: {shown}colcon build --packages-up-to {PACKAGE}")
+
+
+if "AMENT_PREFIX_PATH" in os.environ and not {"develop", "install"}.isdisjoint(sys.argv):
+    refuse_without_messages()
+
 setup(
     name=PACKAGE,
     version="0.1.0",
     description="Node graph, identification and diagnosis for an electro-hydraulic load simulator",
     license="Apache-2.0",
     maintainer="ehls_ros maintainers",
-    maintainer_email="maintainers@ehls-ros.example",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    include_package_data=True,  # what MANIFEST.in names
+    package_data={"": ["*.css", "*.js", "*.xml", "py.typed", "msg/*.msg"]},
+    include_package_data=False,  # setuptools warns of each folder without Python in it that MANIFEST.in names
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -46,6 +64,7 @@ setup(
     extras_require={
         "ros": requirements("ros"),
         "dev": requirements("dev"),
+        "test": ["pytest>=7.4"],  # from which colcon knows what runs the tests
         "dashboard": ["nicegui>=3.18"],
         "foxglove": ["foxglove-sdk>=0.30"],
         "parquet": ["pyarrow>=15"],

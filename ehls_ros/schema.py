@@ -1,19 +1,44 @@
-"""Parameters: declared once with unit, range and help, and checked by pydantic.
+"""Parameters: declared once with unit, range and help, and checked against that declaration.
 
 A parameter set is a ``NamedTuple`` whose fields are annotated with :func:`quantity`. Compiled kernels accept it directly.
 YAML checks, ROS descriptors, command-line help and the tables in the documentation are derived from the annotations.
 """
 
-from collections.abc import Hashable, Iterator, Mapping
-from functools import cache
-from typing import Annotated, Any, NamedTuple, TypeVar, cast, get_args, get_origin, get_type_hints
-
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
-from pydantic.fields import FieldInfo
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from ehls_ros.errors import BadInput
 
 Parameters = TypeVar("Parameters")
+
+
+class Note(NamedTuple):
+    """What is declared of a value beside its type; of a list, unit and text alone."""
+
+    description: str = ""
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    above: float | None = None
+    choices: tuple[str, ...] = ()
+
+
+class Misfit(ValueError):
+    """A value that does not fit its declaration."""
+
+    def __init__(self, value: Any, expected: str) -> None:
+        """Keep what the message is made of.
+
+        Args:
+            value: the offending value.
+            expected: what would have been accepted.
+        """
+        super().__init__(f"{value!r}; expected {expected}")
+        self.value = value
+        self.expected = expected
 
 
 def quantity(
@@ -23,8 +48,8 @@ def quantity(
     minimum: float | None = None,
     maximum: float | None = None,
     above: float | None = None,
-) -> Any:
-    """Declare a finite number with a unit, for ``Annotated[float, ...]``.
+) -> Note:
+    """Declare a number with a unit, for ``Annotated[float, ...]``.
 
     Args:
         unit: SI unit; ``1`` for a dimensionless number.
@@ -32,23 +57,19 @@ def quantity(
         minimum: smallest accepted value.
         maximum: largest accepted value.
         above: the value must be larger than this.
-
-    Returns:
-        The pydantic field.
     """
-    return Field(
-        ge=minimum,
-        le=maximum,
-        gt=above,
-        allow_inf_nan=False,
-        description=description,
-        json_schema_extra={"unit": unit},
-    )
+    return Note(description, unit, minimum, maximum, above)
 
 
-def text(description: str, unit: str = "") -> Any:
-    """Declare a field other than a number, such as a name or a list, with one sentence of help and the unit of its entries."""
-    return Field(description=description, json_schema_extra={"unit": unit})
+def text(description: str, unit: str = "", choices: Sequence[str] = ()) -> Note:
+    """Declare a field other than a number, such as a name or a list.
+
+    Args:
+        description: one sentence of help.
+        unit: unit of a list's entries.
+        choices: the texts that are accepted; empty: any.
+    """
+    return Note(description, unit, choices=tuple(choices))
 
 
 class Declaration(NamedTuple):
@@ -74,19 +95,9 @@ def declarations(parameters: type) -> Iterator[Declaration]:
     """
     defaults: Mapping[str, Any] = getattr(parameters, "_field_defaults", {})
     for name, hint in get_type_hints(parameters, include_extras=True).items():
-        kind, *notes = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-        field = next((note for note in notes if isinstance(note, FieldInfo)), FieldInfo())
-        extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-        limits = {key: getattr(item, key) for item in field.metadata for key in ("ge", "gt", "le") if hasattr(item, key)}
-        yield Declaration(
-            name=name,
-            kind=kind,
-            default=defaults.get(name),
-            unit=str(extra.get("unit", "")),
-            minimum=limits.get("ge", limits.get("gt")),
-            maximum=limits.get("le"),
-            description=field.description or "",
-        )
+        kind, note = _annotated(hint)
+        low = note.above if note.minimum is None else note.minimum
+        yield Declaration(name, kind, defaults.get(name), note.unit, low, note.maximum, note.description)
 
 
 def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> Parameters:
@@ -104,85 +115,149 @@ def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> 
     Raises:
         BadInput: naming the first offending key, its value and what was expected.
     """
+    hints = get_type_hints(parameters, include_extras=True)
+    required = hints.keys() - getattr(parameters, "_field_defaults", {}).keys()
+    values = {}
+    for key, hint in hints.items():
+        _, note = _annotated(hint)
+        unit = f" [{note.unit}]" if note.unit else ""
+        explained = f" ({note.description}{unit})" if note.description else ""
+        if key in data:
+            try:
+                values[key] = fitted(hint, data[key])
+            except Misfit as misfit:
+                what = f"{key} is {misfit.value!r}"
+                raise BadInput(what, where, f"{misfit.expected}{_advice(misfit)}{explained}") from None
+        elif key in required:
+            raise BadInput(f"key '{key}' is missing", where, f"a value for it{explained}")
+    unknown = next((key for key in data if key not in hints), None)
+    if unknown is not None:
+        raise BadInput(f"key '{unknown}' is unknown", where, f"one of {', '.join(hints)}" if hints else "no such key")
+    return parameters(**values)
+
+
+def from_json(kind: Any, document: str | bytes) -> Any:
+    """Read a JSON document.
+
+    Args:
+        kind: the type of what it holds, as for :func:`fitted`.
+        document: its text.
+
+    Raises:
+        ValueError: it is no JSON, which has no NaN either, or holds something else.
+    """
     try:
-        return cast(Parameters, _adapter(cast(Hashable, parameters)).validate_python(_prepared(parameters, data)))
-    except ValidationError as error:
-        raise bad_input(error, where, parameters) from None
+        data = json.loads(document, parse_constant=_refuse)
+        # Half a surrogate pair passes for text until somebody writes it down.
+        json.dumps(data, ensure_ascii=False).encode()
+    except RecursionError:
+        raise Misfit("a list of lists of lists", "a document of a few levels") from None
+    return fitted(kind, data)
 
 
-@cache
-def _adapter(parameters: Any) -> TypeAdapter[Any]:
-    """Return the validator of a parameter set; cached, as building one takes milliseconds."""
-    return TypeAdapter(parameters, config=ConfigDict(strict=True))
+def _refuse(constant: str) -> None:
+    raise Misfit(constant, "a number of JSON")
 
 
-def _prepared(parameters: type, data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the data for the validator: lists as tuples, and whole floats as ints for fields declared as int."""
-    integers = {declared.name for declared in declarations(parameters) if declared.kind is int}
-    return {
-        key: int(value) if key in integers and isinstance(value, float) and value.is_integer() else _frozen(value)
-        for key, value in data.items()
-    }
+def fitted(kind: Any, value: Any) -> Any:
+    """Return a value as its type has it: ints as floats and lists as tuples where these are declared.
+
+    Args:
+        kind: a plain type, ``Any``, ``Literal``, an optional type, a tuple, sequence or mapping of such, or a ``NamedTuple``
+            class; each may be annotated with a :class:`Note`.
+        value: the value.
+
+    Raises:
+        Misfit: it is something else, or out of its range.
+    """
+    kind, note = _annotated(kind)
+    made = _of_type(kind, value)
+    if note.minimum is not None and made < note.minimum:
+        raise Misfit(value, f"a value greater than or equal to {note.minimum:.15g}")
+    if note.above is not None and made <= note.above:
+        raise Misfit(value, f"a value greater than {note.above:.15g}")
+    if note.maximum is not None and made > note.maximum:
+        raise Misfit(value, f"a value less than or equal to {note.maximum:.15g}")
+    if note.choices and made not in note.choices:
+        raise Misfit(value, f"one of {', '.join(note.choices)}")
+    return made
 
 
-def _frozen(value: Any) -> Any:
-    return tuple(map(_frozen, value)) if isinstance(value, list) else value
+def _annotated(hint: Any) -> tuple[Any, Note]:
+    """Split an annotation into type and note."""
+    if get_origin(hint) is not Annotated:
+        return hint, Note()
+    kind, *notes = get_args(hint)
+    return kind, next((note for note in notes if isinstance(note, Note)), Note())
 
 
-def _as_written(value: Any) -> Any:
-    return list(map(_as_written, value)) if isinstance(value, tuple) else value
+def _of_type(kind: Any, value: Any) -> Any:
+    origin, arguments = get_origin(kind), get_args(kind)
+    if kind is Any or (value is None and NoneType in arguments):
+        return value
+    if kind in _PLAIN:
+        return _plain(kind, value)
+    if origin in {Union, UnionType}:
+        [kind] = set(arguments) - {NoneType}
+        return fitted(kind, value)
+    if origin is Literal:
+        if value not in arguments:
+            raise Misfit(value, f"one of {', '.join(map(str, arguments))}")
+        return value
+    return _tuple(arguments, value) if origin in {tuple, Sequence} else _mapping(kind, value)
 
 
-def bad_input(error: ValidationError, where: str, parameters: type) -> BadInput:
-    """Return pydantic's first error as one line."""
-    first = error.errors(include_url=False)[0]
-    # The key of a list is enough, without the index.
-    location = tuple(part for part in first["loc"] if isinstance(part, str))
-    key = ".".join(location)
-    explained = _help(parameters, location)
-    written = _as_written(first["input"])
-    match first["type"]:
-        case "missing" | "missing_argument" if location == first["loc"]:
-            return BadInput(f"key '{key}' is missing", where, f"a value for it {explained}".rstrip())
-        case "missing":
-            return BadInput(f"{key} is {written!r}", where, f"more values {explained}".rstrip())
-        case "extra_forbidden" | "unexpected_keyword_argument":
-            known = ", ".join(_fields_at(parameters, location[:-1]))
-            return BadInput(f"key '{key}' is unknown", where, f"one of {known}" if known else "no such key")
-        case _:
-            expected = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
-            advice = _advice(first["type"], first["input"])
-            return BadInput(f"{key} is {written!r}", where, f"{expected}{advice} {explained}".rstrip())
+_PLAIN = {bool: "boolean", float: "number", int: "integer", str: "string"}
 
 
-def _advice(kind: str, value: Any) -> str:
+def _plain(kind: type, value: Any) -> Any:
+    """Return a value as a bool, float, int or str."""
+    wanted = f"a valid {_PLAIN[kind]}"
+    if kind in {bool, str} and isinstance(value, kind):
+        return value
+    if kind in {bool, str} or isinstance(value, bool) or not isinstance(value, int | float):
+        raise Misfit(value, wanted)
+    if not abs(value) < math.inf:
+        raise Misfit(value, "a finite number" if kind is float else wanted)
+    if kind is int and value != int(value):
+        raise Misfit(value, wanted)
+    try:
+        return kind(value)
+    except OverflowError:
+        raise Misfit(value, "a finite number") from None
+
+
+def _tuple(kinds: tuple[Any, ...], value: Any) -> tuple[Any, ...]:
+    if not isinstance(value, list | tuple):
+        raise Misfit(value, "a list")
+    if len(kinds) == 1 or kinds[1:] == (...,):
+        return tuple(fitted(kinds[0], each) for each in value)
+    if len(value) != len(kinds):
+        raise Misfit(value, f"a list of {len(kinds)} values")
+    return tuple(map(fitted, kinds, value))
+
+
+def _mapping(kind: Any, value: Any) -> Any:
+    """Return a mapping as one, or as the ``NamedTuple`` of its entries."""
+    if not isinstance(value, Mapping):
+        raise Misfit(value, "a mapping of keys to values")
+    if get_origin(kind) is Mapping:
+        of_keys, of_values = get_args(kind)
+        return {fitted(of_keys, key): fitted(of_values, each) for key, each in value.items()}
+    try:
+        return parse(kind, value, kind.__name__)
+    except BadInput as error:
+        raise Misfit(value, error.expected) from None
+
+
+def _advice(misfit: Misfit) -> str:
     """Return a hint at how YAML may have misread the user's value."""
-    match kind, value:
-        case "float_type" | "int_type", bool():
+    match misfit.expected, misfit.value:
+        case "a valid number" | "a valid integer", bool():
             return " (in YAML, yes, on, no and off mean true and false)"
-        case "float_type" | "int_type", str():
+        case "a valid number" | "a valid integer", str():
             return " without quotes"
-        case "string_type", bool() | int() | float():
+        case "a valid string", bool() | int() | float():
             return " in quotes"
         case _:
             return ""
-
-
-def _fields_at(parameters: Any, location: tuple[str, ...]) -> tuple[str, ...]:
-    for part in location:
-        hints = get_type_hints(parameters) if hasattr(parameters, "_fields") else {}
-        parameters = hints.get(part)
-    return tuple(getattr(parameters, "_fields", ()))
-
-
-def _help(parameters: Any, location: tuple[str, ...]) -> str:
-    for part in location[:-1]:
-        hints = get_type_hints(parameters) if hasattr(parameters, "_fields") else {}
-        parameters = hints.get(part)
-    if not location or not hasattr(parameters, "_fields"):
-        return ""
-    for declared in declarations(parameters):
-        if declared.name == location[-1] and declared.description:
-            unit = f" [{declared.unit}]" if declared.unit else ""
-            return f"({declared.description}{unit})"
-    return ""

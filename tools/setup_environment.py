@@ -1,5 +1,7 @@
 """Make ``.venv/``: the locked packages, the messages of ehls_msgs and the project itself, editable.
 
+With ``EHLS_VERSIONS=noble`` it is ``.venv-noble/``, with the versions of Ubuntu 24.04 and without what that has not.
+
 ``make setup`` runs it. Each of its four steps leaves a stamp of its inputs, so that a second run repeats only what has changed,
 and a run after an interruption continues with the interrupted step. A sourced ROS 2 installation is used; otherwise ROS is
 installed as locked wheels.
@@ -31,15 +33,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 ROOT = Path(__file__).resolve().parent.parent
-VENV = ROOT / ".venv"
+NOBLE = os.environ.get("EHLS_VERSIONS") == "noble"
+VENV = ROOT / (".venv-noble" if NOBLE else ".venv")
 PYTHON = VENV / "bin" / "python"
 STAMPS = VENV / "setup_stamps.json"
 LOG = VENV / "setup.log"
 MANIFEST = VENV / "ehls_msgs_manifest.txt"
 REQUIREMENTS = ROOT / "requirements"
+PACKAGES, WHEELS = (["noble.txt"], "noble_ros.txt") if NOBLE else (["base.txt", "dev.txt"], "ros.txt")
+"""The locks; the one of the ROS wheels is left out where a ROS installation is sourced."""
 MESSAGES = ROOT / "ehls_msgs"
 
-OLDEST, NEWEST = (3, 11), (3, 13)
+OLDEST, NEWEST = ((3, 12), (3, 12)) if NOBLE else ((3, 11), (3, 13))
 GLIBC = (2, 28)
 # The ROS wheels restart Python with a library path unless this is set; inherited from another environment, it does harm.
 WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
@@ -120,12 +125,12 @@ def set_up(*, python_was_chosen: bool) -> None:
         stamps = {}
     pending = [step for step in steps(ros) if stamps.get(step.name) != step.fingerprint]
     if not remade and not pending:
-        print(".venv is up to date")
+        print(f"{VENV.name} is up to date")
         return
     check_compilers(ros)
     total = len(pending) + remade
     if remade:
-        print(f"[1/{total}] making .venv with Python {platform.python_version()}", flush=True)
+        print(f"[1/{total}] making {VENV.name} with Python {platform.python_version()}", flush=True)
         make_environment(ros)
         stamps["environment"] = {"python": python_version(), "folder": str(ROOT), "ros": ros}
         write_stamps(stamps)
@@ -134,7 +139,7 @@ def set_up(*, python_was_chosen: bool) -> None:
         step.does(ros)
         stamps[step.name] = step.fingerprint
         write_stamps(stamps)
-    print(f".venv is ready after {time.monotonic() - started:.0f} s: .venv/bin/ehls --help")
+    print(f"{VENV.name} is ready after {time.monotonic() - started:.0f} s: {VENV.name}/bin/ehls --help")
 
 
 def steps(ros: str) -> list[Step]:
@@ -143,7 +148,7 @@ def steps(ros: str) -> list[Step]:
     Args:
         ros: name of the sourced ROS 2 distribution, or empty.
     """
-    locks = [REQUIREMENTS / name for name in (["base.txt", "dev.txt"] if ros else ["base.txt", "dev.txt", "ros.txt"])]
+    locks = [REQUIREMENTS / name for name in (PACKAGES if ros else [*PACKAGES, WHEELS])]
     packages = len({name for lock in locks for name in re.findall(r"^\S+==", lock.read_text(encoding="utf-8"), re.MULTILINE)})
     project = [ROOT / name for name in ("setup.py", "setup.cfg", "pyproject.toml", "MANIFEST.in")]
     project += REQUIREMENTS.glob("*.in")
@@ -206,7 +211,8 @@ def check_python(ros: str) -> None:
     """
     here = f"{sys.executable} is Python {platform.python_version()}"
     if not OLDEST <= sys.version_info[:2] <= NEWEST or sys.implementation.name != "cpython":
-        raise SetupError(f"{here}: CPython 3.11, 3.12 or 3.13 is needed, such as `make setup PYTHON=python3.12`")
+        wanted, make = ("CPython 3.12", "test-noble") if NOBLE else ("CPython 3.11, 3.12 or 3.13", "setup")
+        raise SetupError(f"{here}: {wanted} is needed, such as `make {make} PYTHON=python3.12`")
     if ros and subprocess.run([sys.executable, "-c", "import rclpy"], capture_output=True, check=False).returncode:
         raise SetupError(f"{here}, which cannot import rclpy of ROS 2 {ros}: set PYTHON to the Python that ROS was built for")
     if not ros and (sys.platform != "linux" or platform.machine() != "x86_64" or glibc_version() < GLIBC):
@@ -264,11 +270,10 @@ def install_packages(ros: str) -> None:
         ros: name of the sourced ROS 2 distribution, or empty.
     """
     remove_half_installed()
-    base, dev, wheels = (str(REQUIREMENTS / f"{name}.txt") for name in ("base", "dev", "ros"))
-    pip("--require-hashes", "--only-binary=:all:", "-r", base, "-r", dev)
+    pip("--require-hashes", "--only-binary=:all:", *(f"--requirement={REQUIREMENTS / name}" for name in PACKAGES))
     if not ros:
         # One of them exists as source only; building it with the locked setuptools keeps everything hashed.
-        pip("--require-hashes", "--no-build-isolation", "-r", wheels)
+        pip("--require-hashes", "--no-build-isolation", "--requirement", str(REQUIREMENTS / WHEELS))
         point_exports_here()
 
 
@@ -282,10 +287,12 @@ def remove_half_installed() -> None:
 def point_exports_here() -> None:
     """Replace the build machine's paths in the cmake exports of the ROS wheels by this environment's."""
     paths = python_paths()
+    headers = "numpy/_core/include" if Path(paths["purelib"], "numpy/_core/include").exists() else "numpy/core/include"
     build_machine = re.compile(r"/opt/python/[^/;\"]+/(include|lib)/python3\.\d+(/site-packages)?")
     for export in VENV.glob("share/*/cmake/*rosidl_generator_py*.cmake"):
         text = export.read_text(encoding="utf-8")
         here = build_machine.sub(lambda match: paths["include" if match[1] == "include" else "purelib"], text)
+        here = here.replace("numpy/_core/include", headers)
         if here != text:
             export.write_text(here, encoding="utf-8")
 

@@ -2,9 +2,11 @@
 
 import argparse
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-import shtab
+from ehls_ros.errors import BadInput
 
 SHELLS = ("bash", "zsh")
 
@@ -14,6 +16,13 @@ class PrintCompletion(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *values: object) -> None:
         """Print the script for the given shell."""
+        try:
+            shtab: Any = import_module("shtab")
+        except ImportError:
+            raise BadInput("shtab is not installed", "this Python", "pip install shtab, or apt install python3-shtab") from None
+        for action in _actions(parser):
+            if action.type is Path:
+                setattr(action, "complete", shtab.FILE)  # noqa: B010 - shtab's attribute, unknown to argparse
         print(shtab.complete(parser, shell=str(values[1])))
         parser.exit()
 
@@ -24,9 +33,6 @@ def add_completion(top: argparse.ArgumentParser) -> None:
     Args:
         top: the parser, with all its verbs; path arguments complete file names.
     """
-    for action in _actions(top):
-        if action.type is Path:
-            setattr(action, "complete", shtab.FILE)  # noqa: B010 - shtab's attribute, unknown to argparse
     top.add_argument(
         "--print-completion",
         action=PrintCompletion,

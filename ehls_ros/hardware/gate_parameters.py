@@ -5,11 +5,9 @@ protect the rig itself - force, pressure, position, velocity, a stale snapshot, 
 """
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
-from pydantic import Field
-
-from ehls_ros.schema import quantity
+from ehls_ros.schema import Note, quantity, text
 
 REACTIONS = WARN, HOLD, RAMP, CUT = ("warn", "hold", "ramp", "cut")
 """Reactions to a fault, mildest first: report it; keep the last safe command for a while; ramp to null; null at once."""
@@ -26,7 +24,7 @@ The paper's constant 10 kN with its large disturbance moves the piston to 0.303 
 """
 
 
-def reaction(description: str, *, least: str = WARN) -> Any:
+def reaction(description: str, *, least: str = WARN) -> Note:
     """Declare a reaction, for use inside ``Annotated[str, ...]``.
 
     Args:
@@ -34,7 +32,7 @@ def reaction(description: str, *, least: str = WARN) -> Any:
         least: the mildest reaction allowed.
     """
     choices = REACTIONS[REACTIONS.index(least) :]
-    return Field(description=f"{description}: {', '.join(choices)}", pattern=f"^({'|'.join(choices)})$")
+    return text(f"{description}: {', '.join(choices)}", choices=choices)
 
 
 class Parameters(NamedTuple):

@@ -16,6 +16,11 @@ from ehls_ros.control.controllers import CONTROLLERS
 
 SUFFIX = "_node"
 
+WITHOUT_MESSAGES = (
+    "ehls_msgs, the messages of ehls_ros, is not there: `. install/setup.bash` of the workspace; if it is not built, "
+    "`ln -s ehls_ros/ehls_msgs src/ && colcon build --packages-up-to ehls_ros`: colcon looks for no package inside another"
+)
+
 
 def node_names() -> tuple[str, ...]:
     """Return the names of all nodes, those of installed controllers included, sorted."""
@@ -40,4 +45,13 @@ class _ControllerNodes:
         return spec_from_file_location(name, Path(__file__).with_name("controller_process.py"))
 
 
-sys.meta_path.append(_ControllerNodes)
+class _NoMessages:
+    """Asked for ehls_msgs only where nobody else has it: says where to get it."""
+
+    @staticmethod
+    def find_spec(name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> None:
+        if name == "ehls_msgs":
+            raise ModuleNotFoundError(WITHOUT_MESSAGES, name=name)
+
+
+sys.meta_path += [_ControllerNodes, _NoMessages]

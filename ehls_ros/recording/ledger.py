@@ -10,15 +10,15 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from mmap import mmap
 from struct import Struct
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, cast
 from zlib import compress, decompressobj
 from zlib import error as CompressionError  # noqa: N812 - an exception, and zlib has no better name for it
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, TypeAdapter, ValidationError
 
 from ehls_ros.recording.provenance import checksum_of, checksum_sum, message_checksum, message_digest
+from ehls_ros.schema import from_json, quantity
 
 MOST_PARTS = 255
 """Most blocks of a bag's provenance."""
@@ -36,9 +36,7 @@ ENTRIES = np.dtype([("topic", "u1"), ("stamp_ns", "<u8"), ("checksum", "<u8")])
 
 MESSAGES, PROVENANCE = 0, 1
 
-_Number = Annotated[int, Field(strict=True, ge=0, le=1 << 53)]
-
-_HEAD: TypeAdapter[dict[str, tuple[_Number, _Number]]] = TypeAdapter(dict[str, tuple[_Number, _Number]])
+_Number = Annotated[int, quantity("1", "number of a topic or of messages", minimum=0, maximum=1 << 53)]
 
 _FRAME = Struct("<8sQBHH")
 _FRAMED = Struct("<BHH")
@@ -295,8 +293,8 @@ class Ledger:
 def _parsed_head(head: bytes) -> Mapping[str, tuple[int, int]] | None:
     """Return each topic's number and the count of its earlier messages, by full name, from the head of a block."""
     try:
-        return _HEAD.validate_json(_expanded(head))
-    except (CompressionError, ValidationError):
+        return cast(Mapping[str, tuple[int, int]], from_json(Mapping[str, tuple[_Number, _Number]], _expanded(head)))
+    except (CompressionError, ValueError):
         return None
 
 

@@ -7,13 +7,13 @@ without the seals a flipped bit would pass for a measured value.
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from hashlib import blake2b
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 from zlib import crc32
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
 
 from ehls_ros.errors import BadInput
+from ehls_ros.schema import from_json
 
 KEY = "ehls_ros"
 CHECKSUM_KEY = "ehls_ros_checksum"
@@ -60,9 +60,6 @@ class Provenance(NamedTuple):
         return {KEY: content, CHECKSUM_KEY: _text_checksum(content)}
 
 
-_PROVENANCE = TypeAdapter(Provenance)
-
-
 def provenance_in(custom_data: Mapping[str, str], where: str) -> Provenance | None:
     """Read the provenance from a bag's metadata.
 
@@ -82,8 +79,8 @@ def provenance_in(custom_data: Mapping[str, str], where: str) -> Provenance | No
     if custom_data.get(CHECKSUM_KEY) != _text_checksum(content):
         raise BadInput("the configuration in the bag is damaged", where, "an unaltered bag")
     try:
-        return _PROVENANCE.validate_json(content)
-    except ValidationError:
+        return cast(Provenance, from_json(Provenance, content))
+    except ValueError:
         raise BadInput("the configuration in the bag is not in the format of ehls_ros", where, "an unaltered bag") from None
 
 

@@ -10,12 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-from pydantic import Field, TypeAdapter, ValidationError
-
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.provenance import checksum_of
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.regular_file import check_regular
+from ehls_ros.schema import from_json, quantity
 
 NOTE = "being_recorded.json"
 """Name of the note in the bag's folder."""
@@ -34,16 +33,13 @@ class Flushed(NamedTuple):
         newest_ns: latest time of sending [ns].
     """
 
-    messages: Annotated[int, Field(strict=True, ge=0, le=1 << 53)]
-    newest_ns: Annotated[int, Field(strict=True, ge=0, lt=1 << 63)]
+    messages: Annotated[int, quantity("1", "number of messages", minimum=0, maximum=1 << 53)]
+    newest_ns: Annotated[int, quantity("ns", "latest time of sending", minimum=0, maximum=(1 << 63) - 1)]
 
 
 class _Note(NamedTuple):
-    flushed: Annotated[Mapping[str, Flushed], Field(min_length=1)]
+    flushed: Mapping[str, Flushed]
     checksum: str
-
-
-_NOTE = TypeAdapter(_Note)
 
 
 def write_note(folder: Path, flushed: Mapping[str, Flushed]) -> None:
@@ -83,11 +79,13 @@ def read_note(folder: Path) -> Mapping[str, Flushed]:
     check_regular(path, sys.maxsize, AS_WRITTEN, "the note")
     try:
         with path.open("rb") as stream:
-            note = _NOTE.validate_json(stream.read(LARGEST))
+            note: _Note = from_json(_Note, stream.read(LARGEST))
     except OSError as error:
         raise BadInput(f"the note cannot be read ({reason(error)})", str(path), AS_WRITTEN) from None
-    except ValidationError:
-        raise BadInput("the note is damaged", str(path), AS_WRITTEN) from None
+    except ValueError:
+        note = _Note({}, "")
+    if not note.flushed:
+        raise BadInput("the note is damaged", str(path), AS_WRITTEN)
     if note.checksum != _checksum(note.flushed):
         raise BadInput("the note has been altered", str(path), AS_WRITTEN)
     return note.flushed

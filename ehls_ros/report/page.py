@@ -4,20 +4,24 @@ Every report consists of these blocks. All text is escaped here.
 """
 
 import json
+import logging
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import yaml
-from plotly.offline import get_plotlyjs
 
 from ehls_ros.report.plot import FONT, Layout, Trace
 
 MISSING_NUMBER = "–"
+
+PLOTLY = "pip install plotly; the package python3-plotly of Debian and Ubuntu does not draw"
+"""What brings the figures."""
 
 Configuration = Mapping[str, object]
 """What a configuration file holds: nested mappings, sequences, scalars and arrays under free names."""
@@ -271,6 +275,12 @@ def write_page(path: Path, title: str, subtitle: str, blocks: Iterable[str]) -> 
         subtitle: one line below it.
         blocks: results of the other functions of this module.
     """
+    plotly = plotly_js()
+    if plotly is None:
+        logging.getLogger(__name__).warning("%s has no figures: plotly is not installed; %s", path, PLOTLY)
+        script = f'<style>.figure::after {{ content: "{PLOTLY}" }}</style>'
+    else:
+        script = f"<script>{plotly}</script>\n<script>{_beside('page.js')}</script>"
     path.write_text(
         f"""<!DOCTYPE html>
 <html lang="en">
@@ -287,13 +297,21 @@ def write_page(path: Path, title: str, subtitle: str, blocks: Iterable[str]) -> 
 <p class="subtitle">{escape(subtitle)}</p>
 {chr(10).join(blocks)}
 </main>
-<script>{get_plotlyjs()}</script>
-<script>{_beside("page.js")}</script>
+{script}
 </body>
 </html>
 """,
         encoding="utf-8",
     )
+
+
+def plotly_js() -> str | None:
+    """Return the program that draws the figures; None where it is not installed: Ubuntu's python3-plotly comes without it."""
+    try:
+        text: str = import_module("plotly.offline").get_plotlyjs()
+    except (ImportError, OSError):
+        return None
+    return text
 
 
 def _beside(name: str) -> str:

@@ -7,7 +7,7 @@ import time
 import pytest
 
 pytest.importorskip("nicegui", reason="needs the extra `dashboard`")
-pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 pytest.importorskip("websockets", reason="needs websockets to drive a browser")
 
 import rclpy

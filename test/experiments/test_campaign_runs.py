@@ -4,7 +4,6 @@ import json
 import sys
 
 import numpy as np
-import pyarrow.parquet
 import pytest
 from campaign_cases import BASE, CONFIG, DRAWS, write
 
@@ -19,6 +18,8 @@ from ehls_ros.experiments.campaign.store import opened, read_results
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.spec import spec_from_mapping
+
+pyarrow_parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow, of the extra campaign, is not installed")
 
 
 def make(path, out, progress=None):
@@ -52,7 +53,7 @@ def test_a_row_is_what_the_experiment_gives_by_itself(tmp_path):
 
 def test_the_table_has_fixed_kinds_of_columns_and_says_what_made_it(tmp_path):
     make(write(tmp_path, vary={"controller.k": [6, 12], "compensation": ["gms", "stribeck"]}), tmp_path / "out")
-    schema = pyarrow.parquet.read_schema(tmp_path / "out" / "results.parquet")
+    schema = pyarrow_parquet.read_schema(tmp_path / "out" / "results.parquet")
     kinds = {name: str(schema.field(name).type) for name in schema.names}
     assert kinds["controller.k"] == kinds["max_error_n"] == kinds["convergence_s"] == "double"
     assert kinds["compensation"] == kinds["error"] == kinds["digest"] == "string"

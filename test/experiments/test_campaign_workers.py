@@ -9,10 +9,8 @@ import sys
 import time
 from pathlib import Path
 
-import psutil
 import pytest
 from campaign_cases import BASE, DRAWS, write
-from distributed import Client
 from patience import PATIENCE
 
 from ehls_ros.experiments.campaign import backends
@@ -20,6 +18,10 @@ from ehls_ros.experiments.campaign.backends import dask, local
 from ehls_ros.experiments.campaign.conduct import conduct
 from ehls_ros.experiments.campaign.plan import load_plan
 from ehls_ros.experiments.campaign.store import opened, read_results
+
+pytest.importorskip("pyarrow", reason="pyarrow, of the extra campaign, is not installed")
+psutil = pytest.importorskip("psutil", reason="psutil is not installed")
+Client = pytest.importorskip("distributed", reason="distributed, of the extra campaign, is not installed").Client
 
 COUNT = 60
 CAMPAIGN = {"base": {**BASE, "duration": 10.0}, "runs": COUNT, "vary": DRAWS}

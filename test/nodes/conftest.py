@@ -17,9 +17,6 @@ from patience import PATIENCE
 
 from ehls_ros.control.controllers import CONTROLLERS
 
-rclpy = pytest.importorskip("rclpy", reason="needs ROS 2 Jazzy or its wheels")
-pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
-
 SPEC = """
 title: a short run
 rig: {rig}
@@ -39,6 +36,13 @@ ASK_AGAIN = 3.0
 """Time after which an unanswered request is repeated [s]."""
 
 RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def ros() -> None:
+    """Skip the tests of this folder without ROS; a skip of this file as a whole would end the session."""
+    pytest.importorskip("rclpy", reason="needs ROS 2 Jazzy or its wheels")
+    pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
 
 class Graph:
@@ -163,6 +167,7 @@ class Participant:
     """A further participant of the graph, in the test's own process."""
 
     def __init__(self) -> None:
+        import rclpy
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.signals import SignalHandlerOptions
 
@@ -228,6 +233,8 @@ class Participant:
         return self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=[name])).values[0]
 
     def close(self) -> None:
+        import rclpy
+
         self.executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
 from commanded_rig import AMPLITUDE, BRIDGE, COMMANDED, FREQUENCY, LATE, SLOW, CommandedRig
 from lifecycle_msgs.msg import Transition

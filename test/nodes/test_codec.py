@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
 from rclpy.serialization import deserialize_message, serialize_message
 

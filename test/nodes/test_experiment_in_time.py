@@ -13,7 +13,7 @@ import pytest
 from ehls_command import ehls, trajectory_of
 from patience import PATIENCE
 
-pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
 from rosbags.rosbag2 import Reader
 

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from ehls_command import ehls, trajectory_of
 
-pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
 from ehls_ros.cli.main import main
 from ehls_ros.control.observers import OBSERVERS
@@ -119,7 +119,7 @@ def test_the_run_folder_holds_what_the_contract_says(over_dds):
         "cycles_per_second_asked", "cycles_per_second_reached", "in_real_time",
     }  # fmt: skip
     assert metrics["cycles"] == 501
-    assert Path(metrics["report"]).stat().st_size > 1e6
+    assert Path(metrics["report"]).stat().st_size > 1e5  # without plotly.js
     recorded = read_bag(Path(metrics["bag"]))
     assert recorded.metadata["rig"]["plant"]["moving_mass"] == 70.0
     assert recorded.metadata["spec"]["controller"]["k"] == 12.0

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
 from diagnostic_msgs.msg import DiagnosticArray
 from emulated_rig import BLEND_IN, PERIOD, EmulatedRig

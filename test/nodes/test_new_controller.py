@@ -10,7 +10,7 @@ import pytest
 from docs_snippets import ROOT
 from third_party import install_page
 
-pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
 from ehls_msgs.msg import ForceReference, LoaderState, ValveCommand
 from ehls_ros.control.controllers import CONTROLLERS

@@ -8,7 +8,7 @@ import pytest
 import yaml
 from patience import PATIENCE
 
-pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
 from commanded_rig import CommandedRig
 from random_attacks import LARGEST, RandomAttacks, judge

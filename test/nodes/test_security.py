@@ -9,6 +9,9 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+
+pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
+
 from patience import PATIENCE
 
 from ehls_ros.control.controllers import CONTROLLERS

@@ -18,4 +18,4 @@ def written(tmp_path):
 @pytest.fixture
 def without_plotly(monkeypatch):
     """Pages without the five megabytes of plotly.js."""
-    monkeypatch.setattr("ehls_ros.report.page.get_plotlyjs", lambda: "")
+    monkeypatch.setattr("ehls_ros.report.page.plotly_js", lambda: "")
