@@ -9,6 +9,9 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSCompatibility, ReliabilityPolicy, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+UNKNOWN = "_NODE_NAME_UNKNOWN_"
+"""Name that the middleware gives a node whose name it has not discovered yet."""
+
 
 class Mismatches:
     """Watches the topics of a node."""
@@ -30,12 +33,13 @@ class Mismatches:
         counts = {topic: (node.count_publishers(topic), node.count_subscribers(topic)) for topic, _ in own}
         if counts == self._counts:
             return
-        self._counts = counts
         found = tuple(sentence for topic in counts for sentence in self._on(topic))
         for sentence in found:
             if sentence not in self.found:
                 node.get_logger().warning(sentence)
         self.found = found
+        # The name of a node is discovered after its topics.
+        self._counts = {} if any(UNKNOWN in sentence for sentence in found) else counts
 
     def _on(self, topic: str) -> Iterator[str]:
         publishers = self._node.get_publishers_info_by_topic(topic)
@@ -43,18 +47,18 @@ class Mismatches:
         for publisher in publishers:
             reading = [reader for reader in readers if self._is_own(reader) and not self._is_own(publisher)]
             if reading and all(_incompatible(publisher, reader) for reader in reading):
-                yield sentence(topic, publisher, reading[0])
+                yield _sentence(topic, publisher, reading[0])
         for reader in readers:
             offering = [publisher for publisher in publishers if self._is_own(publisher) and not self._is_own(reader)]
             if offering and all(_incompatible(publisher, reader) for publisher in offering):
-                yield sentence(topic, offering[0], reader)
+                yield _sentence(topic, offering[0], reader)
 
     def _is_own(self, endpoint: TopicEndpointInfo) -> bool:
         own = self._node.get_name(), self._node.get_namespace()
         return (endpoint.node_name, endpoint.node_namespace) == own
 
 
-def sentence(topic: str, publisher: TopicEndpointInfo, reader: TopicEndpointInfo) -> str:
+def _sentence(topic: str, publisher: TopicEndpointInfo, reader: TopicEndpointInfo) -> str:
     """Return what does not fit between a publisher and a reader, and what to do about it."""
     offered, wanted = publisher.qos_profile, reader.qos_profile
     unmet = [

@@ -126,7 +126,7 @@ class Inbox:
         self.malformed = 0
         self.handle = self._subscription()
         self._wider: Any = None
-        self._wanted_wider = False
+        self._widening = False
         self._taken_ns: set[int] = set()
         events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible, use_default_callbacks=False)
         self._handlers = events.create_event_handlers(node.default_callback_group, self.handle, topic)
@@ -149,10 +149,10 @@ class Inbox:
         while True:
             taken: tuple[bytes, Mapping[str, int]] | None = self.handle.take_message(self._message, True)
             if taken is None:
-                if self._wanted_wider and self._widened():
+                if self._wider is not None and self._taken_over():
                     continue
                 return None
-            if self._wider is not None:
+            if self._widening:
                 self._taken_ns.add(taken[1]["source_timestamp"])
             elif taken[1]["source_timestamp"] in self._taken_ns:
                 continue
@@ -171,26 +171,25 @@ class Inbox:
             return rclpy_implementation.Subscription(self._node.handle, self._message, self._topic, profile)
 
     def _on_incompatible(self, _: Any) -> None:
-        """Note, in the service thread, that a publisher offers too little; the reading thread acts on it."""
+        """Subscribe without asking for earlier messages if a publisher does not offer them; runs in the service thread."""
         volatile = [info for info in self._node.get_publishers_info_by_topic(self._topic) if is_volatile(info)]
-        if volatile and self._qos.durability == DurabilityPolicy.TRANSIENT_LOCAL and not self._wanted_wider:
-            self._wanted_wider = True
-            self._node.get_logger().warning(
-                f"{self._topic}: {volatile[0].node_name} offers durability volatile, transient_local was asked for; it is"
-                " accepted, but what is sent before a reader joins is lost to it: publish transient_local where that matters"
-            )
+        if not volatile or self._widening or self._qos.durability != DurabilityPolicy.TRANSIENT_LOCAL:
+            return
+        self._widening = True
+        self._qos.durability = DurabilityPolicy.VOLATILE
+        self._wider = self._subscription()
+        self._node.get_logger().warning(
+            f"{self._topic}: a publisher offers durability volatile, transient_local was asked for; it is accepted,"
+            " but what is sent before a reader joins is lost to it: publish transient_local where that matters"
+        )
 
-    def _widened(self) -> bool:
-        """Create the subscription that asks for no earlier messages; once it has all publishers, let it take over."""
-        if self._wider is None:
-            self._qos.durability = DurabilityPolicy.VOLATILE
-            self._wider = self._subscription()
-            return False
+    def _taken_over(self) -> bool:
+        """Return whether the second subscription has all publishers and has taken over."""
         if self._wider.get_publisher_count() <= self.handle.get_publisher_count():
             return False
         self._forget_events()
         self.handle.destroy_when_not_in_use()
-        self.handle, self._wider, self._wanted_wider = self._wider, None, False
+        self.handle, self._wider, self._widening = self._wider, None, False
         return True
 
     def _forget_events(self) -> None:

@@ -38,6 +38,9 @@ VALUES: Mapping[int, str] = MappingProxyType(
 )
 """Field of a ParameterValue by its type, as rcl_interfaces numbers them."""
 
+PRIMARY_STATES = range(1, 5)
+"""Lifecycle states in which a node stays, as lifecycle_msgs numbers them; the others are transitions under way."""
+
 OF_GATE = "owner"
 """Diagnostic value that only plants have; the messages beside it tell the state of the safety gate."""
 
@@ -139,7 +142,8 @@ class _Tellers:
             self._values[key] = new
 
     def _transition(self, topic: str, event: Any) -> Iterator[tuple[str, str]]:
-        yield topic.removesuffix(f"/{TRANSITION_EVENT}"), f"{event.start_state.label} → {event.goal_state.label}"
+        if event.goal_state.id in PRIMARY_STATES:
+            yield topic.removesuffix(f"/{TRANSITION_EVENT}"), f"{event.start_state.label} → {event.goal_state.label}"
 
     def _diagnostics(self, _: str, array: Any) -> Iterator[tuple[str, str]]:
         for status in array.status:
