@@ -44,6 +44,11 @@ class ParameterStock:
         self._asked: dict[str, _Asked] = {}
         self._answered: set[str] = set()
 
+    @property
+    def known(self) -> int:
+        """Number of nodes present that have answered."""
+        return len(self._answered)
+
     def look(self) -> None:
         """Ask the nodes that have appeared, and those that have not answered for long."""
         own = self._node.get_namespace()

@@ -35,7 +35,7 @@ REST = 0.02
 FLUSH = 0.5
 """Time between two flushes to the file, which make the data survive a killed recorder [s]."""
 
-LOOK = 1.0
+LOOK = 0.25
 """Time between two looks for nodes whose parameters are not in the bag yet [s]."""
 
 DISCOVERY = 30.0
@@ -202,7 +202,7 @@ class RecorderNode(ControlNode):
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Report how much has been written and lost."""
-        figures = {"bag": self.path, "written": self.written, "lost": self.lost}
+        figures = {"bag": self.path, "written": self.written, "lost": self.lost, "nodes_known": self.stock.known}
         if self.failure:
             return ERROR, f"not recording: {self.failure}", figures
         if self.lost:
