@@ -61,7 +61,9 @@ class Cycles:
         self._newest_friction = -1
 
     def add_snapshot(self, cycle: int, stamp_ns: int, measured: Sequence[float], now: float) -> None:
-        """Take a snapshot that arrived at a time [s] of a monotonic clock."""
+        """Take a snapshot that arrived at a time [s] of a monotonic clock; a mere repetition goes on waiting."""
+        if self._pending.get(cycle) == (stamp_ns, measured):
+            return
         if cycle <= self._newest:
             # The plant has restarted: what it sent before is never answered.
             self._pending.clear()

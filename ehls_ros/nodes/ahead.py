@@ -56,6 +56,7 @@ class AheadNode(ControlNode):
         self.waiter = Waiter([self.progress])
         self.next = 0
         self.last = -1
+        self.epoch_ns = 0
 
     def _cycle_of_clock(self, message: bytes) -> tuple[int, int]:
         """Return stamp [ns] and cycle, the first two fields of a loader_state."""
@@ -71,24 +72,28 @@ class AheadNode(ControlNode):
 
     def start(self) -> None:
         """Publish the rows needed before the first snapshot."""
-        self._publish_to(self.lead - 1, 0, None)
+        self._publish_to(self.lead - 1, None)
 
     def once(self) -> None:
-        """Publish up to ``lead`` cycles beyond the newest one."""
+        """Publish up to ``lead`` cycles beyond the newest one; again for a reader that could not ask for what it missed."""
         self.waiter.wait(WAIT)
+        if self.lead > 1 and self.outbox.joined():
+            self.next = max(self.last, 0)
+            self._publish_to(self.next + self.lead, None)
         while (state := self.progress.take()) is not None:
             stamp, cycle = state[:2]
             if cycle < self.last or cycle > self.next:
                 # The plant restarted, or this node started late.
                 self.next = cycle + 1 if self.lead == 1 else cycle
             self.last = cycle
-            self._publish_to(cycle + self.lead, stamp - round(cycle * self.period_ns), state if self.lead == 1 else None)
+            self.epoch_ns = stamp - round(cycle * self.period_ns)
+            self._publish_to(cycle + self.lead, state if self.lead == 1 else None)
         if self.lead > 1 and not self.lockstep:
             time.sleep(REST)
 
-    def _publish_to(self, cycle: int, epoch_ns: int, state: tuple[Any, ...] | None) -> None:
+    def _publish_to(self, cycle: int, state: tuple[Any, ...] | None) -> None:
         while self.next <= cycle:
-            self.outbox.send(epoch_ns + round(self.next * self.period_ns), self.next, *self.row(self.next, state))
+            self.outbox.send(self.epoch_ns + round(self.next * self.period_ns), self.next, *self.row(self.next, state))
             self.next += 1
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:

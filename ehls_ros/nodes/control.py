@@ -27,6 +27,7 @@ from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, load_spec
 from ehls_ros.hardware.courtesy import Courtesy, statistics_of
 from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups
+from ehls_ros.nodes.mismatches import Mismatches
 from ehls_ros.nodes.parameters import declare, refuse_unknown
 from ehls_ros.process import end
 from ehls_ros.schema import quantity, text
@@ -107,9 +108,10 @@ class ControlNode(LifecycleNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._reported: tuple[bytes, str] | None = None
         self._beaten = False
+        self._mismatches = Mismatches(self)
         # Steady time: ROS time may stop.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0, self.report, clock=steady)
+        self.create_timer(1.0, self._look_around, clock=steady)
         self.create_timer(BEAT, self._beat, clock=steady)
 
     @property
@@ -246,6 +248,10 @@ class ControlNode(LifecycleNode):
     def _beat(self) -> None:
         self._beaten = True
 
+    def _look_around(self) -> None:
+        self._mismatches.look()
+        self.report()
+
     def unheard(self, silence: float) -> None:
         """React to a silent service thread; called after each turn with the time since its last heartbeat [s]."""
 
@@ -261,7 +267,14 @@ class ControlNode(LifecycleNode):
             figures = {**figures, **self.courtesy.figures()}
             if self.courtesy.complaint:
                 level, message = max(level, WARN), f"{self.courtesy.complaint}; {message}"
-        return level, message, {**figures, **{f"not_permitted_{i}": text for i, text in enumerate(self.not_permitted, 1)}}
+        if unmatched := self._mismatches.found:
+            level, message = max(level, WARN), f"{unmatched[0]}; {message}"
+        lists = {"not_permitted": self.not_permitted, "not_matched": unmatched}
+        return (
+            level,
+            message,
+            {**figures, **{f"{key}_{i}": text for key, texts in lists.items() for i, text in enumerate(texts, 1)}},
+        )
 
     def report(self) -> None:
         """Publish diagnostics."""

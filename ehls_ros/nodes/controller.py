@@ -99,6 +99,8 @@ class ControllerNode(ControlNode):
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
         self.driving = Inbox(self, Bool, DRIVING.name, control_qos(1), _is_true)
         self.driven = True
+        self.answered: tuple[float, ...] = ()
+        self.command = 0.0
         self.arrivals = {
             "snapshot": Waiter([self.states]),
             "friction": Waiter([self.friction]),
@@ -126,6 +128,10 @@ class ControllerNode(ControlNode):
         while (message := self.friction.take()) is not None:
             self.cycles.add_friction(message[1], message[2:4])
         while (message := self.states.take()) is not None:
+            if message == self.answered:
+                # In lockstep the plant asks again for an answer that has not reached it.
+                self.commands.send(*message[:2], self.command)
+                continue
             self.cycles.add_snapshot(message[1], message[0], message[2:], arrived)
         if self.cycles.lacks_reference:
             while (message := self.reference.take()) is not None:
@@ -154,6 +160,7 @@ class ControllerNode(ControlNode):
             self.fallbacks += 1
         command = self.controller.step(self.measured, self.wanted, self.estimate, ready.elapsed)
         self.commands.send(ready.stamp_ns, ready.cycle, command)
+        self.answered, self.command = (ready.stamp_ns, ready.cycle, *ready.measured), command
         values = self.controller.status.tolist()
         self.saturated = values[SATURATED] != 0.0
         self.status.send(ready.stamp_ns, ready.cycle, *values[:SATURATED], self.saturated, fallback)

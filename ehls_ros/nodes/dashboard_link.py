@@ -37,11 +37,12 @@ from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes import SUFFIX, codec, node_names
 from ehls_ros.nodes.control import NAMESPACE
 from ehls_ros.nodes.graph import GOALS, LOST, PLANTS, REALTIME_PRIORITY
-from ehls_ros.nodes.transport import DEPTH, Inbox, message_class
+from ehls_ros.nodes.transport import Inbox, message_class
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS
 from ehls_ros.recording.cdr import CdrError, decode, flatten
 from ehls_ros.recording.topics import (
     CONTROLLER_STATUS,
+    DEPTH,
     FRICTION_ESTIMATE,
     LOADER_STATE,
     POSITION_REFERENCE,

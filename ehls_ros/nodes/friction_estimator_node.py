@@ -43,6 +43,7 @@ class FrictionEstimatorNode(ControlNode):
         elements = self.estimator.element_forces.size
         self.elements = elements
         self.last = -1
+        self.answered: tuple[float, ...] = ()
         self.gaps = 0
         self.unmeasured = 0
         self.velocity_measured = True
@@ -63,6 +64,10 @@ class FrictionEstimatorNode(ControlNode):
         self.waiter.wait(WAIT)
         while (message := self.states.take()) is not None:
             stamp, cycle = message[:2]
+            if message == self.answered:
+                # In lockstep the plant asks again for an answer that has not reached the controller.
+                self._answer(stamp)
+                continue
             elapsed = cycle - self.last if self.last >= 0 else 1
             if elapsed < 1:
                 # The plant has restarted.
@@ -70,14 +75,17 @@ class FrictionEstimatorNode(ControlNode):
                 elapsed = 1
             elif elapsed > 1:
                 self.gaps += 1
-            self.last = cycle
+            self.last, self.answered = cycle, message
             velocity = message[2 + sensors.VELOCITY]
             self.velocity_measured = math.isfinite(velocity)
             self.unmeasured += not self.velocity_measured
-            estimate = self.estimator.update(velocity, elapsed).tolist()
-            n = self.elements
-            slipping = [flag != 0.0 for flag in estimate[2 + n :]]
-            self.estimates.send(stamp, cycle, estimate[0], estimate[1], n, *estimate[2 : 2 + n], n, *slipping)
+            self.estimate = self.estimator.update(velocity, elapsed).tolist()
+            self._answer(stamp)
+
+    def _answer(self, stamp: int) -> None:
+        estimate, n = self.estimate, self.elements
+        slipping = [flag != 0.0 for flag in estimate[2 + n :]]
+        self.estimates.send(stamp, self.last, estimate[0], estimate[1], n, *estimate[2 : 2 + n], n, *slipping)
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say which observer runs and whether it missed a snapshot."""

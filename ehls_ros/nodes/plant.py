@@ -72,6 +72,7 @@ class PlantNode(ControlNode):
         sound = Gate(rig, self.period, None, measured, bounds=self.gate_bounds).parameters
         declare(self, GateParameters, {**sound._asdict(), **self.gate_defaults}, live=True)
         self.gate = Gate(rig, self.period, values_of(self, GateParameters, name), measured, bounds=self.gate_bounds)
+        self.told_gate: tuple[str, int] | None = None
         follow(self, GateParameters, self._retune, self.gate.objection)
         self._ending = self.create_timer(0.0, self._leave, autostart=False)
         self.create_service(Trigger, "emergency_stop", self._on_emergency_stop)
@@ -132,10 +133,21 @@ class PlantNode(ControlNode):
         self.gate.sense(cycle, signals, self.references.pop(cycle, math.nan), **sample)
         stamp_ns = self.epoch_ns + round(cycle * self.period * NANOSECONDS)
         self.published = time.perf_counter()
+        self.asked = self.published
         self.state.send(stamp_ns, cycle, *signals)
         if self.clock is not None and cycle % CLOCK_CYCLES == 0:
             self.clock.publish(Clock(clock=time_of(stamp_ns)))
         self.untold = (cycle * self.period, stamp_ns, signals)
+
+    def ask_again(self, cycle: int) -> None:
+        """Repeat the present snapshot if it has long been unanswered: a reader may have joined too late for it.
+
+        A controller that asks for no earlier messages, as by ROS's default, would else leave a plant in lockstep waiting.
+        """
+        if time.perf_counter() - self.asked > PATIENCE:
+            self.asked = time.perf_counter()
+            _, stamp_ns, signals = self.untold
+            self.state.send(stamp_ns, cycle, *signals)
 
     def tell_telemetry(self) -> None:
         """Publish telemetry of the cycle if due; called after the answer, so that it delays nothing."""
@@ -180,6 +192,14 @@ class PlantNode(ControlNode):
         """Tell the gate how long an emergency stop could not have been received."""
         self.gate.hear(silence)
 
+    def _beat(self) -> None:
+        """Publish diagnostics as soon as the gate's state has changed: a trip must not be missed between two reports."""
+        super()._beat()
+        gate = self.gate.state, len(self.gate.causes)
+        if gate != self.told_gate:
+            self.told_gate = gate
+            self.report_change()
+
     def _on_emergency_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         stop = self.gate.emergency_stop()
         return self._answered(response, None, f"{stop}; after {STOP_TIME:g} s acknowledge_stop {stop}, reset_trips and enable")
@@ -203,6 +223,7 @@ class PlantNode(ControlNode):
     def _answered(self, response: Any, refusal: str | None, message: str) -> Any:
         """Fill in a service's response, and publish diagnostics at once."""
         response.success, response.message = refusal is None, refusal or message
+        self.get_logger().info(f"safety gate: {response.message}")
         self.report_change()
         return response
 

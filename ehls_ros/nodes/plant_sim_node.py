@@ -78,6 +78,8 @@ class PlantSimNode(PlantNode):
         self._take()
         if self.answered == self.cycle and self.cycle in self.disturbances:
             self._advance()
+        elif not complete:
+            self.ask_again(self.cycle)
 
     def _once_realtime(self) -> None:
         remaining = self.time.remaining(time.perf_counter(), answered=self.answered == self.cycle)

@@ -1,20 +1,32 @@
-"""`recorder_node`: records every topic to a rosbag2 that includes the configuration of the run."""
+"""`recorder_node`: records every topic to a rosbag2 that includes the configuration of the run and what was done to it."""
 
 import time
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn, cast, get_args
 
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import metadata
+from ehls_ros.nodes import node_names
 from ehls_ros.nodes.control import ERROR, OK, WARN, ControlNode, run_node
+from ehls_ros.nodes.parameter_stock import ParameterStock
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos, message_class
 from ehls_ros.recording.bag_writer import BagWriter, Storage
-from ehls_ros.recording.topics import CYCLE_TOPICS, TOPICS
+from ehls_ros.recording.topics import (
+    CYCLE_TOPICS,
+    PARAMETER_EVENTS,
+    ROSOUT,
+    TELEMETRY_TOPICS,
+    Topic,
+    clock_topic,
+    transition_topic,
+)
 from ehls_ros.schema import quantity, text
 
 REST = 0.02
@@ -22,6 +34,9 @@ REST = 0.02
 
 FLUSH = 0.5
 """Time between two flushes to the file, which make the data survive a killed recorder [s]."""
+
+LOOK = 0.25
+"""Time between two looks for nodes whose parameters are not in the bag yet [s]."""
 
 DISCOVERY = 30.0
 """Longest wait for the expected publishers [s]."""
@@ -69,16 +84,18 @@ class RecorderNode(ControlNode):
         self.lost = 0
         self.newest: dict[str, int] = {}
         self.newest_ns = 0
-        self.taken = dict.fromkeys((topic.name for topic in TOPICS), 0)
+        events = [PARAMETER_EVENTS, ROSOUT, *map(transition_topic, node_names())]
+        # Without lockstep, /clock is another's.
+        events += [clock_topic(self.clock_topic)] if self.lockstep else []
+        self.often = [topic.name for topic in (*CYCLE_TOPICS, *TELEMETRY_TOPICS)]
+        self.topics = {topic.name: topic for topic in (*CYCLE_TOPICS, *TELEMETRY_TOPICS, *events)}
+        self.taken = dict.fromkeys(self.topics, 0)
         self.inboxes = {
-            topic.name: Inbox(
-                self,
-                message_class(topic.type),
-                topic.name,
-                control_qos(RECORDER_DEPTH) if topic in CYCLE_TOPICS else QoSProfile(depth=1000),
-            )
-            for topic in TOPICS
+            name: Inbox(self, message_class(topic.type), name, _wanted(topic), bytes) for name, topic in self.topics.items()
         }
+        self.parameters: deque[tuple[int, bytes]] = deque()
+        self.stock = ParameterStock(self, lambda stamp_ns, event: self.parameters.append((stamp_ns, event)))
+        self.looking = self.create_timer(LOOK, self.stock.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.failure = ""
         self.writer: BagWriter | None = None
 
@@ -95,6 +112,8 @@ class RecorderNode(ControlNode):
 
     def release(self) -> None:
         """Unsubscribe."""
+        self.destroy_timer(self.looking)
+        self.stock.close()
         for inbox in self.inboxes.values():
             inbox.destroy()
 
@@ -111,26 +130,32 @@ class RecorderNode(ControlNode):
     def once(self) -> None:
         """Write the messages that have gathered."""
         time.sleep(REST)
-        self._drain()
+        self._drain(self.often)
         if self.writer is not None and time.perf_counter() - self.flushed > FLUSH:
             self.flushed = time.perf_counter()
+            self._drain(self.topics)
             try:
                 self.writer.flush()
             except OSError as error:
                 self.fail(str(error))
 
-    def _drain(self) -> int:
-        """Write all messages received so far and return their number."""
+    def _drain(self, names: Iterable[str]) -> int:
+        """Write all messages received so far on some topics, and the parameters found, and return their number."""
         before = self.written
-        for name, inbox in self.inboxes.items():
-            # Sequence numbers show losses only with a single publisher.
-            numbered = inbox.handle.get_publisher_count() == 1
+        while self.parameters:
+            self._write(PARAMETER_EVENTS.name, *self.parameters.popleft())
+        for name in names:
+            inbox = self.inboxes[name]
+            # Sequence numbers show losses only with a single publisher, which keeps more than the newest message.
+            numbered = self.topics[name].depth > 1 and inbox.handle.get_publisher_count() == 1
             while (taken := inbox.take_raw()) is not None:
                 message, info = taken
-                self.taken[name] += 1
-                self.newest_ns = max(self.newest_ns, info["source_timestamp"])
                 if numbered:
                     self._count_lost(name, info["publication_sequence_number"])
+                if name == PARAMETER_EVENTS.name and not _node_of(message).startswith(f"{self.get_namespace()}/"):
+                    continue
+                self.taken[name] += 1
+                self.newest_ns = max(self.newest_ns, info["source_timestamp"])
                 self._write(name, info["source_timestamp"], message)
         return self.written - before
 
@@ -144,6 +169,7 @@ class RecorderNode(ControlNode):
         if self.writer is None:
             return
         try:
+            self.writer.add_topic(self.topics[name])
             self.writer.write(name, stamp_ns, message)
             self.written += 1
         except OSError as error:
@@ -160,7 +186,7 @@ class RecorderNode(ControlNode):
         """Write the messages still under way and close the bag."""
         quiet_since, last_ns = time.perf_counter(), time.time_ns() + int(LAST * 1e9)
         while self.newest_ns < last_ns:
-            if self._drain():
+            if self._drain(self.topics):
                 quiet_since = time.perf_counter()
             missing = any(self.taken[name] < self.cycles for name in self.expected)
             if time.perf_counter() - quiet_since > (SLOW if missing else QUIET):
@@ -176,12 +202,26 @@ class RecorderNode(ControlNode):
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Report how much has been written and lost."""
-        figures = {"bag": self.path, "written": self.written, "lost": self.lost}
+        figures = {"bag": self.path, "written": self.written, "lost": self.lost, "nodes_known": self.stock.known}
         if self.failure:
             return ERROR, f"not recording: {self.failure}", figures
         if self.lost:
             return WARN, "messages were lost before they reached the recorder", figures
         return OK, "recording" if self._active.is_set() else "inactive", figures
+
+
+def _wanted(topic: Topic) -> QoSProfile:
+    """Return the quality of service that the recorder requests: with what was sent before it came, where that is offered."""
+    if topic in CYCLE_TOPICS:
+        return control_qos(RECORDER_DEPTH)
+    durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.transient_local else DurabilityPolicy.VOLATILE
+    return QoSProfile(depth=1000, durability=durability)
+
+
+def _node_of(event: bytes) -> str:
+    """Return the node that a serialized ParameterEvent is of."""
+    length = int.from_bytes(event[12:16], "little" if event[1:2] == b"\1" else "big")
+    return event[16 : 16 + length].rstrip(b"\0").decode(errors="replace")
 
 
 def main() -> NoReturn:

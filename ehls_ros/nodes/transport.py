@@ -11,25 +11,25 @@ from importlib import import_module
 from typing import Any
 
 import rclpy
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.type_support import check_for_type_support
 
 from ehls_ros.nodes.codec import Decoder, Encoder
-
-DEPTH = 1000
-"""Queue depth of a control-path topic: one second of cycles."""
+from ehls_ros.recording.topics import DEPTH
 
 RECORDER_DEPTH = 50_000
 """Queue depth of the recorder, which reads in bulk."""
 
 
 def control_qos(depth: int = DEPTH) -> QoSProfile:
-    """Return the quality of service of every control-path topic.
+    """Return the quality of service that every control-path topic offers, and that its readers ask for.
 
     Reliable and transient local: a node that starts late or restarts receives what it missed, so nodes may start in
-    any order.
+    any order. An :class:`Inbox` does without the latter where a publisher does not offer it.
     """
     return QoSProfile(
         depth=depth,
@@ -42,6 +42,12 @@ def control_qos(depth: int = DEPTH) -> QoSProfile:
 def newest_qos() -> QoSProfile:
     """Return the quality of service of a reader that needs only the newest cycle."""
     return QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def is_volatile(endpoint: TopicEndpointInfo) -> bool:
+    """Return whether a publisher or reader is reliable, but offers or asks for no messages sent before it was matched."""
+    qos = endpoint.qos_profile
+    return bool(qos.reliability == ReliabilityPolicy.RELIABLE and qos.durability == DurabilityPolicy.VOLATILE)
 
 
 def message_class(name: str) -> Any:
@@ -67,11 +73,24 @@ class Outbox:
         """
         self._node = node
         self._publisher = node.create_publisher(message, topic, control_qos())
+        self._readers = 0
+        self._volatile_readers: set[bytes] = set()
         self._encode = Encoder(message, frame_id, lengths)
 
     def send(self, stamp_ns: int, *values: float) -> None:
         """Publish one message: header stamp [ns], then the fields in order."""
         self._publisher.handle.publish_raw(self._encode(stamp_ns, *values))
+
+    def joined(self) -> bool:
+        """Return whether, since the last call, a reader has joined that did not ask for the messages sent before."""
+        readers = self._publisher.get_subscription_count()
+        if readers == self._readers:
+            return False
+        self._readers = readers
+        endpoints = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
+        before = self._volatile_readers
+        self._volatile_readers = {bytes(endpoint.endpoint_gid) for endpoint in endpoints if is_volatile(endpoint)}
+        return not self._volatile_readers <= before
 
     def destroy(self) -> None:
         """Destroy the publisher."""
@@ -79,7 +98,12 @@ class Outbox:
 
 
 class Inbox:
-    """Receives one topic, in the thread that calls it."""
+    """Receives one topic, in the thread that calls it.
+
+    It asks for the messages sent before it joined as long as all publishers offer them. A publisher with ROS's default
+    profile does not, and would never be matched; once there is one, a second subscription that does not ask takes over. The
+    first one is read until the second has at least as many publishers, so that no message of the others is lost.
+    """
 
     def __init__(
         self, node: Node, message: Any, topic: str, qos: QoSProfile | None = None, decode: Callable[[bytes], Any] | None = None
@@ -87,24 +111,32 @@ class Inbox:
         """Create a subscription without an executor.
 
         Args:
-            node: owner.
+            node: owner; its executor serves the events of the subscription.
             message: message class.
             topic: name below the node's namespace, or absolute.
             qos: quality of service; that of the control path by default.
             decode: converts the bytes; by default to a tuple of the leading numbers.
         """
         check_for_type_support(message)
-        profile = (qos or control_qos()).get_c_qos_profile()
-        with node.handle:
-            self.handle = rclpy_implementation.Subscription(node.handle, message, topic, profile)
+        self._node = node
         self._message = message
+        self._topic = topic
+        self._qos = qos or control_qos()
         self._decode = decode or Decoder(message)
         self.malformed = 0
+        self.handle = self._subscription()
+        self._wider: Any = None
+        self._widening = False
+        self._taken_ns: set[int] = set()
+        events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible, use_default_callbacks=False)
+        self._handlers = events.create_event_handlers(node.default_callback_group, self.handle, topic)
+        for handler in self._handlers:
+            node.add_waitable(handler)
 
     def take(self) -> Any:
         """Return the next decoded message, or None; messages that cannot be decoded are skipped and counted."""
         while True:
-            taken = self.handle.take_message(self._message, True)
+            taken = self.take_raw()
             if taken is None:
                 return None
             decoded = self._decode(taken[0])
@@ -114,12 +146,57 @@ class Inbox:
 
     def take_raw(self) -> tuple[bytes, Mapping[str, int]] | None:
         """Return the next message's bytes and time stamps, or None."""
-        taken: tuple[bytes, Mapping[str, int]] | None = self.handle.take_message(self._message, True)
-        return taken
+        while True:
+            taken: tuple[bytes, Mapping[str, int]] | None = self.handle.take_message(self._message, True)
+            if taken is None:
+                if self._wider is not None and self._taken_over():
+                    continue
+                return None
+            if self._widening:
+                self._taken_ns.add(taken[1]["source_timestamp"])
+            elif taken[1]["source_timestamp"] in self._taken_ns:
+                continue
+            return taken
 
     def destroy(self) -> None:
         """Destroy the subscription."""
+        self._forget_events()
         self.handle.destroy_when_not_in_use()
+        if self._wider is not None:
+            self._wider.destroy_when_not_in_use()
+
+    def _subscription(self) -> Any:
+        profile = self._qos.get_c_qos_profile()
+        with self._node.handle:
+            return rclpy_implementation.Subscription(self._node.handle, self._message, self._topic, profile)
+
+    def _on_incompatible(self, _: Any) -> None:
+        """Subscribe without asking for earlier messages if a publisher does not offer them; runs in the service thread."""
+        volatile = [info for info in self._node.get_publishers_info_by_topic(self._topic) if is_volatile(info)]
+        if not volatile or self._widening or self._qos.durability != DurabilityPolicy.TRANSIENT_LOCAL:
+            return
+        self._widening = True
+        self._qos.durability = DurabilityPolicy.VOLATILE
+        self._wider = self._subscription()
+        self._node.get_logger().warning(
+            f"{self._topic}: a publisher offers durability volatile, transient_local was asked for; it is accepted,"
+            " but what is sent before a reader joins is lost to it: publish transient_local where that matters"
+        )
+
+    def _taken_over(self) -> bool:
+        """Return whether the second subscription has all publishers and has taken over."""
+        if self._wider.get_publisher_count() <= self.handle.get_publisher_count():
+            return False
+        self._forget_events()
+        self.handle.destroy_when_not_in_use()
+        self.handle, self._wider, self._widening = self._wider, None, False
+        return True
+
+    def _forget_events(self) -> None:
+        for handler in self._handlers:
+            self._node.remove_waitable(handler)
+            handler.destroy()
+        self._handlers = []
 
 
 class Waiter:

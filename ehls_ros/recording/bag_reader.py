@@ -53,7 +53,7 @@ def read_bag(path: Path, wanted: Collection[str] = SIGNALS) -> Trajectory:
     """
     where = str(path)
     with opened(path) as bag:
-        provenance, columns = bag.provenance, _read_topics(bag, wanted)
+        provenance, columns = bag.provenance, read_topics(bag, wanted)
     if not len(columns[LOADER_STATE.name][CYCLE]):
         raise BadInput(f"there is no message on {LOADER_STATE.name}", where, "at least one snapshot")
     time_s, signals = align(columns, where)
@@ -105,12 +105,17 @@ class OpenBag(NamedTuple):
             BadInput: the bag is damaged, or a message is not of its type.
         """
         connections = [connection for connection in self.reader.connections if connection.id in sinks]
-        for number, (connection, stamp_ns, message) in enumerate(self._messages(connections)):
+        for number, (connection, stamp_ns, message) in enumerate(self.messages(connections)):
             if number % BLOCK == 0:
                 self.deadline.check()
             sinks[connection.id].add(stamp_ns, message)
 
-    def _messages(self, connections: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+    def messages(self, connections: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+        """Return each message of some connections with its time of sending [ns].
+
+        Raises:
+            BadInput: the bag is damaged.
+        """
         with damage_reported(self.where):
             for connection, stamp_ns, message in self.reader.messages(connections):
                 yield connection, stamp_ns, self.expand(message) if self.expand else message
@@ -220,10 +225,9 @@ def _provenance(custom_data: Sequence[Mapping[str, str]], where: str) -> Provena
     return found[0] if found else None
 
 
-def _read_topics(bag: OpenBag, wanted: Collection[str]) -> dict[str, MessageColumns]:
+def read_topics(bag: OpenBag, wanted: Collection[str]) -> dict[str, MessageColumns]:
     """Return the messages on the bag's cycle topics that have wanted signals, and on ``loader_state``, by the topic's name."""
-    by_path = bag.by_topic()
-    namespace = _namespace(by_path, bag.where)
+    by_path, namespace = bag.by_topic(), namespace_of(bag)
     topics: dict[str, BagTopic] = {}
     sinks: dict[int, BagTopic] = {}
     for topic in CYCLE_TOPICS:
@@ -238,8 +242,13 @@ def _read_topics(bag: OpenBag, wanted: Collection[str]) -> dict[str, MessageColu
     return {name: topic.columns() for name, topic in topics.items()}
 
 
-def _namespace(by_path: Mapping[str, Sequence[Connection]], where: str) -> str:
-    """Return the one namespace that has a ``loader_state``."""
+def namespace_of(bag: OpenBag) -> str:
+    """Return the one namespace that has a ``loader_state``.
+
+    Raises:
+        BadInput: none has, or several have.
+    """
+    by_path, where = bag.by_topic(), bag.where
     ending = f"/{LOADER_STATE.name}"
     namespaces = [path.removesuffix(ending) for path in by_path if path.endswith(ending)]
     if not namespaces:

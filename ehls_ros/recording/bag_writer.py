@@ -9,7 +9,7 @@ from types import MappingProxyType, TracebackType
 from typing import Any, Literal, NoReturn, Self, get_args
 
 import numpy as np
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin
 
 from ehls_ros.errors import BadInput
@@ -20,7 +20,7 @@ from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import Flushed, remove_note, write_note
 from ehls_ros.recording.topics import NAMESPACE, TOPICS, Topic
 from ehls_ros.recording.trajectory_messages import streams_of
-from ehls_ros.recording.typestore import typestore
+from ehls_ros.recording.typestore import definition, typestore
 from ehls_ros.trajectory import SIGNALS, Trajectory
 
 Storage = Literal["mcap", "sqlite3"]
@@ -41,11 +41,10 @@ class BagWriter:
         self._writer = writer
         self._storage = writer.storage
         self._provenance = provenance
+        self._namespace = namespace
         self._connections: dict[str, Connection] = {}
         for topic in topics:
-            connection = writer.add_connection(topic.resolve(namespace), topic.type, typestore=typestore())
-            self._storage.ledger.add_topic(connection.id, connection.topic)
-            self._connections[topic.name] = connection
+            self.add_topic(topic)
         self._storage.write_blocks(provenance_blocks(json.dumps(provenance.custom_data())))
         self._open = True
 
@@ -93,11 +92,25 @@ class BagWriter:
             raise BadInput(f"the output cannot be created ({reason(error)})", str(where), NEW_FOLDER) from None
         return cls(writer, topics, namespace, provenance)
 
+    def add_topic(self, topic: Topic) -> None:
+        """Add a topic to those that can be written; again for one that is there does nothing."""
+        if topic.name in self._connections:
+            return
+        connection = self._writer.add_connection(
+            topic.resolve(self._namespace),
+            topic.type,
+            msgdef=definition(topic.type),
+            rihs01=typestore().hash_rihs01(topic.type),
+            offered_qos_profiles=[_offered(topic)],
+        )
+        self._storage.ledger.add_topic(connection.id, connection.topic)
+        self._connections[topic.name] = connection
+
     def write(self, topic: str, stamp_ns: int, serialized: bytes) -> None:
         """Write one message.
 
         Args:
-            topic: name of the topic in :data:`~ehls_ros.recording.topics.TOPICS`.
+            topic: name of one of the bag's topics.
             stamp_ns: time of sending, not negative [ns].
             serialized: the message as CDR.
 
@@ -181,6 +194,23 @@ class BagWriter:
         number = (isinstance(error, OSError) and error.errno) or (errno.ENOSPC if "full" in str(error) else errno.EIO)
         what = f"{reason(error)}; the bag is incomplete after {written} messages"
         raise OSError(number, what, str(self._writer.path)) from error
+
+
+def _offered(topic: Topic) -> Qos:
+    """Return what the topic's publishers offer, so that `ros2 bag play` offers it again."""
+    none = QosTime(0, 0)
+    durability = QosDurability.TRANSIENT_LOCAL if topic.transient_local else QosDurability.VOLATILE
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=topic.depth,
+        reliability=QosReliability.RELIABLE,
+        durability=durability,
+        deadline=none,
+        lifespan=none,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=none,
+        avoid_ros_namespace_conventions=False,
+    )
 
 
 def write_trajectory(path: Path, trajectory: Trajectory, storage: Storage = "mcap") -> None:

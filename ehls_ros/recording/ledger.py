@@ -75,6 +75,7 @@ class LedgerWriter:
             topic: its number in the file, at most 255.
             path: its full name.
         """
+        self._close_block()
         self._paths[topic] = path
         self._tallies[topic] = Tally(0, 0, 0)
         self._begin_block()

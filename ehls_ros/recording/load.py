@@ -91,6 +91,11 @@ def is_table(path: Path) -> bool:
     return suffix in READERS
 
 
+def holds_tables(path: Path) -> bool:
+    """Tell whether a recording consists of files with named columns; else it is a bag."""
+    return bool(_tables(path, ColumnMap())) or is_table(path)
+
+
 def raw(path: Path) -> RawTable:
     """Return the columns of one table by the user's own names.
 

@@ -25,7 +25,7 @@ from ehls_ros.recording.message_check import timely, well_formed
 from ehls_ros.recording.provenance import checksum_sum, message_checksum
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.salvage import Found, Loss
-from ehls_ros.recording.topics import LOADER_STATE, TOPICS, Topic
+from ehls_ros.recording.topics import LOADER_STATE, Topic, known_topic
 
 BLOCK = 4096
 """Messages processed together."""
@@ -175,8 +175,8 @@ def _topics(bag: DamagedBag, where: str) -> tuple[str, dict[str, Topic]]:
     if len(namespaces) != 1:
         several = f"it contains several rigs: {', '.join(namespaces)}"
         raise BadInput(several if namespaces else f"no topic {LOADER_STATE.name} is left in it", where, RECOVERABLE)
-    known = {topic.resolve(namespaces[0]): topic for topic in TOPICS}
-    return namespaces[0], {path: topic for path, topic in known.items() if path in paths}
+    known = {path: known_topic(path, namespaces[0]) for path in sorted(paths)}
+    return namespaces[0], {path: topic for path, topic in known.items() if topic is not None}
 
 
 class _Counts:

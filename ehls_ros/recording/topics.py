@@ -7,6 +7,9 @@ from typing import NamedTuple
 NAMESPACE = "/ehls"
 """Default namespace of the graph."""
 
+DEPTH = 1000
+"""Messages that a control-path topic keeps: one second of cycles."""
+
 
 class Topic(NamedTuple):
     """One topic.
@@ -15,18 +18,26 @@ class Topic(NamedTuple):
         name: name below the namespace, or an absolute name.
         type: ROS message type.
         signals: names in :data:`ehls_ros.trajectory.SIGNALS` by message field, in the same units.
+        depth: messages that a publisher keeps; all publishers are reliable.
+        transient_local: whether it also keeps them for readers that join later.
     """
 
     name: str
     type: str
     signals: Mapping[str, str] = MappingProxyType({})
+    depth: int = 10
+    transient_local: bool = False
 
     def resolve(self, namespace: str = NAMESPACE) -> str:
         """Return the full name, as ROS resolves it in a namespace."""
         return self.name if self.name.startswith("/") else f"{namespace}/{self.name}"
 
 
-LOADER_STATE = Topic(
+def _cycle_topic(name: str, message_type: str, signals: Mapping[str, str]) -> Topic:
+    return Topic(name, message_type, signals, DEPTH, transient_local=True)
+
+
+LOADER_STATE = _cycle_topic(
     "loader_state",
     "ehls_msgs/msg/LoaderState",
     {
@@ -39,7 +50,7 @@ LOADER_STATE = Topic(
         "oil_temperature": "oil_temperature_k",
     },
 )
-FORCE_REFERENCE = Topic(
+FORCE_REFERENCE = _cycle_topic(
     "force_reference",
     "ehls_msgs/msg/ForceReference",
     {
@@ -48,7 +59,7 @@ FORCE_REFERENCE = Topic(
         "force_acceleration": "force_reference_acceleration_n_s2",
     },
 )
-POSITION_REFERENCE = Topic(
+POSITION_REFERENCE = _cycle_topic(
     "position_reference",
     "ehls_msgs/msg/PositionReference",
     {
@@ -60,7 +71,7 @@ POSITION_REFERENCE = Topic(
 REFERENCE_TOPICS: Mapping[str, Topic] = MappingProxyType({"force": FORCE_REFERENCE, "position": POSITION_REFERENCE})
 """The reference topic by the quantity that the controller follows; a run has one of them."""
 
-DISTURBANCE = Topic(
+DISTURBANCE = _cycle_topic(
     "disturbance",
     "ehls_msgs/msg/Disturbance",
     {
@@ -70,7 +81,7 @@ DISTURBANCE = Topic(
         "velocity": "disturbance_velocity_m_s",
     },
 )
-FRICTION_ESTIMATE = Topic(
+FRICTION_ESTIMATE = _cycle_topic(
     "friction_estimate",
     "ehls_msgs/msg/FrictionEstimate",
     {
@@ -80,8 +91,8 @@ FRICTION_ESTIMATE = Topic(
         "slipping": "friction_slipping",
     },
 )
-VALVE_COMMAND = Topic("valve_command", "ehls_msgs/msg/ValveCommand", {"spool": "valve_command_m"})
-CONTROLLER_STATUS = Topic(
+VALVE_COMMAND = _cycle_topic("valve_command", "ehls_msgs/msg/ValveCommand", {"spool": "valve_command_m"})
+CONTROLLER_STATUS = _cycle_topic(
     "controller_status",
     "ehls_msgs/msg/ControllerStatus",
     {
@@ -111,19 +122,60 @@ CYCLE_TOPICS = (
 )
 """The topics that make up a trajectory, in the order of a control cycle; every message has a header and a cycle."""
 
-DRIVING = Topic("driving", "std_msgs/msg/Bool")
+DRIVING = Topic("driving", "std_msgs/msg/Bool", depth=1, transient_local=True)
 """Whether commands reach the valve; published on change."""
+
+DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 
 TELEMETRY_TOPICS = (
     DRIVING,
     Topic("force", "std_msgs/msg/Float64"),
     Topic("load_pressure", "sensor_msgs/msg/FluidPressure"),
     Topic("joint_states", "sensor_msgs/msg/JointState"),
-    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
+    DIAGNOSTICS,
 )
 """Recorded for standard tools; the cycle topics contain the same data."""
 
-TOPICS = (*CYCLE_TOPICS, *TELEMETRY_TOPICS)
+PARAMETER_EVENTS = Topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent", depth=1000)
+ROSOUT = Topic("/rosout", "rcl_interfaces/msg/Log", depth=1000, transient_local=True)
+
+TOPICS = (*CYCLE_TOPICS, *TELEMETRY_TOPICS, PARAMETER_EVENTS, ROSOUT)
+
+CLOCK = "clock"
+"""Last part of the name of the topic with the time of a run in lockstep."""
+
+TRANSITION_EVENT = "transition_event"
+"""Last part of the name of the topic on which a lifecycle node tells its transitions."""
+
+
+def clock_topic(name: str) -> Topic:
+    """Return the topic with the time of a run in lockstep.
+
+    Args:
+        name: name below the namespace, or an absolute name.
+    """
+    return Topic(name, "rosgraph_msgs/msg/Clock", depth=1, transient_local=True)
+
+
+def transition_topic(node: str) -> Topic:
+    """Return the topic on which a lifecycle node of the namespace tells its transitions."""
+    return Topic(f"{node}/{TRANSITION_EVENT}", "lifecycle_msgs/msg/TransitionEvent")
+
+
+def known_topic(path: str, namespace: str) -> Topic | None:
+    """Return the topic that our recorder stores under a full name; None if it stores none under it.
+
+    Args:
+        path: full name.
+        namespace: of the run.
+    """
+    parent, _, last = path.rpartition("/")
+    if last == CLOCK and parent in ("", namespace):
+        return clock_topic(path)
+    if last == TRANSITION_EVENT and parent.startswith(f"{namespace}/"):
+        return transition_topic(parent.removeprefix(f"{namespace}/"))
+    return next((topic for topic in TOPICS if topic.resolve(namespace) == path), None)
+
 
 RESPONSE = "response_s"
 """The one signal that is not a message field: time from sending a cycle's snapshot to sending its valve command [s]."""

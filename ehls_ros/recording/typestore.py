@@ -10,6 +10,9 @@ from rosbags.typesys.store import Typestore
 MESSAGE_FILES = Path(__file__).parent / "msg"
 """The definitions of ``ehls_msgs``, installed as data of this package."""
 
+SEPARATOR = "=" * 80 + "\n"
+"""Line between the definition of a type and those of the types it uses."""
+
 
 @cache
 def typestore() -> Typestore:
@@ -18,6 +21,20 @@ def typestore() -> Typestore:
     for file in sorted(MESSAGE_FILES.glob("*.msg")):
         store.register(get_types_from_msg(file.read_text(encoding="utf-8"), f"ehls_msgs/msg/{file.stem}"))
     return store
+
+
+@cache
+def definition(message_type: str) -> str:
+    """Return a type's definition and those of the types it uses, as ROS's own recorder stores them.
+
+    Of ``ehls_msgs`` that is the file itself, whose comments have the fields' units and meaning.
+    """
+    generated: str = typestore().generate_msgdef(message_type, ros_version=2)[0]
+    package, _, name = message_type.split("/")
+    if package != "ehls_msgs":
+        return generated
+    _, line, used = generated.partition(SEPARATOR)
+    return (MESSAGE_FILES / f"{name}.msg").read_text(encoding="utf-8") + line + used
 
 
 def typestore_of(definition: MessageDefinition, message_type: str) -> Typestore:

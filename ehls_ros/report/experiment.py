@@ -1,13 +1,14 @@
 """The report of one run."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ehls_ros.experiments.metrics import Metrics
 from ehls_ros.hardware.pace import ADVICE
+from ehls_ros.recording.events import Event
 from ehls_ros.report import page
 from ehls_ros.report import run_figures as drawn
 from ehls_ros.report import run_planes as planes
@@ -16,8 +17,11 @@ from ehls_ros.report.page import MISSING_NUMBER, number
 from ehls_ros.report.run_signals import error_of, known
 from ehls_ros.trajectory import Trajectory, steady_error
 
+MOST_EVENTS = 200
+"""Most lines of what was done to a run."""
 
-def write_experiment_report(trajectory: Trajectory, metrics: Metrics | None, path: Path) -> None:
+
+def write_experiment_report(trajectory: Trajectory, metrics: Metrics | None, path: Path, events: Sequence[Event] = ()) -> None:
     """Write one self-contained HTML file that shows a run.
 
     Args:
@@ -26,6 +30,7 @@ def write_experiment_report(trajectory: Trajectory, metrics: Metrics | None, pat
             metadata the report shows ``title``, ``timing``, ``wall_s``, ``rig``, ``spec`` and ``versions``.
         metrics: metrics of the run; None for a recording without a reference.
         path: file to write; its folder must exist.
+        events: what was done to the run.
     """
     sentence, good = summary(trajectory, metrics)
     motion, position_error = drawn.motion(trajectory), drawn.position_error(trajectory)
@@ -65,9 +70,19 @@ def write_experiment_report(trajectory: Trajectory, metrics: Metrics | None, pat
             page.figures(over_time),
             page.figures(beside, columns=2),
             page.left_out([*over_time, *beside]),
+            *_done_to(events),
             page.collapsed("Configuration", page.as_yaml(configuration)),
         ],
     )
+
+
+def _done_to(events: Sequence[Event]) -> list[str]:
+    """Return the table of what was done to the run."""
+    if not events:
+        return []
+    rows = [("before" if event.time_s is None else f"{event.time_s:.3f}", event.node, event.what) for event in events]
+    more = page.paragraph(f"{len(rows) - MOST_EVENTS} more are in the bag.") if len(rows) > MOST_EVENTS else ""
+    return [page.heading("What was done"), page.table(("Time / s", "Node", ""), rows[:MOST_EVENTS]), more]
 
 
 def summary(trajectory: Trajectory, metrics: Metrics | None) -> tuple[str, bool | None]:

@@ -220,6 +220,9 @@ class Participant:
         self.node.create_subscription(kind, topic, heard.add, control_qos() if not topic.startswith("/") else 10)
         return heard
 
+    def publishers(self, topic: str) -> list[Any]:
+        return self.node.get_publishers_info_by_topic(topic)
+
     def set_parameter(self, node: str, name: str, value: Any) -> Any:
         from rcl_interfaces.srv import SetParameters
         from rclpy.parameter import Parameter

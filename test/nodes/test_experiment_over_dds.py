@@ -13,6 +13,9 @@ from ehls_command import ehls, trajectory_of
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
+from replayed import DEFAULT_PROFILE, Replay, stored_profile
+
+from ehls_msgs.msg import FrictionEstimate, ValveCommand
 from ehls_ros.cli.main import main
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.physics.friction import FRICTION_MODELS
@@ -124,3 +127,24 @@ def test_the_run_folder_holds_what_the_contract_says(over_dds):
     assert recorded.metadata["rig"]["plant"]["moving_mass"] == 70.0
     assert recorded.metadata["spec"]["controller"]["k"] == 12.0
     assert recorded.metadata["versions"]["ehls_ros"]
+
+
+@pytest.mark.parametrize("profile", [stored_profile, lambda _: DEFAULT_PROFILE], ids=["stored", "default"])
+def test_a_replayed_bag_drives_estimator_and_controller(over_dds, graph, participant, profile):
+    """As `ros2 bag play` does it, whose default profile is volatile."""
+    spec, done = over_dds("fasmc")
+    recorded = trajectory_of(done)
+    for name in ("friction_estimator_node", "fasmc_node"):
+        graph.start(name, spec=spec, timing="lockstep")
+    estimates = participant.collect(FrictionEstimate, "friction_estimate")
+    commands = participant.collect(ValveCommand, "valve_command")
+    replay = Replay(participant.node, spec.parent / "run" / "bag", ["loader_state", "force_reference", "driving"], profile)
+    participant.until(lambda: replay.readers() >= 4 and len(participant.publishers("friction_estimate")) == 1)
+    replay.play(participant.rest)
+    participant.until(lambda: len(estimates) >= len(recorded) and commands)
+    for field, signal in (("gms_force", "friction_gms_n"), ("viscous_force", "friction_viscous_n")):
+        assert np.array_equal([getattr(estimate, field) for estimate in estimates], recorded[signal])
+    assert np.array_equal([estimate.element_forces for estimate in estimates], recorded["friction_elements_n"])
+    # On a busy machine the controller leaves cycles out, as it answers only the newest.
+    answered = next((i for i, command in enumerate(commands) if command.cycle != i), len(commands))
+    assert np.array_equal([command.spool for command in commands[:answered]], recorded["valve_command_m"][:answered])

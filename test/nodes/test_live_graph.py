@@ -1,4 +1,4 @@
-"""A running graph: parameters changed and refused, the estimator stopped and restarted.
+"""A running graph: parameters changed and refused, the estimator stopped and restarted, and all of that in the bag.
 
 It runs in lockstep, so that each cycle waits for its answers, however slow the machine.
 """
@@ -16,6 +16,7 @@ from lifecycle_msgs.srv import ChangeState
 from patience import PATIENCE
 
 from ehls_msgs.msg import ControllerStatus
+from ehls_ros.recording.events import read_events
 
 NODES = ("reference_node", "disturbance_node", "friction_estimator_node", "fasmc_node")
 
@@ -24,6 +25,7 @@ NODES = ("reference_node", "disturbance_node", "friction_estimator_node", "fasmc
 def running(graph, participant, spec_file):
     """Start the graph, wait until it controls, and return the list of its statuses."""
     spec = spec_file(duration=1000.0)
+    graph.start("recorder_node", spec=spec, timing="lockstep", bag=graph.folder / "bag")
     for name in (*NODES, "plant_sim_node"):
         graph.start(name, spec=spec, timing="lockstep")
     statuses = participant.collect(ControllerStatus, "controller_status")
@@ -55,7 +57,9 @@ def change(participant, node, transition):
 
 def test_a_graph_is_retuned_loses_its_estimator_regains_it_and_ends_cleanly(running, participant, graph, spec_file):
     diagnostics = participant.collect(DiagnosticArray, "/diagnostics")
-    a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, participant, diagnostics)
+    # With the recorder and the test's own participant.
+    figure(participant, diagnostics, "recorder_node", "nodes_known", lambda _, known: known >= len(NODES) + 3)
+    tuned_after = a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, participant, diagnostics)
     the_estimator_may_go_and_come_back(running, participant, diagnostics, graph, spec_file(duration=1000.0))
     # SIGINT to all, then their exit codes.
     for name in (*NODES, "plant_sim_node"):
@@ -63,6 +67,8 @@ def test_a_graph_is_retuned_loses_its_estimator_regains_it_and_ends_cleanly(runn
     for name in (*NODES, "plant_sim_node"):
         assert graph.processes.pop(name).wait(PATIENCE) == 0, graph.log(name)
         assert "Traceback" not in graph.log(name)
+    assert graph.stop("recorder_node") == 0
+    it_is_all_in_the_bag(graph.folder / "bag", tuned_after)
 
 
 def a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, participant, diagnostics):
@@ -86,6 +92,7 @@ def a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, participa
     assert participant.set_parameter("fasmc_node", "k", 13).successful
     assert participant.get_parameter("fasmc_node", "k").double_value == 13.0
     goes_on(participant, running)
+    return 1e-3 * under_way
 
 
 def the_estimator_may_go_and_come_back(running, participant, diagnostics, graph, spec):
@@ -97,3 +104,15 @@ def the_estimator_may_go_and_come_back(running, participant, diagnostics, graph,
     graph.start("friction_estimator_node", spec=spec)
     participant.until(lambda: not running[-1].friction_fallback)
     goes_on(participant, running)
+
+
+def it_is_all_in_the_bag(bag, tuned_after):
+    events = read_events(bag)
+    of_law = [(event.time_s, event.what) for event in events if event.node == "fasmc_node"]
+    first = next(index for index, (_, what) in enumerate(of_law) if what == "k: 12.0 → 14.0")
+    assert of_law[first][0] == pytest.approx(tuned_after, abs=1e-9)
+    tuned = [what for _, what in of_law[first:] if what.startswith("k")]
+    assert tuned == ["k: 12.0 → 14.0", "k: 14.0 → 13.0"]
+    of_plant = [event.what for event in events if event.node == "plant_sim_node"]
+    assert of_plant.index("deactivating → inactive") < of_plant.index("activating → active", 1)
+    assert any("steady sliding" in what for _, what in of_law)

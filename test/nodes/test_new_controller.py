@@ -16,7 +16,9 @@ from ehls_msgs.msg import ForceReference, LoaderState, ValveCommand
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.families import offered
 from ehls_ros.nodes import node_names
-from ehls_ros.nodes.transport import control_qos
+
+DEFAULT = 10
+"""Depth of ROS's default profile, which is volatile."""
 
 SPEC = "reference: {name: constant, value: 1.0e+4}\ncontroller: {name: proportional, gain: 2.0e-7}\n"
 FORCE, WANTED = 9_000.0, 10_000.0
@@ -37,8 +39,9 @@ def test_its_node_answers_and_is_tuned(site, graph, participant, tmp_path, monke
     parameters = ["--ros-args", "-p", f"spec:={spec}", "-p", "timing:=lockstep"]
     graph.run("proportional_node", ["-m", "ehls_ros.cli.main", "run", "proportional_node", *parameters])
     commands = participant.collect(ValveCommand, "valve_command")
-    states = participant.node.create_publisher(LoaderState, "loader_state", control_qos())
-    references = participant.node.create_publisher(ForceReference, "force_reference", control_qos())
+    states = participant.node.create_publisher(LoaderState, "loader_state", DEFAULT)
+    references = participant.node.create_publisher(ForceReference, "force_reference", DEFAULT)
+    participant.until(lambda: states.get_subscription_count() and references.get_subscription_count())
 
     def answer(cycle):
         """Let the plant open a cycle and return the command."""

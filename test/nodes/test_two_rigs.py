@@ -16,7 +16,8 @@ from ehls_ros.control.controllers.base import model_of
 from ehls_ros.experiments.loop import run_in_process, simulator_of
 from ehls_ros.experiments.spec import load_spec, spec_to_mapping
 from ehls_ros.nodes.ahead import LEAD
-from ehls_ros.nodes.transport import DEPTH, RECORDER_DEPTH, control_qos
+from ehls_ros.nodes.transport import RECORDER_DEPTH, control_qos
+from ehls_ros.recording.topics import DEPTH
 
 NODES = ("reference_node", "disturbance_node", "sic_node", "plant_sim_node")
 AMPLITUDES = {"ehls": 1.0e4, "rig2": 4.0e3}

@@ -18,11 +18,14 @@ from recorded_runs import (
     valve_command,
 )
 from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_types_from_msg
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
-from ehls_ros.recording.topics import TOPICS
+from ehls_ros.recording.recovery import recover
+from ehls_ros.recording.topics import TOPICS, transition_topic
+from ehls_ros.recording.typestore import typestore
 
 STORAGES: list[Storage] = ["mcap", "sqlite3"]
 
@@ -75,6 +78,45 @@ def test_the_configuration_is_in_the_metadata_as_json(tmp_path: Path, storage: S
     content = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text(encoding="utf-8"))
     custom_data = content["rosbag2_bagfile_information"]["custom_data"]
     assert json.loads(custom_data["ehls_ros"])["configuration"] == METADATA
+
+
+def profiles(topic: str, bag: Path) -> list[tuple[str, int, str, str]]:
+    """Return what metadata.yaml and the storage say of a topic's publishers, after checking that they agree."""
+    content = yaml.safe_load((bag / "metadata.yaml").read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+    (entry,) = (t["topic_metadata"] for t in content["topics_with_message_count"] if t["topic_metadata"]["name"] == topic)
+    offered = entry["offered_qos_profiles"]
+    with Reader(bag) as reader:
+        stored = [q for c in reader.connections if c.topic == topic for q in c.ext.offered_qos_profiles]
+    assert [(q.depth, q.durability.name.lower()) for q in stored] == [(o["depth"], o["durability"]) for o in offered]
+    return [(o["history"], o["depth"], o["reliability"], o["durability"]) for o in offered]
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_profiles_and_units_are_in_the_bag_and_in_a_recovered_one(tmp_path: Path, storage: Storage):
+    with BagWriter.create(tmp_path / "bag", storage) as writer:
+        write(writer, loader_state(0))
+        writer.add_topic(transition_topic("sic_node"))
+        writer.write(transition_topic("sic_node").name, 1, serialized_transition())
+    recover(tmp_path / "bag", tmp_path / "whole")
+    for bag in (tmp_path / "bag", tmp_path / "whole"):
+        assert profiles("/ehls/loader_state", bag) == [("keep_last", 1000, "reliable", "transient_local")]
+        assert profiles("/diagnostics", bag) == [("keep_last", 10, "reliable", "volatile")]
+        assert profiles("/ehls/sic_node/transition_event", bag) == [("keep_last", 10, "reliable", "volatile")]
+        with Reader(bag) as reader:
+            (definition,) = (c.msgdef.data for c in reader.connections if c.topic == "/ehls/loader_state")
+        assert "load_pressure     # load pressure pL = p1 - p2 [Pa]" in definition
+        # Complete without ROS: the types it uses follow.
+        assert get_types_from_msg(definition, "ehls_msgs/msg/LoaderState").keys() == {
+            "ehls_msgs/msg/LoaderState", "std_msgs/msg/Header", "builtin_interfaces/msg/Time",
+        }  # fmt: skip
+
+
+def serialized_transition() -> bytes:
+    kinds = typestore().types
+    state = kinds["lifecycle_msgs/msg/State"](id=1, label="unconfigured")
+    moved = kinds["lifecycle_msgs/msg/Transition"](id=1, label="configure")
+    event = kinds["lifecycle_msgs/msg/TransitionEvent"](timestamp=0, transition=moved, start_state=state, goal_state=state)
+    return bytes(typestore().serialize_cdr(event, "lifecycle_msgs/msg/TransitionEvent"))
 
 
 def test_topics_are_below_the_namespace(tmp_path: Path):

@@ -2,7 +2,19 @@ import pytest
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.recording.cdr import flatten
-from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE, REFERENCE_TOPICS, RESPONSE, TELEMETRY_TOPICS, TOPICS, Topic
+from ehls_ros.recording.topics import (
+    CYCLE_TOPICS,
+    DIAGNOSTICS,
+    LOADER_STATE,
+    REFERENCE_TOPICS,
+    RESPONSE,
+    TELEMETRY_TOPICS,
+    TOPICS,
+    Topic,
+    clock_topic,
+    known_topic,
+    transition_topic,
+)
 from ehls_ros.recording.typestore import MESSAGE_FILES, typestore
 from ehls_ros.trajectory import SIGNALS
 
@@ -36,4 +48,20 @@ def test_the_types_of_telemetry_are_known_and_carry_no_signal(topic: Topic):
 def test_names_resolve_as_in_ros():
     assert LOADER_STATE.resolve() == "/ehls/loader_state"
     assert LOADER_STATE.resolve("/rig1/ehls") == "/rig1/ehls/loader_state"
-    assert TOPICS[-1].resolve("/rig1/ehls") == "/diagnostics"
+    assert DIAGNOSTICS.resolve("/rig1/ehls") == "/diagnostics"
+
+
+@pytest.mark.parametrize(
+    "topic", [*TOPICS, clock_topic("/clock"), clock_topic("clock"), transition_topic("sic_node")], ids=lambda topic: topic.name
+)
+def test_what_is_recorded_is_known_again(topic: Topic):
+    path = topic.resolve("/rig1/ehls")
+    found = known_topic(path, "/rig1/ehls")
+    assert found is not None
+    assert found._replace(name="") == topic._replace(name="")
+    assert found.resolve("/rig1/ehls") == path
+
+
+@pytest.mark.parametrize("path", ["/rig2/clock", "/rig2/sic_node/transition_event", "/transition_event", "/loader_state"])
+def test_what_belongs_to_another_rig_is_not(path: str):
+    assert known_topic(path, "/rig1/ehls") is None

@@ -19,6 +19,7 @@ from ehls_ros.experiments.spec import Spec, load_spec
 from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import write_trajectory
+from ehls_ros.recording.events import read_events
 from ehls_ros.report.experiment import write_experiment_report
 from ehls_ros.trajectory import Trajectory, steady_error
 
@@ -67,7 +68,7 @@ def run(options: Namespace) -> int:
         if done.failure is not None:
             metrics = metrics._replace(warnings=(str(done.failure),))
         folder.write_metrics(metrics)
-        write_experiment_report(done.trajectory, metrics, folder.report)
+        write_experiment_report(done.trajectory, metrics, folder.report, read_events(folder.bag))
     _print(spec, metrics, done.trajectory, machine=options.json)
     if done.failure is not None:
         raise done.failure

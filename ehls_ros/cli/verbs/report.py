@@ -6,7 +6,8 @@ from pathlib import Path
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.recording.columns import read_columns
-from ehls_ros.recording.load import load
+from ehls_ros.recording.events import read_events
+from ehls_ros.recording.load import holds_tables, load
 from ehls_ros.report.experiment import write_experiment_report
 
 HELP = "Write the HTML report of a bag, a CSV file or a run folder."
@@ -23,12 +24,14 @@ def run(options: Namespace) -> int:
     """Write it."""
     data: Path = options.data
     bag = data / "bag"
-    trajectory = load(bag if bag.is_dir() else data, read_columns(options.columns) if options.columns else None)
+    recording = bag if bag.is_dir() else data
+    trajectory = load(recording, read_columns(options.columns) if options.columns else None)
+    events = [] if options.columns or holds_tables(recording) else read_events(recording)
     out: Path = options.out or (data if bag.is_dir() else data.parent) / "report.html"
     controlled = {"force_reference_n", "position_reference_m"} & trajectory.signals.keys()
     metrics = evaluate(trajectory) if controlled else None
     try:
-        write_experiment_report(trajectory, metrics, out)
+        write_experiment_report(trajectory, metrics, out, events)
     except OSError as error:
         raise BadInput(f"the report cannot be written ({error.strerror})", str(out), "a writable place (--out)") from None
     print(out)

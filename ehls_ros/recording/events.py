@@ -1,0 +1,161 @@
+"""What was done to a run, from its bag: parameters set, transitions of nodes, trips and other changes of the safety gate."""
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.errors import BadInput
+from ehls_ros.recording import limits
+from ehls_ros.recording.alignment import NANOSECONDS, SECONDS, SENT, UNIX_TIME_NS, MessageColumns
+from ehls_ros.recording.bag_reader import OpenBag, damage_reported, namespace_of, opened, read_topics
+from ehls_ros.recording.topics import (
+    DIAGNOSTICS,
+    LOADER_STATE,
+    PARAMETER_EVENTS,
+    TRANSITION_EVENT,
+    known_topic,
+    transition_topic,
+)
+from ehls_ros.recording.typestore import typestore
+
+VALUES: Mapping[int, str] = MappingProxyType(
+    {
+        1: "bool_value",
+        2: "integer_value",
+        3: "double_value",
+        4: "string_value",
+        5: "byte_array_value",
+        6: "bool_array_value",
+        7: "integer_array_value",
+        8: "double_array_value",
+        9: "string_array_value",
+    }
+)
+"""Field of a ParameterValue by its type, as rcl_interfaces numbers them."""
+
+PRIMARY_STATES = range(1, 5)
+"""Lifecycle states in which a node stays, as lifecycle_msgs numbers them; the others are transitions under way."""
+
+OF_GATE = "owner"
+"""Diagnostic value that only plants have; the messages beside it tell the state of the safety gate."""
+
+
+class Event(NamedTuple):
+    """Something that was done to a run or happened to it.
+
+    Attributes:
+        time_s: on the time base of the bag's trajectory, that of the last snapshot sent before; None before the first [s].
+        node: node that it was done to, without the run's namespace.
+        what: in words.
+    """
+
+    time_s: float | None
+    node: str
+    what: str
+
+
+def read_events(path: Path) -> list[Event]:
+    """Read what was done to the run of a bag.
+
+    Args:
+        path: folder of the bag, or one storage file.
+
+    Returns:
+        In the order of sending: parameters that were changed, with their value before; transitions of lifecycle nodes; each
+        change of the gate's state; warnings and errors of the nodes when they came up.
+
+    Raises:
+        BadInput: the bag cannot be read, or has no ``loader_state``.
+    """
+    with opened(path) as bag:
+        namespace = namespace_of(bag)
+        snapshots = read_topics(bag, ())[LOADER_STATE.name]
+        tellers = _Tellers(namespace)
+        told = [
+            (stamp_ns, node.removeprefix(f"{namespace}/"), what)
+            for stamp_ns, topic, content in _contents(bag, tellers.by_topic(bag))
+            for node, what in tellers.tell(topic, content)
+        ]
+    times = _times(snapshots, np.array([stamp_ns for stamp_ns, _, _ in told], np.int64))
+    return [Event(time_s, node, what) for time_s, (_, node, what) in zip(times, told, strict=True)]
+
+
+def _contents(bag: OpenBag, types: Mapping[str, str]) -> Iterator[tuple[int, str, Any]]:
+    """Return time of sending [ns], topic and content of each message on the topics that have these types."""
+    connections = [connection for connection in bag.reader.connections if types.get(connection.topic) == connection.msgtype]
+    for connection, stamp_ns, message in bag.messages(connections):
+        if len(message) > limits.MESSAGE:
+            where = f"{bag.where}, {connection.topic}"
+            raise BadInput(
+                f"a message has {len(message)} bytes", where, f"at most {limits.MESSAGE} for type {connection.msgtype}"
+            )
+        with damage_reported(f"{bag.where}, {connection.topic}"):
+            content = typestore().deserialize_cdr(message, connection.msgtype)
+        yield stamp_ns, connection.topic, content
+
+
+def _times(snapshots: MessageColumns, stamps_ns: NDArray[np.int64]) -> list[float | None]:
+    """Return the run's time at which messages were sent."""
+    order = np.argsort(snapshots[SENT], kind="stable")
+    taken_ns = (snapshots[SECONDS].astype(np.int64) * 10**9 + snapshots[NANOSECONDS])[order]
+    times = (taken_ns - (taken_ns.min() if taken_ns.min() >= UNIX_TIME_NS else 0)) / 1e9
+    places = np.searchsorted(snapshots[SENT][order], stamps_ns, side="right") - 1
+    return [float(times[place]) if place >= 0 else None for place in places.tolist()]
+
+
+class _Tellers:
+    """Puts messages into words, and knows what was said before."""
+
+    def __init__(self, namespace: str) -> None:
+        self._namespace = namespace
+        self._values: dict[tuple[str, str], Any] = {}
+        self._messages: dict[str, tuple[bytes, str]] = {}
+        self._by_type: Mapping[str, Callable[[str, Any], Iterator[tuple[str, str]]]] = {
+            PARAMETER_EVENTS.type: self._parameters,
+            DIAGNOSTICS.type: self._diagnostics,
+            transition_topic("").type: self._transition,
+        }
+        self._types: dict[str, str] = {}
+
+    def by_topic(self, bag: OpenBag) -> Mapping[str, str]:
+        """Return the types of the bag's topics that can be told."""
+        known = {name: known_topic(name, self._namespace) for name in bag.by_topic()}
+        self._types = {name: topic.type for name, topic in known.items() if topic and topic.type in self._by_type}
+        return self._types
+
+    def tell(self, topic: str, content: Any) -> Iterator[tuple[str, str]]:
+        """Return node and words for each thing that a message tells."""
+        yield from self._by_type[self._types[topic]](topic, content)
+
+    def _parameters(self, _: str, event: Any) -> Iterator[tuple[str, str]]:
+        for parameter in event.new_parameters:
+            self._values[event.node, parameter.name] = _value(parameter.value)
+        for parameter in event.changed_parameters:
+            key, new = (event.node, parameter.name), _value(parameter.value)
+            if key not in self._values or self._values[key] != new:
+                yield event.node, f"{parameter.name}: {self._values.get(key, 'not known')} → {new}"
+            self._values[key] = new
+
+    def _transition(self, topic: str, event: Any) -> Iterator[tuple[str, str]]:
+        if event.goal_state.id in PRIMARY_STATES:
+            yield topic.removesuffix(f"/{TRANSITION_EVENT}"), f"{event.start_state.label} → {event.goal_state.label}"
+
+    def _diagnostics(self, _: str, array: Any) -> Iterator[tuple[str, str]]:
+        for status in array.status:
+            level, message = bytes([status.level]), status.message
+            # Figures in a message vary from one report to the next.
+            said = level, re.sub(r"[\d.]+", "", message)
+            of_gate = any(value.key == OF_GATE for value in status.values)
+            if said != self._messages.get(status.name) and (of_gate or level != b"\0"):
+                yield status.name, message
+            self._messages[status.name] = said
+
+
+def _value(value: Any) -> Any:
+    found = getattr(value, VALUES[value.type]) if value.type in VALUES else "not set"
+    return found.tolist() if isinstance(found, np.ndarray) else found

@@ -1,0 +1,58 @@
+"""Publishers that are not of this project: matched with ROS's default profile, else named."""
+
+import pytest
+
+pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from ehls_msgs.msg import Disturbance, LoaderState, ValveCommand
+
+DEFAULT = 10
+"""Depth of ROS's default profile, which is reliable and volatile."""
+
+CYCLES = 50
+
+
+def test_a_controller_with_the_default_profile_drives_the_plant_and_one_that_is_best_effort_is_named(
+    graph, participant, spec_file
+):
+    spec = spec_file(duration=1000.0)
+    graph.start("plant_sim_node", spec=spec, timing="lockstep")
+    diagnostics = participant.collect(DiagnosticArray, "/diagnostics")
+
+    def told(words):
+        return lambda: any(words in status.message for array in diagnostics for status in array.status)
+
+    # The first snapshot is sent before anybody can receive it.
+    participant.until(told("waiting for the controller"))
+    node = participant.node
+    commands = node.create_publisher(ValveCommand, "valve_command", DEFAULT)
+    disturbances = node.create_publisher(Disturbance, "disturbance", DEFAULT)
+    answered = []
+
+    def answer(state):
+        answered.append(state.cycle)
+        disturbances.publish(Disturbance(cycle=state.cycle))
+        commands.publish(ValveCommand(cycle=state.cycle))
+
+    node.create_subscription(LoaderState, "loader_state", answer, DEFAULT)
+    participant.until(lambda: bool(answered) and answered[-1] >= CYCLES)
+    assert sorted(set(answered)) == list(range(answered[-1] + 1))
+    assert "valve_command: a publisher offers durability volatile" in graph.log("plant_sim_node")
+
+    unreliable = QoSProfile(depth=DEFAULT, reliability=ReliabilityPolicy.BEST_EFFORT)
+    forgotten = node.create_publisher(ValveCommand, "valve_command", unreliable)
+    words = (
+        "/ehls/valve_command: /ehls/participant offers reliability best_effort, "
+        "/ehls/plant_sim_node requests reliability reliable; publish what is requested, or request less"
+    )
+    participant.until(told(words))
+    assert words in graph.log("plant_sim_node")
+    node.destroy_publisher(forgotten)
+    diagnostics.clear()
+    participant.until(lambda: any(status.name == "plant_sim_node" for array in diagnostics for status in array.status))
+    diagnostics.clear()
+    participant.until(lambda: any(status.name == "plant_sim_node" for array in diagnostics for status in array.status))
+    assert not told(words)()
