@@ -7,6 +7,12 @@ from typing import NamedTuple
 NAMESPACE = "/ehls"
 """Default namespace of the graph."""
 
+LOADER_FRAME = "loader"
+"""Frame of every message about the loading cylinder: fixed to its piston, x along the piston's positive direction."""
+
+SENDER = "sender"
+"""Field of commands and status that names who sent them; absent in bags of earlier versions."""
+
 
 class Topic(NamedTuple):
     """One topic.
@@ -15,11 +21,15 @@ class Topic(NamedTuple):
         name: name below the namespace, or an absolute name.
         type: ROS message type.
         signals: names in :data:`ehls_ros.trajectory.SIGNALS` by message field, in the same units.
+        about: what it holds, for the reference.
+        earlier_units: SI value of one unit of a field in bags of versions whose messages had no :data:`SENDER`, if not 1.
     """
 
     name: str
     type: str
     signals: Mapping[str, str] = MappingProxyType({})
+    about: str = ""
+    earlier_units: Mapping[str, float] = MappingProxyType({})
 
     def resolve(self, namespace: str = NAMESPACE) -> str:
         """Return the full name, as ROS resolves it in a namespace."""
@@ -38,6 +48,7 @@ LOADER_STATE = Topic(
         "supply_pressure": "supply_pressure_pa",
         "oil_temperature": "oil_temperature_k",
     },
+    "one atomic snapshot of the sensors, which opens a control cycle",
 )
 FORCE_REFERENCE = Topic(
     "force_reference",
@@ -47,6 +58,7 @@ FORCE_REFERENCE = Topic(
         "force_rate": "force_reference_rate_n_s",
         "force_acceleration": "force_reference_acceleration_n_s2",
     },
+    "wanted force of a cycle, with two derivatives",
 )
 POSITION_REFERENCE = Topic(
     "position_reference",
@@ -56,6 +68,7 @@ POSITION_REFERENCE = Topic(
         "velocity": "position_reference_rate_m_s",
         "acceleration": "position_reference_acceleration_m_s2",
     },
+    "wanted position of a cycle, with two derivatives, for controllers that follow a position",
 )
 REFERENCE_TOPICS: Mapping[str, Topic] = MappingProxyType({"force": FORCE_REFERENCE, "position": POSITION_REFERENCE})
 """The reference topic by the quantity that the controller follows; a run has one of them."""
@@ -69,6 +82,7 @@ DISTURBANCE = Topic(
         "displacement": "disturbance_displacement_m",
         "velocity": "disturbance_velocity_m_s",
     },
+    "action of the actuator under test in a cycle",
 )
 FRICTION_ESTIMATE = Topic(
     "friction_estimate",
@@ -79,25 +93,30 @@ FRICTION_ESTIMATE = Topic(
         "element_forces": "friction_elements_n",
         "slipping": "friction_slipping",
     },
+    "friction that the model predicts for a cycle",
 )
-VALVE_COMMAND = Topic("valve_command", "ehls_msgs/msg/ValveCommand", {"spool": "valve_command_m"})
+VALVE_COMMAND = Topic(
+    "valve_command", "ehls_msgs/msg/ValveCommand", {"spool": "valve_command_m"}, "the controller's answer to a cycle"
+)
 CONTROLLER_STATUS = Topic(
     "controller_status",
     "ehls_msgs/msg/ControllerStatus",
     {
-        "e3": "e3_mpa",
-        "s": "s_mpa_s",
+        "e3": "e3_pa",
+        "s": "s_pa_s",
         "alpha": "alpha",
         "beta": "beta",
         "delta": "delta_n",
-        "u1": "u1",
-        "u2": "u2",
-        "u3": "u3",
+        "u1": "u1_kg_pa_s2",
+        "u2": "u2_kg_pa_s2",
+        "u3": "u3_kg_pa_s2",
         "force_error": "force_error_n",
         "force_bound": "force_bound_n",
         "saturated": "saturated",
         "friction_fallback": "friction_fallback",
     },
+    "internal state of the controller in a cycle",
+    {"e3": 1e6, "s": 1e6, "u1": 1e9, "u2": 1e9, "u3": 1e9},
 )
 
 CYCLE_TOPICS = (
@@ -111,15 +130,34 @@ CYCLE_TOPICS = (
 )
 """The topics that make up a trajectory, in the order of a control cycle; every message has a header and a cycle."""
 
-DRIVING = Topic("driving", "std_msgs/msg/Bool")
-"""Whether commands reach the valve; published on change."""
+DRIVING = Topic("driving", "std_msgs/msg/Bool", about="whether commands reach the valve; published on change")
+
+FORCE = Topic("force", "std_msgs/msg/Float64", about="driving force of the cylinder [N]")
+WRENCH = Topic("wrench", "geometry_msgs/msg/WrenchStamped", about="the same force, along x of its frame [N]")
+LOAD_PRESSURE = Topic(
+    "load_pressure",
+    "sensor_msgs/msg/FluidPressure",
+    about="pressure between the cylinder's ports [Pa]: a difference, positive or negative, not an absolute pressure",
+)
+SUPPLY_PRESSURE = Topic(
+    "supply_pressure", "sensor_msgs/msg/FluidPressure", about="supply pressure at the valve [Pa], above the tank's"
+)
+OIL_TEMPERATURE = Topic("oil_temperature", "sensor_msgs/msg/Temperature", about="oil temperature [°C]")
+JOINT_STATES = Topic(
+    "joint_states",
+    "sensor_msgs/msg/JointState",
+    about="joint `loader`: position [m], velocity [m/s], effort [N]; an array is empty where the rig does not measure it",
+)
 
 TELEMETRY_TOPICS = (
     DRIVING,
-    Topic("force", "std_msgs/msg/Float64"),
-    Topic("load_pressure", "sensor_msgs/msg/FluidPressure"),
-    Topic("joint_states", "sensor_msgs/msg/JointState"),
-    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
+    FORCE,
+    WRENCH,
+    LOAD_PRESSURE,
+    SUPPLY_PRESSURE,
+    OIL_TEMPERATURE,
+    JOINT_STATES,
+    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", about="state of each node"),
 )
 """Recorded for standard tools; the cycle topics contain the same data."""
 

@@ -2,7 +2,18 @@ import pytest
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.recording.cdr import flatten
-from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE, REFERENCE_TOPICS, RESPONSE, TELEMETRY_TOPICS, TOPICS, Topic
+from ehls_ros.recording.topics import (
+    CONTROLLER_STATUS,
+    CYCLE_TOPICS,
+    LOADER_STATE,
+    REFERENCE_TOPICS,
+    RESPONSE,
+    SENDER,
+    TELEMETRY_TOPICS,
+    TOPICS,
+    VALVE_COMMAND,
+    Topic,
+)
 from ehls_ros.recording.typestore import MESSAGE_FILES, typestore
 from ehls_ros.trajectory import SIGNALS
 
@@ -15,7 +26,8 @@ def test_every_signal_comes_from_one_field():
 @pytest.mark.parametrize("topic", CYCLE_TOPICS, ids=lambda topic: topic.name)
 def test_the_fields_of_a_cycle_topic_are_header_cycle_and_its_signals(topic: Topic):
     fields = [field.name for field in flatten(typestore().fielddefs, topic.type)]
-    assert fields == ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id", "cycle", *topic.signals]
+    sender = [SENDER] if topic in (VALVE_COMMAND, CONTROLLER_STATUS) else []
+    assert fields == ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id", "cycle", *topic.signals, *sender]
 
 
 def test_every_quantity_a_controller_follows_has_a_topic():
@@ -31,6 +43,10 @@ def test_every_message_definition_is_recorded():
 def test_the_types_of_telemetry_are_known_and_carry_no_signal(topic: Topic):
     assert topic.type in typestore().fielddefs
     assert not topic.signals
+
+
+def test_the_reference_says_what_every_topic_holds():
+    assert all(topic.about for topic in TOPICS)
 
 
 def test_names_resolve_as_in_ros():
