@@ -17,7 +17,9 @@ BASE, CYLINDER, BEAM = "base_link", "cylinder", "beam"
 JOINT = "loader"
 """Joint of ``joint_states``: its position is the piston's, its effort the driving force."""
 
-UPRIGHT = f"0 {-math.pi / 2.0} 0"
+Triple = tuple[float, float, float]
+
+UPRIGHT = (0.0, -math.pi / 2.0, 0.0)
 """Roll, pitch and yaw that turn a frame's x axis up [rad]."""
 
 
@@ -52,50 +54,50 @@ def robot_description(rig: Rig) -> str:
     # The rod ends at the piston's frame and is inside the barrel where the piston is at its lower end.
     _cylinder(robot, LOADER_FRAME, 0.5 * radius, stroke, -0.5 * stroke, (0.75, 0.75, 0.78))
     beam = _visual(robot, BEAM, (0.85, 0.55, 0.15))
-    ET.SubElement(ET.SubElement(beam, "geometry"), "box", size=f"{2.0 * arm} {2.0 * radius} {2.0 * radius}")
+    ET.SubElement(ET.SubElement(beam, "geometry"), "box", size=_numbers(2.0 * arm, 2.0 * radius, 2.0 * radius))
 
-    _joint(robot, "barrel", "fixed", (BASE, CYLINDER), f"{arm} 0 0", UPRIGHT)
-    piston = _joint(robot, JOINT, "prismatic", (CYLINDER, LOADER_FRAME), f"{stroke - low} 0 0")
+    _joint(robot, "barrel", "fixed", (BASE, CYLINDER), (arm, 0.0, 0.0), UPRIGHT)
+    piston = _joint(robot, JOINT, "prismatic", (CYLINDER, LOADER_FRAME), (stroke - low, 0.0, 0.0))
     ET.SubElement(piston, "axis", xyz="1 0 0")
     _limit(piston, low, high, limits.force, limits.velocity)
-    hinge = _joint(robot, "hinge", "revolute", (BASE, BEAM), f"0 0 {stroke - low}")
+    hinge = _joint(robot, "hinge", "revolute", (BASE, BEAM), (0.0, 0.0, stroke - low))
     # About -y, the end at +x rises with the piston.
     ET.SubElement(hinge, "axis", xyz="0 -1 0")
     _limit(hinge, low / arm, high / arm, limits.force * arm, limits.velocity / arm)
-    ET.SubElement(hinge, "mimic", joint=JOINT, multiplier=str(1.0 / arm))
+    ET.SubElement(hinge, "mimic", joint=JOINT, multiplier=_numbers(1.0 / arm))
     ET.indent(robot)
-    return ET.tostring(robot, encoding="unicode", xml_declaration=True)
+    return ET.tostring(robot, encoding="unicode")
 
 
-def _visual(robot: ET.Element, link: str, colour: tuple[float, float, float]) -> ET.Element:
+def _visual(robot: ET.Element, link: str, colour: Triple) -> ET.Element:
     visual = ET.SubElement(ET.SubElement(robot, "link", name=link), "visual")
     material = ET.SubElement(visual, "material", name=link)
-    ET.SubElement(material, "color", rgba=f"{_numbers(colour)} 1")
+    ET.SubElement(material, "color", rgba=_numbers(*colour, 1.0))
     return visual
 
 
-def _cylinder(
-    robot: ET.Element, link: str, radius: float, length: float, middle: float, colour: tuple[float, float, float]
-) -> None:
+def _cylinder(robot: ET.Element, link: str, radius: float, length: float, middle: float, colour: Triple) -> None:
     """Add a link drawn as a cylinder along x, its middle at a place on x."""
     visual = _visual(robot, link, colour)
     # The axis of URDF's cylinder is z.
-    ET.SubElement(visual, "origin", xyz=f"{middle} 0 0", rpy=f"0 {math.pi / 2.0} 0")
-    ET.SubElement(ET.SubElement(visual, "geometry"), "cylinder", radius=str(radius), length=str(length))
+    ET.SubElement(visual, "origin", xyz=_numbers(middle, 0.0, 0.0), rpy=_numbers(0.0, math.pi / 2.0, 0.0))
+    ET.SubElement(ET.SubElement(visual, "geometry"), "cylinder", radius=_numbers(radius), length=_numbers(length))
 
 
-def _joint(robot: ET.Element, name: str, kind: str, links: tuple[str, str], at: str, turned: str = "0 0 0") -> ET.Element:
+def _joint(
+    robot: ET.Element, name: str, kind: str, links: tuple[str, str], at: Triple, turned: Triple = (0.0, 0.0, 0.0)
+) -> ET.Element:
     joint = ET.SubElement(robot, "joint", name=name, type=kind)
     for tag, link in zip(("parent", "child"), links, strict=True):
         ET.SubElement(joint, tag, link=link)
-    ET.SubElement(joint, "origin", xyz=at, rpy=turned)
+    ET.SubElement(joint, "origin", xyz=_numbers(*at), rpy=_numbers(*turned))
     return joint
 
 
 def _limit(joint: ET.Element, lower: float, upper: float, effort: float, velocity: float) -> None:
     values = {"lower": lower, "upper": upper, "effort": effort, "velocity": velocity}
-    ET.SubElement(joint, "limit", {name: str(value) for name, value in values.items()})
+    ET.SubElement(joint, "limit", {name: _numbers(value) for name, value in values.items()})
 
 
-def _numbers(values: tuple[float, ...]) -> str:
-    return " ".join(map(str, values))
+def _numbers(*values: float) -> str:
+    return " ".join(f"{value:.9g}" for value in values)

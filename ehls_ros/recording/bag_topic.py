@@ -16,8 +16,13 @@ from ehls_ros.recording.cdr import CdrError, Field, decode, flatten
 from ehls_ros.recording.provenance import Seal, checksum_sum, message_checksum
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.storage_file import CLOSED_BAG
-from ehls_ros.recording.topics import SENDER, Topic
+from ehls_ros.recording.topics import CONTROLLER_STATUS, SENDER, Topic
 from ehls_ros.recording.typestore import typestore, typestore_of
+
+EARLIER_UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {CONTROLLER_STATUS.name: {"e3": 1e6, "s": 1e6, "u1": 1e9, "u2": 1e9, "u3": 1e9}}
+)
+"""SI value of the unit of fields of a topic in bags from before its messages named their sender: MPa, MPa/s and t MPa/s^2."""
 
 BLOCK = 16384
 """Messages decoded together: enough to amortize the overhead, few enough for a small memory footprint."""
@@ -132,7 +137,7 @@ def cycle_topic(topic: Topic, connections: Sequence[Connection], seal: Seal | No
     fields = _fields(topic, connections[0], seal, where)
     names = {field.name for field in fields}
     wanted = {CYCLE, SECONDS, NANOSECONDS, *topic.signals} & names
-    return BagTopic(connections, fields, wanted, seal, where, {} if SENDER in names else topic.earlier_units)
+    return BagTopic(connections, fields, wanted, seal, where, {} if SENDER in names else EARLIER_UNITS.get(topic.name, {}))
 
 
 def _fields(topic: Topic, connection: Connection, seal: Seal | None, where: str) -> list[Field]:

@@ -21,15 +21,11 @@ class Topic(NamedTuple):
         name: name below the namespace, or an absolute name.
         type: ROS message type.
         signals: names in :data:`ehls_ros.trajectory.SIGNALS` by message field, in the same units.
-        about: what it holds, for the reference.
-        earlier_units: SI value of one unit of a field in bags of versions whose messages had no :data:`SENDER`, if not 1.
     """
 
     name: str
     type: str
     signals: Mapping[str, str] = MappingProxyType({})
-    about: str = ""
-    earlier_units: Mapping[str, float] = MappingProxyType({})
 
     def resolve(self, namespace: str = NAMESPACE) -> str:
         """Return the full name, as ROS resolves it in a namespace."""
@@ -48,7 +44,6 @@ LOADER_STATE = Topic(
         "supply_pressure": "supply_pressure_pa",
         "oil_temperature": "oil_temperature_k",
     },
-    "one atomic snapshot of the sensors, which opens a control cycle",
 )
 FORCE_REFERENCE = Topic(
     "force_reference",
@@ -58,7 +53,6 @@ FORCE_REFERENCE = Topic(
         "force_rate": "force_reference_rate_n_s",
         "force_acceleration": "force_reference_acceleration_n_s2",
     },
-    "wanted force of a cycle, with two derivatives",
 )
 POSITION_REFERENCE = Topic(
     "position_reference",
@@ -68,7 +62,6 @@ POSITION_REFERENCE = Topic(
         "velocity": "position_reference_rate_m_s",
         "acceleration": "position_reference_acceleration_m_s2",
     },
-    "wanted position of a cycle, with two derivatives, for controllers that follow a position",
 )
 REFERENCE_TOPICS: Mapping[str, Topic] = MappingProxyType({"force": FORCE_REFERENCE, "position": POSITION_REFERENCE})
 """The reference topic by the quantity that the controller follows; a run has one of them."""
@@ -82,7 +75,6 @@ DISTURBANCE = Topic(
         "displacement": "disturbance_displacement_m",
         "velocity": "disturbance_velocity_m_s",
     },
-    "action of the actuator under test in a cycle",
 )
 FRICTION_ESTIMATE = Topic(
     "friction_estimate",
@@ -93,11 +85,8 @@ FRICTION_ESTIMATE = Topic(
         "element_forces": "friction_elements_n",
         "slipping": "friction_slipping",
     },
-    "friction that the model predicts for a cycle",
 )
-VALVE_COMMAND = Topic(
-    "valve_command", "ehls_msgs/msg/ValveCommand", {"spool": "valve_command_m"}, "the controller's answer to a cycle"
-)
+VALVE_COMMAND = Topic("valve_command", "ehls_msgs/msg/ValveCommand", {"spool": "valve_command_m"})
 CONTROLLER_STATUS = Topic(
     "controller_status",
     "ehls_msgs/msg/ControllerStatus",
@@ -115,8 +104,6 @@ CONTROLLER_STATUS = Topic(
         "saturated": "saturated",
         "friction_fallback": "friction_fallback",
     },
-    "internal state of the controller in a cycle",
-    {"e3": 1e6, "s": 1e6, "u1": 1e9, "u2": 1e9, "u3": 1e9},
 )
 
 CYCLE_TOPICS = (
@@ -130,24 +117,15 @@ CYCLE_TOPICS = (
 )
 """The topics that make up a trajectory, in the order of a control cycle; every message has a header and a cycle."""
 
-DRIVING = Topic("driving", "std_msgs/msg/Bool", about="whether commands reach the valve; published on change")
+DRIVING = Topic("driving", "std_msgs/msg/Bool")
+"""Whether commands reach the valve; published on change."""
 
-FORCE = Topic("force", "std_msgs/msg/Float64", about="driving force of the cylinder [N]")
-WRENCH = Topic("wrench", "geometry_msgs/msg/WrenchStamped", about="the same force, along x of its frame [N]")
-LOAD_PRESSURE = Topic(
-    "load_pressure",
-    "sensor_msgs/msg/FluidPressure",
-    about="pressure between the cylinder's ports [Pa]: a difference, positive or negative, not an absolute pressure",
-)
-SUPPLY_PRESSURE = Topic(
-    "supply_pressure", "sensor_msgs/msg/FluidPressure", about="supply pressure at the valve [Pa], above the tank's"
-)
-OIL_TEMPERATURE = Topic("oil_temperature", "sensor_msgs/msg/Temperature", about="oil temperature [°C]")
-JOINT_STATES = Topic(
-    "joint_states",
-    "sensor_msgs/msg/JointState",
-    about="joint `loader`: position [m], velocity [m/s], effort [N]; an array is empty where the rig does not measure it",
-)
+FORCE = Topic("force", "std_msgs/msg/Float64")
+WRENCH = Topic("wrench", "geometry_msgs/msg/WrenchStamped")
+LOAD_PRESSURE = Topic("load_pressure", "sensor_msgs/msg/FluidPressure")
+SUPPLY_PRESSURE = Topic("supply_pressure", "sensor_msgs/msg/FluidPressure")
+OIL_TEMPERATURE = Topic("oil_temperature", "sensor_msgs/msg/Temperature")
+JOINT_STATES = Topic("joint_states", "sensor_msgs/msg/JointState")
 
 TELEMETRY_TOPICS = (
     DRIVING,
@@ -157,7 +135,7 @@ TELEMETRY_TOPICS = (
     SUPPLY_PRESSURE,
     OIL_TEMPERATURE,
     JOINT_STATES,
-    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", about="state of each node"),
+    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
 )
 """Recorded for standard tools; the cycle topics contain the same data."""
 
