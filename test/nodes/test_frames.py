@@ -19,9 +19,8 @@ LOPSIDED = RIG._replace(
 
 def parsed(rig):
     robot = ET.fromstring(robot_description(rig))
-    return [link.attrib["name"] for link in robot.iter("link")], {
-        joint.attrib["name"]: joint for joint in robot.findall("joint")
-    }
+    joints = {joint.attrib["name"]: joint for joint in robot.findall("joint")}
+    return [link.attrib["name"] for link in robot.findall("link")], joints
 
 
 def numbers(element, attribute):
@@ -74,11 +73,11 @@ def test_the_piston_rises_along_x_of_its_frame_and_carries_the_end_of_the_beam(r
     arm = rig.plant.arm_length
     rest = placed(joints, rig, 0.0)
     end = rest[BEAM] @ [arm, 0.0, 0.0, 1.0]
-    assert end == pytest.approx(rest[LOADER_FRAME][:, 3])
+    assert end == pytest.approx(rest[LOADER_FRAME][:, 3], abs=1e-9)
     step = 1e-3
     moved = placed(joints, rig, step)
-    assert moved[LOADER_FRAME][:3, 3] - rest[LOADER_FRAME][:3, 3] == pytest.approx([0.0, 0.0, step])
-    assert rest[LOADER_FRAME][:3, 0] == pytest.approx([0.0, 0.0, 1.0])
+    assert moved[LOADER_FRAME][:3, 3] - rest[LOADER_FRAME][:3, 3] == pytest.approx([0.0, 0.0, step], abs=1e-9)
+    assert rest[LOADER_FRAME][:3, 0] == pytest.approx([0.0, 0.0, 1.0], abs=1e-9)
     # For small motions, the drawn beam and the piston stay together.
     assert moved[BEAM] @ [arm, 0.0, 0.0, 1.0] == pytest.approx(moved[LOADER_FRAME][:, 3], abs=step**2)
 
