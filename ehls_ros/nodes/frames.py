@@ -100,4 +100,4 @@ def _limit(joint: ET.Element, lower: float, upper: float, effort: float, velocit
 
 
 def _numbers(*values: float) -> str:
-    return " ".join(f"{value:.9g}" for value in values)
+    return " ".join(f"{value:.12g}" for value in values)
