@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 from markdown_it import MarkdownIt
 
 from ehls_ros.cli.main import parser
+from ehls_ros.recording.topics import TOPICS
 from ehls_ros.schema import Declaration
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -131,7 +132,7 @@ class ParametersOf:
 
     def topics(self) -> set[str]:
         """Return the topics."""
-        return {topic.resolve() for topic in self._reference.all_topics()}
+        return {topic.resolve() for topic in TOPICS}
 
 
 def check(command: Command, parameters_of: ParametersOf, made: Sequence[str]) -> Namespace | None:

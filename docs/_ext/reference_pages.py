@@ -38,7 +38,8 @@ ROOT = Path(ehls_ros.__file__).parent.parent
 MESSAGES = ROOT / "ehls_msgs" / "msg"
 LAUNCH = ROOT / "launch" / "ehls.launch.py"
 LAUNCH_MODULES = (
-    "launch", "launch.actions", "launch.launch_context", "launch.substitutions", "launch_ros", "launch_ros.actions",
+    "ament_index_python", "ament_index_python.packages", "launch", "launch.actions", "launch.launch_context",
+    "launch.substitutions", "launch_ros", "launch_ros.actions", "launch_ros.parameter_descriptions",
 )  # fmt: skip
 WIDTH = "100"
 
@@ -104,6 +105,28 @@ API: Mapping[str, tuple[str, ...]] = {
     "Errors": ("ehls_ros.errors.BadInput", "ehls_ros.errors.WorkFailed"),
 }
 """Functions and classes for users' scripts."""
+
+TOPICS: Mapping[str, str] = {
+    "loader_state": "one atomic snapshot of the sensors, which opens a control cycle",
+    "force_reference": "wanted force of a cycle, with two derivatives",
+    "position_reference": "wanted position of a cycle, with two derivatives, for controllers that follow a position",
+    "disturbance": "action of the actuator under test in a cycle",
+    "friction_estimate": "friction that the model predicts for a cycle",
+    "valve_command": "the controller's answer to a cycle",
+    "controller_status": "internal state of the controller in a cycle",
+    "driving": "whether commands reach the valve; published on change",
+    "force": "driving force of the cylinder [N], positive where it pushes the piston in its positive direction",
+    "wrench": "the same force, along x of its frame [N]",
+    "load_pressure": "pressure between the cylinder's ports [Pa]: a difference that may be negative, though `FluidPressure` is "
+    "described as absolute",
+    "supply_pressure": "supply pressure at the valve [Pa], above the tank's; not absolute either",
+    "oil_temperature": "oil temperature [°C], as `Temperature` has it; `loader_state` has it in K",
+    "joint_states": "joint `loader`: position [m], velocity [m/s], effort [N]; an array is empty where nothing is measured",
+    "/diagnostics": "state of each node",
+    "/parameter_events": "changes of parameters",
+    "/rosout": "log of all nodes",
+}
+"""What the topics hold; those after `driving` are at `telemetry_rate`, and only of what the rig measures."""
 
 SERVICES: Mapping[str, str] = {
     "emergency_stop": "closes the valve at once and latches; returns the name of the stop",
@@ -257,7 +280,10 @@ def nodes_page() -> str:
             ),
         ),
         "## Topics\n",
-        rows_of(("topic", "type"), ((f"`{topic.resolve()}`", f"`{topic.type}`") for topic in all_topics())),
+        rows_of(
+            ("topic", "type", "what it holds"),
+            ((f"`{topic.resolve()}`", f"`{topic.type}`", TOPICS[topic.name]) for topic in topics.TOPICS),
+        ),
         "## Services\n\nServices of the plant node, `plant_sim_node` or `hardware_bridge_node`.\n",
         rows_of(("service", "type", "what it does"), services()),
         "## Parameters of every node\n",
@@ -300,11 +326,6 @@ def launch_arguments() -> Mapping[str, tuple[str, str, list[str] | None]]:
     with mock.patch.dict(sys.modules, absent):
         found: Mapping[str, tuple[str, str, list[str] | None]] = runpy.run_path(str(LAUNCH))["ARGUMENTS"]
     return found
-
-
-def all_topics() -> list[topics.Topic]:
-    """Return every topic of a run."""
-    return [value for value in vars(topics).values() if isinstance(value, topics.Topic)]
 
 
 def services() -> Iterator[tuple[str, str, str]]:

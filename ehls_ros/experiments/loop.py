@@ -17,7 +17,7 @@ from numpy.random import Generator
 from ehls_ros import __version__
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.controllers.base import STATUS_SIZE, Model, model_of
+from ehls_ros.control.controllers.base import STATUS_SIZE, STATUS_TO_SI, Model, model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import ROW, Planned
 from ehls_ros.control.observers import OBSERVERS
@@ -354,7 +354,8 @@ def _trajectory(
         signals["friction_gms_n"], signals["friction_viscous_n"] = estimate[:, 0], estimate[:, 1]
         signals["friction_elements_n"] = estimate[:, ELEMENTS : ELEMENTS + elements]
         signals["friction_slipping"] = estimate[:, ELEMENTS + elements :]
-    signals.update(zip(CONTROLLER_STATUS.signals.values(), record[:, columns.status].T, strict=False))
+    status = record[:, columns.status] * STATUS_TO_SI
+    signals.update(zip(CONTROLLER_STATUS.signals.values(), status.T, strict=False))
     signals.update(zip(REFERENCE_TOPICS[law.FOLLOWS].signals.values(), reference.T, strict=True))
     signals.update(zip(DISTURBANCE.signals.values(), disturbance.T, strict=True))
     time = np.arange(first, first + len(record), dtype=np.float64) * spec.settings.control_period

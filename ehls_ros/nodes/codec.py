@@ -44,21 +44,28 @@ def _leading_numbers(fields: Mapping[str, str]) -> list[str]:
 class Encoder:
     """Encodes one message type."""
 
-    def __init__(self, message: Any, frame_id: str = "", lengths: Mapping[str, int] | None = None) -> None:
+    def __init__(self, message: Any, frame_id: str = "", lengths: Mapping[str, int] | None = None, sender: str = "") -> None:
         """Fix the layout.
 
         Args:
             message: message class; its first field is the header.
             frame_id: frame name in the header.
             lengths: length of each sequence field.
+            sender: content of the text field, which is the last one if there is any.
         """
         self._frame = frame_id.encode() + b"\0"
+        self._sender: tuple[Any, ...] = ()
         layout = _Layout(len(self._frame))
         for name, kind in message.get_fields_and_field_types().items():
             if name == "header":
                 continue
             if kind in _NUMBERS:
                 layout.add(*_NUMBERS[kind])
+            elif kind == "string":
+                text = sender.encode() + b"\0"
+                self._sender = (len(text), text)
+                layout.add("I", 4)
+                layout.add("s", 1, count=len(text))
             else:
                 layout.add("I", 4)
                 element = kind.removeprefix("sequence<").removesuffix(">")
@@ -70,35 +77,35 @@ class Encoder:
 
         Args:
             stamp_ns: the header's stamp [ns].
-            values: the fields in order; for a sequence, its length and then its elements.
+            values: the numeric fields in order; for a sequence, its length and then its elements.
         """
-        frame = self._frame
-        return self._pack(b"\0\1\0\0", stamp_ns // NANOSECONDS, stamp_ns % NANOSECONDS, len(frame), frame, *values)
+        frame, stamp = self._frame, divmod(stamp_ns, NANOSECONDS)
+        return self._pack(b"\0\1\0\0", *stamp, len(frame), frame, *values, *self._sender)
 
 
 class Decoder:
     """Decodes the leading numbers of one message type, with any frame name.
 
-    A command's frame names its sender, since the middleware does not tell who sent a message.
+    A command names its sender, since the middleware does not tell who sent a message.
     """
 
     MOST_FORMATS = 64
     """Layouts cached, one per length of frame name; the senders of a graph use few."""
 
-    def __init__(self, message: Any, *, frame: bool = False) -> None:
+    def __init__(self, message: Any, *, sender: bool = False) -> None:
         """Read the message type.
 
         Args:
             message: message class.
-            frame: whether the frame name is returned as well.
+            sender: whether the text after the numbers is returned as well.
         """
         fields = message.get_fields_and_field_types()
-        self._frame = frame
+        self._sender = sender
         self._kinds = [_NUMBERS[fields[name]] for name in _leading_numbers(fields)]
         self._formats: dict[tuple[int, bytes], struct.Struct] = {}
 
     def __call__(self, message: bytes) -> tuple[Any, ...] | None:
-        """Return the header's stamp [ns], the frame if requested, and the fields; None if the bytes are no such message."""
+        """Return the header's stamp [ns], the numbers, and the sender if requested; None if the bytes are no such message."""
         order = b"<" if message[1:2] == b"\1" else b">"
         try:
             (frame_length,) = struct.unpack_from(order.decode() + "I", message, _FRAME_LENGTH_AT)
@@ -107,16 +114,22 @@ class Decoder:
                 if frame_length > len(message):
                     return None
                 known = self._format(frame_length, order)
-            _, seconds, nanoseconds, _, frame, *fields = known.unpack_from(message)
+            _, seconds, nanoseconds, _, _, *fields = known.unpack_from(message)
         except struct.error:
             return None
-        stamp = seconds * NANOSECONDS + nanoseconds
-        return (stamp, frame.rstrip(b"\0").decode(errors="replace"), *fields) if self._frame else (stamp, *fields)
+        if self._sender:
+            text = message[known.size : known.size + fields[-1]]
+            if len(text) != fields[-1]:
+                return None
+            fields[-1] = text.rstrip(b"\0").decode(errors="replace")
+        return (seconds * NANOSECONDS + nanoseconds, *fields)
 
     def _format(self, frame_length: int, order: bytes) -> struct.Struct:
         layout = _Layout(frame_length)
         for kind, size in self._kinds:
             layout.add(kind, size)
+        if self._sender:
+            layout.add("I", 4)
         if len(self._formats) >= self.MOST_FORMATS:
             self._formats.clear()
         made = struct.Struct(order.decode() + layout.format)

@@ -9,7 +9,6 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn
 
 import rclpy
@@ -23,8 +22,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.files import config_folder
-from ehls_ros.experiments.spec import Spec, load_spec
+from ehls_ros.experiments.spec import chosen_spec
 from ehls_ros.hardware.courtesy import Courtesy, statistics_of
 from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups
 from ehls_ros.nodes.mismatches import Mismatches
@@ -94,7 +92,7 @@ class ControlNode(LifecycleNode):
         """
         super().__init__(name, namespace=NAMESPACE)
         declare(self, Common, live=False)
-        self.spec = self._load_spec()
+        self.spec = chosen_spec(self.text_parameter("spec"), self.text_parameter("rig"))
         timing = self.text_parameter("timing")
         if timing not in TIMINGS:
             raise BadInput(f"timing is '{timing}'", self.get_name(), f"one of {', '.join(TIMINGS)}")
@@ -122,12 +120,6 @@ class ControlNode(LifecycleNode):
     def text_parameter(self, name: str) -> str:
         """Return a text parameter's value."""
         return str(self.get_parameter(name).value)
-
-    def _load_spec(self) -> Spec:
-        chosen = self.text_parameter("spec")
-        path = Path(chosen) if chosen else config_folder() / "experiments" / "sine_fd2.yaml"
-        rig = self.text_parameter("rig")
-        return load_spec(path, Path(rig) if rig else None)
 
     def prepare(self) -> None:
         """Compile, open topics: build what the loop needs."""

@@ -14,7 +14,7 @@ from std_msgs.msg import Bool
 from ehls_msgs.msg import ControllerStatus, FrictionEstimate, LoaderState, ValveCommand
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.controllers.base import SATURATED, model_of
+from ehls_ros.control.controllers.base import SATURATED, STATUS_TO_SI, model_of
 from ehls_ros.control.cycles import Cycles, Ready
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.control.serving import check_serves
@@ -93,9 +93,10 @@ class ControllerNode(ControlNode):
         self.states = Inbox(self, LoaderState, "loader_state")
         topic = REFERENCE_TOPICS[self.kind.FOLLOWS]
         self.reference = Inbox(self, message_class(topic.type), topic.name)
-        # The frame tells the plant this controller's commands from another's.
-        self.commands = Outbox(self, ValveCommand, "valve_command", frame_id=f"{self.get_fully_qualified_name()}-{os.getpid()}")
-        self.status = Outbox(self, ControllerStatus, "controller_status")
+        # The process number tells two nodes of one name apart.
+        sender = f"{self.get_fully_qualified_name()}-{os.getpid()}"
+        self.commands = Outbox(self, ValveCommand, "valve_command", sender=sender)
+        self.status = Outbox(self, ControllerStatus, "controller_status", sender=sender)
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
         self.driving = Inbox(self, Bool, DRIVING.name, control_qos(1), _is_true)
         self.driven = True
@@ -161,7 +162,7 @@ class ControllerNode(ControlNode):
         command = self.controller.step(self.measured, self.wanted, self.estimate, ready.elapsed)
         self.commands.send(ready.stamp_ns, ready.cycle, command)
         self.answered, self.command = (ready.stamp_ns, ready.cycle, *ready.measured), command
-        values = self.controller.status.tolist()
+        values = (self.controller.status * STATUS_TO_SI).tolist()
         self.saturated = values[SATURATED] != 0.0
         self.status.send(ready.stamp_ns, ready.cycle, *values[:SATURATED], self.saturated, fallback)
 

@@ -42,7 +42,7 @@ class Parameters(NamedTuple):
 
     cycles: Annotated[int, quantity("1", "cycles to run; 0: until stopped", minimum=0)] = 0
     telemetry_rate: Annotated[
-        float, quantity("Hz", "rate of force, load_pressure and joint_states", minimum=0.0, maximum=1e3)
+        float, quantity("Hz", "rate of the messages for standard tools, such as joint_states", minimum=0.0, maximum=1e3)
     ] = 50.0
 
 
@@ -68,10 +68,10 @@ class PlantNode(ControlNode):
         declare(self, Parameters, live=False)
         self.cycles = int(self.get_parameter("cycles").value)
         self.period = self.spec.settings.control_period
-        rig, measured = self.spec.rig, self.measured()
-        sound = Gate(rig, self.period, None, measured, bounds=self.gate_bounds).parameters
+        rig, self.sensed = self.spec.rig, self.measured()
+        sound = Gate(rig, self.period, None, self.sensed, bounds=self.gate_bounds).parameters
         declare(self, GateParameters, {**sound._asdict(), **self.gate_defaults}, live=True)
-        self.gate = Gate(rig, self.period, values_of(self, GateParameters, name), measured, bounds=self.gate_bounds)
+        self.gate = Gate(rig, self.period, values_of(self, GateParameters, name), self.sensed, bounds=self.gate_bounds)
         self.told_gate: tuple[str, int] | None = None
         follow(self, GateParameters, self._retune, self.gate.objection)
         self._ending = self.create_timer(0.0, self._leave, autostart=False)
@@ -91,15 +91,15 @@ class PlantNode(ControlNode):
         self.references: dict[int, float] = {}
         self.latency = Latency()
         self.published = time.perf_counter()
-        self.state = Outbox(self, LoaderState, "loader_state", frame_id="loader")
+        self.state = Outbox(self, LoaderState, "loader_state")
         # Commands older than this node do not belong to its cycles.
-        self.commands = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, frame=True))
+        self.commands = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
         self.reference = Inbox(self, ForceReference, "force_reference")
         self.answer = Waiter([self.commands])
         self.driving = self.create_publisher(Bool, DRIVING.name, control_qos(1))
         self.told_driving: bool | None = None
         self.clock = self.create_publisher(Clock, self.clock_topic, control_qos(1)) if self.lockstep else None
-        self.telemetry = Telemetry(self, float(self.get_parameter("telemetry_rate").value))
+        self.telemetry = Telemetry(self, float(self.get_parameter("telemetry_rate").value), self.sensed)
 
     def release(self) -> None:
         """Close the topics."""
@@ -166,7 +166,7 @@ class PlantNode(ControlNode):
             cycle: the present cycle.
         """
         while (message := self.commands.take()) is not None:
-            _, sender, answered, spool = message
+            _, answered, spool, sender = message
             self.gate.take(answered, spool, sender)
             # A command of the gate's owner is an answer even if the gate refuses it.
             if sender == self.gate.owner and self.answered < answered <= cycle:

@@ -19,6 +19,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.type_support import check_for_type_support
 
 from ehls_ros.nodes.codec import Decoder, Encoder
+from ehls_ros.nodes.frames import loader_frame
 from ehls_ros.recording.topics import DEPTH
 
 RECORDER_DEPTH = 50_000
@@ -60,7 +61,7 @@ class Outbox:
     """Publishes one control-path topic."""
 
     def __init__(
-        self, node: Node, message: Any, topic: str, frame_id: str = "", lengths: Mapping[str, int] | None = None
+        self, node: Node, message: Any, topic: str, lengths: Mapping[str, int] | None = None, sender: str = ""
     ) -> None:
         """Create the publisher.
 
@@ -68,14 +69,14 @@ class Outbox:
             node: owner.
             message: message class.
             topic: name below the node's namespace.
-            frame_id: frame name in the header.
             lengths: length of each sequence field.
+            sender: content of the text field, if there is one.
         """
         self._node = node
         self._publisher = node.create_publisher(message, topic, control_qos())
         self._readers = 0
         self._volatile_readers: set[bytes] = set()
-        self._encode = Encoder(message, frame_id, lengths)
+        self._encode = Encoder(message, loader_frame(node.get_namespace()), lengths, sender)
 
     def send(self, stamp_ns: int, *values: float) -> None:
         """Publish one message: header stamp [ns], then the fields in order."""

@@ -1,7 +1,8 @@
 """One topic of a bag being read: its messages converted to columns and checked against the bag's seals."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import repeat
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,13 @@ from ehls_ros.recording.cdr import CdrError, Field, decode, flatten
 from ehls_ros.recording.provenance import Seal, checksum_sum, message_checksum
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.storage_file import CLOSED_BAG
-from ehls_ros.recording.topics import Topic
+from ehls_ros.recording.topics import CONTROLLER_STATUS, SENDER, Topic
 from ehls_ros.recording.typestore import typestore, typestore_of
+
+EARLIER_UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {CONTROLLER_STATUS.name: {"e3": 1e6, "s": 1e6, "u1": 1e9, "u2": 1e9, "u3": 1e9}}
+)
+"""SI value of the unit of fields of a topic in bags from before its messages named their sender: MPa, MPa/s and t MPa/s^2."""
 
 BLOCK = 16384
 """Messages decoded together: enough to amortize the overhead, few enough for a small memory footprint."""
@@ -32,6 +38,7 @@ class BagTopic:
         wanted: Collection[str],
         seal: Seal | None,
         where: str,
+        units: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         """Prepare for the topic's messages.
 
@@ -41,6 +48,7 @@ class BagTopic:
             wanted: names of the fields to read.
             seal: state of the topic when the bag was closed, if known.
             where: bag and full name of the topic, for errors.
+            units: by field, the SI value of its unit, where it is not 1.
 
         Raises:
             BadInput: the topic has too many messages.
@@ -54,6 +62,7 @@ class BagTopic:
         self._seal = seal
         self._fields = fields
         self._wanted = wanted
+        self._units = units
         self._checksum = 0
         self._count = 0
         self._stamps_ns: list[int] = []
@@ -96,7 +105,8 @@ class BagTopic:
             raise BadInput(f"{self._count} of {self._expected} messages are there", self._where, CLOSED_BAG)
         if self._seal is not None and self._seal.checksum != self._checksum:
             raise BadInput("messages have been altered since they were written", self._where, "an undamaged bag")
-        return {name: _stacked([block[name] for block in self._blocks]) for name in self._blocks[0]}
+        columns = {name: _stacked([block[name] for block in self._blocks]) for name in self._blocks[0]}
+        return columns | {name: columns[name] * unit for name, unit in self._units.items() if name in columns}
 
     def _decode(self) -> None:
         try:
@@ -125,8 +135,9 @@ def cycle_topic(topic: Topic, connections: Sequence[Connection], seal: Seal | No
         BadInput: the topic has another type in the bag, too many messages, or an unreadable definition.
     """
     fields = _fields(topic, connections[0], seal, where)
-    wanted = {CYCLE, SECONDS, NANOSECONDS, *topic.signals} & {field.name for field in fields}
-    return BagTopic(connections, fields, wanted, seal, where)
+    names = {field.name for field in fields}
+    wanted = {CYCLE, SECONDS, NANOSECONDS, *topic.signals} & names
+    return BagTopic(connections, fields, wanted, seal, where, {} if SENDER in names else EARLIER_UNITS.get(topic.name, {}))
 
 
 def _fields(topic: Topic, connection: Connection, seal: Seal | None, where: str) -> list[Field]:
@@ -147,7 +158,7 @@ def _fields(topic: Topic, connection: Connection, seal: Seal | None, where: str)
         raise BadInput(str(error), where, f"{topic.type} of numbers") from None
     for field in own_fields:
         found = next((other for other in fields if other.name == field.name), None)
-        if found is None and field.name not in topic.signals:
+        if found is None and field.name not in {SENDER, *topic.signals}:
             raise BadInput(f"{topic.type} has no field {field.name} in this bag", where, "a header and a cycle")
         if found is not None and found != field:
             what = f"{topic.type} has {_kind(found)} {field.name} in this bag"

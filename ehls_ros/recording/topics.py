@@ -10,6 +10,12 @@ NAMESPACE = "/ehls"
 DEPTH = 1000
 """Messages that a control-path topic keeps: one second of cycles."""
 
+LOADER_FRAME = "loader"
+"""Frame of every message about the loading cylinder: fixed to its piston, x along the piston's positive direction."""
+
+SENDER = "sender"
+"""Field of commands and status that names who sent them; absent in bags of earlier versions."""
+
 
 class Topic(NamedTuple):
     """One topic.
@@ -96,14 +102,14 @@ CONTROLLER_STATUS = _cycle_topic(
     "controller_status",
     "ehls_msgs/msg/ControllerStatus",
     {
-        "e3": "e3_mpa",
-        "s": "s_mpa_s",
+        "e3": "e3_pa",
+        "s": "s_pa_s",
         "alpha": "alpha",
         "beta": "beta",
         "delta": "delta_n",
-        "u1": "u1",
-        "u2": "u2",
-        "u3": "u3",
+        "u1": "u1_kg_pa_s2",
+        "u2": "u2_kg_pa_s2",
+        "u3": "u3_kg_pa_s2",
         "force_error": "force_error_n",
         "force_bound": "force_bound_n",
         "saturated": "saturated",
@@ -127,11 +133,21 @@ DRIVING = Topic("driving", "std_msgs/msg/Bool", depth=1, transient_local=True)
 
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 
+FORCE = Topic("force", "std_msgs/msg/Float64")
+WRENCH = Topic("wrench", "geometry_msgs/msg/WrenchStamped")
+LOAD_PRESSURE = Topic("load_pressure", "sensor_msgs/msg/FluidPressure")
+SUPPLY_PRESSURE = Topic("supply_pressure", "sensor_msgs/msg/FluidPressure")
+OIL_TEMPERATURE = Topic("oil_temperature", "sensor_msgs/msg/Temperature")
+JOINT_STATES = Topic("joint_states", "sensor_msgs/msg/JointState")
+
 TELEMETRY_TOPICS = (
     DRIVING,
-    Topic("force", "std_msgs/msg/Float64"),
-    Topic("load_pressure", "sensor_msgs/msg/FluidPressure"),
-    Topic("joint_states", "sensor_msgs/msg/JointState"),
+    FORCE,
+    WRENCH,
+    LOAD_PRESSURE,
+    SUPPLY_PRESSURE,
+    OIL_TEMPERATURE,
+    JOINT_STATES,
     DIAGNOSTICS,
 )
 """Recorded for standard tools; the cycle topics contain the same data."""

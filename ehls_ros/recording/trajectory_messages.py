@@ -7,11 +7,10 @@ from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.cdr import encode, flatten
-from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE, RESPONSE, VALVE_COMMAND, Topic
+from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_FRAME, LOADER_STATE, RESPONSE, SENDER, VALVE_COMMAND, Topic
 from ehls_ros.recording.typestore import typestore
 from ehls_ros.trajectory import Trajectory
 
-FRAME_ID = "loader"
 LATEST_STAMP_NS = 2**31 * 10**9
 """End of the range of a ROS time stamp [ns]."""
 
@@ -66,8 +65,9 @@ def _stream(topic: Topic, trajectory: Trajectory, stamps_ns: NDArray[np.int64], 
     values: dict[str, NDArray[Any] | str] = {
         "header.stamp.sec": seconds,
         "header.stamp.nanosec": nanoseconds,
-        "header.frame_id": FRAME_ID,
+        "header.frame_id": LOADER_FRAME,
         "cycle": first + rows,
+        SENDER: "",
     }
     fields = flatten(typestore().fielddefs, topic.type)
     for field in fields:

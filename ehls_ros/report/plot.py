@@ -43,8 +43,8 @@ class Unit(NamedTuple):
 
 NEWTON, KILONEWTON = Unit("N"), Unit("kN", 1e-3)
 MILLIMETRE, MILLIMETRE_PER_SECOND = Unit("mm", 1e3), Unit("mm/s", 1e3)
-MEGAPASCAL = Unit("MPa", 1e-6)
-PAPER_PRESSURE, PAPER_PRESSURE_RATE = Unit("MPa"), Unit("MPa/s")
+MEGAPASCAL, MEGAPASCAL_PER_SECOND = Unit("MPa", 1e-6), Unit("MPa/s", 1e-6)
+PAPER_PRESSURE_RATE = Unit("MPa/s")
 SECOND, MICROSECOND = Unit("s"), Unit("µs", 1e6)
 CYCLES, PURE_NUMBER = Unit("cycles"), Unit("–")
 

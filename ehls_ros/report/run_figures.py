@@ -17,12 +17,12 @@ from ehls_ros.report.plot import (
     KILONEWTON,
     LIGHT_GREY,
     MEGAPASCAL,
+    MEGAPASCAL_PER_SECOND,
     MICROSECOND,
     MILLIMETRE,
     MILLIMETRE_PER_SECOND,
     NEWTON,
     ORANGE,
-    PAPER_PRESSURE_RATE,
     PURE_NUMBER,
     PURPLE,
     SKY,
@@ -232,17 +232,17 @@ def adaptation(run: Trajectory) -> Panel | LeftOut:
 def sliding_variable(run: Trajectory) -> Panel | LeftOut:
     """Draw the sliding variable inside its bound b/h, scaled to the steady part of the run."""
     title = "Sliding variable"
-    if missing := missing_reason(run, "s_mpa_s"):
+    if missing := missing_reason(run, "s_pa_s"):
         return LeftOut(title, missing)
-    time = since_start(run)
+    time, unit = since_start(run), MEGAPASCAL_PER_SECOND
     traces: list[Trace] = []
     bound = sliding_bound(run.metadata)
     if bound is not None:
-        label = f"bound ±b/h = ±{number(bound)} {PAPER_PRESSURE_RATE.symbol}"
-        traces += band(time, np.full(time.shape, bound), label, PAPER_PRESSURE_RATE)
-    traces.append(time_line(time, run["s_mpa_s"], "s", PAPER_PRESSURE_RATE, BLUE))
-    span, note = steady_span(run["s_mpa_s"], bound or 0.0, PAPER_PRESSURE_RATE.symbol)
-    return Panel(title, traces, time_layout(time[-1], [Axis("s", PAPER_PRESSURE_RATE, span)]), note)
+        label = f"bound ±b/h = ±{number(bound * unit.factor)} {unit.symbol}"
+        traces += band(time, np.full(time.shape, bound), label, unit)
+    traces.append(time_line(time, run["s_pa_s"], "s", unit, BLUE))
+    span, note = steady_span(run["s_pa_s"] * unit.factor, (bound or 0.0) * unit.factor, unit.symbol)
+    return Panel(title, traces, time_layout(time[-1], [Axis("s", unit, span)]), note)
 
 
 def response_time(run: Trajectory) -> Panel | LeftOut:

@@ -13,13 +13,12 @@ from ehls_ros.report.plot import (
     GREEN,
     KILONEWTON,
     MEGAPASCAL,
+    MEGAPASCAL_PER_SECOND,
     MICROSECOND,
     MILLIMETRE,
     MILLIMETRE_PER_SECOND,
     NEWTON,
     ORANGE,
-    PAPER_PRESSURE,
-    PAPER_PRESSURE_RATE,
     PURPLE,
     VERMILION,
     Axis,
@@ -86,26 +85,26 @@ def response_histogram(run: Trajectory) -> Panel | LeftOut:
 def sliding_plane(run: Trajectory) -> Panel | LeftOut:
     """Draw pressure error against sliding variable around the region the law promises to reach."""
     title = "Sliding plane"
-    if missing := missing_together(run, last_samples(run), "e3_mpa", "s_mpa_s"):
+    if missing := missing_together(run, last_samples(run), "e3_pa", "s_pa_s"):
         return LeftOut(title, missing)
-    error, sliding = run["e3_mpa"], run["s_mpa_s"]
+    error, sliding = run["e3_pa"] * MEGAPASCAL.factor, run["s_pa_s"]
     start, steady = slice(min(len(run) // 2, PLANE_SAMPLES)), last_samples(run)
     traces = [
-        line(error[start], sliding[start], "start", PAPER_PRESSURE_RATE, ORANGE, width=1.0),
-        line(error[steady], sliding[steady], last_seconds(run), PAPER_PRESSURE_RATE, BLUE, width=1.0),
+        line(error[start], sliding[start], "start", MEGAPASCAL_PER_SECOND, ORANGE, width=1.0),
+        line(error[steady], sliding[steady], last_seconds(run), MEGAPASCAL_PER_SECOND, BLUE, width=1.0),
     ]
-    width, height = largest_of(error[steady]), largest_of(sliding[steady])
+    width, height = largest_of(error[steady]), largest_of(sliding[steady]) * MEGAPASCAL_PER_SECOND.factor
     area = setting(run.metadata, "rig", "plant", "piston_area")
     bound = sliding_bound(run.metadata)
     if bound is not None and area is not None and known(run, "force_bound_n"):
         half = largest_of(run["force_bound_n"]) / area * MEGAPASCAL.factor
-        width, height = max(width, half), max(height, bound)
+        width, height = max(width, half), max(height, bound * MEGAPASCAL_PER_SECOND.factor)
         corners = np.array([[-half, -bound], [half, -bound], [half, bound], [-half, bound], [-half, -bound]])
-        region = line(corners[:, 0], corners[:, 1], "region of (44)", PAPER_PRESSURE_RATE, GREEN, width=1.6)
+        region = line(corners[:, 0], corners[:, 1], "region of (44)", MEGAPASCAL_PER_SECOND, GREEN, width=1.6)
         traces.insert(0, region | {"fill": "toself", "fillcolor": "rgba(0, 158, 115, 0.12)", "hoverinfo": "skip"})
     layout = plane_layout(
-        Axis("load pressure error e<sub>3</sub>", PAPER_PRESSURE, (-1.3 * width, 1.3 * width)),
-        Axis("s", PAPER_PRESSURE_RATE, (-1.3 * height, 1.3 * height)),
+        Axis("load pressure error e<sub>3</sub>", MEGAPASCAL, (-1.3 * width, 1.3 * width)),
+        Axis("s", MEGAPASCAL_PER_SECOND, (-1.3 * height, 1.3 * height)),
     )
     return Panel(title, traces, layout, height=340, over_time=False)
 

@@ -12,7 +12,7 @@ from ehls_ros.trajectory import Trajectory
 PLANE_SAMPLES = 10_000
 """Samples of a figure of one signal against another: a few periods."""
 
-UNUSED_AT_ZERO = frozenset({"e3_mpa", "s_mpa_s", "alpha", "beta", "delta_n", "force_error_n", "force_bound_n"})
+UNUSED_AT_ZERO = frozenset({"e3_pa", "s_pa_s", "alpha", "beta", "delta_n", "force_error_n", "force_bound_n"})
 """Signals that a controller without a sliding mode fills with zeros."""
 
 
@@ -53,9 +53,9 @@ def setting(metadata: Configuration, *keys: str) -> float | None:
 
 
 def sliding_bound(metadata: Configuration) -> float | None:
-    """Give the bound b/h of the sliding variable [MPa/s]; None if the controller has none."""
+    """Give the bound b/h of the sliding variable [Pa/s]; None if the controller has none."""
     b, h = setting(metadata, "spec", "controller", "b"), setting(metadata, "spec", "controller", "h")
-    return b / h if b is not None and h else None
+    return 1e6 * b / h if b is not None and h else None
 
 
 def _absence(run: Trajectory, name: str) -> str:

@@ -12,6 +12,7 @@ from ehls_msgs import msg
 from ehls_ros.nodes.codec import Decoder, Encoder
 
 PLAIN = [msg.LoaderState, msg.ValveCommand, msg.ForceReference, msg.PositionReference, msg.Disturbance, msg.ControllerStatus]
+SENDER = "/ehls/fasmc_node-4711"
 FRAMES = ["", "loader", "a", "ab", "abc", "abcdefg", "abcdefgh"]
 
 
@@ -24,9 +25,10 @@ def filled(kind, frame, seed=1):
     for name, field in kind.get_fields_and_field_types().items():
         if name == "header":
             continue
-        value = {"uint64": 2**60 + 7, "double": random.gauss(0, 1e5), "boolean": True}[field]
+        value = {"uint64": 2**60 + 7, "double": random.gauss(0, 1e5), "boolean": True, "string": SENDER}[field]
         setattr(message, name, value)
-        values.append(value)
+        if field != "string":
+            values.append(value)
     return message, values
 
 
@@ -35,7 +37,7 @@ def filled(kind, frame, seed=1):
 def test_encoder_writes_what_rclpy_writes(kind, frame):
     message, values = filled(kind, frame)
     stamp = 1_700_000_000_123_456_789
-    assert deserialize_message(Encoder(kind, frame)(stamp, *values), kind) == message
+    assert deserialize_message(Encoder(kind, frame, sender=SENDER)(stamp, *values), kind) == message
 
 
 @pytest.mark.parametrize("frame", FRAMES)
@@ -56,10 +58,18 @@ def test_sequences_are_written_and_the_numbers_before_them_read(elements):
     assert Decoder(msg.FrictionEstimate)(encoded) == (5, 9, 1.5, -2.5)
 
 
-def test_what_is_no_message_is_none():
-    decode = Decoder(msg.LoaderState)
-    whole = serialize_message(filled(msg.LoaderState, "loader")[0])
-    for length in range(len(whole)):
+@pytest.mark.parametrize("sender", ["", "a", "/ehls/fasmc_node-4711", "Größe"])
+def test_the_sender_of_a_command_is_read_after_its_numbers(sender):
+    command = msg.ValveCommand(cycle=3, spool=1e-3, sender=sender)
+    assert Decoder(msg.ValveCommand, sender=True)(serialize_message(command)) == (0, 3, 1e-3, sender)
+
+
+@pytest.mark.parametrize("kind", [msg.LoaderState, msg.ValveCommand])
+def test_what_is_no_message_is_none(kind):
+    decode = Decoder(kind, sender=kind is msg.ValveCommand)
+    whole = serialize_message(filled(kind, "loader")[0])
+    # A message may end with padding, but with no more than that.
+    for length in range(len(whole.rstrip(b"\0"))):
         assert decode(whole[:length]) is None
     random.seed(2)
     for _ in range(2000):
@@ -67,7 +77,7 @@ def test_what_is_no_message_is_none():
 
 
 def test_frame_lengths_of_strangers_do_not_fill_the_memory():
-    decode = Decoder(msg.ValveCommand)
+    decode = Decoder(msg.ValveCommand, sender=True)
     for length in range(5000):
         decode(b"\0\1\0\0" + bytes(8) + length.to_bytes(4, "little") + bytes(length))
     assert len(decode._formats) <= Decoder.MOST_FORMATS

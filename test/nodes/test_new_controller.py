@@ -20,6 +20,17 @@ from ehls_ros.nodes import node_names
 DEFAULT = 10
 """Depth of ROS's default profile, which is volatile."""
 
+LAUNCH_MODULES = (
+    "ament_index_python",
+    "ament_index_python.packages",
+    "launch",
+    "launch.actions",
+    "launch.launch_context",
+    "launch.substitutions",
+    "launch_ros",
+    "launch_ros.actions",
+    "launch_ros.parameter_descriptions",
+)
 SPEC = "reference: {name: constant, value: 1.0e+4}\ncontroller: {name: proportional, gain: 2.0e-7}\n"
 FORCE, WANTED = 9_000.0, 10_000.0
 
@@ -75,8 +86,7 @@ def installed(site, monkeypatch):
 @pytest.fixture
 def launch_file():
     """Return what the launch file defines; where there is no `launch`, it gets stand-ins that keep what they are given."""
-    names = ("launch", "launch.actions", "launch.launch_context", "launch.substitutions", "launch_ros", "launch_ros.actions")
-    stand_ins = {name: mock.MagicMock() for name in names}
+    stand_ins = {name: mock.MagicMock() for name in LAUNCH_MODULES}
     stand_ins["launch.substitutions"].LaunchConfiguration = lambda name: SimpleNamespace(perform=lambda chosen: chosen[name])
     stand_ins["launch_ros.actions"].Node = SimpleNamespace
     with mock.patch.dict(sys.modules, stand_ins):

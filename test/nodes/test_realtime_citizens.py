@@ -76,7 +76,7 @@ class SlowController:
         from ehls_ros.nodes.transport import Inbox, Outbox
 
         self.states = Inbox(participant.node, LoaderState, "loader_state")
-        self.commands = Outbox(participant.node, ValveCommand, "valve_command", frame_id="slow")
+        self.commands = Outbox(participant.node, ValveCommand, "valve_command", sender="slow")
 
     def turn(self) -> None:
         newest = None

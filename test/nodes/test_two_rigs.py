@@ -16,6 +16,7 @@ from ehls_ros.control.controllers.base import model_of
 from ehls_ros.experiments.loop import run_in_process, simulator_of
 from ehls_ros.experiments.spec import load_spec, spec_to_mapping
 from ehls_ros.nodes.ahead import LEAD
+from ehls_ros.nodes.frames import loader_frame
 from ehls_ros.nodes.transport import RECORDER_DEPTH, control_qos
 from ehls_ros.recording.topics import DEPTH
 
@@ -84,8 +85,10 @@ def test_two_rigs_in_lockstep_do_not_hear_each_other(graph, participant, specs):
             messages = heard[rig][topic][: CYCLES[rig]]
             assert [message.cycle for message in messages] == list(range(CYCLES[rig])), (rig, topic)
             assert np.array_equal([getattr(message, field) for message in messages], expected[signal]), (rig, topic)
-        senders = {message.header.frame_id.rpartition("-")[0] for message in heard[rig]["valve_command"]}
+        senders = {message.sender.rpartition("-")[0] for message in heard[rig]["valve_command"]}
         assert senders == {f"/{rig}/sic_node"}
+        frames = {message.header.frame_id for topic in TOPICS for message in heard[rig][topic]}
+        assert frames == {loader_frame(f"/{rig}")}
 
     assert participant.node.count_publishers("/clock") == participant.node.count_publishers("/rig2/clock") == 1
     tellers = {**dict.fromkeys(NODES, "ehls"), **{f"rig2/{name}": "rig2" for name in NODES}}

@@ -38,7 +38,7 @@ def told_node(name: str, message: Any, topic: str, first: str) -> Iterator[ToldN
     signal.signal(signal.SIGINT, lambda *_: stopping.set())
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(name, namespace="ehls")
-    inbox, outbox = Inbox(node, message, topic), Outbox(node, ValveCommand, "valve_command", frame_id=name)
+    inbox, outbox = Inbox(node, message, topic), Outbox(node, ValveCommand, "valve_command", sender=name)
     yield ToldNode(inbox, outbox, lambda: lines[-1], stopping)
     inbox.destroy()
     outbox.destroy()

@@ -9,7 +9,9 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys.store import Typestore
 
 from ehls_ros.recording.typestore import MESSAGE_FILES, typestore
 from ehls_ros.trajectory import SIGNALS, Trajectory
@@ -91,11 +93,12 @@ def valve_command(cycle: int, topic: str = "/ehls/valve_command", delay_ns: int 
     return message(topic, "ValveCommand", cycle, cycle * 10**6, cycle * 10**6 + delay_ns, fields)
 
 
-def serialized(message: Message) -> bytes:
-    """Serialize a message with rosbags."""
-    store = typestore()
-    kinds = {name: kind.name for name, (kind, _) in store.fielddefs[message.type][1]}
-    empty = {name: np.zeros(0) if kind == "SEQUENCE" else 0 for name, kind in kinds.items()}
+def serialized(message: Message, store: Typestore | None = None) -> bytes:
+    """Serialize a message with rosbags, as the types of a store; by default those of ehls_msgs."""
+    store = store or typestore()
+    texts = (Nodetype.BASE, ("string", 0))
+    kinds = dict(store.fielddefs[message.type][1])
+    empty = {name: "" if kind == texts else np.zeros(0) if kind[0] is Nodetype.SEQUENCE else 0 for name, kind in kinds.items()}
     content = store.types[message.type](**{**empty, **message.fields})
     return bytes(store.serialize_cdr(content, message.type))
 
@@ -119,6 +122,7 @@ def record(
     storage: str = "mcap",
     definitions: Mapping[str, tuple[str, str]] = MappingProxyType({}),
     compression: CompressionMode = CompressionMode.NONE,
+    store: Typestore | None = None,
 ) -> Path:
     """Record messages with plain rosbags, as another recorder would.
 
@@ -128,8 +132,9 @@ def record(
         storage: storage plugin.
         definitions: text and hash by type, if they differ from those of ehls_msgs.
         compression: what is compressed.
+        store: types of the messages, if they differ from those of ehls_msgs.
     """
-    store = typestore()
+    store = store or typestore()
     writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()])
     writer.set_compression(compression, CompressionFormat.ZSTD)
     with writer:
@@ -139,5 +144,5 @@ def record(
                 own = (definition_of(type_name), store.hash_rihs01(type_name))
                 definition, type_hash = definitions.get(type_name, own)
                 connections[topic] = writer.add_connection(topic, type_name, msgdef=definition, rihs01=type_hash)
-            writer.write(connections[topic], received_ns, serialized(Message(topic, type_name, received_ns, fields)))
+            writer.write(connections[topic], received_ns, serialized(Message(topic, type_name, received_ns, fields), store))
     return path

@@ -79,7 +79,7 @@ def test_one_flipped_bit_of_a_value_is_found(tmp_path: Path, storage: Storage, p
     write_trajectory(tmp_path / "bag", TRAJECTORY, storage)
     file = storage_file(tmp_path / "bag")
     content = bytearray(file.read_bytes())
-    content[content.index(TRAJECTORY["u2"][11].tobytes())] ^= 1
+    content[content.index(TRAJECTORY["u2_kg_pa_s2"][11].tobytes())] ^= 1
     file.write_bytes(content)
     path = file if part == "file" else tmp_path / "bag"
     found = "Chunk checksum mismatch" if storage == "mcap" else "/ehls/controller_status: messages have been altered"

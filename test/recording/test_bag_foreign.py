@@ -1,5 +1,6 @@
 """Bags of other recorders: some of the topics, other namespaces, other versions, failed runs."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ def test_some_topics_in_another_namespace_at_another_rate(tmp_path: Path, storag
     assert trajectory["force_n"].tolist() == [2.0 * k for k in cycles]
     assert trajectory["position_m"].tolist() == [-0.5 * k for k in cycles]
     assert trajectory["force_reference_n"].tolist() == [k + 0.25 for k in cycles]
-    assert not {"valve_command_m", "response_s", "friction_gms_n", "e3_mpa"} & set(trajectory.signals)
+    assert not {"valve_command_m", "response_s", "friction_gms_n", "e3_pa"} & set(trajectory.signals)
     assert trajectory.metadata == {}
 
 
@@ -180,6 +181,25 @@ def test_messages_of_another_version_are_read_by_the_definition_in_the_bag(tmp_p
     assert trajectory["force_n"].tolist() == [1.0, 2.0]
     assert trajectory["position_m"].tolist() == [0.0, 0.0]
     assert "oil_temperature_k" not in trajectory
+
+
+def test_a_status_from_before_it_named_its_sender_is_in_the_papers_units(tmp_path: Path):
+    """e3 in MPa and u1 in t MPa/s^2, in a command and a status without a sender."""
+    fields = {"e3": 0.5, "u1": 2.0, "force_error": 3.0}
+    status = message("/ehls/controller_status", "ControllerStatus", 0, 0, 0, fields)
+    run = [loader_state(0), valve_command(0, spool=1e-3), status]
+    store = get_typestore(Stores.ROS2_JAZZY)
+    definitions = {}
+    for kind in {each.type for each in run}:
+        text = re.sub(r"^string sender.*\n", "", definition_of(kind), flags=re.MULTILINE)
+        store.register(get_types_from_msg(text, kind))
+        definitions[kind] = text, store.hash_rihs01(kind)
+    read = read_bag(record(tmp_path / "present", run))
+    earlier = read_bag(record(tmp_path / "earlier", run, definitions=definitions, store=store))
+    assert [read[name].tolist() for name in ("e3_pa", "u1_kg_pa_s2")] == [[0.5], [2.0]]
+    assert [earlier[name].tolist() for name in ("e3_pa", "u1_kg_pa_s2")] == [[0.5e6], [2e9]]
+    for name in ("valve_command_m", "force_error_n", "response_s"):
+        assert earlier[name].tolist() == read[name].tolist()
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ def test_extreme_values_come_back(tmp_path: Path):
     [
         [],
         ["force_n"],
-        ["e3_mpa"],
+        ["e3_pa"],
         ["valve_command_m", "position_m"],
         ["position_m", "position_reference_m", "position_reference_rate_m_s", "position_reference_acceleration_m_s2"],
         ["friction_gms_n"],
@@ -148,6 +148,6 @@ def test_values_that_a_message_cannot_express_are_refused(tmp_path: Path, signal
 def test_topics_without_a_wanted_signal_are_left_out(tmp_path: Path):
     trajectory = make_trajectory()
     write_trajectory(tmp_path / "bag", trajectory)
-    read = read_bag(tmp_path / "bag", ("force_n", "valve_command_m", "e3_mpa"))
-    assert list(read.signals) == ["valve_command_m", "force_n", "e3_mpa"]
+    read = read_bag(tmp_path / "bag", ("force_n", "valve_command_m", "e3_pa"))
+    assert list(read.signals) == ["valve_command_m", "force_n", "e3_pa"]
     assert all(read[name].tobytes() == trajectory[name].tobytes() for name in read.signals)

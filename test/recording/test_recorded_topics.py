@@ -3,13 +3,16 @@ import pytest
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.recording.cdr import flatten
 from ehls_ros.recording.topics import (
+    CONTROLLER_STATUS,
     CYCLE_TOPICS,
     DIAGNOSTICS,
     LOADER_STATE,
     REFERENCE_TOPICS,
     RESPONSE,
+    SENDER,
     TELEMETRY_TOPICS,
     TOPICS,
+    VALVE_COMMAND,
     Topic,
     clock_topic,
     known_topic,
@@ -27,7 +30,8 @@ def test_every_signal_comes_from_one_field():
 @pytest.mark.parametrize("topic", CYCLE_TOPICS, ids=lambda topic: topic.name)
 def test_the_fields_of_a_cycle_topic_are_header_cycle_and_its_signals(topic: Topic):
     fields = [field.name for field in flatten(typestore().fielddefs, topic.type)]
-    assert fields == ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id", "cycle", *topic.signals]
+    sender = [SENDER] if topic in (VALVE_COMMAND, CONTROLLER_STATUS) else []
+    assert fields == ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id", "cycle", *topic.signals, *sender]
 
 
 def test_every_quantity_a_controller_follows_has_a_topic():

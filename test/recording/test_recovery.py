@@ -284,7 +284,7 @@ def test_a_message_moved_to_another_topic_is_dropped(tmp_path: Path, storage: St
 
 
 @STORAGE
-@pytest.mark.parametrize("start", [0, 4096, 40_000, -9000])
+@pytest.mark.parametrize("start", [256, 4096, 40_000, -9000])
 def test_an_overwritten_block_costs_only_its_messages(tmp_path: Path, storage: Storage, start: int):
     bag = cut_off(tmp_path / "bag", storage)
     file = storage_file(bag)
@@ -296,7 +296,7 @@ def test_an_overwritten_block_costs_only_its_messages(tmp_path: Path, storage: S
     recovery = recover(bag, tmp_path / "whole")
     recovered = set(forces(tmp_path / "whole"))
     assert recovered <= left
-    if storage == "mcap" and start == 0:
+    if storage == "mcap" and start == 256:
         # The first chunk has lost its header and its block of the ledger.
         assert recovered == set(range(100, 300))
     else:

@@ -27,10 +27,10 @@ TITLES = {
     "Position error": {"position_m", "position_reference_m"},
     "Estimated friction": {"friction_gms_n"},
     "Adaptation": {"delta_n"},
-    "Sliding variable": {"s_mpa_s"},
+    "Sliding variable": {"s_pa_s"},
     "Response of the loop": {"response_s"},
     "Distribution of the response": {"response_s"},
-    "Sliding plane": {"e3_mpa", "s_mpa_s"},
+    "Sliding plane": {"e3_pa", "s_pa_s"},
     "Friction against velocity": {"friction_gms_n", "velocity_m_s"},
     "Force against position": {"force_n", "position_m"},
 }
@@ -157,7 +157,7 @@ def test_a_loop_that_was_not_timed_has_no_response(report):
 
 def test_a_controller_without_sliding_mode_has_no_panels_of_zeros(report):
     run = make_run()
-    for name in ("s_mpa_s", "alpha", "beta", "delta_n", "force_bound_n"):
+    for name in ("s_pa_s", "alpha", "beta", "delta_n", "force_bound_n"):
         run[name][:] = 0.0
     html = report(run)
     assert set(TITLES) - set(panels(html)) == {"Adaptation", "Sliding variable", "Sliding plane"}

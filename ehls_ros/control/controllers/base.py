@@ -18,12 +18,19 @@ without winding up, and finite whatever the measurement; a measurement that is n
 import math
 from typing import Any, Literal, NamedTuple, Protocol
 
+import numpy as np
+
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 
 E3, S, ALPHA, BETA, DELTA, U1, U2, U3, FORCE_ERROR, FORCE_BOUND, SATURATED, STATUS_SIZE = range(12)
-"""Where a status holds its quantities, with the units of the ControllerStatus message; and its size."""
+"""Where a status holds its quantities; and its size. Pressures and masses are in the paper's units, MPa and t."""
+
+STATUS_TO_SI = np.ones(STATUS_SIZE)
+"""SI value of one unit of each quantity, for messages and recordings."""
+STATUS_TO_SI[[E3, S]] = 1e6
+STATUS_TO_SI[[U1, U2, U3]] = 1e9
 
 ELEMENTS_FORCE, VISCOUS_FORCE = 0, 1
 """Where a friction estimate holds its two forces."""
