@@ -184,5 +184,7 @@ def _help(parameters: Any, location: tuple[str, ...]) -> str:
     for declared in declarations(parameters):
         if declared.name == location[-1] and declared.description:
             unit = f" [{declared.unit}]" if declared.unit else ""
-            return f"({declared.description}{unit})"
+            bounded = declared.minimum is not None and declared.maximum is not None
+            span = f", {declared.minimum:g} to {declared.maximum:g}" if bounded else ""
+            return f"({declared.description}{unit}{span})"
     return ""

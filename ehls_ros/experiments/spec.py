@@ -15,6 +15,7 @@ from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.files import config_folder
 from ehls_ros.physics.plausibility import WARNING_FACTOR, check_ranges, check_rig, check_signal, check_step
 from ehls_ros.physics.rig import Rig, effects_from_list, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP
@@ -109,6 +110,38 @@ def load_spec(path: Path, rig: Path | None = None) -> Spec:
     spec = spec_from_mapping(data, str(path), path.parent)
     check_spec(spec, str(rig or path))
     return spec
+
+
+def chosen_spec(spec: str, rig: str) -> Spec:
+    """Read the experiment that a node or a launch was given.
+
+    Args:
+        spec: experiment file; empty: the 10 kN sine that comes with the package.
+        rig: rig file in place of the experiment's; empty: none.
+
+    Raises:
+        BadInput: a file or one of its keys is wrong.
+    """
+    path = Path(spec) if spec else config_folder() / "experiments" / "sine_fd2.yaml"
+    return load_spec(path, Path(rig) if rig else None)
+
+
+def check_law(spec: Spec, law: str, where: str) -> None:
+    """Check that a controller can take the place of an experiment's.
+
+    Args:
+        spec: the experiment.
+        law: name of the controller.
+        where: who chose it, for errors.
+
+    Raises:
+        BadInput: it does not serve the rig's friction model, or follows a force where the reference is a position.
+    """
+    check_serves(CONTROLLERS, law, spec.controller_rig, where)
+    follows, meant_for = (CONTROLLERS.load(name).FOLLOWS for name in (law, spec.controller.name))
+    if meant_for != follows:
+        what = f"the spec's reference is a {meant_for} for {spec.controller.name}"
+        raise BadInput(what, where, f"a spec whose controller follows a {follows}, as {law} does")
 
 
 def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
