@@ -1,7 +1,7 @@
 """Time stamps of the cycles: evenly spaced, as the samples are, and never far from the clock of the graph."""
 
-FAR = 0.5
-"""Distance between stamps and clock at which the stamps are set to the clock [s]: a loop that is merely late stays below."""
+FAR = 1.0
+"""Distance between stamps and clock at which the stamps are set to the clock [s]: much more than one late cycle."""
 
 
 class Stamps:
