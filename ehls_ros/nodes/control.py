@@ -264,7 +264,8 @@ class ControlNode(DeclaredParameters):
             return OK, "unconfigured", {}
         level, message, figures = self.health()
         if level == OK and self._active.is_set() and self.now_ns() is None:
-            level, message = WARN, f"{USE_SIM_TIME} is set, but no time arrives on {CLOCK_TOPIC}"
+            # In lockstep the plant brings the time, and comes last.
+            level, message = OK if self.lockstep else WARN, f"{USE_SIM_TIME} is set, but no time arrives on {CLOCK_TOPIC}"
         if self.courtesy is not None:
             figures = {**figures, **self.courtesy.figures()}
             if self.courtesy.complaint:
@@ -293,9 +294,15 @@ class ControlNode(DeclaredParameters):
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
         if (level, message) != self._reported and level != OK:
-            log = self.get_logger().error if level == ERROR else self.get_logger().warning
-            log(f"{message}{self.advice()}")
+            self._complain(level, f"{message}{self.advice()}")
         self._reported = (level, message)
+
+    def _complain(self, level: bytes, message: str) -> None:
+        # rclpy ties each place in the code to the severity of its first call.
+        if level == ERROR:
+            self.get_logger().error(message)
+        else:
+            self.get_logger().warning(message)
 
     def report_change(self) -> None:
         """Publish diagnostics at once if level or message have changed."""
