@@ -121,7 +121,9 @@ def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> 
     for key, hint in hints.items():
         _, note = _annotated(hint)
         unit = f" [{note.unit}]" if note.unit else ""
-        explained = f" ({note.description}{unit})" if note.description else ""
+        low = note.above if note.minimum is None else note.minimum
+        span = "" if low is None or note.maximum is None else f", {low:g} to {note.maximum:g}"
+        explained = f" ({note.description}{unit}{span})" if note.description else ""
         if key in data:
             try:
                 values[key] = fitted(hint, data[key])

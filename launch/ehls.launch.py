@@ -1,7 +1,8 @@
-"""The complete graph: ``ros2 launch ehls_ros ehls.launch.py plant:=sim controller:=fasmc rig:=config/rig_paper.yaml``.
+"""The complete graph: ``ros2 launch ehls_ros ehls.launch.py plant:=sim spec:=config/experiments/sine_fd2.yaml``.
 
-A node can be left out (``without:=fasmc_node``) and started by hand instead. A second rig runs beside the first in its own
-namespace (``namespace:=rig2``): only /diagnostics is shared, where its nodes are named ``rig2/...``.
+The plant starts last, once its partners are active. A node can be left out (``without:=fasmc_node``) and started by hand
+instead. A second rig runs beside the first in its own namespace (``namespace:=rig2``): only /diagnostics is shared, where its
+nodes are named ``rig2/...``, and in lockstep it needs its own ``clock:=/rig2/clock``.
 """
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
@@ -12,7 +13,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.experiments.spec import chosen_spec
+from ehls_ros.experiments.spec import check_law, chosen_spec
 from ehls_ros.nodes.frames import frame_prefix, robot_description
 from launch import LaunchDescription
 
@@ -20,19 +21,24 @@ ARGUMENTS = {
     "plant": ("sim", "sim: the simulated rig; bridge: the real one", ["sim", "bridge"]),
     "bridge": ("", "bridge file for plant:=bridge: DAQ backend, channels, calibration; empty: UDP to this host", None),
     "controller": (
-        "fasmc",
-        "control law; it must follow what the spec's reference is, a force or a position",
-        list(CONTROLLERS.names()),
+        "",
+        "control law; it must follow what the spec's reference is, a force or a position; empty: the spec's",
+        ["", *CONTROLLERS.names()],
     ),
     "rig": ("", "rig file in place of the spec's", None),
     "spec": ("", "experiment file; empty: the 10 kN sine that comes with the package", None),
     "timing": (
         "realtime",
-        "realtime: wall clock; lockstep: deterministic, as fast as the machine goes",
+        "realtime: wall clock; lockstep: deterministic, as fast as the machine goes, with the time on the clock topic",
         ["realtime", "lockstep"],
     ),
+    "use_sim_time": ("false", "in realtime: the time is that of the clock topic; in lockstep it always is", ["true", "false"]),
+    "clock": ("/clock", "clock topic", None),
     "priority": ("0", "in realtime: SCHED_FIFO priority of the nodes, 1 to 99; 0: none", None),
+    "params_file": ("", "ROS parameter file for all nodes; arguments given here take precedence", None),
+    "autostart": ("true", "configure and activate the nodes; false: wait for lifecycle requests", ["true", "false"]),
     "namespace": ("ehls", "namespace of nodes and topics; a second rig needs its own, such as rig2", None),
+    "log_level": ("info", "least severity that is logged: debug, info, warn, error or fatal", None),
     "record": ("", "folder to record a bag into; empty: no recording", None),
     "frames": (
         "true",
@@ -48,31 +54,43 @@ ROBOT_STATE_PUBLISHER = "robot_state_publisher"
 
 
 def nodes(context: LaunchContext) -> list[Node]:
-    """Return the nodes that the arguments select."""
+    """Return the nodes that the arguments select.
+
+    Raises:
+        BadInput: the spec is wrong, or the controller cannot follow its reference.
+    """
     chosen = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    common = {"spec": chosen["spec"], "rig": chosen["rig"], "timing": chosen["timing"], "priority": int(chosen["priority"])}
-    controller = f"{chosen['controller']}_node"
-    own: dict[str, dict[str, object]] = {
-        "reference_node": {},
-        "friction_estimator_node": {},
-        controller: {},
-        PLANTS[chosen["plant"]]: {},
-    }
-    if chosen["plant"] == "bridge":
-        own[PLANTS["bridge"]]["bridge"] = chosen["bridge"]
+    spec = chosen_spec(chosen["spec"], chosen["rig"])
+    law = chosen["controller"] or spec.controller.name
+    check_law(spec, law, "controller")
+    if chosen["timing"] == "lockstep":
+        chosen["use_sim_time"] = "true"
+    common: dict[str, object] = {name: chosen[name] for name in ("spec", "rig", "timing")}
+    common["priority"] = int(chosen["priority"])
+    common |= {name: chosen[name] == "true" for name in ("autostart", "use_sim_time")}
+    # An argument that was not given leaves the parameter to the file.
+    common = {name: value for name, value in common.items() if chosen[name] != ARGUMENTS[name][0]}
+    controller, plant = f"{law}_node", PLANTS[chosen["plant"]]
+    own: dict[str, dict[str, object]] = {"reference_node": {}, "friction_estimator_node": {}, controller: {}}
     if chosen["plant"] == "sim":
         own["disturbance_node"] = {}
     if chosen["record"]:
         own["recorder_node"] = {"bag": chosen["record"]}
     left_out = set(chosen["without"].split(","))
+    own[plant] = {"partners": ",".join(name for name in own if name not in left_out)}
+    if chosen["bridge"]:
+        own[plant]["bridge"] = chosen["bridge"]
     return [
         Node(
             package="ehls_ros",
             # A controller of another package has no executable in this one; `ehls run` starts any.
             executable="ehls" if name == controller else name,
             arguments=["run", name] if name == controller else [],
+            name=name,
             namespace=chosen["namespace"],
-            parameters=[{**common, **parameters}],
+            parameters=[*filter(None, [chosen["params_file"]]), {**common, **parameters}],
+            remappings=[("/clock", chosen["clock"])],
+            ros_arguments=["--log-level", chosen["log_level"]],
             output="screen",
         )
         for name, parameters in own.items()

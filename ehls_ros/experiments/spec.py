@@ -126,6 +126,24 @@ def chosen_spec(spec: str, rig: str) -> Spec:
     return load_spec(path, Path(rig) if rig else None)
 
 
+def check_law(spec: Spec, law: str, where: str) -> None:
+    """Check that a controller can take the place of an experiment's.
+
+    Args:
+        spec: the experiment.
+        law: name of the controller.
+        where: who chose it, for errors.
+
+    Raises:
+        BadInput: it does not serve the rig's friction model, or follows a force where the reference is a position.
+    """
+    check_serves(CONTROLLERS, law, spec.controller_rig, where)
+    follows, meant_for = (CONTROLLERS.load(name).FOLLOWS for name in (law, spec.controller.name))
+    if meant_for != follows:
+        what = f"the spec's reference is a {meant_for} for {spec.controller.name}"
+        raise BadInput(what, where, f"a spec whose controller follows a {follows}, as {law} does")
+
+
 def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
     """Check a spec's content and build the spec.
 

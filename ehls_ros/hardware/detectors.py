@@ -98,10 +98,13 @@ class Detector:
             self.raised = False
             self.lasted = 0.0
             return
-        self.limit = limit
         self.lasted += elapsed
+        if self.raised:
+            # Value and limit are those of the moment it was raised: of the same signal, in the same unit.
+            return
+        self.limit = limit
         # Rounding of the clock must not add a cycle.
-        if not self.raised and self.lasted >= lasting - 1e-9:
+        if self.lasted >= lasting - 1e-9:
             self.raised = True
             self.value = value
             self.count += 1

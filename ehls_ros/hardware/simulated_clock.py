@@ -10,8 +10,9 @@ from ehls_ros.hardware.pace import Pace
 BEARABLE = 2
 """Unanswered cycles in a row after which simulated time waits; a delay of three makes the law unstable (docs/measured.md)."""
 
-HOPE = 0.1
-"""Longest wait for an answer; after that the controller is taken to be gone [s]."""
+HOPE = 2.0
+"""Longest wait for an answer; after that the controller is taken to be gone [s]. A busy computer may well stop it for half a
+second, and a loop that goes on without it diverges within a few cycles."""
 
 SPARE = 0.25
 """Idle time after an awaited answer, as a fraction of the time it took."""
@@ -48,12 +49,13 @@ class SimulatedClock:
         self.late = 0
         self.pace = Pace()
 
-    def remaining(self, now: float, *, answered: bool) -> float:
+    def remaining(self, now: float, *, answered: bool, present: bool = True) -> float:
         """Return the longest time the cycle may still last if no answer comes [s]; 0: end it now.
 
         Args:
             now: current time.
             answered: whether the cycle has been answered.
+            present: whether there is a controller to wait for.
         """
         if now < self._end:
             return self._end - now
@@ -62,7 +64,7 @@ class SimulatedClock:
             if self._rested is None:
                 self._rested = now + SPARE * (now - self._began)
             return max(0.0, self._rested - now)
-        if answered or not self.waiting or now >= self._end + HOPE:
+        if answered or not (self.waiting and present) or now >= self._end + HOPE:
             return 0.0
         self._overdue = True
         return self._end + HOPE - now

@@ -9,7 +9,7 @@ from rosgraph_msgs.msg import Clock
 
 from ehls_msgs.msg import LoaderState
 from ehls_ros.nodes.codec import NANOSECONDS
-from ehls_ros.nodes.control import OK, WAIT, ControlNode
+from ehls_ros.nodes.control import CLOCK_TOPIC, OK, WAIT, ControlNode
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, newest_qos
 
 LEAD = 200
@@ -50,7 +50,7 @@ class AheadNode(ControlNode):
         if self.lead == 1:
             self.progress = Inbox(self, LoaderState, "loader_state")
         elif self.lockstep:
-            self.progress = Inbox(self, Clock, self.clock_topic, control_qos(1), self._cycle_of_clock)
+            self.progress = Inbox(self, Clock, CLOCK_TOPIC, control_qos(1), self._cycle_of_clock)
         else:
             self.progress = Inbox(self, LoaderState, "loader_state", newest_qos())
         self.waiter = Waiter([self.progress])
@@ -72,6 +72,8 @@ class AheadNode(ControlNode):
 
     def start(self) -> None:
         """Publish the rows needed before the first snapshot."""
+        # In realtime the first cycles are not known to have begun: they are taken to begin now.
+        self.epoch_ns = 0 if self.lockstep else self.now_ns() or 0
         self._publish_to(self.lead - 1, None)
 
     def once(self) -> None:

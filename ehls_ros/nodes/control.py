@@ -16,9 +16,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
 from rclpy.experimental import EventsExecutor
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from ehls_ros.errors import BadInput
@@ -26,12 +28,19 @@ from ehls_ros.experiments.spec import chosen_spec
 from ehls_ros.hardware.courtesy import Courtesy, statistics_of
 from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups
 from ehls_ros.nodes.mismatches import Mismatches
-from ehls_ros.nodes.parameters import declare, refuse_unknown
+from ehls_ros.nodes.parameters import DeclaredParameters, declare
 from ehls_ros.process import end
+from ehls_ros.recording.topics import CLOCK
 from ehls_ros.schema import quantity, text
 
 NAMESPACE = "ehls"
 """Default namespace of the nodes; a launch file or `-r __ns:=` may set another."""
+
+CLOCK_TOPIC = CLOCK.name
+"""Topic of the time, in lockstep and with use_sim_time; rclpy reads it under this name, and `-r` gives another."""
+
+USE_SIM_TIME = "use_sim_time"
+"""Parameter of every ROS node: its time is that of the clock topic."""
 
 LOCKSTEP, REALTIME = TIMINGS = ("lockstep", "realtime")
 """Timing modes."""
@@ -74,7 +83,7 @@ class Common(NamedTuple):
     autostart: Annotated[bool, text("configure and activate at start; false: wait for lifecycle requests")] = True
 
 
-class ControlNode(LifecycleNode):
+class ControlNode(DeclaredParameters):
     """A lifecycle node whose loop runs in the main thread while it is active.
 
     Subclasses implement :meth:`prepare`, :meth:`start`, :meth:`once`, :meth:`stop`, :meth:`release` and
@@ -97,6 +106,9 @@ class ControlNode(LifecycleNode):
         if timing not in TIMINGS:
             raise BadInput(f"timing is '{timing}'", self.get_name(), f"one of {', '.join(TIMINGS)}")
         self.lockstep = timing == LOCKSTEP
+        if self.lockstep:
+            # The plant's cycles are the only clock of such a graph.
+            self.set_parameters([Parameter(USE_SIM_TIME, value=True)])
         self.configured = False
         self.not_permitted: tuple[str, ...] = ()
         self.courtesy: Courtesy | None = None
@@ -108,14 +120,13 @@ class ControlNode(LifecycleNode):
         self._beaten = False
         self._mismatches = Mismatches(self)
         # Steady time: ROS time may stop.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0, self._look_around, clock=steady)
-        self.create_timer(BEAT, self._beat, clock=steady)
+        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self._look_around, clock=self.steady)
+        self.create_timer(BEAT, self._beat, clock=self.steady)
 
-    @property
-    def clock_topic(self) -> str:
-        """Topic of the cycles' time. /clock serves the entire ROS graph, so a rig in another namespace has its own."""
-        return "/clock" if self.get_namespace() == f"/{NAMESPACE}" else "clock"
+    def now_ns(self) -> int | None:
+        """Return the time of the node's clock [ns]: the system's or, with use_sim_time, /clock's; None before the first."""
+        return self.get_clock().now().nanoseconds or None
 
     def text_parameter(self, name: str) -> str:
         """Return a text parameter's value."""
@@ -202,8 +213,12 @@ class ControlNode(LifecycleNode):
                 self.courtesy.close()
                 self.courtesy = None
 
-    def bring_up(self) -> bool:
-        """Configure and activate; return whether both succeeded. If not, the log has the reason."""
+    def bring_up(self, stopping: threading.Event) -> bool:
+        """Configure and activate; return whether both succeeded. If not, the log has the reason.
+
+        Args:
+            stopping: is set when the node is told to stop meanwhile.
+        """
         success = TransitionCallbackReturn.SUCCESS
         return bool(self.trigger_configure() == success and self.trigger_activate() == success)
 
@@ -255,6 +270,9 @@ class ControlNode(LifecycleNode):
         if not self.configured:
             return OK, "unconfigured", {}
         level, message, figures = self.health()
+        if level == OK and self._active.is_set() and self.now_ns() is None:
+            # In lockstep the plant brings the time, and comes last.
+            level, message = OK if self.lockstep else WARN, f"{USE_SIM_TIME} is set, but no time arrives on {CLOCK_TOPIC}"
         if self.courtesy is not None:
             figures = {**figures, **self.courtesy.figures()}
             if self.courtesy.complaint:
@@ -267,6 +285,10 @@ class ControlNode(LifecycleNode):
             message,
             {**figures, **{f"{key}_{i}": text for key, texts in lists.items() for i, text in enumerate(texts, 1)}},
         )
+
+    def advice(self) -> str:
+        """Return what the log adds to a complaint; nothing if there is no remedy to type."""
+        return ""
 
     def report(self) -> None:
         """Publish diagnostics."""
@@ -286,8 +308,15 @@ class ControlNode(LifecycleNode):
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
         if (level, message) != self._reported and level != OK:
-            self.get_logger().warning(message)
+            self._complain(level, f"{message}{self.advice()}")
         self._reported = (level, message)
+
+    def _complain(self, level: bytes, message: str) -> None:
+        # rclpy ties each place in the code to the severity of its first call.
+        if level == ERROR:
+            self.get_logger().error(message)
+        else:
+            self.get_logger().warning(message)
 
     def report_change(self) -> None:
         """Publish diagnostics at once if level or message have changed."""
@@ -361,8 +390,18 @@ def _made(make: Callable[[], ControlNode]) -> tuple[ControlNode | None, str]:
     """Return a node, or what is wrong with its parameters; as a function, it leaves no reference to a failed node."""
     try:
         return make(), ""
-    except BadInput as error:
+    except (BadInput, ParameterException) as error:
         return None, str(error)
+
+
+def _joined() -> str:
+    """Join the ROS graph; return what is wrong with the arguments or files of `--ros-args`, or an empty string."""
+    try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        # What follows the first place in rcl's sources helps nobody.
+        return str(error).partition(", at /")[0]
+    return ""
 
 
 def run_node(make: Callable[[], ControlNode]) -> NoReturn:
@@ -379,20 +418,19 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
         signal.signal(number, lambda *_: stopping.set())
     # However the node is started, it is visible on this host only unless the variable says otherwise.
     os.environ[DISCOVERY_RANGE] = os.environ.get(DISCOVERY_RANGE) or "LOCALHOST"
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node, complaint = _made(make)
+    complaint = _joined()
+    node, complaint = (None, complaint) if complaint else _made(make)
     if node is None:
         print(complaint, file=sys.stderr)
         gc.collect()
         rclpy.try_shutdown()
         end(2)
-    refuse_unknown(node)
     for service in node.services:
         survive_requests(node, service)
     services = _Services(node, stopping)
     code = 0
     try:
-        if not node.get_parameter("autostart").value or node.bring_up():
+        if not node.get_parameter("autostart").value or node.bring_up(stopping):
             node.get_logger().info("up")
             node.work(stopping)
         else:

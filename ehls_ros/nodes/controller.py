@@ -17,8 +17,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import SATURATED, STATUS_TO_SI, model_of
 from ehls_ros.control.cycles import Cycles, Ready
 from ehls_ros.control.friction_estimator import FrictionEstimator
-from ehls_ros.control.serving import check_serves
-from ehls_ros.errors import BadInput
+from ehls_ros.experiments.spec import check_law
 from ehls_ros.nodes.control import OK, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
@@ -65,12 +64,8 @@ class ControllerNode(ControlNode):
         self.friction_patience = LOCKSTEP_PATIENCE if self.lockstep else float(self.get_parameter("friction_patience").value)
         self.law = law
         self.kind = CONTROLLERS.load(law)
-        check_serves(CONTROLLERS, law, self.spec.controller_rig, self.get_name())
+        check_law(self.spec, law, self.get_name())
         given = self.spec.controller
-        meant_for = CONTROLLERS.load(given.name).FOLLOWS
-        if meant_for != self.kind.FOLLOWS:
-            what = f"the spec's reference is a {meant_for} for {given.name}"
-            raise BadInput(what, self.get_name(), f"a spec whose controller follows a {self.kind.FOLLOWS}, as {law} does")
         values = given.parameters._asdict() if given.name == law else {}
         declare(self, self.kind.Parameters, values, live=True)
         self.tuning = values_of(self, self.kind.Parameters, self.get_name())

@@ -22,7 +22,6 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
-from rclpy.time import Time
 from rclpy.validate_namespace import validate_namespace
 from std_srvs.srv import SetBool, Trigger
 
@@ -384,10 +383,10 @@ class Link:
                 continue
             # Another publisher's message may hold invalid UTF-8.
             with contextlib.suppress(UnicodeDecodeError):
-                self._note(deserialize_message(report, DiagnosticArray))
+                self._note(deserialize_message(report, DiagnosticArray), taken[1]["source_timestamp"])
 
-    def _note(self, array: DiagnosticArray) -> None:
-        now, sent_ns = time.monotonic(), Time.from_msg(array.header.stamp).nanoseconds
+    def _note(self, array: DiagnosticArray, sent_ns: int) -> None:
+        now = time.monotonic()
         with self._lock:
             for status in array.status:
                 name = line(status.name.removeprefix(f"{self.namespace}/"), NAME)

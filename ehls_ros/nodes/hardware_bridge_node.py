@@ -95,7 +95,7 @@ class HardwareBridgeNode(PlantNode):
     def start(self) -> None:
         """Begin with the next sample, disabled."""
         self.first = self.cycle + 1
-        self.set_epoch(self.first)
+        self.begin_stamps(self.first)
         self.samples.begin()
         self._reset_counts()
         self.gate.begin()

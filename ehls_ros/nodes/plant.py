@@ -4,11 +4,16 @@
 """
 
 import math
+import threading
 import time
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
+from rclpy.client import Client
+from rclpy.lifecycle import TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
@@ -18,20 +23,24 @@ from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.hardware.gate_bounds import Bound
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
 from ehls_ros.hardware.safety_gate import STOP_TIME, Gate
-from ehls_ros.nodes.codec import NANOSECONDS, Decoder
-from ehls_ros.nodes.control import OK, WARN, ControlNode
+from ehls_ros.hardware.stamps import Stamps
+from ehls_ros.nodes.codec import Decoder
+from ehls_ros.nodes.control import CLOCK_TOPIC, OK, WAIT, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos
 from ehls_ros.recording.topics import DRIVING
-from ehls_ros.schema import quantity
+from ehls_ros.schema import quantity, text
 
 CLOCK_CYCLES = 10
 """Cycles between two clock messages in lockstep; nodes that run ahead of the cycles follow the clock."""
 
 PATIENCE = 1.0
 """Time without an answer after which diagnostics report it [s]."""
+
+ASK_AGAIN = 1.0
+"""Time after which a partner that has not answered is asked again [s]."""
 
 KEPT = 4000
 """Most force references kept for future cycles."""
@@ -44,6 +53,7 @@ class Parameters(NamedTuple):
     telemetry_rate: Annotated[
         float, quantity("Hz", "rate of the messages for standard tools, such as joint_states", minimum=0.0, maximum=1e3)
     ] = 50.0
+    partners: Annotated[str, text("nodes, separated by commas, that must be active before autostart activates this one")] = ""
 
 
 class PlantNode(ControlNode):
@@ -71,14 +81,34 @@ class PlantNode(ControlNode):
         rig, self.sensed = self.spec.rig, self.measured()
         sound = Gate(rig, self.period, None, self.sensed, bounds=self.gate_bounds).parameters
         declare(self, GateParameters, {**sound._asdict(), **self.gate_defaults}, live=True)
+        self.awaited: tuple[str, ...] = ()
         self.gate = Gate(rig, self.period, values_of(self, GateParameters, name), self.sensed, bounds=self.gate_bounds)
         self.told_gate: tuple[str, int] | None = None
         follow(self, GateParameters, self._retune, self.gate.objection)
-        self._ending = self.create_timer(0.0, self._leave, autostart=False)
+        self._ending = self.create_timer(0.0, self._leave, autostart=False, clock=self.steady)
         self.create_service(Trigger, "emergency_stop", self._on_emergency_stop)
         self.create_service(AcknowledgeStop, "acknowledge_stop", self._on_acknowledge)
         self.create_service(Trigger, "reset_trips", self._on_reset)
         self.create_service(SetBool, "enable", self._on_enable)
+
+    def bring_up(self, stopping: threading.Event) -> bool:
+        """Configure; activate once the partners are active, so that the first cycle finds all who answer it."""
+        if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
+            return False
+        self.awaited = tuple(filter(None, self.text_parameter("partners").split(",")))
+        states = {name: self.create_client(GetState, f"{name}/get_state") for name in self.awaited}
+        while self.awaited and not stopping.is_set():
+            self.awaited = tuple(name for name in self.awaited if not self._is_active(states[name]))
+        return stopping.is_set() or self.trigger_activate() == TransitionCallbackReturn.SUCCESS
+
+    def _is_active(self, client: Client) -> bool:
+        """Ask a node for its state; an answer that is late or lost is asked for again."""
+        if not client.wait_for_service(WAIT):
+            return False
+        answered = threading.Event()
+        future = client.call_async(GetState.Request())
+        future.add_done_callback(lambda _: answered.set())
+        return answered.wait(ASK_AGAIN) and future.result().current_state.id == State.PRIMARY_STATE_ACTIVE
 
     def measured(self) -> Collection[str]:
         """Return the signals of ``SENSED`` that the rig measures; called once, by the constructor."""
@@ -98,7 +128,8 @@ class PlantNode(ControlNode):
         self.answer = Waiter([self.commands])
         self.driving = self.create_publisher(Bool, DRIVING.name, control_qos(1))
         self.told_driving: bool | None = None
-        self.clock = self.create_publisher(Clock, self.clock_topic, control_qos(1)) if self.lockstep else None
+        self.clock = self.create_publisher(Clock, CLOCK_TOPIC, control_qos(1)) if self.lockstep else None
+        self.stamps = Stamps(self.period)
         self.telemetry = Telemetry(self, float(self.get_parameter("telemetry_rate").value), self.sensed)
 
     def release(self) -> None:
@@ -110,13 +141,23 @@ class PlantNode(ControlNode):
         if self.clock is not None:
             self.destroy_publisher(self.clock)
 
-    def set_epoch(self, cycle: int) -> None:
-        """Anchor the time stamps to the wall clock, or in lockstep to cycle 0.
+    def begin_stamps(self, cycle: int) -> None:
+        """Anchor the time stamps to the node's clock; in lockstep cycle 0 is at time 0.
 
         Args:
             cycle: the cycle that begins now.
         """
-        self.epoch_ns = 0 if self.lockstep else time.time_ns() - cycle * round(self.period * NANOSECONDS)
+        if not self.lockstep:
+            self.stamps.begin(cycle, self.now_ns() or 0)
+
+    def _stamp_of(self, cycle: int) -> int:
+        """Return the stamp of a cycle that begins now [ns], and say so if the clock has left the stamps behind."""
+        jumps = self.stamps.jumps
+        stamp_ns = self.stamps.of(cycle, None if self.lockstep else self.now_ns())
+        if self.stamps.jumps != jumps:
+            why = "this process was held up, or the clock was set"
+            self.get_logger().warning(f"header stamps jump by {self.stamps.jump:+.3f} s to the clock's time: {why}")
+        return stamp_ns
 
     def publish(self, cycle: int, signals: Sequence[float], **sample: Any) -> None:
         """Open a cycle: pass a snapshot to the gate and the graph.
@@ -131,7 +172,7 @@ class PlantNode(ControlNode):
         if len(self.references) > KEPT:
             self.references = {k: force for k, force in self.references.items() if k >= cycle}
         self.gate.sense(cycle, signals, self.references.pop(cycle, math.nan), **sample)
-        stamp_ns = self.epoch_ns + round(cycle * self.period * NANOSECONDS)
+        stamp_ns = self._stamp_of(cycle)
         self.published = time.perf_counter()
         self.asked = self.published
         self.state.send(stamp_ns, cycle, *signals)
@@ -220,6 +261,15 @@ class PlantNode(ControlNode):
         """Return why the gate must stay closed, for reasons outside the gate; None if it may open."""
         return None
 
+    def advice(self) -> str:
+        """Return the commands that lead on after a trip, for the log."""
+        if not self.gate.causes:
+            return ""
+        call, stop = f"ros2 service call {self.get_namespace().rstrip('/')}", self.gate.stop
+        acknowledge = [f'{call}/acknowledge_stop ehls_msgs/srv/AcknowledgeStop "{{stop: {stop}}}"'] if stop else []
+        reset = [f"{call}/reset_trips std_srvs/srv/Trigger", f'{call}/enable std_srvs/srv/SetBool "{{data: true}}"']
+        return f": {' && '.join([*acknowledge, *reset])}"
+
     def _answered(self, response: Any, refusal: str | None, message: str) -> Any:
         """Fill in a service's response, and publish diagnostics at once."""
         response.success, response.message = refusal is None, refusal or message
@@ -229,7 +279,7 @@ class PlantNode(ControlNode):
 
     def figures(self) -> dict[str, Any]:
         """Return values for diagnostics; subclasses add theirs."""
-        return {"cycles": self.cycles, "missed": self.missed, **self.latency.figures()}
+        return {"cycles": self.cycles, "missed": self.missed, **self.stamps.figures(), **self.latency.figures()}
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Report the gate's state; if that is OK, the state of the cycles."""
@@ -238,12 +288,14 @@ class PlantNode(ControlNode):
         if level:
             return bytes([level]), state, figures
         if not self._active.is_set():
-            return OK, "inactive", figures
+            return (WARN, f"waiting for {', '.join(self.awaited)}", figures) if self.awaited else (OK, "inactive", figures)
         complaint = self._complaint()
         return (WARN, complaint, figures) if complaint else (OK, state, figures)
 
     def _complaint(self) -> str:
-        """Return what is wrong with the answers; empty if nothing is."""
+        """Return what is wrong with the answers or the clock; empty if nothing is."""
+        if self.lockstep and self.count_publishers(CLOCK_TOPIC) > 1:
+            return f"another node publishes {CLOCK_TOPIC}: start one of the two graphs with -r {CLOCK_TOPIC}:=/another/name"
         if self.lockstep and time.perf_counter() - self.published > PATIENCE:
             return "waiting for the controller's answer or the disturbance"
         if self.answered < 0:

@@ -55,7 +55,7 @@ class PlantSimNode(PlantNode):
 
     def start(self) -> None:
         """Publish the first snapshot."""
-        self.set_epoch(self.cycle)
+        self.begin_stamps(self.cycle)
         self.time = SimulatedClock(self.period, time.perf_counter())
         self.gate.begin()
         self._tell_driving()
@@ -82,7 +82,8 @@ class PlantSimNode(PlantNode):
             self.ask_again(self.cycle)
 
     def _once_realtime(self) -> None:
-        remaining = self.time.remaining(time.perf_counter(), answered=self.answered == self.cycle)
+        present = not self.time.waiting or self.commands.handle.get_publisher_count() > 0
+        remaining = self.time.remaining(time.perf_counter(), answered=self.answered == self.cycle, present=present)
         if remaining > 0.0:
             self.answer.wait(min(remaining, WAIT))
             self._take()

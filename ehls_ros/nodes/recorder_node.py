@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn, cast, get_args
 
-from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -19,12 +18,12 @@ from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos, message_class
 from ehls_ros.recording.bag_writer import BagWriter, Storage
 from ehls_ros.recording.topics import (
+    CLOCK,
     CYCLE_TOPICS,
     PARAMETER_EVENTS,
     ROSOUT,
     TELEMETRY_TOPICS,
     Topic,
-    clock_topic,
     transition_topic,
 )
 from ehls_ros.schema import quantity, text
@@ -86,7 +85,7 @@ class RecorderNode(ControlNode):
         self.newest_ns = 0
         events = [PARAMETER_EVENTS, ROSOUT, *map(transition_topic, node_names())]
         # Without lockstep, /clock is another's.
-        events += [clock_topic(self.clock_topic)] if self.lockstep else []
+        events += [CLOCK] if self.lockstep else []
         self.often = [topic.name for topic in (*CYCLE_TOPICS, *TELEMETRY_TOPICS)]
         self.topics = {topic.name: topic for topic in (*CYCLE_TOPICS, *TELEMETRY_TOPICS, *events)}
         self.taken = dict.fromkeys(self.topics, 0)
@@ -95,7 +94,7 @@ class RecorderNode(ControlNode):
         }
         self.parameters: deque[tuple[int, bytes]] = deque()
         self.stock = ParameterStock(self, lambda stamp_ns, event: self.parameters.append((stamp_ns, event)))
-        self.looking = self.create_timer(LOOK, self.stock.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.looking = self.create_timer(LOOK, self.stock.look, clock=self.steady)
         self.failure = ""
         self.writer: BagWriter | None = None
 

@@ -157,20 +157,11 @@ ROSOUT = Topic("/rosout", "rcl_interfaces/msg/Log", depth=1000, transient_local=
 
 TOPICS = (*CYCLE_TOPICS, *TELEMETRY_TOPICS, PARAMETER_EVENTS, ROSOUT)
 
-CLOCK = "clock"
-"""Last part of the name of the topic with the time of a run in lockstep."""
+CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", depth=1, transient_local=True)
+"""The time of a run in lockstep."""
 
 TRANSITION_EVENT = "transition_event"
 """Last part of the name of the topic on which a lifecycle node tells its transitions."""
-
-
-def clock_topic(name: str) -> Topic:
-    """Return the topic with the time of a run in lockstep.
-
-    Args:
-        name: name below the namespace, or an absolute name.
-    """
-    return Topic(name, "rosgraph_msgs/msg/Clock", depth=1, transient_local=True)
 
 
 def transition_topic(node: str) -> Topic:
@@ -186,11 +177,9 @@ def known_topic(path: str, namespace: str) -> Topic | None:
         namespace: of the run.
     """
     parent, _, last = path.rpartition("/")
-    if last == CLOCK and parent in ("", namespace):
-        return clock_topic(path)
     if last == TRANSITION_EVENT and parent.startswith(f"{namespace}/"):
         return transition_topic(parent.removeprefix(f"{namespace}/"))
-    return next((topic for topic in TOPICS if topic.resolve(namespace) == path), None)
+    return next((topic for topic in (*TOPICS, CLOCK) if topic.resolve(namespace) == path), None)
 
 
 RESPONSE = "response_s"

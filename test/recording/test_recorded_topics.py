@@ -3,6 +3,7 @@ import pytest
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.recording.cdr import flatten
 from ehls_ros.recording.topics import (
+    CLOCK,
     CONTROLLER_STATUS,
     CYCLE_TOPICS,
     DIAGNOSTICS,
@@ -14,7 +15,6 @@ from ehls_ros.recording.topics import (
     TOPICS,
     VALVE_COMMAND,
     Topic,
-    clock_topic,
     known_topic,
     transition_topic,
 )
@@ -55,9 +55,7 @@ def test_names_resolve_as_in_ros():
     assert DIAGNOSTICS.resolve("/rig1/ehls") == "/diagnostics"
 
 
-@pytest.mark.parametrize(
-    "topic", [*TOPICS, clock_topic("/clock"), clock_topic("clock"), transition_topic("sic_node")], ids=lambda topic: topic.name
-)
+@pytest.mark.parametrize("topic", [*TOPICS, CLOCK, transition_topic("sic_node")], ids=lambda topic: topic.name)
 def test_what_is_recorded_is_known_again(topic: Topic):
     path = topic.resolve("/rig1/ehls")
     found = known_topic(path, "/rig1/ehls")
