@@ -104,8 +104,13 @@ def test_bag_cut_in_half(spec, tmp_path, capsys):
 def limited(*arguments, largest_file):
     """Return exit code and errors of a process whose files are limited in size, as on a full disk."""
     command = [sys.executable, "-m", "ehls_ros.cli.main", *map(str, arguments)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (largest_file, largest_file))
+    # It inherits the limit, and so does what it starts.
+    own, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, most))
+    try:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (own, most))
     _, complaint = process.communicate(timeout=PATIENCE)
     return process.returncode, complaint.strip().splitlines()
 

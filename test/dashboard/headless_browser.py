@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from patience import PATIENCE
 from websockets.sync.client import ClientConnection, connect
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -28,9 +29,6 @@ ARGUMENTS = (
 )
 
 KEYS = {"Enter": 13, "ArrowRight": 39}
-
-PATIENCE = 120.0
-"""Longest wait for an event [s]; on a slow or busy machine everything is late."""
 
 TOLD = """
 window.told = [];

@@ -18,12 +18,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import psutil
+from patience import PATIENCE
 from websockets.sync.client import ClientConnection, connect
 
 STAND_IN = Path(__file__).with_name("stand_in.py")
-
-PATIENCE = 120.0
-"""Longest wait for an event [s]; on a busy machine everything is late."""
 
 
 class Served:

@@ -21,8 +21,6 @@ from ehls_msgs.msg import FrictionEstimate
 from ehls_ros.dashboard.words import FIGURES, NAME, SENTENCE, figures, line
 from ehls_ros.nodes.dashboard_link import STRANGERS
 
-pytestmark = pytest.mark.timeout(900)
-
 SCRIPTS = (
     "<script>window.ran = 1</script>",
     "<img src=x onerror='window.ran = 1'>",

@@ -209,7 +209,8 @@ def test_faults_from_stdin(start):
 
 def test_lockstep_gives_up_without_an_answer(start):
     emulator = start("--rig", RIG, "--lockstep", "--patience", 0.05)
-    emulator.device.read(PATIENCE)
+    while emulator.process.poll() is None:
+        emulator.device.read(0.01)
     code, _, err = emulator.finish()
     assert code == 1
     assert "no command answered cycle 0 within 0.05 s" in err
@@ -301,6 +302,11 @@ def bad_wire():
         yield make
 
 
+def arrived(end):
+    """Wait until a packet has come; the system may deliver it later than it returns to the sender."""
+    assert select.select([end], [], [], PATIENCE)[0]
+
+
 def received(bad):
     return [data for data, _ in bad.received()]
 
@@ -330,6 +336,7 @@ def test_bad_net(bad_wire, clock, impairments, holds):
         clock.now = number * PERIOD
         if data is not None:
             far.sendto(data, near.getsockname())
+            arrived(near)
         got += received(bad)
     assert holds(got)
 
@@ -337,6 +344,7 @@ def test_bad_net(bad_wire, clock, impairments, holds):
 def test_latency_acts_both_ways(bad_wire, clock):
     bad, near, far = bad_wire(latency=0.03)
     far.sendto(b"in", near.getsockname())
+    arrived(near)
     bad.send(b"out", far.getsockname())
     for clock.now in (0.0, 0.029):
         assert received(bad) == []
@@ -344,12 +352,14 @@ def test_latency_acts_both_ways(bad_wire, clock):
             far.recv(10)
     clock.now = 0.031
     assert received(bad) == [b"in"]
+    arrived(far)
     assert far.recv(10) == b"out"
 
 
 def test_packets_due_while_waiting_are_sent(bad_wire):
     bad, _, far = bad_wire(latency=0.03)
-    begin = time.monotonic()
     bad.send(b"out", far.getsockname())
+    begin = time.monotonic()
     assert bad.wait(begin + 0.1) >= begin + 0.1
+    arrived(far)
     assert far.recv(10) == b"out"

@@ -34,11 +34,12 @@ def test_realtime_keeps_the_wall_clock_and_loses_no_sample(spec_file, tmp_path):
     with Reader(tmp_path / "run" / "bag") as reader:
         states = [connection for connection in reader.connections if connection.topic == LOADER_STATE.resolve()]
         sent_s = np.array([stamp_ns for _, stamp_ns, _ in reader.messages(states)]) * 1e-9
-    # A loop faster or slower than the wall clock departs from it by as much as the run lasts.
+    # A loop faster than the wall clock departs from it by as much as the run lasts; one that was held up regains two cycles.
     late_s = sent_s - recorded.time_s
-    assert np.median(late_s) - late_s.min() < 0.5
-    # However fast the computer is, the reported pace is that of the bag.
+    assert np.max(np.maximum.accumulate(late_s) - late_s) < 0.05
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text(encoding="utf-8"))
+    # So does a slower one, unless the computer is slow; then the pace says so, which is that of the bag.
+    assert np.ptp(late_s) < 0.5 or not metrics["in_real_time"]
     assert metrics["cycles_per_second_asked"] == pytest.approx(100.0)
     reached = (200 - metrics["missed_cycles"]) / recorded.metadata["wall_s"]
     assert metrics["cycles_per_second_reached"] == pytest.approx(reached)

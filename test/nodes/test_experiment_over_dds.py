@@ -2,7 +2,6 @@
 
 import functools
 import json
-import random
 import subprocess
 from pathlib import Path
 
@@ -90,8 +89,7 @@ def on_friction_model(spec: Path, model: str) -> Path:
 
 
 def test_the_friction_model_of_the_rig_is_compensated(spec_file, tmp_path):
-    model = random.SystemRandom().choice([name for name in FRICTION_MODELS.names() if name not in OBSERVERS.names()])
-    print(model)
+    model = next(name for name in FRICTION_MODELS.names() if name not in OBSERVERS.names())
     spec = on_friction_model(spec_file(), model)
     recorded = trajectory_of(ehls("experiment", spec, "--out", tmp_path / "run", "--json"))
     assert np.ptp(recorded["friction_gms_n"]) > 600.0

@@ -1,5 +1,6 @@
 """In realtime every node requests its priority, and receiver threads are never held up by normal work."""
 
+import contextlib
 import os
 from pathlib import Path
 
@@ -34,10 +35,12 @@ def priorities(process: int) -> dict[str, set[tuple[int, int]]]:
     """Return scheduling class and priority of a process's threads: the middleware's, the loop's and others."""
     found: dict[str, set[tuple[int, int]]] = {"middleware": set(), "loop": set(), "others": set()}
     for task in Path(f"/proc/{process}/task").iterdir():
-        middleware = (task / "comm").read_text().startswith("dds.")
-        kind = "middleware" if middleware else "loop" if int(task.name) == process else "others"
-        number = int(task.name)
-        found[kind].add((os.sched_getscheduler(number), os.sched_getparam(number).sched_priority))
+        # A thread may end meanwhile.
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            middleware = (task / "comm").read_text().startswith("dds.")
+            kind = "middleware" if middleware else "loop" if int(task.name) == process else "others"
+            number = int(task.name)
+            found[kind].add((os.sched_getscheduler(number), os.sched_getparam(number).sched_priority))
     return found
 
 
