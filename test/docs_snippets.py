@@ -182,7 +182,7 @@ def check_ehls(words: list[str], made: Sequence[str]) -> Namespace:
 
 def check_make(words: list[str]) -> None:
     """Look for the targets."""
-    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     if missing := {word for word in words if "=" not in word} - targets:
         raise Unknown(f"make has no target {', '.join(missing)}")
 

@@ -287,7 +287,8 @@ def remove_half_installed() -> None:
 def point_exports_here() -> None:
     """Replace the build machine's paths in the cmake exports of the ROS wheels by this environment's."""
     paths = python_paths()
-    headers = "numpy/_core/include" if Path(paths["purelib"], "numpy/_core/include").exists() else "numpy/core/include"
+    of_numpy_1 = "numpy/core/include"
+    headers = of_numpy_1 if Path(paths["purelib"], of_numpy_1).exists() else "numpy/_core/include"
     build_machine = re.compile(r"/opt/python/[^/;\"]+/(include|lib)/python3\.\d+(/site-packages)?")
     for export in VENV.glob("share/*/cmake/*rosidl_generator_py*.cmake"):
         text = export.read_text(encoding="utf-8")

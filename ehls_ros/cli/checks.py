@@ -75,17 +75,26 @@ def python() -> Finding:
 
 
 def packages() -> Finding:
-    """Check that the required packages can be imported."""
+    """Check that the required packages can be imported, and plotly and shtab, which ROS machines may lack."""
+    if missing := _not_importable("joblib", "numba", "numpy", "rich", "rosbags", "scipy", "yaml"):
+        advice = "make setup, or pip install . again; in a ROS workspace, rosdep install"
+        return Finding("packages", "problem", f"cannot be imported: {missing}", advice)
+    if missing := _not_importable("plotly", "shtab"):
+        advice = "pip install plotly shtab, for figures in reports and completion in the shell"
+        return Finding("packages", "note", f"cannot be imported: {missing}", advice)
+    versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("numpy", "numba", "rosbags"))
+    return Finding("packages", "ok", versions)
+
+
+def _not_importable(*names: str) -> str:
+    """Return the packages that cannot be imported, each with the reason."""
     missing = []
-    for name in ("joblib", "numba", "numpy", "plotly", "pydantic", "rich", "rosbags", "scipy", "shtab", "yaml"):
+    for name in names:
         try:
             importlib.import_module(name)
         except ImportError as error:
             missing.append(f"{name} ({error})")
-    if missing:
-        return Finding("packages", "problem", f"cannot be imported: {', '.join(missing)}", "make setup, or pip install . again")
-    versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("numpy", "numba", "rosbags"))
-    return Finding("packages", "ok", versions)
+    return ", ".join(missing)
 
 
 def ros() -> Finding:

@@ -20,7 +20,7 @@ from ehls_ros.report.plot import FONT, Layout, Trace
 
 MISSING_NUMBER = "–"
 
-PLOTLY = "pip install plotly; the package python3-plotly of Debian and Ubuntu does not draw"
+PLOTLY = "they need plotly: pip install plotly (Ubuntu's python3-plotly comes without what draws)"
 """What brings the figures."""
 
 Configuration = Mapping[str, object]
@@ -277,7 +277,7 @@ def write_page(path: Path, title: str, subtitle: str, blocks: Iterable[str]) -> 
     """
     plotly = plotly_js()
     if plotly is None:
-        logging.getLogger(__name__).warning("%s has no figures: plotly is not installed; %s", path, PLOTLY)
+        logging.getLogger(__name__).warning("%s has no figures: %s", path, PLOTLY)
         script = f'<style>.figure::after {{ content: "{PLOTLY}" }}</style>'
     else:
         script = f"<script>{plotly}</script>\n<script>{_beside('page.js')}</script>"

@@ -62,11 +62,13 @@ def test_every_finding_that_is_not_ok_gives_advice(capsys):
 
 
 @pytest.mark.usefixtures("without_dds")
-def test_a_missing_package_is_a_problem(capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rosbags", None)
+@pytest.mark.parametrize(("name", "level", "ends_with"), [("rosbags", "problem", 1), ("plotly", "note", 0)])
+def test_a_missing_package_is_a_problem_unless_one_can_do_without(name, level, ends_with, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, name, None)
     code, found = findings(capsys)
-    assert code == 1
-    assert "rosbags" in found["packages"]["found"]
+    assert code == ends_with
+    assert found["packages"]["level"] == level
+    assert name in found["packages"]["found"]
 
 
 @pytest.mark.usefixtures("without_dds")

@@ -1,9 +1,10 @@
 """The dashboard as a participant of the graph."""
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from ehls_ros.nodes.dashboard_link import Link
 

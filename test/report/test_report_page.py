@@ -1,4 +1,5 @@
 import re
+import sys
 from types import MappingProxyType
 
 import numpy as np
@@ -73,6 +74,25 @@ def test_figures_that_were_left_out_leave_no_hole():
     drawn = page.figures([page.Panel("Valve", [], {}), page.LeftOut("Motion", "no position")], columns=2)
     assert "--columns: 1" in drawn
     assert "Motion" not in drawn
+
+
+class WithoutProgram:
+    """plotly as Ubuntu packs it."""
+
+    @staticmethod
+    def get_plotlyjs() -> str:
+        raise FileNotFoundError
+
+
+@pytest.mark.parametrize("plotly", [None, WithoutProgram])
+def test_without_plotly_a_page_says_so_in_place_of_its_figures(plotly, monkeypatch, tmp_path, caplog):
+    monkeypatch.setitem(sys.modules, "plotly.offline", plotly)
+    path = tmp_path / "report.html"
+    page.write_page(path, "a run", "", [page.figures([page.Panel("Valve", [], {})])])
+    assert caplog.messages == [f"{path} has no figures: {page.PLOTLY}"]
+    text = path.read_text(encoding="utf-8")
+    assert f'content: "{page.PLOTLY}"' in text
+    assert "Plotly" not in text
 
 
 def test_a_table_has_a_cell_for_every_text():
