@@ -94,8 +94,10 @@ def handle(
             load_yaml(block, folder)
         case "toml":
             tomllib.loads(block.text)
-        case "python" if block.mark == "file":
+        case "python" if block.mark == "file" and is_member(block):
             load_member(block.note)
+        case "python" | "cpp" | "cmake" | "xml" if block.mark == "file":
+            return "not run"
         case "python":
             code = compile(block.text, str(block), "exec")
             if not runs(block):
@@ -110,6 +112,11 @@ def handle(
     return "run"
 
 
+def is_member(block: Block) -> bool:
+    """Tell whether a block is the file of a family's member."""
+    return block in members(block.page).values()
+
+
 def runs(block: Block) -> bool:
     """Tell whether a block is run here; test_how_to.py runs those of a page that adds a member."""
     if members(block.page):
@@ -122,7 +129,7 @@ def save(block: Block, folder: Path, patch: pytest.MonkeyPatch) -> None:
     path = folder / block.note
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(block.text, encoding="utf-8")
-    if path.suffix == ".py":
+    if is_member(block):
         package = importlib.import_module(".".join(Path(block.note).parent.parts))
         patch.setattr(package, "__path__", [*package.__path__, str(path.parent)])
 

@@ -1,6 +1,10 @@
-"""The node of docs/how_to/own_node.md closes the loop against the simulated rig, as its reader has it."""
+"""The nodes of docs/how_to/own_node.md close the loop against the simulated rig, as the page's reader has them."""
 
-import math
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from docs_snippets import blocks
@@ -10,26 +14,50 @@ pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` 
 from ehls_msgs.msg import ForceReference, LoaderState
 from ehls_ros.experiments.files import config_folder
 
-PAGE = {block.note: block.text for block in blocks("docs/how_to/own_node.md") if block.mark == "file"}
 CYCLES = 1000
 SETTLED = 500
 LARGEST_ERROR = 500.0
 """What the page promises [N]."""
 
+PREFIXES = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
 
-def test_the_python_node_holds_the_force(graph, participant, tmp_path):
-    node = tmp_path / "own_controller.py"
-    node.write_text(PAGE[node.name], encoding="utf-8")
+
+@pytest.fixture
+def folder(tmp_path):
+    """Return a folder with the page's files."""
+    for block in blocks("docs/how_to/own_node.md"):
+        if block.mark == "file":
+            (tmp_path / block.note).parent.mkdir(exist_ok=True)
+            (tmp_path / block.note).write_text(block.text, encoding="utf-8")
+    return tmp_path
+
+
+def largest_error(graph, participant):
+    """Run the simulated rig in lockstep beside the node and return the largest settled force error [N]."""
     states = participant.collect(LoaderState, "loader_state")
     references = participant.collect(ForceReference, "force_reference")
     common = {"spec": config_folder() / "experiments" / "sine_fd2.yaml", "timing": "lockstep"}
     graph.start("reference_node", **common)
     graph.start("disturbance_node", **common)
     graph.start("plant_sim_node", cycles=CYCLES, **common)
-    graph.run("own_controller", [str(node)])
     participant.until(lambda: states and states[-1].cycle == CYCLES - 1)
     wanted = {reference.cycle: reference.force for reference in references}
-    errors = [state.force - wanted[state.cycle] for state in states if state.cycle >= SETTLED]
+    errors = [abs(state.force - wanted[state.cycle]) for state in states if state.cycle >= SETTLED]
     assert len(errors) == CYCLES - SETTLED
-    assert all(map(math.isfinite, errors))
-    assert max(map(abs, errors)) < LARGEST_ERROR
+    return max(errors)
+
+
+def test_the_python_node_holds_the_force(graph, participant, folder):
+    graph.run("own_controller", [str(folder / "own_controller.py")])
+    assert largest_error(graph, participant) < LARGEST_ERROR
+
+
+@pytest.mark.skipif(not any((prefix / "share" / "rclcpp").is_dir() for prefix in PREFIXES), reason="needs rclcpp")
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="needs cmake")
+def test_the_cpp_node_is_built_and_holds_the_force(graph, participant, folder):
+    build = folder / "build"
+    for step in (["-S", folder, "-B", build, f"-DPython3_EXECUTABLE={sys.executable}"], ["--build", build]):
+        done = subprocess.run(["cmake", *step], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+    graph.run("own_controller", ["-c", f"import os; os.execl('{build}/own_controller', 'own_controller')"])
+    assert largest_error(graph, participant) < LARGEST_ERROR

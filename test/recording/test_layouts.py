@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.nodes.frames import BASE
 from ehls_ros.recording.topics import TOPICS
 from ehls_ros.trajectory import SIGNALS
 
@@ -97,6 +98,12 @@ def test_the_foxglove_layout_shows_diagnostics_and_every_panel_it_describes():
 
     layout = json.loads((LAYOUTS / "foxglove.json").read_text(encoding="utf-8"))["layout"]
     assert sorted(placed(layout)) == sorted(described)
+
+
+def test_the_foxglove_layout_draws_the_rig_in_its_own_frames():
+    rig = panels()["3D!rig"]
+    assert rig["followTf"] == BASE
+    assert [(layer["sourceType"], layer["topic"]) for layer in rig["layers"].values()] == [("topic", "/ehls/robot_description")]
 
 
 def test_every_curve_of_the_plotjuggler_layout_is_a_field():
