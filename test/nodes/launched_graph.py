@@ -24,7 +24,10 @@ from launch import LaunchDescription
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMESPACE = "rig2"
-PARAMETERS = f"/**/sic_node:\n  ros__parameters:\n    compensation: 1\n/{NAMESPACE}/plant_sim_node:\n  ros__parameters:\n    telemetry_rate: 20\n"
+PARAMETERS = """
+/**/sic_node: {ros__parameters: {compensation: 1}}
+/rig2/plant_sim_node: {ros__parameters: {telemetry_rate: 20}}
+"""
 
 
 def generate_test_description() -> LaunchDescription:
