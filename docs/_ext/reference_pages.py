@@ -275,7 +275,7 @@ def nodes_page() -> str:
         rows_of(
             ("name", "default", "description", "choices"),
             (
-                (f"`{name}`", default or "–", about, ", ".join(choices or ()) or "–")
+                (f"`{name}`", default or "–", about, ", ".join(filter(None, choices or ())) or "–")
                 for name, (default, about, choices) in launch_arguments().items()
             ),
         ),

@@ -166,6 +166,14 @@ def test_a_step_is_compared_with_the_time_since_the_last_good_reading():
     assert bench.counts()["sensor_jump"] == 1
 
 
+def test_value_and_limit_of_a_lasting_fault_are_those_of_one_signal():
+    bench = Bench(on_sensor_jump="warn", on_sensor_mismatch="warn").run()
+    bench.turn(velocity=1.5)
+    bench.turn(load_pressure=6e6)
+    detector = bench.gate.detectors["sensor_jump"]
+    assert (detector.subject, detector.unit, detector.limit, detector.count) == ("velocity", "m/s/s", 1e3, 1)
+
+
 def test_noise_is_not_a_jump():
     gate = Gate(RIG._replace(sensors={"position": Sensor(noise_std=1e-3)}), PERIOD)
     gate.begin()

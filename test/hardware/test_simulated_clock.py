@@ -85,3 +85,20 @@ def test_after_a_suspension_time_continues_without_catching_up(rig):
     assert rig.run(100, 0.4e-3) == pytest.approx(0.1, abs=2 * PERIOD)
     assert rig.clock.slipped == pytest.approx(0.3, abs=2 * PERIOD)
     assert rig.clock.missed <= 1
+
+
+def test_a_controller_that_left_the_graph_is_not_waited_for(rig):
+    rig.run(100, 0.4e-3)
+    rig.run(2, None)
+    assert rig.clock.waiting
+    rig.now += PERIOD
+    assert rig.clock.remaining(rig.now, answered=False) == pytest.approx(HOPE, abs=PERIOD)
+    assert rig.clock.remaining(rig.now, answered=False, present=False) == 0.0
+
+
+def test_a_controller_that_is_held_up_for_a_second_finds_the_rig_as_it_left_it(rig):
+    rig.run(100, 0.4e-3)
+    rig.run(2, None)
+    assert rig.run(1, 1.0) >= 1.0
+    rig.run(100, 0.4e-3)
+    assert rig.clock.missed == 2

@@ -81,7 +81,7 @@ def a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, participa
     assert under_way <= tuned_at <= under_way + 2
     assert participant.get_parameter("fasmc_node", "k").double_value == 14.0
 
-    for value, word in [(1e9, "range"), (-3.0, "range"), (math.nan, "nan"), ("fast", "type")]:
+    for value, word in [(1e9, "0.1 to 1000"), (-3.0, "0.1 to 1000"), (math.nan, "nan"), ("fast", "number")]:
         result = participant.set_parameter("fasmc_node", "k", value)
         assert not result.successful
         assert word in result.reason.lower()

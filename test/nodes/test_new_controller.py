@@ -14,6 +14,7 @@ pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built
 
 from ehls_msgs.msg import ForceReference, LoaderState, ValveCommand
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.errors import BadInput
 from ehls_ros.families import offered
 from ehls_ros.nodes import node_names
 
@@ -69,7 +70,7 @@ def test_its_node_answers_and_is_tuned(site, graph, participant, tmp_path, monke
     assert abs(last) < 1e-9
     refused = participant.set_parameter("proportional_node", "gain", 1.0)
     assert not refused.successful
-    assert "range" in refused.reason.lower()
+    assert "0 to 0.001" in refused.reason
     assert graph.stop("proportional_node") == 0, graph.log("proportional_node")
 
 
@@ -102,6 +103,26 @@ def test_it_is_a_word_of_the_launch_file(launch_file):
     nodes = found["nodes"]({**defaults, "controller": "proportional"})
     assert [(node.executable, node.arguments) for node in nodes if node.arguments] == [("ehls", ["run", "proportional_node"])]
     assert {node.executable for node in nodes if not node.arguments} < set(node_names())
+
+
+def test_the_specs_controller_is_the_default_and_one_that_cannot_follow_is_refused(launch_file):
+    found = launch_file()
+    defaults = {name: default for name, (default, _, _) in found["ARGUMENTS"].items()}
+    measured = {**defaults, "plant": "bridge", "spec": str(ROOT / "config" / "experiments" / "measured_sine_fd1.yaml")}
+    assert ["run", "fasmc_output_feedback_node"] in [node.arguments for node in found["nodes"](measured)]
+    assert ["run", "sic_node"] in [node.arguments for node in found["nodes"]({**measured, "controller": "sic"})]
+    with pytest.raises(BadInput, match=r"controller: the spec's reference is a force .* as pid does"):
+        found["nodes"]({**measured, "controller": "pid"})
+
+
+def test_the_plant_comes_last_and_arguments_that_are_not_given_leave_the_files_values(launch_file):
+    found = launch_file()
+    defaults = {name: default for name, (default, _, _) in found["ARGUMENTS"].items()}
+    *others, plant = found["nodes"]({**defaults, "params_file": "mine.yaml", "without": "disturbance_node"})
+    assert plant.parameters == ["mine.yaml", {"partners": "reference_node,friction_estimator_node,fasmc_node"}]
+    assert [node.parameters for node in others] == [["mine.yaml", {}]] * 3
+    [first, *_] = found["nodes"]({**defaults, "timing": "lockstep", "priority": "3", "autostart": "false"})
+    assert first.parameters == [{"timing": "lockstep", "priority": 3, "autostart": False, "use_sim_time": True}]
 
 
 def test_what_is_left_out_is_not_started(launch_file):

@@ -10,7 +10,9 @@ from patience import PATIENCE
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
-from rcl_interfaces.srv import DescribeParameters, ListParameters
+from rcl_interfaces.msg import Parameter
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.parameter import get_parameter_value, parameter_value_to_python
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.schema import declarations
@@ -41,6 +43,9 @@ def test_descriptors_carry_unit_range_and_help(graph, participant, spec_file):
         ("friction_estimator_node", "model:=magic", ("'magic'", "gms")),
         ("hardware_bridge_node", "bridge:=/nowhere.yaml", ("/nowhere.yaml", "cannot be read")),
         ("plant_sim_node", "on_command_stale:=warn", ("on_command_stale", "cut")),
+        ("fasmc_node", "k:=2000", ("fasmc_node", "k is 2000.0", "[MPa/s]", "0.1 to 1000")),
+        ("fasmc_node", "k:=fast", ("fasmc_node", "k is 'fast'", "a valid number", "[MPa/s]", "0.1 to 1000")),
+        ("fasmc_node", "use_sim_time:=1", ("'use_sim_time'", "'BOOL'")),
         ("pid_node", "timing:=lockstep", ("reference is a force for fasmc", "follows a position")),
     ],
 )
@@ -50,6 +55,37 @@ def test_a_wrong_parameter_ends_the_node_with_one_line_and_code_2(node, paramete
     assert done.returncode == 2
     [line] = done.stderr.strip().splitlines()
     assert all(word in line for word in words), line
+
+
+def test_a_parameter_file_that_cannot_be_read_ends_the_node_with_code_2():
+    command = [sys.executable, "-m", "ehls_ros.nodes.sic_node", "--ros-args", "--params-file", "/nowhere.yaml"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 2
+    assert "'--params-file /nowhere.yaml'" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_file_is_read_like_a_live_change_and_what_was_dumped_can_be_loaded(graph, participant, spec_file, tmp_path):
+    file = tmp_path / "parameters.yaml"
+    file.write_text("/**: {ros__parameters: {k: 9, phi2: 1e-06, cycles: 3.0}}", encoding="utf-8")
+    module = "ehls_ros.nodes.fasmc_node"
+    graph.run("fasmc_node", ["-m", module, "--ros-args", "--params-file", str(file), "-p", f"spec:={spec_file()}"])
+    names = participant.call(ListParameters, "fasmc_node/list_parameters", ListParameters.Request()).result.names
+    values = participant.call(GetParameters, "fasmc_node/get_parameters", GetParameters.Request(names=names)).values
+    dumped = {name: parameter_value_to_python(value) for name, value in zip(names, values, strict=True)}
+    assert (dumped["k"], dumped["phi2"]) == (9.0, 1e-6)
+    # As `ros2 param load` reads back what `ros2 param dump` has written.
+    loaded = [Parameter(name=name, value=get_parameter_value(str(value))) for name, value in dumped.items() if value != ""]
+    results = participant.call(SetParameters, "fasmc_node/set_parameters", SetParameters.Request(parameters=loaded)).results
+    assert [result.reason for result in results if not result.successful] == []
+
+    started = subprocess.run(
+        [sys.executable, "-m", module, "--ros-args", "-p", "k:=-3"], capture_output=True, text=True, check=False
+    )
+    refused = participant.set_parameter("fasmc_node", "k", -3)
+    assert (refused.successful, refused.reason) == (False, started.stderr.strip())
+    refused = participant.set_parameter("fasmc_node", "spec", "/another.yaml")
+    assert (refused.successful, "read-only" in refused.reason) == (False, True)
 
 
 @pytest.mark.parametrize(

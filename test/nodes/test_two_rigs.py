@@ -43,7 +43,9 @@ def start(graph, rig, spec):
     for name in NODES:
         parameters = ["-p", f"spec:={spec}", "-p", "timing:=lockstep"]
         parameters += ["-p", f"cycles:={CYCLES[rig]}"] if name == "plant_sim_node" else []
-        arguments = ["-m", f"ehls_ros.nodes.{name}", "--ros-args", "-r", f"__ns:=/{rig}", *parameters]
+        # All of ROS reads /clock: of two rigs in lockstep, one has its time elsewhere.
+        remaps = ["-r", f"__ns:=/{rig}", *(["-r", "/clock:=/rig2/clock"] if rig == "rig2" else [])]
+        arguments = ["-m", f"ehls_ros.nodes.{name}", "--ros-args", *remaps, *parameters]
         graph.run(f"{rig}_{name}", arguments)
 
 
