@@ -42,7 +42,7 @@ if find_spec("pyarrow"):
 
 MB = 10**6
 
-PATIENCE = 120.0
+PATIENCE = 600.0
 """Time after which a reader counts as hung [s]."""
 
 HEADER = "| input | answer | processor time [s] | wall time [s] | peak memory [MB] |\n|---|---|---|---|---|"

@@ -26,6 +26,8 @@ from pathlib import Path
 
 PR_SET_CHILD_SUBREAPER = 36
 MICROSECONDS = 1e6
+AT_REST = "TtZX"
+"""States of a process that is stopped or dead."""
 
 
 def main() -> int:
@@ -153,11 +155,13 @@ def stop_and_go(process: subprocess.Popen[bytes], share: float, period: float, s
         time.sleep(share * period)
         stopped: set[int] = set()
         # Repeat until no running process is left that could have started another.
-        while found := running(spared) - stopped:
+        while found := [number for number in running(spared) if number not in stopped]:
             for number in found:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(number, signal.SIGSTOP)
-            stopped |= found
+                with contextlib.suppress(ProcessLookupError, FileNotFoundError):
+                    # What the command itself has stopped meanwhile is left to it; its parent cannot do so any more.
+                    if state_and_parent(number)[0] not in AT_REST:
+                        os.kill(number, signal.SIGSTOP)
+                        stopped.add(number)
         # Stopping takes time, during which some still run; count it.
         time.sleep((1.0 - share) / share * (time.monotonic() - let_go))
         let_go = time.monotonic()
@@ -167,23 +171,26 @@ def stop_and_go(process: subprocess.Popen[bytes], share: float, period: float, s
         reap_others(process.pid)
 
 
-def running(spared: set[int]) -> set[int]:
-    """Return the descendants of this process that are neither dead nor stopped."""
+def running(spared: set[int]) -> list[int]:
+    """Return the descendants of this process that are neither dead nor stopped, parents before children."""
     children: dict[int, list[int]] = {}
     state = {}
-    for file in Path("/proc").glob("[0-9]*/stat"):
+    for folder in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            number, _, rest = file.read_text(encoding="utf-8", errors="replace").partition(" (")
-            letter, parent, *_ = rest.rpartition(") ")[2].split()
-            children.setdefault(int(parent), []).append(int(number))
-            state[int(number)] = letter
-    found: set[int] = set()
-    waiting = [os.getpid()]
-    while waiting:
-        new = set(children.get(waiting.pop(), ())) - spared
-        found |= new
-        waiting += new
-    return {number for number in found if state[number] not in "TtZX"}
+            number = int(folder.name)
+            state[number], parent = state_and_parent(number)
+            children.setdefault(parent, []).append(number)
+    found = [os.getpid()]
+    for parent in found:
+        found += [child for child in children.get(parent, ()) if child not in spared]
+    return [number for number in found[1:] if state[number] not in AT_REST]
+
+
+def state_and_parent(number: int) -> tuple[str, int]:
+    """Return the letter of a process's state, and its parent."""
+    stat = Path(f"/proc/{number}/stat").read_text(encoding="utf-8", errors="replace")
+    letter, parent, *_ = stat.rpartition(") ")[2].split()
+    return letter, int(parent)
 
 
 def reap_others(command: int) -> None:

@@ -108,6 +108,8 @@ def test_a_killed_dask_worker_loses_nothing(campaign, cluster, made_by_one, tmp_
     def kill_one_at_work(done, total):
         if done == 0 or held:
             return
+        # Stopped first, so that it does not run out of work meanwhile.
+        os.kill(workers["two"].pid, signal.SIGSTOP)
         addresses = {worker["name"]: address for address, worker in client.scheduler_info(n_workers=-1)["workers"].items()}
         wait_until(lambda: client.processing()[addresses["two"]])
         held.extend(client.processing()[addresses["two"]])

@@ -6,7 +6,6 @@ and all of the gate's times are longer in proportion.
 
 import csv
 import json
-import re
 import signal
 import subprocess
 import sys
@@ -18,14 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
-from emulated_rig import ROOT, own_port
+from emulated_rig import ROOT, acknowledged, own_port
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from patience import PATIENCE
 from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.msg import LoaderState
-from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.hardware.safety_gate import STOP_TIME
 
 BRIDGE = "hardware_bridge_node"
@@ -91,7 +89,8 @@ class CommandedRig:
             "ramp_time": pace.ramp,
             "limit_time": 2.0 * pace.period,
             "enable_time": pace.enable,
-            "least_answered": 0.1,
+            # Once too slow, a computer would have to keep up nearly fully.
+            "least_answered": 0.0,
             **gate,
         }
         self.bridge_script, self.net = bridge, net
@@ -164,14 +163,8 @@ class CommandedRig:
         return time.monotonic()
 
     def acknowledge(self) -> None:
-        """Acknowledge the last stop, as soon as that is allowed."""
-        answer = self.ask(AcknowledgeStop, "acknowledge_stop", stop=self.stop)
-        engaged = re.match(r"the engaged stop is ([\w-]+)", answer.message)
-        if answer.success:
-            self.stop = ""
-        elif engaged:
-            # The request to stop was repeated, for want of an answer.
-            self.stop = engaged[1]
+        """Acknowledge the last stop; right after the stop that is refused."""
+        self.stop = acknowledged(self.participant, self.stop)
 
     def transition(self, label: str) -> bool:
         """Request a transition of the bridge and return whether it succeeded."""

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -36,6 +37,14 @@ SPEC = {
 def own_port() -> int:
     """Return a UDP port that nobody else takes: one of the test's ROS domain, beyond those of 100 participants."""
     return 7400 + 250 * int(os.environ["ROS_DOMAIN_ID"]) + 249
+
+
+def acknowledged(participant: Any, stop: str) -> str:
+    """Acknowledge a stop, and return the stop that is still engaged, if any."""
+    answer = participant.call(AcknowledgeStop, "acknowledge_stop", AcknowledgeStop.Request(stop=stop))
+    # The request to stop may have been repeated, for want of an answer.
+    engaged = re.match(r"the engaged stop is ([\w-]+)", answer.message)
+    return "" if answer.success else engaged[1] if engaged else stop
 
 
 class EmulatedRig:
@@ -87,8 +96,8 @@ class EmulatedRig:
         """Enable the gate as soon as it allows that."""
         deadline = time.monotonic() + PATIENCE
         while True:
-            if self.stop and self.acknowledge().success:
-                self.stop = ""
+            if self.stop:
+                self.acknowledge()
             reset = self.participant.call(Trigger, "reset_trips", Trigger.Request())
             answer = self.participant.call(SetBool, "enable", SetBool.Request(data=True))
             if answer.success:
@@ -103,10 +112,9 @@ class EmulatedRig:
         self.stop = answer.message.partition(";")[0]
         return time.monotonic()
 
-    def acknowledge(self) -> Any:
-        """Acknowledge the last stop and return the answer; right after the stop it is a refusal."""
-        request = AcknowledgeStop.Request(stop=self.stop)
-        return self.participant.call(AcknowledgeStop, "acknowledge_stop", request)
+    def acknowledge(self) -> None:
+        """Acknowledge the last stop; right after the stop that is refused."""
+        self.stop = acknowledged(self.participant, self.stop)
 
     def fault(self, line: str) -> float:
         """Put a fault into the emulated rig and return the monotonic time from which it acts [s]."""

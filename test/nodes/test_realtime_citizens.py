@@ -69,7 +69,11 @@ def test_frugality_does_not_keep_threads_from_working():
 
 
 class SlowController:
-    """Answers the newest snapshot late, with a closed valve."""
+    """Answers the newest snapshot late, with a closed valve.
+
+    Attributes:
+        away: longest time between two turns [s].
+    """
 
     DELAY = 0.004
 
@@ -78,8 +82,11 @@ class SlowController:
 
         self.states = Inbox(participant.node, LoaderState, "loader_state")
         self.commands = Outbox(participant.node, ValveCommand, "valve_command", sender="slow")
+        self.away, self.turned = 0.0, time.monotonic()
 
     def turn(self) -> None:
+        now = time.monotonic()
+        self.away, self.turned = max(self.away, now - self.turned), now
         newest = None
         while (state := self.states.take()) is not None:
             newest = state
@@ -104,14 +111,20 @@ def test_a_simulated_rig_waits_for_a_controller_that_is_too_slow_and_says_so(gra
             participant.executor.spin_once(timeout_sec=0.0)
             assert time.monotonic() < deadline
 
-    until(lambda: any("too slow: " in each["message"] for each in figures(heard)))
-    slow = figures(heard)[-1]
-    assert "the simulated time runs slower than the wall's" in slow["message"]
-    assert float(slow["cycles_per_second_reached"]) < 0.9 * float(slow["cycles_per_second_asked"])
+    def too_slow(each):
+        return 0.0 < float(each.get("cycles_per_second_reached", 0.0)) < 0.9 * float(each["cycles_per_second_asked"])
+
+    until(lambda: any(map(too_slow, figures(heard))))
+    begun = len(heard) - 1
 
     def hardly_misses(before, after):
         cycles, missed, slipped = (float(after[key]) - float(before[key]) for key in ("cycle", "missed", "slipped_s"))
-        return cycles > 50 and missed < 0.1 * cycles and slipped > 0.0 and "tripped" not in after["message"]
+        return cycles > 50 and missed < 0.1 * cycles and slipped > 0.0
 
     # From now on each cycle waits for its own command; only if this process is held up, its commands are not waited for.
-    until(lambda: any(itertools.starmap(hardly_misses, itertools.pairwise(figures(heard)))))
+    until(lambda: any(itertools.starmap(hardly_misses, itertools.pairwise(figures(heard[begun:])))))
+    # The gate does not trip, unless this process was held up for nearly as long as the gate waits.
+    said = figures(heard)[begun]["message"], figures(heard)[-1]["message"]
+    complaint = "too slow: ", "the simulated time runs slower than the wall's"
+    assert all(words in said[0] for words in complaint) or controller.away > 0.4
+    assert "tripped" not in said[1] or controller.away > 0.4

@@ -1,5 +1,6 @@
 """The security policy matches the graph, and a node stays on this host unless told otherwise."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -124,8 +125,11 @@ def test_the_nodes_stay_within_the_policy(graph, participant, spec_file, tmp_pat
 
 def udp_ports(process: int) -> Iterator[int]:
     """Yield the UDP ports a process is bound to."""
-    links = Path(f"/proc/{process}/fd").iterdir()
-    sockets = {str(link.readlink()) for link in links if link.is_symlink()}
+    sockets = set()
+    for link in Path(f"/proc/{process}/fd").iterdir():
+        # A file may be closed meanwhile.
+        with contextlib.suppress(FileNotFoundError):
+            sockets.add(str(link.readlink()))
     for line in Path("/proc/net/udp").read_text(encoding="utf-8").splitlines()[1:]:
         fields = line.split()
         if f"socket:[{fields[9]}]" in sockets:
