@@ -11,7 +11,7 @@ endif
 .PHONY: help setup demo test test-noble docs lint lock clean
 
 help:  ## show this list
-	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 20
 
 setup:  ## make .venv/ with everything in it, or bring it up to date
 	@command -v $(PYTHON) >/dev/null || { echo "setup: no $(PYTHON) found: set PYTHON to CPython 3.11, 3.12 or 3.13" >&2; exit 1; }
