@@ -74,7 +74,7 @@ class Outbox:
         self._node = node
         self._publisher = node.create_publisher(message, topic, control_qos())
         self._readers = 0
-        self._volatile_readers: set[bytes] = set()
+        self._known: set[bytes] = set()
         self._encode = Encoder(message, frame_id, lengths)
 
     def send(self, stamp_ns: int, *values: float) -> None:
@@ -87,10 +87,13 @@ class Outbox:
         if readers == self._readers:
             return False
         self._readers = readers
+        before, self._known = self._known, self.volatile_readers()
+        return not self._known <= before
+
+    def volatile_readers(self) -> set[bytes]:
+        """Return the identifiers of the readers that do not ask for the messages sent before they joined."""
         endpoints = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
-        before = self._volatile_readers
-        self._volatile_readers = {bytes(endpoint.endpoint_gid) for endpoint in endpoints if is_volatile(endpoint)}
-        return not self._volatile_readers <= before
+        return {bytes(endpoint.endpoint_gid) for endpoint in endpoints if is_volatile(endpoint)}
 
     def destroy(self) -> None:
         """Destroy the publisher."""
@@ -158,6 +161,11 @@ class Inbox:
                 continue
             return taken
 
+    @property
+    def volatile(self) -> bool:
+        """Whether it does not receive what was sent before it was matched."""
+        return bool(self._qos.durability == DurabilityPolicy.VOLATILE)
+
     def destroy(self) -> None:
         """Destroy the subscription."""
         self._forget_events()
@@ -173,7 +181,7 @@ class Inbox:
     def _on_incompatible(self, _: Any) -> None:
         """Subscribe without asking for earlier messages if a publisher does not offer them; runs in the service thread."""
         volatile = [info for info in self._node.get_publishers_info_by_topic(self._topic) if is_volatile(info)]
-        if not volatile or self._widening or self._qos.durability != DurabilityPolicy.TRANSIENT_LOCAL:
+        if not volatile or self.volatile:
             return
         self._widening = True
         self._qos.durability = DurabilityPolicy.VOLATILE
