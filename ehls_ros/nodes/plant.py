@@ -147,7 +147,7 @@ class PlantNode(ControlNode):
         """
         if time.perf_counter() - self.asked > PATIENCE:
             self.asked = time.perf_counter()
-            if self.commands.volatile or self.state.volatile_readers():
+            if self.commands.volatile or self.state.has_volatile_reader():
                 _, stamp_ns, signals = self.untold
                 self.state.send(stamp_ns, cycle, *signals)
 

@@ -73,27 +73,15 @@ class Outbox:
         """
         self._node = node
         self._publisher = node.create_publisher(message, topic, control_qos())
-        self._readers = 0
-        self._known: set[bytes] = set()
         self._encode = Encoder(message, frame_id, lengths)
 
     def send(self, stamp_ns: int, *values: float) -> None:
         """Publish one message: header stamp [ns], then the fields in order."""
         self._publisher.handle.publish_raw(self._encode(stamp_ns, *values))
 
-    def joined(self) -> bool:
-        """Return whether, since the last call, a reader has joined that did not ask for the messages sent before."""
-        readers = self._publisher.get_subscription_count()
-        if readers == self._readers:
-            return False
-        self._readers = readers
-        before, self._known = self._known, self.volatile_readers()
-        return not self._known <= before
-
-    def volatile_readers(self) -> set[bytes]:
-        """Return the identifiers of the readers that do not ask for the messages sent before they joined."""
-        endpoints = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
-        return {bytes(endpoint.endpoint_gid) for endpoint in endpoints if is_volatile(endpoint)}
+    def has_volatile_reader(self) -> bool:
+        """Return whether a reader does not ask for the messages sent before it joined."""
+        return any(map(is_volatile, self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)))
 
     def destroy(self) -> None:
         """Destroy the publisher."""
