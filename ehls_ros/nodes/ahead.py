@@ -15,6 +15,9 @@ from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, newest_
 LEAD = 200
 """Cycles by which a signal of time alone runs ahead; far more than the cycles between two clock messages."""
 
+PATIENCE = 1.0
+"""Time without progress in lockstep after which the rows ahead are repeated to readers that may have missed them [s]."""
+
 REST = 0.005
 """In realtime, time between two looks of a signal of time alone at the newest snapshot [s]."""
 
@@ -57,6 +60,7 @@ class AheadNode(ControlNode):
         self.next = 0
         self.last = -1
         self.epoch_ns = 0
+        self.moved = time.perf_counter()
 
     def _cycle_of_clock(self, message: bytes) -> tuple[int, int]:
         """Return stamp [ns] and cycle, the first two fields of a loader_state."""
@@ -77,21 +81,27 @@ class AheadNode(ControlNode):
         self._publish_to(self.lead - 1, None)
 
     def once(self) -> None:
-        """Publish up to ``lead`` cycles beyond the newest one; again for a reader that could not ask for what it missed."""
+        """Publish up to ``lead`` cycles beyond the newest one."""
         self.waiter.wait(WAIT)
-        if self.lead > 1 and self.outbox.joined():
-            self.next = max(self.last, 0)
-            self._publish_to(self.next + self.lead, None)
         while (state := self.progress.take()) is not None:
             stamp, cycle = state[:2]
             if cycle < self.last or cycle > self.next:
                 # The plant restarted, or this node started late.
                 self.next = cycle + 1 if self.lead == 1 else cycle
-            self.last = cycle
+            self.last, self.moved = cycle, time.perf_counter()
             self.epoch_ns = stamp - round(cycle * self.period_ns)
             self._publish_to(cycle + self.lead, state if self.lead == 1 else None)
         if self.lead > 1 and not self.lockstep:
             time.sleep(REST)
+        elif self.lead > 1 and time.perf_counter() - self.moved > PATIENCE:
+            self._repeat()
+
+    def _repeat(self) -> None:
+        """Publish the rows ahead again: the cycles may wait for a reader that receives nothing sent before it was matched."""
+        self.moved = time.perf_counter()
+        if self.outbox.has_volatile_reader():
+            self.next = max(self.last, 0)
+            self._publish_to(self.next + self.lead - 1, None)
 
     def _publish_to(self, cycle: int, state: tuple[Any, ...] | None) -> None:
         while self.next <= cycle:

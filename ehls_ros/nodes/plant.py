@@ -181,14 +181,16 @@ class PlantNode(ControlNode):
         self.untold = (cycle * self.period, stamp_ns, signals)
 
     def ask_again(self, cycle: int) -> None:
-        """Repeat the present snapshot if it has long been unanswered: a reader may have joined too late for it.
+        """Repeat the present snapshot if it is unanswered for long and it, or its answer, may have been sent too early.
 
-        A controller that asks for no earlier messages, as by ROS's default, would else leave a plant in lockstep waiting.
+        A controller with ROS's default profile receives nothing that was sent before it was matched, and a plant in lockstep
+        would wait for its answer forever.
         """
         if time.perf_counter() - self.asked > PATIENCE:
             self.asked = time.perf_counter()
-            _, stamp_ns, signals = self.untold
-            self.state.send(stamp_ns, cycle, *signals)
+            if self.commands.volatile or self.state.has_volatile_reader():
+                _, stamp_ns, signals = self.untold
+                self.state.send(stamp_ns, cycle, *signals)
 
     def tell_telemetry(self) -> None:
         """Publish telemetry of the cycle if due; called after the answer, so that it delays nothing."""

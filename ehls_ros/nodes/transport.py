@@ -74,24 +74,15 @@ class Outbox:
         """
         self._node = node
         self._publisher = node.create_publisher(message, topic, control_qos())
-        self._readers = 0
-        self._volatile_readers: set[bytes] = set()
         self._encode = Encoder(message, loader_frame(node.get_namespace()), lengths, sender)
 
     def send(self, stamp_ns: int, *values: float) -> None:
         """Publish one message: header stamp [ns], then the fields in order."""
         self._publisher.handle.publish_raw(self._encode(stamp_ns, *values))
 
-    def joined(self) -> bool:
-        """Return whether, since the last call, a reader has joined that did not ask for the messages sent before."""
-        readers = self._publisher.get_subscription_count()
-        if readers == self._readers:
-            return False
-        self._readers = readers
-        endpoints = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
-        before = self._volatile_readers
-        self._volatile_readers = {bytes(endpoint.endpoint_gid) for endpoint in endpoints if is_volatile(endpoint)}
-        return not self._volatile_readers <= before
+    def has_volatile_reader(self) -> bool:
+        """Return whether a reader does not ask for the messages sent before it joined."""
+        return any(map(is_volatile, self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)))
 
     def destroy(self) -> None:
         """Destroy the publisher."""
@@ -159,6 +150,11 @@ class Inbox:
                 continue
             return taken
 
+    @property
+    def volatile(self) -> bool:
+        """Whether it does not receive what was sent before it was matched."""
+        return bool(self._qos.durability == DurabilityPolicy.VOLATILE)
+
     def destroy(self) -> None:
         """Destroy the subscription."""
         self._forget_events()
@@ -174,7 +170,7 @@ class Inbox:
     def _on_incompatible(self, _: Any) -> None:
         """Subscribe without asking for earlier messages if a publisher does not offer them; runs in the service thread."""
         volatile = [info for info in self._node.get_publishers_info_by_topic(self._topic) if is_volatile(info)]
-        if not volatile or self._widening or self._qos.durability != DurabilityPolicy.TRANSIENT_LOCAL:
+        if not volatile or self.volatile:
             return
         self._widening = True
         self._qos.durability = DurabilityPolicy.VOLATILE

@@ -117,7 +117,8 @@ class OpenBag(NamedTuple):
             BadInput: the bag is damaged.
         """
         with damage_reported(self.where):
-            for connection, stamp_ns, message in self.reader.messages(connections):
+            # Given no connection, rosbags reads all of them.
+            for connection, stamp_ns, message in self.reader.messages(connections) if connections else ():
                 yield connection, stamp_ns, self.expand(message) if self.expand else message
 
 

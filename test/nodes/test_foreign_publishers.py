@@ -7,7 +7,8 @@ pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from ehls_msgs.msg import Disturbance, LoaderState, ValveCommand
+from ehls_msgs.msg import Disturbance, ForceReference, LoaderState, ValveCommand
+from ehls_ros.nodes.ahead import LEAD
 
 DEFAULT = 10
 """Depth of ROS's default profile, which is reliable and volatile."""
@@ -20,6 +21,7 @@ def test_a_controller_with_the_default_profile_drives_the_plant_and_one_that_is_
 ):
     spec = spec_file(duration=1000.0)
     graph.start("plant_sim_node", spec=spec, timing="lockstep")
+    graph.start("reference_node", spec=spec, timing="lockstep")
     diagnostics = participant.collect(DiagnosticArray, "/diagnostics")
 
     def told(words):
@@ -30,16 +32,28 @@ def test_a_controller_with_the_default_profile_drives_the_plant_and_one_that_is_
     node = participant.node
     commands = node.create_publisher(ValveCommand, "valve_command", DEFAULT)
     disturbances = node.create_publisher(Disturbance, "disturbance", DEFAULT)
-    answered = []
+    waiting, references, answered = [], {}, []
 
-    def answer(state):
-        answered.append(state.cycle)
-        disturbances.publish(Disturbance(cycle=state.cycle))
-        commands.publish(ValveCommand(cycle=state.cycle))
+    def answer():
+        if waiting and waiting[-1] in references:
+            cycle = waiting.pop()
+            answered.append(cycle)
+            disturbances.publish(Disturbance(cycle=cycle))
+            commands.publish(ValveCommand(cycle=cycle))
 
-    node.create_subscription(LoaderState, "loader_state", answer, DEFAULT)
+    def open_cycle(state):
+        waiting.append(state.cycle)
+        answer()
+
+    def take_reference(reference):
+        references[reference.cycle] = reference.force
+        answer()
+
+    node.create_subscription(LoaderState, "loader_state", open_cycle, DEFAULT)
+    # References come in bursts.
+    node.create_subscription(ForceReference, "force_reference", take_reference, QoSProfile(depth=LEAD))
     participant.until(lambda: bool(answered) and answered[-1] >= CYCLES)
-    assert sorted(set(answered)) == list(range(answered[-1] + 1))
+    assert set(answered) == set(range(answered[-1] + 1))
     assert "valve_command: a publisher offers durability volatile" in graph.log("plant_sim_node")
 
     unreliable = QoSProfile(depth=DEFAULT, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from patience import PATIENCE
+from std_srvs.srv import Trigger
 
 from ehls_msgs.msg import ControllerStatus
 from ehls_ros.recording.events import read_events
@@ -61,6 +62,7 @@ def test_a_graph_is_retuned_loses_its_estimator_regains_it_and_ends_cleanly(runn
     figure(participant, diagnostics, "recorder_node", "nodes_known", lambda _, known: known >= len(NODES) + 3)
     tuned_after = a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, participant, diagnostics)
     the_estimator_may_go_and_come_back(running, participant, diagnostics, graph, spec_file(duration=1000.0))
+    assert participant.call(Trigger, "emergency_stop", Trigger.Request()).success
     # SIGINT to all, then their exit codes.
     for name in (*NODES, "plant_sim_node"):
         graph.processes[name].send_signal(signal.SIGINT)
@@ -115,4 +117,5 @@ def it_is_all_in_the_bag(bag, tuned_after):
     assert tuned == ["k: 12.0 → 14.0", "k: 14.0 → 13.0"]
     of_plant = [event.what for event in events if event.node == "plant_sim_node"]
     assert "activating → active" in of_plant[of_plant.index("deactivating → inactive") :]
+    assert any(what.startswith("stopped") for what in of_plant)
     assert any("steady sliding" in what for _, what in of_law)

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded_runs import loader_state, serialized
+from recorded_runs import loader_state, make_trajectory, serialized
 
 from ehls_ros.cli.main import main
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.bag_writer import BagWriter, Storage
+from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
 from ehls_ros.recording.events import Event, read_events
 from ehls_ros.recording.recovery import recover
 from ehls_ros.recording.topics import DIAGNOSTICS, PARAMETER_EVENTS, transition_topic
@@ -137,6 +137,11 @@ def test_trips_are_told_once_and_troubles_of_other_nodes_when_they_come_up(tmp_p
         (PLANT, "disabled"),
         (LAW, "no friction estimate arrives"),
     ]
+
+
+def test_a_bag_written_from_a_trajectory_tells_of_nothing(tmp_path: Path):
+    write_trajectory(tmp_path / "bag", make_trajectory())
+    assert read_events(tmp_path / "bag") == []
 
 
 @pytest.mark.parametrize("message", [b"\0\1\0\0", b"\0\1\0\0" + bytes(70_000), b""], ids=["truncated", "too long", "empty"])
