@@ -167,7 +167,7 @@ def test_the_controller_has_its_own_rig_and_the_plant_the_other(make_spec, rig_m
     # The plant's area and supply in what is measured; the controller's area, friction and spool limit in what it makes of it.
     assert np.allclose(run["force_n"], 2.6e-3 * run["load_pressure_pa"])
     assert np.all(run["supply_pressure_pa"] == 7e6)
-    assert np.allclose(run["e3_pa"], run["force_error_n"] / 2860.0)
+    assert np.allclose(run["e3_pa"], run["force_error_n"] / 2.86e-3)
     assert np.allclose(run["friction_viscous_n"], 8000.0 * run["velocity_m_s"])
     assert np.max(np.abs(run["valve_command_m"])) <= 2e-3
 

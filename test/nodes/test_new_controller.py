@@ -15,8 +15,10 @@ pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built
 from ehls_msgs.msg import ForceReference, LoaderState, ValveCommand
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.spec import chosen_spec
 from ehls_ros.families import offered
 from ehls_ros.nodes import node_names
+from ehls_ros.nodes.frames import robot_description
 
 DEFAULT = 10
 """Depth of ROS's default profile, which is volatile."""
@@ -130,3 +132,25 @@ def test_what_is_left_out_is_not_started(launch_file):
     defaults = {name: default for name, (default, _, _) in found["ARGUMENTS"].items()}
     nodes = found["nodes"]({**defaults, "without": "fasmc_node,reference_node"})
     assert {node.executable for node in nodes} == {"friction_estimator_node", "plant_sim_node", "disturbance_node"}
+
+
+def test_the_rig_is_described_where_robot_state_publisher_is_installed(launch_file):
+    found = launch_file()
+    defaults = {name: default for name, (default, _, _) in found["ARGUMENTS"].items()}
+    [publisher] = found["frames"]({**defaults, "namespace": "rig2", "timing": "lockstep"})
+    assert (publisher.package, publisher.namespace) == ("robot_state_publisher", "rig2")
+    [parameters] = publisher.parameters
+    assert (parameters["frame_prefix"], parameters["use_sim_time"]) == ("rig2/", True)
+    described = sys.modules["launch_ros.parameter_descriptions"].ParameterValue.call_args
+    assert described == mock.call(robot_description(chosen_spec("", "").rig), value_type=str)
+    assert found["frames"]({**defaults, "frames": "false"}) == []
+
+
+def test_a_launch_without_robot_state_publisher_says_so(launch_file):
+    index = sys.modules["ament_index_python.packages"]
+    index.PackageNotFoundError, index.get_package_prefix.side_effect = LookupError, LookupError
+    found = launch_file()
+    defaults = {name: default for name, (default, _, _) in found["ARGUMENTS"].items()}
+    [word] = found["frames"](defaults)
+    assert word is found["LogInfo"].return_value
+    assert "no robot_state_publisher is installed" in found["LogInfo"].call_args.kwargs["msg"]
