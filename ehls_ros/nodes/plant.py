@@ -281,9 +281,7 @@ class PlantNode(ControlNode):
         if self.lockstep and time.perf_counter() - self.published > PATIENCE:
             return "waiting for the controller's answer or the disturbance"
         if time.perf_counter() - self.jumped < NOTICE:
-            return (
-                f"header stamps jumped by {self.stamps.jump:+.3f} s to the clock's: the process slept, or the clock was set"
-            )
+            return f"header stamps jumped by {self.stamps.jump:+.3f} s to the clock's: the process slept, or the clock was set"
         if self.answered < 0:
             return "no controller has answered yet"
         return "cycles without an answer: the last command was held" if self.missed else ""
