@@ -2,7 +2,9 @@
 
 import faulthandler
 import gc
+import math
 import os
+import re
 import signal
 import sys
 import threading
@@ -53,6 +55,9 @@ CLOSING = 30.0
 
 WAIT = 0.1
 """Longest time a loop waits before it checks whether to stop [s]."""
+
+REPEAT = 10.0
+"""Time after which a warning is logged again that differs from an earlier one in its figures only [s]."""
 
 BEAT = 0.05
 """Period of the service thread's heartbeat [s]."""
@@ -117,6 +122,7 @@ class ControlNode(DeclaredParameters):
         self._idle.set()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._reported: tuple[bytes, str] | None = None
+        self._warned: dict[str, float] = {}
         self._beaten = False
         self._mismatches = Mismatches(self)
         # Steady time: ROS time may stop.
@@ -315,7 +321,10 @@ class ControlNode(DeclaredParameters):
         # rclpy ties each place in the code to the severity of its first call.
         if level == ERROR:
             self.get_logger().error(message)
-        else:
+            return
+        kind, now = re.sub(r"[\d.]+", "", message), time.monotonic()
+        if now - self._warned.get(kind, -math.inf) >= REPEAT:
+            self._warned[kind] = now
             self.get_logger().warning(message)
 
     def report_change(self) -> None:

@@ -39,6 +39,9 @@ CLOCK_CYCLES = 10
 PATIENCE = 1.0
 """Time without an answer after which diagnostics report it [s]."""
 
+NOTICE = 2.0
+"""Time for which diagnostics tell a jump of the stamps [s]; the last jump's size stays among the figures."""
+
 ASK_AGAIN = 1.0
 """Time after which a partner that has not answered is asked again [s]."""
 
@@ -130,6 +133,7 @@ class PlantNode(ControlNode):
         self.told_driving: bool | None = None
         self.clock = self.create_publisher(Clock, CLOCK_TOPIC, control_qos(1)) if self.lockstep else None
         self.stamps = Stamps(self.period)
+        self.jumped = -math.inf
         self.telemetry = Telemetry(self, float(self.get_parameter("telemetry_rate").value), self.sensed)
 
     def release(self) -> None:
@@ -151,12 +155,11 @@ class PlantNode(ControlNode):
             self.stamps.begin(cycle, self.now_ns() or 0)
 
     def _stamp_of(self, cycle: int) -> int:
-        """Return the stamp of a cycle that begins now [ns], and say so if the clock has left the stamps behind."""
+        """Return the stamp of a cycle that begins now [ns]."""
         jumps = self.stamps.jumps
         stamp_ns = self.stamps.of(cycle, None if self.lockstep else self.now_ns())
         if self.stamps.jumps != jumps:
-            why = "this process was held up, or the clock was set"
-            self.get_logger().warning(f"header stamps jump by {self.stamps.jump:+.3f} s to the clock's time: {why}")
+            self.jumped = time.perf_counter()
         return stamp_ns
 
     def publish(self, cycle: int, signals: Sequence[float], **sample: Any) -> None:
@@ -300,6 +303,8 @@ class PlantNode(ControlNode):
             return f"another node publishes {CLOCK_TOPIC}: start one of the two graphs with -r {CLOCK_TOPIC}:=/another/name"
         if self.lockstep and time.perf_counter() - self.published > PATIENCE:
             return "waiting for the controller's answer or the disturbance"
+        if time.perf_counter() - self.jumped < NOTICE:
+            return f"header stamps jumped by {self.stamps.jump:+.3f} s to the clock's: the process slept, or the clock was set"
         if self.answered < 0:
             return "no controller has answered yet"
         return "cycles without an answer: the last command was held" if self.missed else ""

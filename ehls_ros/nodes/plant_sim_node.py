@@ -135,13 +135,12 @@ class PlantSimNode(PlantNode):
         return {**super().figures(), **own, **self.time.figures()}
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Report trouble of the simulator, or a machine too slow for it, beside the state of the gate."""
+        """Report trouble of the simulator, the state of the gate, or a machine too slow for it."""
         level, message, figures = super().health()
         if trouble := self.simulator.trouble():
             return ERROR, trouble, figures
-        if self.time.pace.complaint and self._active.is_set():
-            slow = f"{self.time.pace.complaint}, the simulated time runs slower than the wall's: {ADVICE}"
-            return (ERROR, f"{message}; {slow}", figures) if level == ERROR else (WARN, slow, figures)
+        if level != ERROR and self._active.is_set() and self.time.pace.complaint:
+            return WARN, f"{self.time.pace.complaint}, the simulated time runs slower than the wall's: {ADVICE}", figures
         return level, message, figures
 
 

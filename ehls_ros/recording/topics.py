@@ -36,7 +36,7 @@ class Topic(NamedTuple):
 
     def resolve(self, namespace: str = NAMESPACE) -> str:
         """Return the full name, as ROS resolves it in a namespace."""
-        return self.name if self.name.startswith("/") else f"{namespace}/{self.name}"
+        return self.name if self.name.startswith("/") else f"{namespace.rstrip('/')}/{self.name}"
 
 
 def _cycle_topic(name: str, message_type: str, signals: Mapping[str, str]) -> Topic:
