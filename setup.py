@@ -68,7 +68,7 @@ setup(
         "dashboard": ["nicegui>=3.18"],
         "foxglove": ["foxglove-sdk>=0.30"],
         "parquet": ["pyarrow>=15"],
-        "campaign": ["pyarrow>=15", "distributed>=2024.5"],
+        "campaign": ["pyarrow>=15", "distributed>=2024.5", "joblib>=1.4"],
         "optimisers": ["pymoo>=0.6.2", "pyswarms>=1.3"],
         "peers": ["pysindy==2.1.0"],
         "nidaqmx": ["nidaqmx>=1"],

@@ -290,7 +290,7 @@ def metadata(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 def test_the_offline_half_needs_no_ros(metadata: dict[str, Any]) -> None:
     names = requirement_names(metadata["install_requires"])
-    assert names == {"numpy", "scipy", "numba", "pyyaml", "rosbags", "plotly", "rich", "joblib", "shtab"}
+    assert names == {"numpy", "scipy", "numba", "pyyaml", "rosbags", "plotly", "rich", "shtab"}
     assert all(name.startswith("ros-") for name in requirement_names(metadata["extras_require"]["ros"]))
 
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from ehls_ros.control import bounds
 from ehls_ros.control.controllers import fasmc
@@ -152,7 +153,7 @@ def law_numbers(plant: Plant, p: fasmc.Parameters) -> dict[str, str]:
 
     def slowly(steps: int = 200_001) -> float:
         error = np.linspace(0.01 * step, step, steps)
-        return float(np.trapezoid(1.0 / (0.5 * p.k * np.tanh(0.5 * p.g * error) - band), error))
+        return float(trapezoid(1.0 / (0.5 * p.k * np.tanh(0.5 * p.g * error) - band), error))
 
     sine_rate = STEP * math.pi / plant.piston_area
     return {

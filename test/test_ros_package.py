@@ -23,7 +23,6 @@ from ehls_ros.nodes import node_names
 ROOT = Path(__file__).resolve().parent.parent
 
 ROSDEP_KEYS = {
-    "joblib": "python3-joblib",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
     "rich": "python3-rich",
@@ -39,8 +38,8 @@ WITH_ROSBAGS = {"backports", "compression", "lz4"}
 OPTIONAL = {"distributed", "fastapi", "foxglove", "nicegui", "orjson", "pyarrow", "pymoo", "pyswarms", "starlette", "uvicorn"}
 """What the extras bring."""
 
-UNKNOWN_TO_ROSDEP = {"plotly", "shtab"}
-"""Imported by name where they are used, and not asked for."""
+BY_NAME = {"joblib", "plotly", "shtab"}
+"""Imported by name where they are used, and not asked for: rosdep does not know them, or noble's is too old."""
 
 
 def imported() -> set[str]:
@@ -68,7 +67,7 @@ def test_rosbags_brings_what_expands_bags() -> None:
 
 
 def test_nodes_and_verbs_load_without_what_package_xml_does_not_bring() -> None:
-    hidden = sorted(OPTIONAL | UNKNOWN_TO_ROSDEP | {"pydantic"})
+    hidden = sorted(OPTIONAL | BY_NAME | {"pydantic"})
     load = (
         f"import sys\nsys.modules.update(dict.fromkeys({hidden}))\n"
         "from importlib import import_module\nfrom ehls_ros.cli.verbs import VERBS\nfrom ehls_ros.nodes import node_names\n"

@@ -76,7 +76,7 @@ def python() -> Finding:
 
 def packages() -> Finding:
     """Check that the required packages can be imported, and plotly and shtab, which ROS machines may lack."""
-    if missing := _not_importable("joblib", "numba", "numpy", "rich", "rosbags", "scipy", "yaml"):
+    if missing := _not_importable("numba", "numpy", "rich", "rosbags", "scipy", "yaml"):
         advice = "make setup, or pip install . again; in a ROS workspace, rosdep install"
         return Finding("packages", "problem", f"cannot be imported: {missing}", advice)
     if missing := _not_importable("plotly", "shtab"):

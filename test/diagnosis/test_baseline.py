@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehls_ros.diagnosis import stages
 from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.excitation import mass_shows
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.stages import setup
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.baseline import diagnose_against
 from ehls_ros.experiments.spec import load_rig
@@ -145,7 +145,7 @@ def seal(rig, level, seed, pressure=3e5, drift=0.0):
 def test_a_piston_pushed_slowly_does_not_show_its_mass(seal_rig, healthy, rig):
     def shown(recording, of):
         record = prepare(recording, of, "recording")
-        return mass_shows(gather(record, of, setup(record, of), seed=0))
+        return mass_shows(gather(record, of, stages.setup(record, of), seed=0))
 
     assert not shown(seal(seal_rig, 5.0, 1), seal_rig)
     assert shown(healthy, rig)

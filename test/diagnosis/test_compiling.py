@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import pytest
 
 from ehls_ros.arrays import kernel
+from ehls_ros.diagnosis import stages
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.stages import Comparison, setup
+from ehls_ros.diagnosis.stages import Comparison
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.compiling import Job, compile_in_parallel, consequences_jobs, diagnosis_jobs
 from ehls_ros.experiments.controller_benefit import controller_benefit
@@ -33,7 +34,7 @@ def test_a_part_is_compiled_for_the_arguments_a_diagnosis_gives_it(part, rig, re
     compile_part(part, effective)
     run = part_kernel(part, effective).run
     before = list(run.signatures)
-    comparison = Comparison(record, setup(record, rig))
+    comparison = Comparison(record, stages.setup(record, rig))
     method = {"spool": "simulated_spool", "flow": "flow_terms", "force": "extra_force"}.get(part, part)
     getattr(comparison, method)(effective)
     assert before

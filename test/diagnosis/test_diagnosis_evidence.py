@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from plain_evidence import evidence_of
 
-from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis import rules, stages
 from ehls_ros.diagnosis.evidence import Residuals, gather, part_of, sections, whitened
 from ehls_ros.diagnosis.loss import inflation, loss, power, weights
 from ehls_ros.diagnosis.noise import deviations, with_noise
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.stages import CHANNELS, setup
+from ehls_ros.diagnosis.stages import CHANNELS
 from ehls_ros.trajectory import Trajectory
 
 PERIOD = 1e-3
@@ -57,7 +57,7 @@ def test_the_noise_floor_is_that_of_two_averaged_sensors(rig, force_noise, press
     record = prepare(Trajectory(t, signals), rig, "it")
     # What the record says of the noise is what is propagated.
     record = record._replace(noise={"load_pressure_pa": pressure_noise, "force_n": force_noise})
-    evidence = gather(record, rig, setup(record, rig), 0)
+    evidence = gather(record, rig, stages.setup(record, rig), 0)
     assert evidence.channels == ("cell",)
     gain = np.linalg.norm(evidence.setup.average.weights)
     noise = gain * math.hypot(force_noise, area * pressure_noise)
@@ -94,7 +94,7 @@ def noisy(rig, recorded):
 
 @pytest.fixture(scope="module")
 def evidence(noisy, rig):
-    return gather(noisy, rig, setup(noisy, rig), 0)
+    return gather(noisy, rig, stages.setup(noisy, rig), 0)
 
 
 def test_residuals_of_a_right_model_are_as_large_as_their_noise(evidence):
@@ -117,7 +117,7 @@ def test_every_window_lies_in_a_block(evidence):
 def test_windows_with_a_gap_do_not_count(noisy, rig, evidence):
     bad = {name: good.copy() for name, good in noisy.good.items()}
     bad["load_pressure_pa"][9000:9200] = False
-    gapped = gather(noisy._replace(good=bad), rig, setup(noisy, rig), 0)
+    gapped = gather(noisy._replace(good=bad), rig, stages.setup(noisy, rig), 0)
     for channel in ("force", "volume"):
         inside = np.abs(gapped.times[channel] - 9.1) < 0.1
         assert not inside.any(), channel

@@ -5,6 +5,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
+from ehls_ros.diagnosis import stages
 from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.fit import Worker
 from ehls_ros.diagnosis.held_out import assess
@@ -13,7 +14,7 @@ from ehls_ros.diagnosis.least_squares import gauss_newton, linear_loss, products
 from ehls_ros.diagnosis.loss import loss
 from ehls_ros.diagnosis.pool import Pool
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.stages import Comparison, setup
+from ehls_ros.diagnosis.stages import Comparison
 from ehls_ros.diagnosis.starts import Starts, combined, try_starts
 from ehls_ros.trajectory import Trajectory
 
@@ -22,7 +23,7 @@ def worker_of(recorded, rig, hidden, seed=12, duration=12.0):
     r = recorded(hidden, "rich", seed=seed, duration=duration)
     kept = prepare(Trajectory(r.time, r.columns), rig, "it")
     found, _ = candidates(kept, rig, [])
-    return Worker(gather(kept, rig, setup(kept, rig), 0)), {(c.name, c.number): c for c in found}
+    return Worker(gather(kept, rig, stages.setup(kept, rig), 0)), {(c.name, c.number): c for c in found}
 
 
 def test_gauss_newton_finds_what_enters_linearly(recorded, rig):

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from ehls_ros.diagnosis import stages
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.stages import CHANNELS, Comparison, setup
+from ehls_ros.diagnosis.stages import CHANNELS, Comparison
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.plant import FRICTION, PL, XV, V
@@ -51,7 +52,7 @@ def simulated(rig, seconds=6.0):
 
 def compared(trajectory, rig):
     r = prepare(trajectory, rig, "simulated")
-    return Comparison(r, setup(r, rig)), r
+    return Comparison(r, stages.setup(r, rig)), r
 
 
 @pytest.mark.parametrize("model", ["gms", "lugre"])
@@ -186,7 +187,7 @@ def test_residuals_that_are_said_to_be_equal_are(quiet):
 def test_missing_signals_narrow_what_is_compared(quiet, left_out, channels):
     ours, _, r = quiet
     some = r._replace(signals={n: a for n, a in r.signals.items() if n not in left_out})
-    used = setup(some, ours)
+    used = stages.setup(some, ours)
     assert set(used.channels) == channels
     left = Comparison(some, used).residuals(ours)
     assert all(np.all(np.isfinite(values)) for values in left.values())

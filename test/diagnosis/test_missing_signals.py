@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from ehls_ros.diagnosis import stages
 from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.hypotheses import candidates, extended
 from ehls_ros.diagnosis.missing_signals import deciding, untried
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.stages import setup
 from ehls_ros.trajectory import Trajectory
 
 FEW = ("valve_command_m", "load_pressure_pa", "position_m", "disturbance_force_n")
@@ -21,7 +21,7 @@ def gathered(rig, recorded):
 
     def gathered(columns):
         record = prepare(Trajectory(r.time, {name: r.columns[name] for name in columns}), rig, "it")
-        return gather(record, rig, setup(record, rig), 0)
+        return gather(record, rig, stages.setup(record, rig), 0)
 
     return gathered
 

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis import rules, stages
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.resolution import coarseness, command_seen, friction_known, presliding_travel
-from ehls_ros.diagnosis.stages import formed_of, setup
+from ehls_ros.diagnosis.stages import formed_of
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import rig_from_mapping
 from ehls_ros.trajectory import Own, Preparation, Trajectory
@@ -107,7 +107,9 @@ def test_noise_at_rest_is_no_turn():
 def test_turns_that_are_never_resolved_leave_the_force_balance_unjudged(smooth_rig):
     t = SLOW * np.arange(4000)
     x = 0.5 * presliding_travel(smooth_rig) * np.sin(2.0 * np.pi * 21.0 * t)
-    found = setup(prepare(Trajectory(t, {"position_m": x, "load_pressure_pa": 1e6 * np.sin(t)}), smooth_rig, "it"), smooth_rig)
+    found = stages.setup(
+        prepare(Trajectory(t, {"position_m": x, "load_pressure_pa": 1e6 * np.sin(t)}), smooth_rig, "it"), smooth_rig
+    )
     assert "force" not in found.channels
     assert found.why_not["force_balance"].startswith("needs slower motion or faster samples: at 100 Hz")
 
@@ -118,7 +120,7 @@ def test_a_command_slow_in_itself_is_seen_at_a_low_rate(rig, frequency, seen):
     u = 1e-4 * np.sin(2.0 * np.pi * frequency * t)
     record = prepare(Trajectory(t, {"valve_command_m": u, "spool_m": u}), rig, "it")
     assert command_seen(record, rig) is seen
-    assert ("valve" in setup(record, rig).why_not) is not seen
+    assert ("valve" in stages.setup(record, rig).why_not) is not seen
 
 
 def test_straight_lines_are_worse_only_where_signals_bend(rig):
@@ -164,7 +166,7 @@ def test_an_interpolated_signal_keeps_the_power_of_its_noise_and_its_own_windows
     assert record.noise["position_m"] == pytest.approx(2e-6 * math.sqrt(10.0))
     assert record.sampled("position_m", "load_pressure_pa") == 0.01
     assert record.sampled("load_pressure_pa") == pytest.approx(1e-3)
-    used = setup(record, rig)
+    used = stages.setup(record, rig)
     assert used.window.weights.size == rules.LEAST_WINDOW * 10 + 1
     assert used.fit == 41
 
@@ -184,7 +186,7 @@ def test_what_the_reading_cannot_judge_is_not_judged_with_its_reason(rig, record
     r = recorded({}, "rich", seed=3, duration=4.0)
     given = Trajectory(r.time, r.columns, preparation=Preparation(("as read",), not_judged={"flow": "for a reason"}))
     record = prepare(given, rig, "it")
-    found = setup(record, rig)
+    found = stages.setup(record, rig)
     assert not {"volume", "supply"} & set(found.channels)
     assert {"force", "spool"} <= set(found.channels)
     assert found.why_not == {"flow": "for a reason"}
