@@ -100,9 +100,12 @@ class PlantNode(ControlNode):
             return False
         self.awaited = tuple(filter(None, self.text_parameter("partners").split(",")))
         states = {name: self.create_client(GetState, f"{name}/get_state") for name in self.awaited}
-        while self.awaited and not stopping.is_set():
+        while self.awaited and not self._active.is_set() and not stopping.wait(WAIT):
             self.awaited = tuple(name for name in self.awaited if not self._is_active(states[name]))
-        return stopping.is_set() or self.trigger_activate() == TransitionCallbackReturn.SUCCESS
+        self.awaited = ()
+        # A lifecycle request may have come first.
+        activated = self._active.is_set() or stopping.is_set()
+        return activated or self.trigger_activate() == TransitionCallbackReturn.SUCCESS
 
     def _is_active(self, client: Client) -> bool:
         """Ask a node for its state; an answer that is late or lost is asked for again."""

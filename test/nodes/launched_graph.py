@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[2]
 NAMESPACE = "rig2"
 PARAMETERS = """
 /**/sic_node: {ros__parameters: {compensation: 1}}
-/rig2/plant_sim_node: {ros__parameters: {telemetry_rate: 20}}
+/rig2/plant_sim_node: {ros__parameters: {telemetry_rate: 20, timing: realtime}}
 """
 
 
@@ -94,6 +94,8 @@ class TestGraph(unittest.TestCase):
         assert self.value("sic_node", "compensation").double_value == 1.0
         assert self.value("sic_node", "use_sim_time").bool_value
         assert self.value("plant_sim_node", "telemetry_rate").double_value == 20.0
+        # The launch argument comes before the file.
+        assert self.value("plant_sim_node", "timing").string_value == "lockstep"
 
         assert self.ask(Trigger, f"/{NAMESPACE}/emergency_stop", Trigger.Request()).success
         command = f"&& ros2 service call /{NAMESPACE}/reset_trips std_srvs/srv/Trigger && ros2 service call"
