@@ -53,18 +53,22 @@ PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
 ROBOT_STATE_PUBLISHER = "robot_state_publisher"
 
 
+def arguments(context: LaunchContext) -> dict[str, str]:
+    """Return the arguments' values; in lockstep the time is always that of the clock topic."""
+    chosen = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    return chosen | ({"use_sim_time": "true"} if chosen["timing"] == "lockstep" else {})
+
+
 def nodes(context: LaunchContext) -> list[Node]:
     """Return the nodes that the arguments select.
 
     Raises:
         BadInput: the spec is wrong, or the controller cannot follow its reference.
     """
-    chosen = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    chosen = arguments(context)
     spec = chosen_spec(chosen["spec"], chosen["rig"])
     law = chosen["controller"] or spec.controller.name
     check_law(spec, law, "controller")
-    if chosen["timing"] == "lockstep":
-        chosen["use_sim_time"] = "true"
     common: dict[str, object] = {name: chosen[name] for name in ("spec", "rig", "timing")}
     common["priority"] = int(chosen["priority"])
     common |= {name: chosen[name] == "true" for name in ("autostart", "use_sim_time")}
@@ -100,7 +104,7 @@ def nodes(context: LaunchContext) -> list[Node]:
 
 def frames(context: LaunchContext) -> list[Node | LogInfo]:
     """Return the node that publishes the rig's frames and its description, or a word on why there is none."""
-    chosen = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    chosen = arguments(context)
     if chosen["frames"] != "true":
         return []
     try:
@@ -117,9 +121,10 @@ def frames(context: LaunchContext) -> list[Node | LogInfo]:
                 {
                     "robot_description": ParameterValue(description, value_type=str),
                     "frame_prefix": frame_prefix(f"/{chosen['namespace']}"),
-                    "use_sim_time": chosen["timing"] == "lockstep",
+                    "use_sim_time": chosen["use_sim_time"] == "true",
                 }
             ],
+            remappings=[("/clock", chosen["clock"])],
             output="screen",
         )
     ]
