@@ -36,9 +36,8 @@ def refuse_without_messages() -> None:
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     if any(Path(prefix, "share", "ehls_msgs", "package.xml").is_file() for prefix in prefixes):
         return
-    link = ROOT.parent / "ehls_msgs"
-    shown = "" if link.exists() else f"ln -s {ROOT.name}/ehls_msgs {link} && "
-    sys.exit(f"ehls_ros needs ehls_msgs, which is not built yet: {shown}colcon build --packages-up-to {PACKAGE}")
+    line = f"ln -sfn {ROOT.name}/ehls_msgs src/ehls_msgs && colcon build --packages-up-to {PACKAGE}"
+    sys.exit(f"{PACKAGE} needs ehls_msgs, which is not built yet; in the workspace's folder: {line}")
 
 
 if "AMENT_PREFIX_PATH" in os.environ and not {"develop", "install"}.isdisjoint(sys.argv):

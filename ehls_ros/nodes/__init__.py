@@ -18,7 +18,7 @@ SUFFIX = "_node"
 
 WITHOUT_MESSAGES = (
     "ehls_msgs, the messages of ehls_ros, is not there: `. install/setup.bash` of the workspace; if it is not built, "
-    "`ln -s ehls_ros/ehls_msgs src/ && colcon build --packages-up-to ehls_ros`: colcon looks for no package inside another"
+    "`ln -sfn ehls_ros/ehls_msgs src/ehls_msgs && colcon build --packages-up-to ehls_ros`"
 )
 
 
