@@ -1,6 +1,7 @@
 """What `ros2 bag play` does with a bag, where there is no rosbag2."""
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,10 +42,19 @@ class Replay:
         """Return the number of matched readers of all topics."""
         return sum(publisher.get_subscription_count() for publisher in self._publishers.values())
 
-    def play(self, rest: Callable[[float], None]) -> None:
-        """Publish the messages at the recorded pace; ``rest`` waits for a time [s]."""
-        before = self._messages[0][1]
+    def play(self, rest: Callable[[float], None]) -> Iterator[tuple[str, int]]:
+        """Publish the messages at the recorded pace, or slower as the caller likes.
+
+        Args:
+            rest: waits for a time [s].
+
+        Yields:
+            The topic of each message, and how many have been published on it.
+        """
+        before, published = self._messages[0][1], Counter[str]()
         for topic, stamp, data in self._messages:
             rest(1e-9 * (stamp - before))
             before = stamp
             self._publishers[topic].publish(data)
+            published[topic] += 1
+            yield topic, published[topic]
