@@ -29,16 +29,18 @@ class Note(NamedTuple):
 class Misfit(ValueError):
     """A value that does not fit its declaration."""
 
-    def __init__(self, value: Any, expected: str) -> None:
+    def __init__(self, value: Any, expected: str, place: str = "") -> None:
         """Keep what the message is made of.
 
         Args:
             value: the offending value.
             expected: what would have been accepted.
+            place: where it stands in what was declared, such as ``[2]`` in a list.
         """
         super().__init__(f"{value!r}; expected {expected}")
         self.value = value
         self.expected = expected
+        self.place = place
 
 
 def quantity(
@@ -128,7 +130,7 @@ def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> 
             try:
                 values[key] = fitted(hint, data[key])
             except Misfit as misfit:
-                what = f"{key} is {misfit.value!r}"
+                what = f"{key}{misfit.place} is {misfit.value!r}"
                 raise BadInput(what, where, f"{misfit.expected}{_advice(misfit)}{explained}") from None
         elif key in required:
             raise BadInput(f"key '{key}' is missing", where, f"a value for it{explained}")
@@ -233,10 +235,16 @@ def _tuple(kinds: tuple[Any, ...], value: Any) -> tuple[Any, ...]:
     if not isinstance(value, list | tuple):
         raise Misfit(value, "a list")
     if len(kinds) == 1 or kinds[1:] == (...,):
-        return tuple(fitted(kinds[0], each) for each in value)
+        kinds = kinds[:1] * len(value)
     if len(value) != len(kinds):
         raise Misfit(value, f"a list of {len(kinds)} values")
-    return tuple(map(fitted, kinds, value))
+    made = []
+    for index, (kind, each) in enumerate(zip(kinds, value, strict=True)):
+        try:
+            made.append(fitted(kind, each))
+        except Misfit as misfit:
+            raise Misfit(misfit.value, misfit.expected, f"[{index}]{misfit.place}") from None
+    return tuple(made)
 
 
 def _mapping(kind: Any, value: Any) -> Any:

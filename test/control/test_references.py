@@ -344,7 +344,7 @@ def test_a_wrong_value_gives_one_readable_line(rig_mapping, name, key, value):
         ({"name": "velocity_sweep", "velocities": [0.1, -0.1]}, SECTION, "velocities[1] is -0.1", "above 0"),
         ({"name": "velocity_sweep", "velocities": [float("inf")]}, SECTION, "velocities[0] is inf", "finite"),
         ({"name": "velocity_sweep", "velocities": [0.5]}, SECTION, "a stroke of 0.5 m is too short", "more travel"),
-        ({"name": "velocity_sweep", "velocities": 0.1}, f"{SECTION}: velocity_sweep", "velocities is 0.1", "tuple"),
+        ({"name": "velocity_sweep", "velocities": 0.1}, f"{SECTION}: velocity_sweep", "velocities is 0.1", "list"),
         ({"name": "irregular", "lowest_frequency": 2.0, "highest_frequency": 1.0}, SECTION, "2", "highest_frequency"),
     ],
 )
