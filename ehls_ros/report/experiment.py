@@ -82,7 +82,7 @@ def _done_to(events: Sequence[Event]) -> list[str]:
         return []
     rows = [("before" if event.time_s is None else f"{event.time_s:.3f}", event.node, event.what) for event in events]
     more = page.paragraph(f"{len(rows) - MOST_EVENTS} more are in the bag.") if len(rows) > MOST_EVENTS else ""
-    return [page.heading("What was done"), page.table(("Time / s", "Node", ""), rows[:MOST_EVENTS]), more]
+    return [page.heading("What was done"), page.table(("Time / s", "Node", "Event"), rows[:MOST_EVENTS]), more]
 
 
 def summary(trajectory: Trajectory, metrics: Metrics | None) -> tuple[str, bool | None]:
