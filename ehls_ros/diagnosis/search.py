@@ -71,7 +71,7 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
         # Nothing is larger than an error of form: then a single cause may be smaller.
         evidence = replace(evidence, form=rules.RELEVANT)
         best, scale = _added(evidence, pool, starts, base, level, progress)
-    always = None if best.names else explaining(evidence, base, level, scale)
+    always = explaining(evidence, base, level, scale) if evidence.baselines and not best.names else None
     best, places = _exchanged(evidence, pool, best, starts, Place(base, tuple(level)), scale)
     scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
     progress("causes together", 1.0)

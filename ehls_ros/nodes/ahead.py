@@ -9,14 +9,11 @@ from rosgraph_msgs.msg import Clock
 
 from ehls_msgs.msg import LoaderState
 from ehls_ros.nodes.codec import NANOSECONDS
-from ehls_ros.nodes.control import CLOCK_TOPIC, OK, WAIT, ControlNode
+from ehls_ros.nodes.control import CLOCK_TOPIC, OK, PATIENCE, WAIT, ControlNode
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, newest_qos
 
 LEAD = 200
 """Cycles by which a signal of time alone runs ahead; far more than the cycles between two clock messages."""
-
-PATIENCE = 1.0
-"""Time without progress in lockstep after which the rows ahead are repeated to readers that may have missed them [s]."""
 
 REST = 0.005
 """In realtime, time between two looks of a signal of time alone at the newest snapshot [s]."""

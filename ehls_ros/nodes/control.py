@@ -56,6 +56,10 @@ CLOSING = 30.0
 WAIT = 0.1
 """Longest time a loop waits before it checks whether to stop [s]."""
 
+PATIENCE = 1.0
+"""Longest quiet wait [s]: after it, diagnostics say what is missing, and in lockstep messages are repeated to readers that may
+have missed them."""
+
 REPEAT = 10.0
 """Time after which a warning is logged again that differs from an earlier one in its figures only [s]."""
 

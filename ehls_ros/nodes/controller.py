@@ -18,7 +18,7 @@ from ehls_ros.control.controllers.base import SATURATED, STATUS_TO_SI, model_of
 from ehls_ros.control.cycles import Cycles, Ready
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.experiments.spec import check_law
-from ehls_ros.nodes.control import OK, WARN, ControlNode
+from ehls_ros.nodes.control import OK, PATIENCE, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class
@@ -26,9 +26,6 @@ from ehls_ros.physics import sensors
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.recording.topics import DRIVING, REFERENCE_TOPICS
 from ehls_ros.schema import quantity
-
-PATIENCE = 1.0
-"""Time a cycle may wait before diagnostics say so [s]."""
 
 TURN = 0.005
 """Longest wait for one topic before the others are read [s]."""

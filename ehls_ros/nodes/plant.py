@@ -25,7 +25,7 @@ from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
 from ehls_ros.hardware.safety_gate import STOP_TIME, Gate
 from ehls_ros.hardware.stamps import Stamps
 from ehls_ros.nodes.codec import Decoder
-from ehls_ros.nodes.control import CLOCK_TOPIC, OK, WAIT, WARN, ControlNode
+from ehls_ros.nodes.control import CLOCK_TOPIC, OK, PATIENCE, WAIT, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
@@ -35,9 +35,6 @@ from ehls_ros.schema import quantity, text
 
 CLOCK_CYCLES = 10
 """Cycles between two clock messages in lockstep; nodes that run ahead of the cycles follow the clock."""
-
-PATIENCE = 1.0
-"""Time without an answer after which diagnostics report it [s]."""
 
 NOTICE = 2.0
 """Time for which diagnostics tell a jump of the stamps [s]; the last jump's size stays among the figures."""
