@@ -13,7 +13,7 @@ of effects need velocity, which a local fit of the position gives.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -453,6 +453,28 @@ def _beam(rig: EffectiveRig) -> tuple[float, ...]:
     return (plant.moving_mass, plant.piston_area, plant.viscous_damping, plant.spring_stiffness, plant.gravity)
 
 
+def formable(signals: Container[str], springless: bool) -> list[Channel]:
+    """Return the residuals that can be formed from signals by their names.
+
+    Args:
+        signals: the names in the data contract.
+        springless: whether no spring pulls, so that motion tells as much as position.
+    """
+    moving = POSITION in signals or VELOCITY in signals
+    pressure = PRESSURE in signals or FORCE in signals
+    flow = moving and pressure and (SPOOL in signals or COMMAND in signals)
+    there: Mapping[Channel, bool] = {
+        "spool": SPOOL in signals and COMMAND in signals,
+        "volume": flow,
+        "supply": flow and SUPPLY in signals,
+        # Without a position, what the spring pulls is not known.
+        "force": pressure and (POSITION in signals or (moving and springless)),
+        "cell": PRESSURE in signals and FORCE in signals,
+        "velocity": POSITION in signals and VELOCITY in signals,
+    }
+    return [channel for channel, formed in there.items() if formed]
+
+
 def setup(record: Record, rig: Rig) -> Setup:
     """Tell what of the model can be laid beside a recording."""
     period = record.period
@@ -462,28 +484,11 @@ def setup(record: Record, rig: Rig) -> Setup:
     averaged = record.sampled(COMMAND, SPOOL, PRESSURE, FORCE, SUPPLY) / period
     samples = max(round(rules.LEAST_WINDOW * balanced), round(rules.WINDOW / period))
     average = smooth_window(max(round(3 * averaged), round(rules.SPOOL_WINDOW / period)), period, hop=2)
-    moving = POSITION in record or VELOCITY in record
-    pressure = PRESSURE in record or FORCE in record
-    spool = SPOOL in record or COMMAND in record
     why_not = dict[Stage, str]()
-    channels: list[Channel] = []
-    if SPOOL in record and COMMAND in record:
-        if command_seen(record, rig):
-            channels.append("spool")
-        else:
-            why_not["valve"] = COMMAND_UNSEEN.format(rate=f"{1.0 / record.sampled(COMMAND, SPOOL):.3g}")
-    if moving and pressure and spool:
-        channels.append("volume")
-        if SUPPLY in record:
-            channels.append("supply")
-    # Without a position, what the spring pulls is not known.
-    known = POSITION in record or (moving and rig.plant.spring_stiffness == 0.0)
-    if pressure and known:
-        channels.append("force")
-    if PRESSURE in record and FORCE in record:
-        channels.append("cell")
-    if POSITION in record and VELOCITY in record:
-        channels.append("velocity")
+    channels = formable(record.signals, springless=rig.plant.spring_stiffness == 0.0)
+    if "spool" in channels and not command_seen(record, rig):
+        channels.remove("spool")
+        why_not["valve"] = COMMAND_UNSEEN.format(rate=f"{1.0 / record.sampled(COMMAND, SPOOL):.3g}")
     fit = max(2 * round(2 * moved) + 1, 2 * round(rules.VELOCITY_FIT / period / 2) + 1)
     measured = False
     if VELOCITY in record and POSITION in record:

@@ -1,10 +1,11 @@
 """Maps the user's own column names and units to the names of the data contract."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording.expression import expression
 from ehls_ros.recording.units import ELECTRICAL, UNITS, quantity_of, unit_of
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import parse, quantity, text
@@ -23,21 +24,47 @@ EXPECTED_TABLES = "a list of files, or a mapping like 'fast.csv: {name: t, unit:
 
 
 class Column(NamedTuple):
-    """A column of the user's file; the signal is ``gain`` · ``scale`` · the value in SI units of ``unit``, plus ``offset``."""
+    """What a file has for a signal, which is ``gain`` · ``scale`` · the value in SI units of ``unit``, plus ``offset``."""
 
-    name: Annotated[str, text("name of the column in the file; of a bag, of the message's field, such as position[0]")]
+    name: Annotated[str, text("name of the column in the file; of a bag, of the message's field, such as position[0]")] = ""
     scale: Annotated[float, quantity("1", "factor; without a unit, SI units per unit of the column")] = 1.0
     offset: Annotated[float, quantity("SI", "added after scaling")] = 0.0
     unit: Annotated[str, text("unit of the column, such as mm, bar, kN, °C, mA or V")] = ""
     gain: Annotated[float, quantity("SI", "of a column in A, V, % or counts: the signal's SI units per A, V, 1 or count")] = 1.0
     fit_to: Annotated[str, text("for raw counts: the signal to which scale and offset are fitted")] = ""
     table: Annotated[str, text("the file that has the column, where several have one of this name; of a bag, the topic")] = ""
+    expression: Annotated[str, text("instead of a name: columns of one unit, such as pA - pB, or `p A` - `p B`")] = ""
+    range: Annotated[tuple[float, ...], text("two values of the column, such as [4, 20] of a transmitter in mA")] = ()
+    means: Annotated[tuple[float, ...], text("what the signal is at both values of the range", "SI")] = ()
+    rate: Annotated[float, quantity("Hz", "of time: sampling rate; name is the column of sample numbers, if there is one")] = (
+        0.0
+    )
 
     def plain(self) -> "Column":
-        """Return the column with its unit in scale and offset."""
+        """Return the column with its unit, range and rate in scale and offset."""
+        if self.range:
+            (low, high), (at_low, at_high) = self.range, self.means
+            scale = (at_high - at_low) / (high - low)
+            return Column(self.name, scale, at_low - scale * low + self.offset, expression=self.expression)
         unit = UNITS[self.unit] if self.unit else UNITS["counts"]
-        factor = self.gain * self.scale
-        return Column(self.name, factor * unit.scale, factor * unit.offset + self.offset)
+        factor = self.gain * self.scale / (self.rate or 1.0)
+        return Column(self.name, factor * unit.scale, factor * unit.offset + self.offset, expression=self.expression)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Names of the columns it is made of; none for times that are counted."""
+        if self.expression:
+            return expression(self.expression).names
+        return (self.name,) if self.name else ()
+
+    def sources_in(self, names: Collection[str]) -> bool:
+        """Tell whether all columns it is made of are among these names."""
+        return set(self.sources) <= set(names)
+
+    @property
+    def shown(self) -> str:
+        """What it is called in messages."""
+        return self.expression or self.name
 
 
 class Cylinder(NamedTuple):
@@ -157,14 +184,49 @@ def _entry(name: str, entry: object, where: str, expected: str) -> Column:
     if not isinstance(entry, dict):
         raise BadInput(f"it is {entry!r}", where, expected)
     column = parse(Column, entry, where)
+    _check_source(name, column, entry, where)
     for key in ("scale", "gain"):
         if getattr(column, key) == 0:
             raise BadInput(f"{key} is 0", where, "a factor other than 0")
+    if column.range or column.means:
+        return _with_range(column, entry, where)
     if column.unit:
         return _with_unit(name, column, entry, where)
     if "gain" in entry:
         raise BadInput("gain is given without a unit", where, "unit: A, mA, V, mV, % or counts; or scale instead")
     return column
+
+
+def _check_source(name: str, column: Column, entry: Mapping[str, object], where: str) -> None:
+    """Refuse a column that says not at all, or twice, where its values come from."""
+    if "rate" in entry and (name != TIME or column.rate <= 0.0 or entry.keys() & {"unit", "scale", "expression"}):
+        raise BadInput(f"rate is {column.rate:g}", where, f"a positive rate in Hz, only for {TIME} and without unit or scale")
+    if column.expression:
+        if column.name:
+            raise BadInput("both name and expression are given", where, "one of the two")
+        try:
+            expression(column.expression)
+        except ValueError as error:
+            expected = "arithmetic of columns such as pA - pB; other names between backticks"
+            raise BadInput(f"expression is {column.expression!r}: {error}", where, expected) from None
+    elif not column.name and not column.rate:
+        note = "the name of the column in the file, an expression of several columns, or of time a rate"
+        raise BadInput("key 'name' is missing", where, note)
+
+
+def _with_range(column: Column, entry: Mapping[str, object], where: str) -> Column:
+    """Check two values of a column and what they mean."""
+    for key, ends in (("range", column.range), ("means", column.means)):
+        if len(ends) != 2 or ends[0] == ends[1]:
+            expected = "two different numbers in both, such as range: [4, 20] and means: [-1.0e-3, 1.0e-3]"
+            raise BadInput(f"{key} is {list(ends)}", where, expected)
+    other = next((key for key in ("scale", "gain", "fit_to", "rate") if key in entry), None)
+    if other is not None:
+        raise BadInput(f"{other} is given beside a range", where, "one of the two")
+    spelling = unit_of(column.unit) if column.unit else ""
+    if spelling is None:
+        raise BadInput(f"unit is {column.unit!r}", where, f"one of {', '.join(UNITS)}; or none")
+    return column._replace(unit=spelling)
 
 
 def _with_unit(name: str, column: Column, entry: Mapping[str, object], where: str) -> Column:
@@ -176,7 +238,8 @@ def _with_unit(name: str, column: Column, entry: Mapping[str, object], where: st
     if found in ELECTRICAL:
         if "gain" not in entry and "scale" not in entry and not column.fit_to:
             what = f"unit is {spelling} and no gain is given"
-            raise BadInput(what, where, f"gain: {READABLE[name].unit if name in READABLE else 's'} per SI unit of it")
+            si = READABLE[name].unit if name in READABLE else "s"
+            raise BadInput(what, where, f"gain: {si} per SI unit of it; or range: and means:, such as of 4 and 20 mA")
     elif "gain" in entry:
         raise BadInput(f"unit is {spelling}, which needs no gain", where, "a gain only with A, mA, V, mV, % or counts")
     elif found != wanted:

@@ -1,7 +1,7 @@
 """Reads files with libraries that trust their input, in a separate process with bounded memory and time.
 
-A few kilobytes of a MAT or Parquet file can expand to terabytes, or be nested until the stack overflows. The libraries allocate
-whatever a file asks for, and their calls cannot be interrupted; so the reading process ends instead of ours.
+A few kilobytes of a MAT, Parquet or Excel file can expand to terabytes, or be nested until the stack overflows. The libraries
+allocate whatever a file asks for, and their calls cannot be interrupted; so the reading process ends instead of ours.
 """
 
 import os
@@ -16,25 +16,25 @@ from typing import TypeVar
 
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.recording import limits
-from ehls_ros.recording.columns import Columns
 from ehls_ros.recording.deadline import Deadline
 from ehls_ros.recording.regular_file import check_regular
 from ehls_ros.sources import PACKAGE
 
+Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 
 SMALLER = "a file whose variables fit in memory, or the data as CSV"
 
 
 def contained(
-    read: Callable[[Path, Columns], Result], path: Path, columns: Columns, expected: str, kind: type[Result]
+    read: Callable[[Path, Argument], Result], path: Path, argument: Argument, expected: str, kind: type[Result]
 ) -> Result:
     """Read a file in a separate process.
 
     Args:
         read: the reader, a function at the top level of a module.
         path: the file.
-        columns: the user's own names and units.
+        argument: what else the reader takes; it can be pickled.
         expected: what the file should be, for errors.
         kind: type of the result.
 
@@ -49,7 +49,7 @@ def contained(
     half = os.sysconf("SC_PHYS_PAGES") * resource.getpagesize() // 2
     memory = min(limits.COPIES * min(limits.EXPANDED + limits.EXPANSION * size, 8 * limits.VALUES), half)
     deadline = Deadline(size, str(path))
-    done = _run_reader(pickle.dumps((read, path, columns, memory, deadline.seconds)), path, deadline)
+    done = _run_reader(pickle.dumps((read, path, argument, memory, deadline.seconds)), path, deadline)
     if done.returncode == -signal.SIGXCPU:
         raise deadline.error()
     if done.returncode or not done.stdout:
@@ -93,14 +93,14 @@ def _serve() -> None:
     """Serve the request of the parent process."""
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # libraries may print
-    read, path, columns, memory, seconds = pickle.load(sys.stdin.buffer)  # noqa: S301 - from the parent process
+    read, path, argument, memory, seconds = pickle.load(sys.stdin.buffer)  # noqa: S301 - from the parent process
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     limit(resource.RLIMIT_AS, pages * resource.getpagesize() + memory)
     limit(resource.RLIMIT_CPU, int(seconds) + 1)
     limit(resource.RLIMIT_CORE, 0)
     result: object
     try:
-        result = read(path, columns)
+        result = read(path, argument)
         content = pickle.dumps(result, protocol=5)
     except BadInput as error:
         content = pickle.dumps(error)

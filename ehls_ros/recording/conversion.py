@@ -1,7 +1,7 @@
 """Turns what rigs measure into the signals of the data contract: chamber pressures, load cell, angle and torque, raw counts."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +42,16 @@ FLOW_OF_UNEQUAL_AREAS = (
     "the volume balance is that of a symmetric cylinder; with unequal areas the valve's pressure drop differs by direction"
 )
 """Why the flow is not judged."""
+
+
+def given_by(signals: Collection[str]) -> set[str]:
+    """Return the names of the signals that there are once those of a rig are converted."""
+    out = {*signals, *(linear for rotary, (linear, _) in TURNED.items() if rotary in signals)}
+    if {"pressure_a_pa", "pressure_b_pa"} <= out:
+        out.add("load_pressure_pa")
+    if "load_cell_n" in out:
+        out.add("disturbance_force_n")
+    return out
 
 
 class _State(NamedTuple):

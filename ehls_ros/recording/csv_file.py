@@ -1,102 +1,207 @@
-"""CSV files in the format of the data contract: a header row of signal names, values in SI units."""
+"""Text files with a table, read by pandas; and CSV files in the format of the data contract, written."""
 
-import csv
-import math
-from array import array
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+import io
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from itertools import chain, count, islice
-from operator import itemgetter
+from importlib import import_module
+from itertools import chain
 from pathlib import Path
-from types import MappingProxyType
-from typing import TextIO
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording import limits
-from ehls_ros.recording.columns import TIME, Column, Columns
+from ehls_ros.recording.columns import TIME
 from ehls_ros.recording.deadline import Deadline
+from ehls_ros.recording.header_row import Kind
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.regular_file import check_regular
-from ehls_ros.recording.table import RawTable, assemble, check_length, choose
+from ehls_ros.recording.table import Pick, RawTable, check_length
+from ehls_ros.recording.text_layout import SPACES, Layout, layout_of, split
+from ehls_ros.recording.times import seconds_of_clock
 from ehls_ros.trajectory import Trajectory
 
-DELIMITERS = ",;\t"
-BLOCK = 16384
-"""Rows written together, and read between two checks of the limits."""
+BLOCK = 2**20
+"""Text read between two checks of the limits [characters]."""
 
-LOOKED_AT = 200_000
-"""Rows that tell what a column holds."""
+ROWS_WRITTEN = 16384
+"""Rows written together."""
+
+EXPECTED_FILE = "a CSV file"
 
 
-def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
-    """Read a CSV file.
-
-    Columns whose name is not in the data contract are ignored unless mapped. An empty cell is NaN.
+def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
+    """Read a table from a text file: CSV in any of the layouts that :mod:`text_layout` knows.
 
     Args:
-        path: the file, UTF-8, with a header row; separated by commas, semicolons or tabs.
-        columns: the user's own names and units.
+        path: the file.
+        pick: returns the names of the columns to read, of which every cell has to be a number, a time or empty; None for
+            all, where a column with anything else is None.
 
     Returns:
-        The trajectory, without metadata.
+        The table. An empty cell is NaN.
 
     Raises:
-        BadInput: the file cannot be read, a column or cell is wrong, or time does not increase with every row.
+        BadInput: the file cannot be read, or a row or cell is wrong.
     """
     where = str(path)
-    with _opened(path) as (stream, deadline):
-        chosen, values = _read(stream, columns, deadline, where)
-    return assemble(values, chosen, where, _line)
-
-
-def csv_names(path: Path) -> list[str]:
-    """Return the names of a CSV file's columns.
-
-    Raises:
-        BadInput: the file cannot be read.
-    """
-    with _opened(path) as (stream, _):
-        return _rows(stream, str(path))[1]
-
-
-def raw_csv(path: Path) -> RawTable:
-    """Return the first :data:`LOOKED_AT` rows of all columns of a CSV file by their names; None for one that is not of numbers.
-
-    Raises:
-        BadInput: the file cannot be read.
-    """
-    where = str(path)
-    with _opened(path) as (stream, deadline):
-        rows, header = _rows(stream, where)
-        table = [row for row in islice(rows, LOOKED_AT) if len(row) == len(header)]
-        deadline.check()
-    cells = zip(*table, strict=True) if table else iter([()] * len(header))
-    return {name: _column_of(column) for name, column in zip(header, cells, strict=True)}
-
-
-def _column_of(cells: Sequence[str]) -> NDArray[np.float64] | None:
+    size = check_regular(path, limits.TABLE, EXPECTED_FILE, larger=limits.TABLE_LARGER)
+    deadline = Deadline(size, where)
     try:
-        values = np.array([float(cell) if cell.strip() else math.nan for cell in cells], dtype=np.float64)
-    except ValueError:
-        return None
-    return values if np.any(np.isfinite(values)) else None
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[tuple[TextIO, Deadline]]:
-    where = str(path)
-    deadline = Deadline(check_regular(path, limits.TABLE, "a CSV file", larger=limits.TABLE_LARGER), where)
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            yield stream, deadline
+        layout = layout_of(path)
+        names = layout.header.names
+        wanted = list(names) if pick is None else list(pick(names))
+        with path.open(encoding=layout.encoding, errors="replace") as stream:
+            lines = _Lines(stream, layout, deadline, where)
+            # The first of two columns of one name; those who want it have been told by `pick`.
+            places = sorted({names.index(name) for name in wanted})
+            values = _Columns(layout, places, pick is None, where).read(lines) if places else {}
     except OSError as error:
-        raise BadInput(f"the file cannot be read ({reason(error)})", where, "a CSV file") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise BadInput(f"it is not CSV ({reason(error)})", where, "a CSV file in UTF-8") from None
+        raise BadInput(f"the file cannot be read ({reason(error)})", where, EXPECTED_FILE) from None
+    said, header = layout.sentence(), layout.header
+    clocks = {name: "s" for name, kind in zip(names, header.kinds, strict=True) if kind == "clock"}
+    return RawTable(
+        names,
+        {names[place]: column for place, column in values.items()},
+        "line",
+        header.first + 1,
+        {**header.units, **clocks},
+        (said,) if said else (),
+    )
+
+
+class _Block(NamedTuple):
+    """Whole lines of a file, with the number of the first."""
+
+    lines: list[str]
+    first: int
+
+
+class _Lines:
+    """The lines of values, in blocks; a line with another number of cells is refused, and a long one before it is read."""
+
+    def __init__(self, stream: TextIO, layout: Layout, deadline: Deadline, where: str) -> None:
+        self._stream, self._layout, self._deadline, self._where = stream, layout, deadline, where
+        self._cells = len(layout.header.names)
+
+    def __iter__(self) -> Iterator[_Block]:
+        """Yield the blocks."""
+        number, skip, rest = 1, self._layout.header.first, ""
+        for piece in chain(iter(partial(self._stream.read, BLOCK), ""), [None]):
+            self._deadline.check()
+            lines = (rest + (piece or "")).split("\n")
+            rest = lines.pop() if piece is not None else ""
+            if max(map(len, [*lines, rest])) > limits.LINE:
+                place = next(k for k, line in enumerate([*lines, rest]) if len(line) > limits.LINE)
+                expected = f"a CSV file with one line per sample, of at most {limits.LINE}"
+                what = f"the line has more than {limits.LINE} characters"
+                raise BadInput(what, f"{self._where}, line {number + place}", expected)
+            block = _Block(lines[skip:], number + min(skip, len(lines)))
+            number, skip = number + len(lines), max(0, skip - len(lines))
+            yield from self._checked(block)
+
+    def _checked(self, block: _Block) -> Iterator[_Block]:
+        """Yield a block whose lines all have as many cells as there are names; white space may end the file."""
+        wrong = self._wrong(block.lines)
+        if wrong is None:
+            if block.lines:
+                yield block
+            return
+        line = block.lines[wrong]
+        if not line.strip() and not any(map(str.strip, block.lines[wrong:])) and self._only_space_follows():
+            if wrong:
+                yield _Block(block.lines[:wrong], block.first)
+            return
+        cells = len(split(line, self._layout.delimiter)) if line.strip() else 0
+        what, where = f"the row has {cells} cells", f"{self._where}, line {block.first + wrong}"
+        raise BadInput(what, where, f"{self._cells}, as in the header")
+
+    def _wrong(self, lines: Sequence[str]) -> int | None:
+        """Return the index of the first line with another number of cells."""
+        delimiter = self._layout.delimiter
+        if delimiter == SPACES or any('"' in line for line in lines):
+            counts = [len(split(line, delimiter)) if line.strip() else 0 for line in lines]
+        else:
+            counts = [line.count(delimiter) + 1 if line else 0 for line in lines]
+        if counts.count(self._cells) == len(counts):
+            return None
+        return next(k for k, count in enumerate(counts) if count != self._cells)
+
+    def _only_space_follows(self) -> bool:
+        return not any(piece.strip() for piece in iter(partial(self._stream.read, BLOCK), ""))
+
+
+class _Columns:
+    """The columns of blocks of lines, as pandas reads them."""
+
+    def __init__(self, layout: Layout, places: Iterable[int], lenient: bool, where: str) -> None:
+        self._layout, self._where, self._lenient = layout, where, lenient
+        # Where every cell has to be a number, the first that is none will be named.
+        kinds = {place: layout.header.kinds[place] for place in places}
+        self.kinds = {place: "number" if kind == "text" and not lenient else kind for place, kind in kinds.items()}
+
+    def read(self, blocks: Iterable[_Block]) -> dict[int, NDArray[np.float64] | None]:
+        """Return the columns by their places."""
+        parts: dict[int, list[NDArray[Any]]] = {place: [] for place in self.kinds}
+        rows = 0
+        for block in blocks:
+            rows += len(block.lines)
+            check_length(rows, len(parts), self._where)
+            for place, values in self._block(block).items():
+                parts[place].append(values)
+        return {place: self._whole(self.kinds[place], pieces) for place, pieces in parts.items()}
+
+    def _whole(self, kind: Kind, pieces: list[NDArray[Any]]) -> NDArray[np.float64] | None:
+        if kind == "text":
+            return None
+        whole = np.concatenate(pieces) if pieces else np.empty(0)
+        return seconds_of_clock(whole) if kind == "clock" else whole
+
+    def _block(self, block: _Block) -> dict[int, NDArray[Any]]:
+        while True:
+            places = [place for place, kind in self.kinds.items() if kind != "text"]
+            try:
+                return self._parsed(block.lines, places)
+            except ValueError:
+                place, line = self._first_wrong(block.lines, places)
+            if not self._lenient:
+                cell = split(block.lines[line], self._layout.delimiter)[place].strip()
+                what = f"column '{self._layout.header.names[place]}' is {cell[:40]!r}"
+                expected = f"a number with a decimal {'comma' if self._layout.decimal == ',' else 'point'}"
+                raise BadInput(what, f"{self._where}, line {block.first + line}", expected)
+            self.kinds[place] = "text"
+
+    def _first_wrong(self, lines: Sequence[str], places: Sequence[int]) -> tuple[int, int]:
+        """Return place and index of line of the first cell that is no number, by halving."""
+        begin, end = 0, len(lines)
+        while end - begin > 1:
+            middle = (begin + end) // 2
+            begin, end = (middle, end) if self._readable(lines[begin:middle], places) else (begin, middle)
+        return next((place for place in places if not self._readable(lines[begin:end], [place])), places[0]), begin
+
+    def _readable(self, lines: Sequence[str], places: Sequence[int]) -> bool:
+        try:
+            self._parsed(lines, places)
+        except ValueError:
+            return False
+        return True
+
+    def _parsed(self, lines: Sequence[str], places: Sequence[int]) -> dict[int, NDArray[Any]]:
+        if not places:
+            return {}
+        table = import_module("pandas").read_csv(
+            io.StringIO("\n".join(lines)),
+            sep=self._layout.delimiter,
+            decimal=self._layout.decimal,
+            header=None,
+            names=range(len(self._layout.header.names)),
+            usecols=places,
+            dtype={place: str if self.kinds[place] == "clock" else np.float64 for place in places},
+            skipinitialspace=True,
+        )
+        return {place: table[place].to_numpy() for place in places}
 
 
 def write_csv(path: Path, trajectory: Trajectory) -> None:
@@ -119,8 +224,8 @@ def write_csv(path: Path, trajectory: Trajectory) -> None:
         raise BadInput(f"the output cannot be created ({reason(error)})", str(path), "a writable file") from None
     with stream:
         stream.write(",".join(columns) + "\n")
-        for start in range(0, len(trajectory), BLOCK):
-            block = np.column_stack([column[start : start + BLOCK] for column in columns.values()])
+        for start in range(0, len(trajectory), ROWS_WRITTEN):
+            block = np.column_stack([column[start : start + ROWS_WRITTEN] for column in columns.values()])
             stream.writelines(",".join(map(repr, row)) + "\n" for row in block.tolist())
 
 
@@ -131,75 +236,3 @@ def _columns(trajectory: Trajectory) -> Iterator[tuple[str, NDArray[np.float64]]
             yield name, values
         else:
             yield from ((f"{name}_{number}", column) for number, column in enumerate(values.T, start=1))
-
-
-def _read(
-    stream: TextIO, columns: Columns, deadline: Deadline, where: str
-) -> tuple[dict[str, Column], dict[str, NDArray[np.float64]]]:
-    """Return the chosen columns and their values by contract name."""
-    rows, header = _rows(stream, where)
-    chosen = choose(header, columns, where)
-    places = {name: place for place, name in enumerate(header)}
-    pick = itemgetter(*(places[column.name] for column in chosen.values()))
-    numbers = array("d")
-    for number, row in enumerate(rows):
-        if number % BLOCK == 0:
-            deadline.check()
-            check_length(number, len(chosen), where)
-        if len(row) != len(header):
-            if not row and _only_space_in(stream):
-                break
-            line = f"{where}, {_line(len(numbers) // len(chosen))}"
-            raise BadInput(f"the row has {len(row)} cells", line, f"{len(header)}, as in the header")
-        cells = pick(row)
-        try:
-            values = list(map(float, cells))
-        except ValueError:
-            values = []
-        if not values or "_" in "".join(cells):
-            line = f"{where}, {_line(len(numbers) // len(chosen))}"
-            values = [_number(cell, column, line) for cell, column in zip(cells, chosen.values(), strict=True)]
-        numbers.extend(values)
-    table = np.frombuffer(numbers).reshape(-1, len(chosen))
-    return chosen, dict(zip(chosen, table.T, strict=True))
-
-
-def _rows(stream: TextIO, where: str) -> tuple[Iterator[list[str]], list[str]]:
-    """Return the rows of values, and the names in the header."""
-    lines = _lines(stream, where)
-    first_line = next(lines, "")
-    delimiter = max(DELIMITERS, key=first_line.count)
-    rows = csv.reader(chain([first_line], lines), delimiter=delimiter, skipinitialspace=True, strict=True)
-    return rows, [name.strip() for name in next(rows, [])]
-
-
-def _lines(stream: TextIO, where: str) -> Iterator[str]:
-    """Yield the lines; a longer one is refused without reading all of it."""
-    for number in count(1):
-        line = stream.readline(limits.LINE + 1)
-        if len(line) > limits.LINE:
-            expected = f"a CSV file with one line per sample, of at most {limits.LINE}"
-            raise BadInput(f"the line has more than {limits.LINE} characters", f"{where}, line {number}", expected)
-        if not line:
-            return
-        yield line
-
-
-def _only_space_in(stream: TextIO) -> bool:
-    """Tell whether the rest of a file is white space."""
-    return not any(piece.strip() for piece in iter(partial(stream.read, limits.LINE), ""))
-
-
-def _number(cell: str, column: Column, where: str) -> float:
-    if not cell.strip():
-        return math.nan
-    # Python accepts 1_000 as a number; no data export means that.
-    with suppress(ValueError):
-        if "_" not in cell:
-            return float(cell)
-    raise BadInput(f"column '{column.name}' is {cell[:40]!r}", where, "a number")
-
-
-def _line(row: int) -> str:
-    """Return the line number of a row of values in an editor, with the header on line 1."""
-    return f"line {row + 2}"

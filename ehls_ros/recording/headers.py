@@ -6,6 +6,7 @@ left to the user.
 
 import re
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 from ehls_ros.recording.columns import TIME, is_contract_name
@@ -34,7 +35,7 @@ class Recognised(NamedTuple):
 
 
 WORDS: Mapping[str, str] = {
-    **dict.fromkeys(("t", "time", "zeit", "timestamp", "zeitstempel"), "time"),
+    **dict.fromkeys(("t", "time", "zeit", "timestamp", "zeitstempel", "uhrzeit", "elapsed"), "time"),
     **dict.fromkeys(("x", "position", "pos", "weg", "hub", "stroke", "displacement", "kolbenweg"), "length"),
     **dict.fromkeys(("xv", "spool", "schieber", "schieberweg"), "spool"),
     **dict.fromkeys(("v", "velocity", "vel", "speed", "geschwindigkeit"), "velocity"),
@@ -50,7 +51,21 @@ WORDS: Mapping[str, str] = {
     **dict.fromkeys(("omega", "ω", "drehzahl", "winkelgeschwindigkeit"), "angular velocity"),
     **dict.fromkeys(("M", "torque", "moment", "drehmoment"), "torque"),
     **dict.fromkeys(
-        ("u", "U", "i", "I", "command", "cmd", "stellsignal", "stellgröße", "ventilstrom", "ventilspannung"), "command"
+        (
+            "u",
+            "U",
+            "i",
+            "I",
+            "command",
+            "cmd",
+            "stellsignal",
+            "stellgröße",
+            "strom",
+            "current",
+            "ventilstrom",
+            "ventilspannung",
+        ),
+        "command",
     ),
 }
 """Words for quantities, English and German. A single letter, and one with a capital inside, count with their case."""
@@ -85,9 +100,14 @@ BETWEEN = re.compile(r"\s*(?P<label>.*?\S)\s*(?:/|\s+in\s+)\s*(?P<unit>\S.*?)\s*
 PIECES = re.compile(r"[A-ZÄÖÜ]?[a-zäöüßµ]+|[A-ZÄÖÜ]+(?![a-zäöü])|[0-9]+|[α-ωΑ-Ω]")
 
 
-def recognised(header: Sequence[str]) -> list[Recognised]:
-    """Tell what the headers of a table say, in their order."""
-    found = [_recognised(column) for column in header]
+def recognised(header: Sequence[str], units: Mapping[str, str] = MappingProxyType({})) -> list[Recognised]:
+    """Tell what the headers of a table say, in their order.
+
+    Args:
+        header: the names of its columns.
+        units: by name, where the file says them apart from it, such as in a row of units.
+    """
+    found = [_recognised(column, units.get(column, "")) for column in header]
     stated = [r.signal for r in found if r.sureness in ("contract", "stated")]
     return [
         r._replace(sureness="unsure", open=f"{stated.count(r.signal)} columns say the same; which is it?")
@@ -97,10 +117,17 @@ def recognised(header: Sequence[str]) -> list[Recognised]:
     ]
 
 
-def _recognised(column: str) -> Recognised:
+def _recognised(column: str, apart: str) -> Recognised:
     if is_contract_name(column):
         return Recognised(column, column, "", "contract", "")
     label, unit, doubt = _parted(column)
+    if apart:
+        known = unit_of(apart)
+        doubt = "" if known else f"unit {apart!r} is not known"
+        if unit and known and UNITS[unit] != UNITS[known]:
+            doubt = f"the name says {unit}, and the row of units {known}"
+        bracketed = BRACKETS.match(column)
+        label, unit = bracketed["label"] if bracketed else label, "" if doubt else known or ""
     quantity, qualifiers = _words(label)
     signal, left_open = _signal(quantity, qualifiers)
     if not quantity:

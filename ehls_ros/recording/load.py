@@ -1,45 +1,43 @@
 """Loads recorded or measured data in any format of the data contract."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES, read_bag
 from ehls_ros.recording.columns import TABLES, TIME, Column, ColumnMap, Columns, is_contract_name, is_topic
 from ehls_ros.recording.conversion import converted
-from ehls_ros.recording.csv_file import csv_names, raw_csv, read_csv
+from ehls_ros.recording.csv_file import read_csv
+from ehls_ros.recording.excel_file import read_excel
 from ehls_ros.recording.joining import join
-from ehls_ros.recording.mat_file import raw_mat, read_mat
+from ehls_ros.recording.mat_file import read_mat
 from ehls_ros.recording.named_topics import read_named_topics
-from ehls_ros.recording.parquet_file import raw_parquet, read_parquet
+from ehls_ros.recording.parquet_file import read_parquet
 from ehls_ros.recording.storage_file import METADATA_FILE
-from ehls_ros.recording.table import RawTable
+from ehls_ros.recording.table import Pick, RawTable, no_names, sources, trajectory_of
+from ehls_ros.recording.tdms_file import read_tdms
 from ehls_ros.trajectory import SIGNALS, Trajectory
 
-
-class Reader(NamedTuple):
-    """How a kind of file with named columns is read: to a trajectory, as it is, and its names alone where that is quicker."""
-
-    read: Callable[[Path, Columns], Trajectory]
-    raw: Callable[[Path], RawTable]
-    names: Callable[[Path], Iterable[str]]
-
-
-READERS: Mapping[str, Reader] = {
-    ".csv": Reader(read_csv, raw_csv, csv_names),
-    ".mat": Reader(read_mat, raw_mat, raw_mat),
-    ".parquet": Reader(read_parquet, raw_parquet, raw_parquet),
+READERS: Mapping[str, Callable[[Path, Pick | None], RawTable]] = {
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".asc"), read_csv),
+    ".mat": read_mat,
+    ".parquet": read_parquet,
+    **dict.fromkeys((".xlsx", ".xls"), read_excel),
+    ".tdms": read_tdms,
 }
 """Readers of files with named columns, by suffix."""
+
+OTHERS_HAVE = (".txt", ".dat", ".asc")
+"""Suffixes that files without a table have as well: such a file in a folder is a table only if a map lists it."""
 
 
 def load(path: Path, columns: ColumnMap | None = None, wanted: Collection[str] = SIGNALS) -> Trajectory:
     """Read data in any supported format.
 
     Args:
-        path: folder of a rosbag2; a file ``.mcap``, ``.db3``, ``.csv``, ``.mat`` or ``.parquet``; a folder with several of the
-            last three, which are the tables of one recording; or one of the tables that the map lists.
+        path: folder of a rosbag2; a file ``.mcap``, ``.db3`` or one of :data:`READERS`; a folder with several of the latter,
+            which are the tables of one recording; or one of the tables that the map lists.
         columns: the user's own names, units and tables; of a bag, its topics. None: those of the data contract.
         wanted: names of the signals that are needed of a bag of ours; its other topics are not read.
 
@@ -54,7 +52,7 @@ def load(path: Path, columns: ColumnMap | None = None, wanted: Collection[str] =
     if tables:
         return converted(_joined(tables, given, str(path)), given, str(path))
     if is_table(path):
-        return converted(READERS[path.suffix.lower()].read(path, given.plain()), given, str(path))
+        return converted(_read(path, given.plain()), given, str(path))
     if columns is None:
         return read_bag(path, wanted)
     return converted(_on_one_clock(read_named_topics(path, given), given, str(path)), given, str(path))
@@ -96,13 +94,22 @@ def holds_tables(path: Path) -> bool:
     return bool(_tables(path, ColumnMap())) or is_table(path)
 
 
-def raw(path: Path) -> RawTable:
-    """Return the columns of one table by the user's own names.
+def raw(path: Path, pick: Pick | None = None) -> RawTable:
+    """Return one table as its file has it.
+
+    Args:
+        path: the file, of one of :data:`READERS`.
+        pick: returns the names of the columns to read; None for all.
 
     Raises:
         BadInput: it cannot be read.
     """
-    return READERS[path.suffix.lower()].raw(path)
+    return READERS[path.suffix.lower()](path, pick)
+
+
+def _read(path: Path, columns: Columns) -> Trajectory:
+    where = str(path)
+    return trajectory_of(raw(path, partial(sources, columns=columns, where=where)), columns, where)
 
 
 def _tables(path: Path, given: ColumnMap) -> list[Path]:
@@ -114,7 +121,11 @@ def _tables(path: Path, given: ColumnMap) -> list[Path]:
             raise BadInput(f"it is not among the tables of the map ({', '.join(given.tables)})", str(path), expected)
         return [folder / name for name in given.tables]
     files = _files(path) if folder == path else []
-    return [] if any(file.name == METADATA_FILE for file in files) else [f for f in files if f.suffix.lower() in READERS]
+    return (
+        []
+        if any(file.name == METADATA_FILE for file in files)
+        else [f for f in files if f.suffix.lower() in READERS.keys() - set(OTHERS_HAVE)]
+    )
 
 
 def _files(folder: Path) -> list[Path]:
@@ -129,13 +140,13 @@ def _joined(paths: Sequence[Path], given: ColumnMap, where: str) -> Trajectory:
     for path in paths:
         if path.suffix.lower() not in READERS:
             raise BadInput(f"table {path.name} is no file of named columns", where, f"files {', '.join(READERS)}")
-    names = {path.name: list(READERS[path.suffix.lower()].names(path)) for path in paths}
+    names = {path.name: raw(path, no_names).names for path in paths}
     for name, column in given.columns.items():
-        if not any(column.name in header for table, header in names.items() if column.table in ("", table)):
+        if not any(column.sources_in(header) for table, header in names.items() if column.table in ("", table)):
             shown = "; ".join(f"{table}: {', '.join(header)}" for table, header in names.items())
-            raise BadInput(f"column '{column.name}' for {name} is in no table ({shown})", where, "a column of that name")
+            raise BadInput(f"column '{column.shown}' for {name} is in no table ({shown})", where, "a column of that name")
     chosen = {path.name: _columns_of(path.name, names, given, where) for path in paths}
-    read = {path.name: READERS[path.suffix.lower()].read(path, chosen[path.name]) for path in paths}
+    read = {path.name: _read(path, chosen[path.name]) for path in paths}
     return _on_one_clock(read, given, where)
 
 
@@ -147,11 +158,11 @@ def _columns_of(table: str, names: Mapping[str, Sequence[str]], given: ColumnMap
     """Return the columns of the map that a table has."""
     out = {}
     for name, column in given.columns.items():
-        if column.name not in names[table] or (column.table and column.table != table):
+        if not column.sources_in(names[table]) or (column.table and column.table != table):
             continue
-        others = [other for other, header in names.items() if column.name in header]
+        others = [other for other, header in names.items() if column.sources_in(header)]
         if name != TIME and len(others) > 1 and not column.table:
-            what = f"column '{column.name}' for {name} is in {' and '.join(others)}"
+            what = f"column '{column.shown}' for {name} is in {' and '.join(others)}"
             raise BadInput(what, where, f"'table: {others[0]}', or another, beside its name in the map")
         out[name] = column.plain()
     time = given.tables.get(table)

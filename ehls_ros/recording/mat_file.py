@@ -1,78 +1,92 @@
-"""MATLAB files in the format of the data contract: one variable per signal."""
+"""MATLAB files: one variable per signal; version 4 to 7 by scipy, version 7.3 by h5py."""
 
 from collections.abc import Iterator, Mapping
+from importlib import import_module
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.io import loadmat
+from scipy.io.matlab import matfile_version
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.columns import Columns
 from ehls_ros.recording.contained import contained
+from ehls_ros.recording.library import check_library
 from ehls_ros.recording.reason import reason
-from ehls_ros.recording.table import RawTable, assemble, choose
-from ehls_ros.trajectory import Trajectory
+from ehls_ros.recording.table import Pick, RawTable, check_length
 
-EXPECTED_FILE = "a MAT file as written by MATLAB's save -v7"
+EXPECTED_FILE = "a MAT file as written by MATLAB's save"
+
+DEEPEST = 20
+"""Deepest nesting of structures in version 7.3, whose links can form circles [1]."""
+
+MOST_VARIABLES = 10_000
+"""Most variables of a file of version 7.3 [1]."""
 
 
-def read_mat(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
-    """Read a MAT file of version 4 to 7.
+def read_mat(path: Path, pick: Pick | None = None) -> RawTable:
+    """Read a MAT file.
 
     Args:
         path: the file. Each variable is a column; the fields of a structure ``s`` are columns ``s.field``.
-        columns: the user's own names and units.
+        pick: returns the names of the columns to read; None for all.
 
     Returns:
-        The trajectory, without metadata.
-
-    Raises:
-        BadInput: the file cannot be read, a column is wrong, or time does not increase with every sample.
-    """
-    return contained(read_here, path, columns, EXPECTED_FILE, Trajectory)
-
-
-def read_here(path: Path, columns: Columns) -> Trajectory:
-    """Read a MAT file in this process, without a memory limit; see :func:`read_mat`."""
-    where, variables = str(path), _variables(path)
-    chosen = choose(list(variables), columns, where)
-    values = {name: np.atleast_1d(np.asarray(variables[column.name])) for name, column in chosen.items()}
-    return assemble(values, chosen, where, lambda row: f"sample {row + 1}")
-
-
-def raw_mat(path: Path) -> RawTable:
-    """Return all variables of a MAT file that have one number per sample, by name; None for the others.
+        The table.
 
     Raises:
         BadInput: the file cannot be read.
     """
-    return contained(raw_here, path, {}, EXPECTED_FILE, dict)
+    return contained(read_here, path, pick, EXPECTED_FILE, RawTable)
 
 
-def raw_here(path: Path, columns: Columns) -> RawTable:
-    """Do the same in this process, without a memory limit."""
-    found = {name: np.atleast_1d(np.asarray(value)) for name, value in _variables(path).items()}
-    return {
-        name: value.astype(np.float64) if value.ndim == 1 and value.dtype.kind in "fiub" else None
-        for name, value in found.items()
-    }
-
-
-def _variables(path: Path) -> dict[str, Any]:
+def read_here(path: Path, pick: Pick | None) -> RawTable:
+    """Read a MAT file in this process, without a memory limit; see :func:`read_mat`."""
     where = str(path)
     try:
         with path.open("rb") as stream:
-            return dict(_flatten(loadmat(stream, simplify_cells=True)))
-    except OSError as error:
+            newest = matfile_version(stream)[0] == 2
+            if newest:
+                check_library("h5py", "h5py", path)
+                with import_module("h5py").File(path, "r") as file:
+                    return _table(dict(_datasets(file)), pick, where)
+            stream.seek(0)
+            return _table(dict(_flatten(loadmat(stream, simplify_cells=True))), pick, where)
+    except BadInput:
+        raise
+    except FileNotFoundError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", where, EXPECTED_FILE) from None
-    except NotImplementedError:
-        raise BadInput("it is a MAT file of version 7.3", where, EXPECTED_FILE) from None
     except MemoryError:
         raise
     except Exception as error:  # noqa: BLE001 - scipy raises any exception on a damaged file
         raise BadInput(f"it is not a MAT file ({reason(error)})", where, EXPECTED_FILE) from None
+
+
+def _table(variables: Mapping[str, Any], pick: Pick | None, where: str) -> RawTable:
+    names = tuple(variables)
+    wanted = names if pick is None else pick(names)
+    check_length(max((variables[name].size for name in wanted if hasattr(variables[name], "size")), default=0), 1, where)
+    found = {name: np.atleast_1d(np.asarray(variables[name][()] if _is_dataset(variables[name]) else variables[name]))
+             for name in wanted}  # fmt: skip
+    values = {name: _signal(value, variables[name], pick is None) for name, value in found.items()}
+    return RawTable(names, values, "sample")
+
+
+def _is_dataset(variable: object) -> bool:
+    return hasattr(variable, "attrs")
+
+
+def _signal(values: NDArray[Any], variable: Any, lenient: bool) -> NDArray[Any] | None:
+    """Return the values of a variable; None for what is no signal, where that is no error."""
+    if _is_dataset(variable):
+        # MATLAB's vectors have two dimensions, and its arrays are stored in the other order.
+        values = values.T.squeeze() if values.size > 1 else values.ravel()
+        if variable.attrs.get("MATLAB_class", b"double") in (b"char", b"cell"):
+            return None
+    if lenient and (values.ndim != 1 or values.dtype.kind not in "fiub"):
+        return None
+    return values
 
 
 def _flatten(variables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -81,3 +95,19 @@ def _flatten(variables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[s
             yield from _flatten(value, f"{prefix}{name}.")
         elif not name.startswith("__"):
             yield prefix + name, value
+
+
+def _datasets(group: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
+    """Yield the variables of version 7.3; those of other files, to which links may lead, are left out."""
+    h5py: Any = import_module("h5py")
+    if depth > DEEPEST or len(group) > MOST_VARIABLES:
+        what = f"its structures are nested {depth} deep with {len(group)} fields"
+        raise BadInput(what, group.file.filename, f"at most {DEEPEST} and {MOST_VARIABLES}")
+    for name in group:
+        if name.startswith("#") or not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            continue
+        member = group[name]
+        if isinstance(member, h5py.Group):
+            yield from _datasets(member, f"{prefix}{name}.", depth + 1)
+        elif isinstance(member, h5py.Dataset) and not (member.external or member.is_virtual):
+            yield prefix + name, member

@@ -156,6 +156,8 @@ def _by_topic(given: ColumnMap, where: str) -> dict[str, dict[str, Column]]:
             raise BadInput(f"{TIME} is mapped, but each topic of a bag has times of its own", where, expected)
         if not is_topic(column.table):
             raise BadInput(f"no topic is named for {name}", where, "'table: /topic' beside its name in the map")
+        if column.expression:
+            raise BadInput(f"expression is {column.expression!r} for {name}", where, "the name of one field, as this is a bag")
         out.setdefault(column.table, {})[name] = column.plain()
     if not out:
         raise BadInput("the map names no column", where, "an entry like 'force_n: {table: /topic, name: data}'")

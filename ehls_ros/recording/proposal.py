@@ -1,20 +1,24 @@
 """Proposes a map of columns from headers and data: what is understood, for the user to confirm."""
 
 import json
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ehls_ros.diagnosis.record import COMMAND, SPOOL
+from ehls_ros.diagnosis.stage_results import NEEDED_SIGNALS
+from ehls_ros.diagnosis.stages import CHANNELS, STAGES, formable
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.columns import TABLES, TIME, is_topic
+from ehls_ros.recording.conversion import given_by
 from ehls_ros.recording.headers import Recognised, recognised
 from ehls_ros.recording.load import is_table, raw
 from ehls_ros.recording.named_topics import Found, every_topic
-from ehls_ros.recording.units import ELECTRICAL, UNITS
-from ehls_ros.trajectory import READABLE
+from ehls_ros.recording.units import ELECTRICAL, UNITS, unit_of
 
 UNITS_OF_FIELDS: Mapping[str, str] = {
     "sensor_msgs/msg/FluidPressure.fluid_pressure": "Pa",
@@ -58,6 +62,7 @@ class Table(NamedTuple):
         rows: number of rows looked at.
         rate: samples per second; NaN if no column of time is sure.
         unevenness: largest deviation of a time step from the usual one, relative to it.
+        remarks: how the file was read, and times that do not increase; one sentence each.
     """
 
     name: str
@@ -65,6 +70,46 @@ class Table(NamedTuple):
     rows: int
     rate: float
     unevenness: float
+    remarks: tuple[str, ...] = ()
+
+
+class Valve(NamedTuple):
+    """A valve's rated data: the signal of full stroke, or both ends of its range, and the stroke.
+
+    Attributes:
+        ends: the signal at both ends of the stroke, in its unit.
+        unit: of the signal.
+        stroke: spool displacement at the upper end [m]; at the lower one it is the opposite.
+    """
+
+    ends: tuple[float, float]
+    unit: str
+    stroke: float
+
+
+VALVE = re.compile(
+    r"\s*(?:(?P<low>[-+\d.eE]+)\s*\.\.\s*)?(?P<high>[-+\d.eE]+)\s*(?P<unit>\D+?)\s*=\s*(?P<stroke>[-+\d.eE]+)\s*(?P<length>\D+)"
+)
+EXPECTED_VALVE = "the signal of full stroke and the stroke, such as '10 V = 1 mm', '40 mA = 1 mm' or '4..20 mA = 1 mm'"
+
+
+def valve_data(text: str) -> Valve:
+    """Read a valve's rated data as ``10 V = 1 mm``, where the opposite signal gives the opposite stroke, or ``4..20 mA = 1 mm``.
+
+    Raises:
+        BadInput: it says something else.
+    """
+    match = VALVE.fullmatch(text)
+    unit, length = (unit_of(match[key]) for key in ("unit", "length")) if match else (None, None)
+    try:
+        if match and unit and length and UNITS[unit].quantity in ELECTRICAL and UNITS[length].quantity == "length":
+            high, stroke = float(match["high"]), float(match["stroke"]) * UNITS[length].scale
+            low = float(match["low"]) if match["low"] else -high
+            if low != high and stroke != 0.0:
+                return Valve((low, high), unit, stroke)
+    except ValueError:
+        pass
+    raise BadInput(f"the valve's data are {text!r}", "command line", EXPECTED_VALVE)
 
 
 def look(path: Path) -> list[Table]:
@@ -76,14 +121,18 @@ def look(path: Path) -> list[Table]:
     if not is_table(path):
         return [_topic(name, found) for name, found in every_topic(path).items()]
     table = raw(path)
-    if not table:
+    if not table.names:
         raise BadInput("it has no column", str(path), "a header row of names and a row per sample")
-    headers = recognised(list(table))
-    seen = tuple(_seen(header, values) for header, values in zip(headers, table.values(), strict=True))
-    times = next(
-        (_seconds(h, table[h.column]) for h in headers if h.signal == TIME and h.sureness in ("contract", "stated")), None
+    headers = recognised(table.names, table.units)
+    seen = tuple(_seen(header, table.values[header.column]) for header in headers)
+    sure = [h for h in headers if h.signal == TIME and h.sureness in ("contract", "stated")]
+    times = _seconds(sure[0], table.values[sure[0].column]) if sure else None
+    rows = max((len(values) for values in table.values.values() if values is not None), default=0)
+    backwards = np.flatnonzero(np.diff(times) <= 0.0) if times is not None else np.empty(0)
+    said = (
+        [f"{len(backwards)} times do not increase, the first in {table.place(int(backwards[0]) + 1)}"] if len(backwards) else []
     )
-    return [Table(path.name, seen, max((len(v) for v in table.values() if v is not None), default=0), *_rate(times))]
+    return [Table(path.name, seen, rows, *_rate(times), (*table.remarks, *said))]
 
 
 def _topic(name: str, found: Found) -> Table:
@@ -117,8 +166,34 @@ def _rate(times: NDArray[np.float64] | None) -> tuple[float, float]:
     return (1.0 / usual, float(np.nanmax(np.abs(steps - usual))) / usual) if usual > 0.0 else (np.nan, np.nan)
 
 
-def proposed_map(tables: list[Table]) -> str:
-    """Return the text of a map: what is sure as entries, what is not as comments to be completed."""
+class Proposal(NamedTuple):
+    """A map of columns, proposed.
+
+    Attributes:
+        text: what is certain as entries, what is not as comments to be completed.
+        signals: those in the data contract that it gives, with columns that need no entry.
+        certain: number of columns that are certain.
+        unsure: number of columns that want a look.
+    """
+
+    text: str
+    signals: frozenset[str]
+    certain: int
+    unsure: int
+
+    def unjudged(self) -> dict[str, str]:
+        """Return the stages that a diagnosis cannot judge from it, with what each needs; a spring is taken to be there."""
+        channels = formable(given_by(self.signals), springless=False)
+        return {stage: NEEDED_SIGNALS[stage] for stage in STAGES if stage not in {CHANNELS[channel] for channel in channels}}
+
+
+def proposed_map(tables: Sequence[Table], valve: Valve | None = None) -> Proposal:
+    """Propose a map of columns.
+
+    Args:
+        tables: what was understood of the files of one recording, or of a bag's topics.
+        valve: rated data for columns of the valve's command and spool in a unit of its signal; None where they are not known.
+    """
     lines = ["# Columns as `ehls columns` understood them. Check every line; a line with # is not used until it is completed."]
     several = len(tables) > 1 or any(is_topic(table.name) for table in tables)
     if several and not any(is_topic(table.name) for table in tables):
@@ -132,11 +207,16 @@ def proposed_map(tables: list[Table]) -> str:
     for table in tables:
         if several:
             lines.append(f"# --- {table.name}")
-        lines += _lines(table, several, taken)
-    return "\n".join(lines) + "\n"
+        lines += _lines(table, several, taken, valve)
+    headers = [column.header for table in tables for column in table.columns if column.numeric]
+    ready = [header for header in headers if header.sureness == "contract"]
+    times = [header for header in headers if header.sureness == "stated" and header.signal == TIME]
+    signals = frozenset({*taken, *(header.signal for header in ready)})
+    certain = len(ready) + len(taken) + (len(times) if several else 0)
+    return Proposal("\n".join(lines) + "\n", signals, certain, len(headers) - certain)
 
 
-def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
+def _lines(table: Table, several: bool, taken: dict[str, str], valve: Valve | None) -> Iterator[str]:
     for column in table.columns:
         header = column.header
         if header.sureness == "contract" or (several and header.signal == TIME and header.sureness == "stated"):
@@ -147,6 +227,14 @@ def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
             continue
         of = f", table: {json.dumps(table.name, ensure_ascii=False)}" if several else ""
         span = f"{column.smallest:.4g} to {column.largest:.4g}"
+        if valve is not None and _moved_by(valve, header) and header.signal not in taken:
+            taken[header.signal] = table.name
+            factor = UNITS[valve.unit].scale / UNITS[header.unit].scale
+            ends = ", ".join(f"{factor * end:.12g}" for end in valve.ends)
+            unit = json.dumps(header.unit, ensure_ascii=False)
+            means = f"means: [{-valve.stroke!r}, {valve.stroke!r}]"
+            yield f"{header.signal}: {{name: {name}, unit: {unit}, range: [{ends}], {means}{of}}}  # {span}; the valve's data"
+            continue
         if header.sureness == "stated" and header.signal not in taken:
             taken[header.signal] = table.name
             hint = "; if it sits between piston and load: load_cell_n" if header.signal == "force_n" else ""
@@ -156,14 +244,15 @@ def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
         yield f"# {header.signal or 'which_signal'}: {_entry(header)[:-1]}{of}}}  # {span}; {doubt}"
 
 
+def _moved_by(valve: Valve, header: Recognised) -> bool:
+    """Tell whether a column is the valve's command or spool, in a unit of the signal of its rated data."""
+    known = header.unit and header.signal in (COMMAND, SPOOL) and header.sureness == "unsure"
+    return bool(known) and UNITS[header.unit].quantity == UNITS[valve.unit].quantity
+
+
 def _entry(header: Recognised) -> str:
     name = json.dumps(header.column, ensure_ascii=False)
     if not header.unit:
         return f"{{name: {name}, unit: ?}}" if header.sureness != "contract" else f"{{name: {name}}}"
-    gain = ", gain: ?" if UNITS[header.unit].quantity in ELECTRICAL else ""
+    gain = ", range: [?, ?], means: [?, ?]" if UNITS[header.unit].quantity in ELECTRICAL else ""
     return f"{{name: {name}, unit: {json.dumps(header.unit, ensure_ascii=False)}{gain}}}"
-
-
-def si_unit(signal: str) -> str:
-    """Return the unit of a signal of the data contract."""
-    return "s" if signal == TIME else READABLE[signal].unit if signal in READABLE else ""

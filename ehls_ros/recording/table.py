@@ -3,7 +3,8 @@
 import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +12,45 @@ from numpy.typing import NDArray
 from ehls_ros.errors import BadInput
 from ehls_ros.recording import limits
 from ehls_ros.recording.columns import TIME, Column, Columns, element_of, is_contract_name
+from ehls_ros.recording.expression import expression
 from ehls_ros.trajectory import AS_RIGS_GIVE, MEASURED, Trajectory
 
-RawTable = dict[str, NDArray[np.float64] | None]
-"""Columns by the user's names; None for one that is not of numbers."""
+Pick = Callable[[Sequence[str]], Sequence[str]]
+"""Returns the names of the columns to read, of those there are."""
+
+
+class RawTable(NamedTuple):
+    """A table as its file has it.
+
+    Attributes:
+        names: of all its columns, in order.
+        values: of the columns that were read, by name, with times in seconds; None for one that is not of numbers.
+        row: what a row is called.
+        first: number of the first row.
+        units: by name, as written, where the file says them apart from the name.
+        remarks: how the file was read, one sentence each.
+    """
+
+    names: tuple[str, ...]
+    values: Mapping[str, NDArray[Any] | None]
+    row: str = "row"
+    first: int = 1
+    units: Mapping[str, str] = {}
+    remarks: tuple[str, ...] = ()
+
+    def place(self, index: int) -> str:
+        """Return the user's name for a row, such as ``line 12``."""
+        return f"{self.row} {self.first + index}"
+
+
+def sources(available: Sequence[str], columns: Columns, where: str) -> list[str]:
+    """Return the names of the columns to read; arguments and errors as of :func:`choose`."""
+    return list(dict.fromkeys(name for column in choose(available, columns, where).values() for name in column.sources))
+
+
+def no_names(available: Sequence[str]) -> list[str]:
+    """Return no name, to read none."""
+    return []
 
 
 def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, Column]:
@@ -34,11 +70,11 @@ def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, 
     chosen = {name: Column(name) for name in available if is_contract_name(name)} | dict(columns)
     found = ", ".join(available) or "none"
     count = Counter(available)
-    for name, column in chosen.items():
-        if column.name not in count:
-            raise BadInput(f"column '{column.name}' for {name} is missing (found: {found})", where, "a column of that name")
-        if count[column.name] > 1:
-            raise BadInput(f"column '{column.name}' occurs more than once", where, "one column of that name")
+    for name, source in ((name, source) for name, column in chosen.items() for source in column.sources):
+        if source not in count:
+            raise BadInput(f"column '{source}' for {name} is missing (found: {found})", where, "a column of that name")
+        if count[source] > 1:
+            raise BadInput(f"column '{source}' occurs more than once", where, "one column of that name")
     if TIME not in chosen:
         raise BadInput(f"column {TIME} is missing (found: {found})", where, f"a column {TIME}, or {_how_to_map(where)}")
     if len(chosen) == 1:
@@ -48,7 +84,7 @@ def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, 
 
 
 def _how_to_map(where: str) -> str:
-    return f"a map of columns (ehls columns {shlex.quote(where)} > columns.yaml, then --columns columns.yaml)"
+    return f"a map of columns (ehls columns {shlex.quote(where)} --out columns.yaml, then --columns columns.yaml)"
 
 
 def check_length(rows: int, columns: int, where: str) -> None:
@@ -69,7 +105,45 @@ def check_length(rows: int, columns: int, where: str) -> None:
 
 def not_numeric(column: Column, name: str, where: str) -> BadInput:
     """Return the error for a column that is not numeric."""
-    return BadInput(f"column '{column.name}' for {name} is not numeric", where, "a column of real numbers")
+    return BadInput(f"column '{column.shown}' for {name} is not numeric", where, "a column of real numbers")
+
+
+def trajectory_of(table: RawTable, columns: Columns, where: str) -> Trajectory:
+    """Build a trajectory from a table.
+
+    Args:
+        table: with the columns that :func:`sources` names.
+        columns: the user's map.
+        where: the file, for errors.
+
+    Returns:
+        The trajectory, without metadata.
+
+    Raises:
+        BadInput: a column is not numeric or has another length, or time is not strictly increasing.
+    """
+    chosen = choose(table.names, columns, where)
+    lengths = [len(values) for values in table.values.values() if values is not None]
+    values = {name: _made(table, column, name, max(lengths, default=0), where) for name, column in chosen.items()}
+    trajectory = assemble(values, chosen, where, table.place)
+    return replace(trajectory, preparation=trajectory.preparation.adding(*table.remarks))
+
+
+def _made(table: RawTable, column: Column, name: str, rows: int, where: str) -> NDArray[Any]:
+    """Return the values of a column of the map before scaling."""
+    values = {source: table.values[source] for source in column.sources}
+    known = {source: found for source, found in values.items() if found is not None}
+    if len(known) < len(values):
+        raise not_numeric(column, name, where)
+    if not values:
+        return np.arange(rows, dtype=np.float64)
+    if not column.expression:
+        return known[column.name]
+    if any(found.dtype.kind not in "fiub" or found.ndim != 1 for found in known.values()):
+        raise not_numeric(column, name, where)
+    if len(shapes := {len(found) for found in known.values()}) > 1:
+        raise BadInput(f"the columns of {column.expression} for {name} have {shapes} values", where, "columns of one length")
+    return expression(column.expression).of(known)
 
 
 def assemble(values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, row_name: Callable[[int], str]) -> Trajectory:
@@ -103,7 +177,7 @@ def _scaled(values: NDArray[Any], column: Column, name: str, where: str) -> NDAr
     if values.dtype.kind not in "fiub":
         raise not_numeric(column, name, where)
     if values.ndim != 1 and not (values.ndim == 2 and element_of(f"{name}_1")):
-        raise BadInput(f"column '{column.name}' for {name} has the shape {values.shape}", where, "one value per sample")
+        raise BadInput(f"column '{column.shown}' for {name} has the shape {values.shape}", where, "one value per sample")
     numbers = values.astype(np.float64)
     with np.errstate(over="ignore", invalid="ignore"):
         if column.scale != 1:
@@ -126,11 +200,16 @@ def _check_time(time_s: NDArray[np.float64], where: str, row_name: Callable[[int
     unknown = np.flatnonzero(~np.isfinite(time_s))
     if len(unknown):
         raise BadInput(f"{TIME} is {time_s[unknown[0]]}", f"{where}, {row_name(int(unknown[0]))}", "a finite time")
-    backwards = np.flatnonzero(np.diff(time_s) <= 0)
+    steps = np.diff(time_s)
+    backwards = np.flatnonzero(steps <= 0)
     if len(backwards):
         row = int(backwards[0]) + 1
         what = f"{TIME} is {time_s[row]} after {time_s[row - 1]}"
-        raise BadInput(what, f"{where}, {row_name(row)}", "a time that increases with every row")
+        if len(backwards) > 1:
+            repeated = int(np.count_nonzero(steps == 0))
+            what += f"; {repeated} rows repeat the time before, {len(backwards) - repeated} go back"
+        expected = f"a time that increases with every row; if rows are even, {TIME}: {{rate: ...}} in the map, in Hz"
+        raise BadInput(what, f"{where}, {row_name(row)}", expected)
 
 
 def _with_elements_joined(signals: Mapping[str, NDArray[np.float64]], where: str) -> dict[str, NDArray[np.float64]]:

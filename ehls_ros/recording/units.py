@@ -1,5 +1,6 @@
 """Units as they stand in the headers of measured data, and their SI values."""
 
+import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -61,6 +62,12 @@ UNITS: Mapping[str, Unit] = {
     "bar": Unit("pressure", 1e5),
     "mbar": Unit("pressure", 1e2),
     "psi": Unit("pressure", POUND_FORCE / INCH**2),
+    "N/mm²": Unit("pressure", 1e6),
+    "kp": Unit("force", 9.80665),
+    "l/min": Unit("flow", 1e-3 / 60.0),
+    "m³/s": Unit("flow", 1.0),
+    "cm³/s": Unit("flow", 1e-6),
+    "m/s²": Unit("acceleration", 1.0),
     "K": Unit("temperature", 1.0),
     "°C": Unit("temperature", 1.0, 273.15),
     "degC": Unit("temperature", 1.0, 273.15),
@@ -82,6 +89,8 @@ UNITS: Mapping[str, Unit] = {
     "kNm": Unit("torque", 1e3),
     "in·lbf": Unit("torque", POUND_FORCE * INCH),
     "in-lbf": Unit("torque", POUND_FORCE * INCH),
+    "in lbf": Unit("torque", POUND_FORCE * INCH),
+    "mNm": Unit("torque", 1e-3),
     "lbf·in": Unit("torque", POUND_FORCE * INCH),
     "A": Unit("current", 1.0),
     "mA": Unit("current", 1e-3),
@@ -89,6 +98,7 @@ UNITS: Mapping[str, Unit] = {
     "mV": Unit("voltage", 1e-3),
     "%": Unit("ratio", 1e-2),
     "counts": Unit("counts", 1.0),
+    "digits": Unit("counts", 1.0),
 }
 """The units that are known, spelt with the case that tells mN from MN."""
 
@@ -114,11 +124,40 @@ def quantity_of(name: str) -> str:
     return "time" if name == "time_s" else QUANTITIES.get(READABLE[name].unit, "") if name in READABLE else ""
 
 
+GAUGE = re.compile(r"(bar|psi)\s*(?:\(g\)|_?g|rel)\Z")
+"""Pressure above the atmosphere's, whose difference to another one, and so all that is used of it, is the same."""
+
+SPELLINGS: Mapping[str, str] = {
+    **dict.fromkeys(("Bar", "BAR"), "bar"),
+    **dict.fromkeys(("PSI", "Psi", "lbf/in²"), "psi"),
+    **dict.fromkeys(("L/min", "lpm", "LPM", "l/Min"), "l/min"),
+    **dict.fromkeys(("U/min", "1/Min", "min-1", "RPM", "rev/min"), "rpm"),
+    **dict.fromkeys(("Sek", "sek", "Sec", "seconds"), "s"),
+    **dict.fromkeys(("msec", "milliseconds"), "ms"),
+    **dict.fromkeys(("Grad", "degrees"), "deg"),
+    **dict.fromkeys(("Grad C", "deg C", "degrees C", "Celsius"), "°C"),
+    **dict.fromkeys(("inch", '"'), "in"),
+    **dict.fromkeys(("m3/s",), "m³/s"),
+    **dict.fromkeys(("m/s2",), "m/s²"),
+    **dict.fromkeys(("N/mm2",), "N/mm²"),
+    **dict.fromkeys(("mm s-1", "mm·s-1"), "mm/s"),
+    **dict.fromkeys(("m s-1", "m·s-1"), "m/s"),
+    **dict.fromkeys(("count", "digit", "LSB"), "counts"),
+    **dict.fromkeys(("percent", "Prozent"), "%"),
+}
+"""Other ways to write a known unit."""
+
+
 def unit_of(text: str) -> str | None:
-    """Return the known spelling of a unit as written in a header, such as ``µm`` in either code point; None if unknown."""
-    written = " ".join(text.split()).replace("\N{GREEK SMALL LETTER MU}", "\N{MICRO SIGN}").replace("^-1", "")
+    """Return the known spelling of a unit as written in a header, such as ``[µm]`` in either code point; None if unknown."""
+    text = text.strip().removeprefix("[").removesuffix("]")
+    written = (
+        " ".join(text.split()).replace("\N{GREEK SMALL LETTER MU}", "\N{MICRO SIGN}").replace("^-1", "-1").replace("^", "")
+    )
     written = written.replace("*", "·").replace("\N{DOT OPERATOR}", "·").replace("º", "°")
+    written = GAUGE.sub(r"\1", written)
     for candidate in (written, written.replace(" ", "")):
-        if candidate in UNITS:
-            return candidate
+        known = SPELLINGS.get(candidate, candidate)
+        if known in UNITS:
+            return known
     return None

@@ -8,7 +8,9 @@ from recorded_runs import make_trajectory
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.columns import Column
-from ehls_ros.recording.csv_file import BLOCK, read_csv, write_csv
+from ehls_ros.recording.csv_file import ROWS_WRITTEN as BLOCK
+from ehls_ros.recording.csv_file import write_csv
+from ehls_ros.recording.load import load
 from ehls_ros.trajectory import SIGNALS, Trajectory
 
 MUTATIONS = 300

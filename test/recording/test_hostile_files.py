@@ -14,7 +14,7 @@ from recorded_runs import loader_state, make_trajectory, record, serialized, sto
 from ehls_ros.errors import LONGEST, BadInput
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
-from ehls_ros.recording.csv_file import read_csv
+from ehls_ros.recording.load import load as read_csv
 from ehls_ros.recording.limits import TEXT, YAML_DEPTH
 from ehls_ros.recording.provenance import CHECKSUM_KEY, KEY, _text_checksum
 from ehls_ros.recording.recording_note import NOTE

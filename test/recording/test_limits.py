@@ -17,7 +17,8 @@ from ehls_ros.recording import limits
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.columns import Columns
 from ehls_ros.recording.contained import contained
-from ehls_ros.recording.csv_file import read_csv, write_csv
+from ehls_ros.recording.csv_file import write_csv
+from ehls_ros.recording.load import load as read_csv
 from ehls_ros.recording.load import load
 from ehls_ros.trajectory import Trajectory
 

@@ -1,15 +1,24 @@
 """`ehls columns`: propose a map of columns for a recording with names and units of its own."""
 
 import math
+import shlex
 import sys
 from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as Printed
 
-from ehls_ros.recording.proposal import Table, look, proposed_map
+from ehls_ros.diagnosis.stages import STAGES
+from ehls_ros.errors import BadInput
+from ehls_ros.recording.load import READERS
+from ehls_ros.recording.proposal import Proposal, Table, look, proposed_map, valve_data
+from ehls_ros.recording.reason import reason
+
+SAID = {"contract": "certain: by its name", "stated": "certain", "unsure": "wants a look", "unknown": "not known"}
+"""How sure a column is."""
 
 HELP = "Propose a map of columns from a table's headers or a bag's topics: the map as output, what was understood beside it."
 
@@ -20,21 +29,49 @@ def arguments(parser: ArgumentParser) -> None:
         "data",
         type=Path,
         nargs="+",
-        help="files .csv, .mat or .parquet, several of one recording; or a bag",
+        help=f"files {', '.join(READERS)}, several of one recording; or a bag",
+    )
+    parser.add_argument("--out", type=Path, metavar="MAP", help="file to write the map to (default: the standard output)")
+    parser.add_argument(
+        "--valve",
+        metavar="DATA",
+        help="rated data of the valve, to turn its current or voltage to spool: '10 V = 1 mm', '4..20 mA = 1 mm'",
     )
 
 
 def run(options: Namespace) -> int:
     """Run it."""
+    valve = valve_data(options.valve) if options.valve else None
     tables = [table for path in options.data for table in look(path)]
+    proposal = proposed_map(tables, valve)
+    console = Console(file=sys.stderr, width=None if sys.stderr.isatty() else 140)
     for table in tables:
-        _print(table)
-    print(proposed_map(tables), end="")
+        _print(table, console)
+    for sentence in _summary(proposal):
+        console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+    if options.out is None:
+        print(proposal.text, end="")
+        return 0
+    try:
+        options.out.write_text(proposal.text, encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"the map cannot be written ({reason(error)})", str(options.out), "a writable file") from None
+    print(f"{options.out}: the map. Next: ehls diagnose {shlex.join(map(str, options.data))} --columns {options.out} --rig RIG")
     return 0
 
 
-def _print(table: Table) -> None:
-    """Print what is understood to the error stream, so that the output is the map alone."""
+def _summary(proposal: Proposal) -> Iterator[str]:
+    """Say what is certain, what wants a look, and what a diagnosis would lack."""
+    looks = f"; {proposal.unsure} want a look: complete or delete their lines, which begin with #" if proposal.unsure else ""
+    yield f"{proposal.certain} columns are certain{looks}"
+    unjudged = proposal.unjudged()
+    yield f"a diagnosis can judge: {', '.join(stage for stage in STAGES if stage not in unjudged) or 'nothing yet'}"
+    for stage, needed in unjudged.items():
+        yield f"  not {stage}: it needs {needed}"
+
+
+def _print(table: Table, console: Console) -> None:
+    """Print what is understood to the error stream, so that the output can be the map alone."""
     rate = "rate unknown: no column of time is sure" if math.isnan(table.rate) else f"{table.rate:.4g} Hz"
     uneven = f", time steps differ by up to {100 * table.unevenness:.2g} %" if table.unevenness > 0.01 else ""
     printed = Printed(title=f"{table.name}: {table.rows} rows, {rate}{uneven}")
@@ -46,5 +83,7 @@ def _print(table: Table) -> None:
         gaps = [f"{100 * column.missing:.2g} % missing"] if column.numeric and column.missing > 0.0 else []
         unit = header.unit or ("SI" if header.sureness == "contract" else "?")
         left_open = "; ".join(filter(None, [header.open, *gaps])) if column.numeric else "not a column of numbers"
-        printed.add_row(escape(header.column), *span, unit, header.signal or "?", header.sureness, left_open)
-    Console(file=sys.stderr, width=None if sys.stderr.isatty() else 140).print(printed)
+        printed.add_row(escape(header.column), *span, unit, header.signal or "?", SAID[header.sureness], left_open)
+    console.print(printed)
+    for remark in table.remarks:
+        console.print(f"{table.name}: {remark}", markup=False, highlight=False, soft_wrap=True)

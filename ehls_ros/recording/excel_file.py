@@ -1,0 +1,106 @@
+"""Excel files, read by python-calamine: the first sheet that has anything, with names in a row above the values."""
+
+import datetime as dt
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.errors import BadInput
+from ehls_ros.recording.contained import contained
+from ehls_ros.recording.header_row import header_of
+from ehls_ros.recording.library import check_library
+from ehls_ros.recording.reason import reason
+from ehls_ros.recording.table import Pick, RawTable, check_length
+from ehls_ros.recording.text_layout import is_number
+from ehls_ros.recording.times import seconds_of_moments
+
+EXPECTED_FILE = "an Excel file"
+
+LOOKED_AT = 1000
+"""First rows among which the names are looked for."""
+
+
+def read_excel(path: Path, pick: Pick | None = None) -> RawTable:
+    """Read an Excel file.
+
+    Args:
+        path: the file, ``.xlsx`` or ``.xls``; an empty cell is NaN.
+        pick: returns the names of the columns to read, of which every cell has to be a number, a time or empty; None for
+            all, where a column with anything else is None.
+
+    Returns:
+        The table.
+
+    Raises:
+        BadInput: python-calamine is missing, the file cannot be read, or a cell is wrong.
+    """
+    check_library("python_calamine", "python-calamine", path)
+    return contained(read_here, path, pick, EXPECTED_FILE, RawTable)
+
+
+def read_here(path: Path, pick: Pick | None) -> RawTable:
+    """Read an Excel file in this process, without a memory limit; see :func:`read_excel`."""
+    where = str(path)
+    try:
+        with import_module("python_calamine").CalamineWorkbook.from_path(path) as book:
+            sheets = [(name, book.get_sheet_by_name(name)) for name in book.sheet_names]
+            name, sheet = next(((name, sheet) for name, sheet in sheets if sheet.height > 1), sheets[0])
+            check_length(sheet.height, sheet.width, where)
+            rows = sheet.to_python(skip_empty_area=False)
+    except BadInput:
+        raise
+    except MemoryError:
+        raise
+    except Exception as error:  # noqa: BLE001 - the library has exceptions of its own
+        raise BadInput(f"it is not an Excel file ({reason(error)})", where, EXPECTED_FILE) from None
+    head = [[_text(cell) for cell in row] if any(cell != "" for cell in row) else [] for row in rows[:LOOKED_AT]]
+    header = header_of(head, lambda cell: is_number(cell, "."))
+    values = rows[header.first :]
+    while values and all(cell == "" for cell in values[-1]):
+        values.pop()
+    wanted = [*header.names] if pick is None else pick(header.names)
+    columns: dict[str, NDArray[np.float64] | None] = {}
+    for column in wanted:
+        place = header.names.index(column)
+        cells = [row[place] for row in values]
+        wrong = next((k for k, cell in enumerate(cells) if _seconds(cell) is None), None)
+        if wrong is not None and pick is not None:
+            what = f"column '{column}' is {_text(cells[wrong])[:40]!r}"
+            raise BadInput(what, f"{where}, row {header.first + wrong + 1}", "a number or a time")
+        columns[column] = None if wrong is not None else _numbers(cells)
+    clocks = {name: "s" for name, kind in zip(header.names, header.kinds, strict=True) if kind == "clock"}
+    others = [other for other, _ in sheets if other != name]
+    said = [f"read from sheet '{name}'; not from {', '.join(others)}"] if others else []
+    return RawTable(header.names, columns, "row", header.first + 1, {**header.units, **clocks}, tuple(said))
+
+
+def _text(cell: object) -> str:
+    return str(cell).strip()
+
+
+def _seconds(cell: Any) -> float | np.datetime64 | None:
+    """Return a cell as a number, a time of day in seconds, or a date; None for what is none of these."""
+    match cell:
+        case "":
+            return np.nan
+        case bool() | int() | float():
+            return float(cell)
+        case dt.datetime():
+            return np.datetime64(cell)
+        case dt.timedelta():
+            return cell.total_seconds()
+        case dt.time():
+            return 3600.0 * cell.hour + 60.0 * cell.minute + cell.second + 1e-6 * cell.microsecond
+        case _:
+            return None
+
+
+def _numbers(cells: list[Any]) -> NDArray[np.float64]:
+    numbers = [_seconds(cell) for cell in cells]
+    if any(isinstance(number, np.datetime64) for number in numbers):
+        moments = [number if isinstance(number, np.datetime64) else np.datetime64("NaT") for number in numbers]
+        return seconds_of_moments(np.array(moments, dtype="datetime64[us]"))
+    return np.array(numbers, dtype=np.float64)

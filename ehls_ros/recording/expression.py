@@ -1,0 +1,100 @@
+"""Signals computed from several columns, such as ``pA - pB``: sums, differences, products, quotients and powers, nothing else."""
+
+import ast
+import operator
+import re
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+LONGEST = 300
+"""Longest expression [characters]."""
+
+LARGEST = 1e300
+"""Largest number in an expression."""
+
+NAME = re.compile(r"`([^`]+)`|(?<![\w.])([^\W\d]\w*)")
+"""A column: any name between backticks, or a word."""
+
+BINARY: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+
+UNARY: Mapping[type[ast.unaryop], Callable[[Any], Any]] = {ast.UAdd: operator.pos, ast.USub: operator.neg}
+
+
+class Expression(NamedTuple):
+    """A checked expression.
+
+    Attributes:
+        names: the columns it uses, in order of appearance.
+        tree: its operations, with the columns by number: ``_0``, ``_1`` and so on.
+    """
+
+    names: tuple[str, ...]
+    tree: ast.expr
+
+    def of(self, columns: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Return its values, from those of the columns by name, each of shape (n,)."""
+        values = [np.asarray(columns[name], dtype=np.float64) for name in self.names]
+        with np.errstate(all="ignore"):  # what is not finite will be refused with its place
+            out: NDArray[np.float64] = _value(self.tree, values)
+        return out
+
+
+def expression(text: str) -> Expression:
+    """Read an expression.
+
+    Raises:
+        ValueError: it is too long, uses no column, or is more than arithmetic; the message says which.
+    """
+    if len(text) > LONGEST:
+        raise ValueError(f"it has more than {LONGEST} characters")
+    names: dict[str, int] = {}
+
+    def numbered(match: re.Match[str]) -> str:
+        return f"_{names.setdefault(match[1] or match[2], len(names))}"
+
+    try:
+        tree = ast.parse(NAME.sub(numbered, text).strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise ValueError("it is not arithmetic") from None
+    _check(tree, len(names))
+    if not names:
+        raise ValueError("it uses no column")
+    return Expression(tuple(names), tree)
+
+
+def _check(node: ast.expr, names: int) -> None:
+    match node:
+        case ast.BinOp() if type(node.op) in BINARY:
+            _check(node.left, names)
+            _check(node.right, names)
+        case ast.UnaryOp() if type(node.op) in UNARY:
+            _check(node.operand, names)
+        case ast.Name() if node.id in {f"_{number}" for number in range(names)}:
+            pass
+        case ast.Constant(value=int() | float() as value) if not isinstance(value, bool) and abs(value) < LARGEST:
+            pass
+        case _:
+            raise ValueError("it is more than columns, numbers, + - * / ** and parentheses")
+
+
+def _value(node: ast.expr, values: list[NDArray[np.float64]]) -> Any:
+    match node:
+        case ast.BinOp():
+            return BINARY[type(node.op)](_value(node.left, values), _value(node.right, values))
+        case ast.UnaryOp():
+            return UNARY[type(node.op)](_value(node.operand, values))
+        case ast.Name():
+            return values[int(node.id[1:])]
+        case ast.Constant(value=int() | float() as value):
+            return np.float64(value)  # of Python's own, a large power would take forever
+        case _:
+            raise AssertionError(node)

@@ -1,0 +1,117 @@
+"""Finds the names of a table's columns among its first rows: below keys and comments, above or below a row of units."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal, NamedTuple
+
+from ehls_ros.recording.units import unit_of
+
+COMMENT = re.compile(r"\s*[#%]+\s*")
+"""Beginning of a comment row."""
+
+CLOCK = re.compile(r"(?:(?:\d{4}-\d\d-\d\d|\d{1,2}\.\d{1,2}\.\d{4})(?:[T ]|\Z))?(?:\d{1,2}:\d\d:\d\d(?:[.,]\d+)?Z?)?")
+"""A date, a time of day or both."""
+
+TAIL = 30
+"""Last rows that tell how a table's rows look."""
+
+NO_UNIT = ("", "-", "1", "–")
+"""Cells of a row of units below a column without one."""
+
+Row = Sequence[str]
+
+Kind = Literal["number", "clock", "text"]
+"""What the cells of a column are."""
+
+
+class Header(NamedTuple):
+    """Where the parts of a table stand.
+
+    Attributes:
+        names: of the columns; ``column 1`` and so on where no row has names.
+        units: by name, as written, of a row of units.
+        row: index of the row of names; None without one.
+        units_row: index of the row of units; None without one.
+        first: index of the first row of values.
+        kinds: what the columns' values are, as far as looked at.
+    """
+
+    names: tuple[str, ...]
+    units: Mapping[str, str]
+    row: int | None
+    units_row: int | None
+    first: int
+    kinds: tuple[Kind, ...]
+
+
+def is_clock(cell: str) -> bool:
+    """Tell whether a cell is a date, a time of day or both."""
+    return bool(cell) and CLOCK.fullmatch(cell) is not None
+
+
+def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
+    """Find the names and units of a table.
+
+    Args:
+        rows: its first rows, stripped cells; an empty one for a blank line, and the hash or percent sign of a comment in its
+            first cell.
+        is_number: tells whether a cell is a number.
+
+    Returns:
+        What was found. A damaged row of values is not taken for names.
+    """
+
+    def told(cell: str) -> bool:
+        return is_number(cell) or is_clock(cell)
+
+    plain = [k for k, row in enumerate(rows) if any(row) and not COMMENT.match(row[0])]
+    counts = [len(rows[k]) for k in plain[-TAIL:]]
+    width = max(set(counts), key=counts.count, default=0)
+    tail = [rows[k] for k in plain[-TAIL:] if len(rows[k]) == width]
+    kinds: list[Kind] = [_kind(list(filter(None, cells)), is_number) for cells in zip(*tail, strict=True)]
+
+    def is_values(row: Row) -> bool:
+        cells = [cell for cell, kind in zip(row, kinds, strict=False) if kind != "text"]
+        filled = [cell for cell in cells if cell]
+        return len(row) == width and 2 * sum(map(told, filled)) > len(filled) > 0
+
+    first = next((k for k in plain if is_values(rows[k])), None)
+    if first is None:
+        # No value at all: the last row can only be names.
+        first = len(rows)
+    above = [k for k in plain if k < first]
+    if not above or len(rows[above[-1]]) != width:
+        commented = [k for k in range(first) if rows[k] and k not in plain and len(rows[k]) in (width, width + 1)]
+        above = commented or above
+    texts = [k for k in above[-2:] if rows[k] and not any(map(told, _uncommented(rows[k])))]
+    units_row = None
+    if len(texts) == 2 and len(rows[texts[0]]) == len(rows[texts[1]]):
+        units_row = next((k for k in reversed(texts) if _are_units(_uncommented(rows[k]))), None)
+    named = next((k for k in reversed(texts) if k != units_row), None)
+    names = _uncommented(rows[named]) if named is not None else [f"column {k + 1}" for k in range(width)]
+    if len(names) == width - 1 and kinds[-1] == "text":
+        names.append("")  # each row of values ends with a delimiter
+    kinds += ["text"] * (len(names) - width)
+    written = _uncommented(rows[units_row]) if units_row is not None else []
+    units = {name: unit.strip("[](){}<> ") for name, unit in zip(names, written, strict=False) if unit not in NO_UNIT}
+    return Header(tuple(names), units, named, units_row, first, tuple(kinds))
+
+
+def _kind(cells: Sequence[str], is_number: Callable[[str], bool]) -> Kind:
+    numbers, clocks = sum(map(is_number, cells)), sum(map(is_clock, cells))
+    if 2 * (numbers + clocks) < max(1, len(cells)):
+        return "text"
+    return "number" if numbers >= clocks else "clock"
+
+
+def _uncommented(row: Row) -> list[str]:
+    """Return the cells of a row without the sign of a comment."""
+    if not row or not COMMENT.match(row[0]):
+        return list(row)
+    head = COMMENT.sub("", row[0], count=1)
+    return [head, *row[1:]] if head else list(row[1:])
+
+
+def _are_units(row: Row) -> bool:
+    said = [cell for cell in row if cell not in NO_UNIT]
+    return bool(said) and all(unit_of(cell.strip("[](){}<> ")) is not None for cell in said)

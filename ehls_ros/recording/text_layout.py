@@ -1,0 +1,131 @@
+"""How a text file writes its table: encoding, delimiter, decimal sign, and the lines of names, units and first values."""
+
+import codecs
+import csv
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from ehls_ros.recording.header_row import COMMENT, TAIL, Header, header_of, is_clock
+
+BEGINNING = 2**19
+"""Part of a file that tells its layout [B]."""
+
+TAIL_CHARACTERS = 2**16
+"""Most text compared to find the delimiter [characters]."""
+
+SPACES = r"\s+"
+DELIMITERS = {";": "semicolons", "\t": "tabs", ",": "commas", SPACES: "spaces"}
+"""Delimiters by what they are called; of two that fit as well, the first."""
+
+MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+"""Encodings by the mark that begins a file."""
+
+
+class Layout(NamedTuple):
+    """The layout of a text file with a table.
+
+    Attributes:
+        encoding: Python's name of it.
+        delimiter: between cells; :data:`SPACES` for any white space.
+        decimal: point or comma.
+        header: of the table; its rows are lines, numbered from 0.
+    """
+
+    encoding: str
+    delimiter: str
+    decimal: str
+    header: Header
+
+    def sentence(self) -> str:
+        """Return what was understood, in one sentence; the empty text for the plain form of the data contract."""
+        names = "no line of names" if self.header.row is None else f"names in line {self.header.row + 1}"
+        units = "" if self.header.units_row is None else f", units in line {self.header.units_row + 1}"
+        point = "comma" if self.decimal == "," else "point"
+        said = f"{self.encoding}, {DELIMITERS[self.delimiter]} between cells, decimal {point}, {names}{units}"
+        return "" if said == PLAIN else f"read as {said}, values from line {self.header.first + 1}"
+
+
+PLAIN = "utf-8, commas between cells, decimal point, names in line 1"
+"""What the data contract asks for."""
+
+
+def layout_of(path: Path) -> Layout:
+    """Find the layout of a text file from its beginning.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as stream:
+        content = stream.read(BEGINNING)
+        whole = not stream.read(1)
+    encoding = _encoding(content, whole)
+    lines = re.split(r"\r\n|\r|\n", codecs.getincrementaldecoder(encoding)("replace").decode(content))
+    if (whole and lines[-1] == "") or (not whole and len(lines) > 1):
+        del lines[-1]
+    tail, size = list[str](), 0
+    for line in reversed(lines):
+        if line.strip() and not COMMENT.match(line):
+            size += len(line)
+            tail.append(line)
+            if len(tail) == TAIL or size > TAIL_CHARACTERS:
+                break
+    ranked = [(*_fit(tail, delimiter, decimal), delimiter, decimal) for delimiter in DELIMITERS for decimal in ".,"]
+    *_, delimiter, decimal = max(ranked, key=lambda fit: fit[:3])
+    rows = [[cell.strip() for cell in split(line, delimiter)] if line.strip() else [] for line in lines]
+    return Layout(encoding, delimiter, decimal, header_of(rows, partial(is_number, decimal=decimal)))
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line; a line with an open quote is one cell."""
+    if delimiter == SPACES:
+        return line.split()
+    if '"' not in line:
+        return line.split(delimiter)
+    try:
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True))
+    except csv.Error:
+        return [line]
+
+
+def is_number(cell: str, decimal: str) -> bool:
+    """Tell whether a cell is a number with this decimal sign; thousands have no separator."""
+    if decimal != ".":
+        cell = cell.replace(".", "x").replace(decimal, ".")
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell  # Python's own
+
+
+def _encoding(content: bytes, whole: bool) -> str:
+    for mark, encoding in MARKS.items():
+        if content.startswith(mark):
+            return encoding
+    # Of text in western letters, every second byte of UTF-16 is zero.
+    zeros = [content[k::2].count(0) for k in (0, 1)]
+    for other, encoding in ((0, "utf-16-le"), (1, "utf-16-be")):
+        if zeros[other] == 0 and zeros[1 - other] > len(content) // 4:
+            return encoding
+    for encoding in ("utf-8", "cp1252"):
+        try:
+            codecs.getincrementaldecoder(encoding)().decode(content, final=whole)
+        except UnicodeDecodeError:
+            continue
+        return encoding
+    return "latin-1"
+
+
+def _fit(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[bool, float, int]:
+    """Return how well a delimiter and a decimal sign fit: whether there are columns, the share of numbers, and the columns."""
+    number: Callable[[str], bool] = partial(is_number, decimal=decimal)
+    rows = [[cell.strip() for cell in split(line, delimiter)] for line in lines]
+    widths = [len(row) for row in rows]
+    width = max(set(widths), key=widths.count, default=0)
+    cells = [cell for row in rows if len(row) == width for cell in row if cell]
+    told = sum(number(cell) or is_clock(cell) for cell in cells)
+    share = told / max(1, len(cells)) * widths.count(width) / max(1, len(rows))
+    return width > 1, round(share, 3), width if told == 0 else 0
