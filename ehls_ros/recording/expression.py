@@ -1,4 +1,4 @@
-"""Signals computed from several columns, such as ``pA - pB``: sums, differences, products, quotients and powers, nothing else."""
+"""Signals computed from several columns, such as ``pA - pB``: arithmetic and nothing else."""
 
 import ast
 import operator

@@ -66,7 +66,7 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
 
     plain = [k for k, row in enumerate(rows) if any(row) and not COMMENT.match(row[0])]
     counts = [len(rows[k]) for k in plain[-TAIL:]]
-    width = max(set(counts), key=counts.count, default=0)
+    width = max(counts, key=lambda count: (counts.count(count), count), default=0)
     tail = [rows[k] for k in plain[-TAIL:] if len(rows[k]) == width]
     kinds: list[Kind] = [_kind(list(filter(None, cells)), is_number) for cells in zip(*tail, strict=True)]
 
@@ -77,8 +77,8 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
 
     first = next((k for k in plain if is_values(rows[k])), None)
     if first is None:
-        # No value at all: the last row can only be names.
-        first = len(rows)
+        # Without values, the last row of this width can only be names.
+        first = max((k + 1 for k in plain if len(rows[k]) == width), default=0)
     above = [k for k in plain if k < first]
     if not above or len(rows[above[-1]]) != width:
         commented = [k for k in range(first) if rows[k] and k not in plain and len(rows[k]) in (width, width + 1)]
@@ -91,7 +91,7 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
     names = _uncommented(rows[named]) if named is not None else [f"column {k + 1}" for k in range(width)]
     if len(names) == width - 1 and kinds[-1] == "text":
         names.append("")  # each row of values ends with a delimiter
-    kinds += ["text"] * (len(names) - width)
+    kinds = (kinds + ["text"] * len(names))[: len(names)]
     written = _uncommented(rows[units_row]) if units_row is not None else []
     units = {name: unit.strip("[](){}<> ") for name, unit in zip(names, written, strict=False) if unit not in NO_UNIT}
     return Header(tuple(names), units, named, units_row, first, tuple(kinds))

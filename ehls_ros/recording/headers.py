@@ -95,6 +95,7 @@ LOWER_CASE: Mapping[str, str] = {"n": "N", "kn": "kN", "pa": "Pa", "kpa": "kPa",
 TWO_UNITS = ("mpa", "mn")
 """What lower case makes of two units each."""
 
+FIELD = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)+")
 BRACKETS = re.compile(r"\s*(?P<label>.*?)\s*[\[({<]\s*(?P<unit>[^\])}>]*?)\s*[\])}>]\s*\Z")
 BETWEEN = re.compile(r"\s*(?P<label>.*?\S)\s*(?:/|\s+in\s+)\s*(?P<unit>\S.*?)\s*\Z")
 PIECES = re.compile(r"[A-ZÄÖÜ]?[a-zäöüßµ]+|[A-ZÄÖÜ]+(?![a-zäöü])|[0-9]+|[α-ωΑ-Ω]")
@@ -120,7 +121,8 @@ def recognised(header: Sequence[str], units: Mapping[str, str] = MappingProxyTyp
 def _recognised(column: str, apart: str) -> Recognised:
     if is_contract_name(column):
         return Recognised(column, column, "", "contract", "")
-    label, unit, doubt = _parted(column)
+    # Of a field of a structure, its own name tells.
+    label, unit, doubt = _parted(column.rpartition(".")[2] if FIELD.fullmatch(column) else column)
     if apart:
         known = unit_of(apart)
         doubt = "" if known else f"unit {apart!r} is not known"
@@ -137,7 +139,9 @@ def _recognised(column: str, apart: str) -> Recognised:
     if doubt or not unit:
         return Recognised(column, signal, "", "unsure", "; ".join(filter(None, (doubt or "no unit is said", left_open))))
     if UNITS[unit].quantity in ELECTRICAL:
-        return Recognised(column, signal, unit, "unsure", f"the gain from {unit} to the signal, by the data sheet")
+        return Recognised(
+            column, signal, unit, "unsure", f"what the signal is at two values in {unit}, by the data sheet: range and means"
+        )
     if quantity_of(signal) != UNITS[unit].quantity:
         what = f"{unit} is a unit of {UNITS[unit].quantity}, which the name contradicts"
         return Recognised(column, "", unit, "unsure", what)

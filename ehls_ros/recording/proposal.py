@@ -40,12 +40,14 @@ class Seen(NamedTuple):
         smallest: least value, in the column's own unit; NaN if it is not of numbers.
         largest: greatest value.
         missing: fraction of values that are missing.
+        entry: what the map says of it beside name and unit.
     """
 
     header: Recognised
     smallest: float
     largest: float
     missing: float
+    entry: str = ""
 
     @property
     def numeric(self) -> bool:
@@ -94,7 +96,7 @@ EXPECTED_VALVE = "the signal of full stroke and the stroke, such as '10 V = 1 mm
 
 
 def valve_data(text: str) -> Valve:
-    """Read a valve's rated data as ``10 V = 1 mm``, where the opposite signal gives the opposite stroke, or ``4..20 mA = 1 mm``.
+    """Read a valve's rated data: ``10 V = 1 mm``, where the opposite signal gives the opposite stroke, or ``4..20 mA = 1 mm``.
 
     Raises:
         BadInput: it says something else.
@@ -110,6 +112,24 @@ def valve_data(text: str) -> Valve:
     except ValueError:
         pass
     raise BadInput(f"the valve's data are {text!r}", "command line", EXPECTED_VALVE)
+
+
+def with_valve(tables: Sequence[Table], valve: Valve) -> list[Table]:
+    """Return the tables with the columns of the valve's command and spool known by its rated data."""
+
+    def known(column: Seen) -> Seen:
+        header = column.header
+        moved = header.sureness == "unsure" and header.signal in (COMMAND, SPOOL) and header.unit
+        if not moved or UNITS[header.unit].quantity != UNITS[valve.unit].quantity:
+            return column
+        factor = UNITS[valve.unit].scale / UNITS[header.unit].scale
+        low, high = (float(f"{factor * end:.12g}") for end in valve.ends)
+        stated = header._replace(sureness="stated", open=f"by the valve's data: {low:g} to {high:g} {header.unit}")
+        return column._replace(
+            header=stated, entry=f", range: [{low!r}, {high!r}], means: [{-valve.stroke!r}, {valve.stroke!r}]"
+        )
+
+    return [table._replace(columns=tuple(map(known, table.columns))) for table in tables]
 
 
 def look(path: Path) -> list[Table]:
@@ -187,12 +207,11 @@ class Proposal(NamedTuple):
         return {stage: NEEDED_SIGNALS[stage] for stage in STAGES if stage not in {CHANNELS[channel] for channel in channels}}
 
 
-def proposed_map(tables: Sequence[Table], valve: Valve | None = None) -> Proposal:
+def proposed_map(tables: Sequence[Table]) -> Proposal:
     """Propose a map of columns.
 
     Args:
         tables: what was understood of the files of one recording, or of a bag's topics.
-        valve: rated data for columns of the valve's command and spool in a unit of its signal; None where they are not known.
     """
     lines = ["# Columns as `ehls columns` understood them. Check every line; a line with # is not used until it is completed."]
     several = len(tables) > 1 or any(is_topic(table.name) for table in tables)
@@ -207,7 +226,7 @@ def proposed_map(tables: Sequence[Table], valve: Valve | None = None) -> Proposa
     for table in tables:
         if several:
             lines.append(f"# --- {table.name}")
-        lines += _lines(table, several, taken, valve)
+        lines += _lines(table, several, taken)
     headers = [column.header for table in tables for column in table.columns if column.numeric]
     ready = [header for header in headers if header.sureness == "contract"]
     times = [header for header in headers if header.sureness == "stated" and header.signal == TIME]
@@ -216,7 +235,7 @@ def proposed_map(tables: Sequence[Table], valve: Valve | None = None) -> Proposa
     return Proposal("\n".join(lines) + "\n", signals, certain, len(headers) - certain)
 
 
-def _lines(table: Table, several: bool, taken: dict[str, str], valve: Valve | None) -> Iterator[str]:
+def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
     for column in table.columns:
         header = column.header
         if header.sureness == "contract" or (several and header.signal == TIME and header.sureness == "stated"):
@@ -227,32 +246,19 @@ def _lines(table: Table, several: bool, taken: dict[str, str], valve: Valve | No
             continue
         of = f", table: {json.dumps(table.name, ensure_ascii=False)}" if several else ""
         span = f"{column.smallest:.4g} to {column.largest:.4g}"
-        if valve is not None and _moved_by(valve, header) and header.signal not in taken:
-            taken[header.signal] = table.name
-            factor = UNITS[valve.unit].scale / UNITS[header.unit].scale
-            ends = ", ".join(f"{factor * end:.12g}" for end in valve.ends)
-            unit = json.dumps(header.unit, ensure_ascii=False)
-            means = f"means: [{-valve.stroke!r}, {valve.stroke!r}]"
-            yield f"{header.signal}: {{name: {name}, unit: {unit}, range: [{ends}], {means}{of}}}  # {span}; the valve's data"
-            continue
         if header.sureness == "stated" and header.signal not in taken:
             taken[header.signal] = table.name
             hint = "; if it sits between piston and load: load_cell_n" if header.signal == "force_n" else ""
-            yield f"{header.signal}: {_entry(header)[:-1]}{of}}}  # {span}{hint}"
+            yield f"{header.signal}: {_entry(header)[:-1]}{column.entry}{of}}}  # {span}{hint}"
             continue
         doubt = header.open or f"{header.signal} is in {taken.get(header.signal, '')} already"
         yield f"# {header.signal or 'which_signal'}: {_entry(header)[:-1]}{of}}}  # {span}; {doubt}"
-
-
-def _moved_by(valve: Valve, header: Recognised) -> bool:
-    """Tell whether a column is the valve's command or spool, in a unit of the signal of its rated data."""
-    known = header.unit and header.signal in (COMMAND, SPOOL) and header.sureness == "unsure"
-    return bool(known) and UNITS[header.unit].quantity == UNITS[valve.unit].quantity
 
 
 def _entry(header: Recognised) -> str:
     name = json.dumps(header.column, ensure_ascii=False)
     if not header.unit:
         return f"{{name: {name}, unit: ?}}" if header.sureness != "contract" else f"{{name: {name}}}"
-    gain = ", range: [?, ?], means: [?, ?]" if UNITS[header.unit].quantity in ELECTRICAL else ""
+    known = header.sureness == "stated" or UNITS[header.unit].quantity not in ELECTRICAL
+    gain = "" if known else ", range: [?, ?], means: [?, ?]"
     return f"{{name: {name}, unit: {json.dumps(header.unit, ensure_ascii=False)}{gain}}}"

@@ -22,7 +22,7 @@ UNIT_KEYS = ("unit_string", "NI_UnitDescription", "unit", "Unit")
 INCREMENT = "wf_increment"
 """Property with the sampling period of a waveform [s]."""
 
-WAVEFORM_TIME = "time from wf_increment [s]"
+WAVEFORM_TIME = "time"
 """Name of the column of time that the waveforms' sampling period gives."""
 
 
@@ -63,16 +63,20 @@ def _table(channels: list[Any], pick: Pick | None, where: str) -> RawTable:
     by_name = {c.name if plain.count(c.name) == 1 else f"{c.group_name}/{c.name}": c for c in channels}
     steps = {float(c.properties[INCREMENT]) for c in channels if INCREMENT in c.properties}
     lengths = {len(c) for c in channels if INCREMENT in c.properties}
-    even = len(steps) == 1 and len(lengths) == 1
+    even = len(steps) == 1 and len(lengths) == 1 and WAVEFORM_TIME not in by_name
     names = (*by_name, WAVEFORM_TIME) if even else tuple(by_name)
     wanted = names if pick is None else pick(names)
     check_length(max((len(by_name[name]) for name in wanted if name in by_name), default=0), len(wanted), where)
     values = {name: _values(by_name[name], pick is None) for name in wanted if name in by_name}
-    if even and WAVEFORM_TIME in wanted:
-        values[WAVEFORM_TIME] = np.arange(lengths.pop()) * steps.pop()
-    dates = {name: "s" for name, c in by_name.items() if c.dtype.kind in "mM"}
+    times = {name: "s" for name, c in by_name.items() if c.dtype.kind in "mM"}
+    said: tuple[str, ...] = ()
+    if even:
+        step = steps.pop()
+        said = (f"{WAVEFORM_TIME} is counted from the channels' {INCREMENT} of {step:g} s",)
+        times[WAVEFORM_TIME] = "s"
+        values[WAVEFORM_TIME] = np.arange(lengths.pop()) * step
     units = {name: str(c.properties[key]) for name, c in by_name.items() for key in reversed(UNIT_KEYS) if key in c.properties}
-    return RawTable(names, values, "sample", units={**units, **dates})
+    return RawTable(names, values, "sample", units={**units, **times}, remarks=said)
 
 
 def _values(channel: Any, lenient: bool) -> NDArray[Any] | None:

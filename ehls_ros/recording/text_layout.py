@@ -16,6 +16,9 @@ BEGINNING = 2**19
 TAIL_CHARACTERS = 2**16
 """Most text compared to find the delimiter [characters]."""
 
+LINES_OF_CELL = 4
+"""Most lines of a name in quotes [1]."""
+
 SPACES = r"\s+"
 DELIMITERS = {";": "semicolons", "\t": "tabs", ",": "commas", SPACES: "spaces"}
 """Delimiters by what they are called; of two that fit as well, the first."""
@@ -65,6 +68,7 @@ def layout_of(path: Path) -> Layout:
     lines = re.split(r"\r\n|\r|\n", codecs.getincrementaldecoder(encoding)("replace").decode(content))
     if (whole and lines[-1] == "") or (not whole and len(lines) > 1):
         del lines[-1]
+    lines = _with_cells_whole(lines)
     tail, size = list[str](), 0
     for line in reversed(lines):
         if line.strip() and not COMMENT.match(line):
@@ -76,6 +80,16 @@ def layout_of(path: Path) -> Layout:
     *_, delimiter, decimal = max(ranked, key=lambda fit: fit[:3])
     rows = [[cell.strip() for cell in split(line, delimiter)] if line.strip() else [] for line in lines]
     return Layout(encoding, delimiter, decimal, header_of(rows, partial(is_number, decimal=decimal)))
+
+
+def _with_cells_whole(lines: Sequence[str]) -> list[str]:
+    """Return as many lines, where one in which a quoted cell of a few lines ends has all of it, and those before are empty."""
+    out, k = list[str](), 0
+    while k < len(lines):
+        more = next((n for n in range(LINES_OF_CELL) if " ".join(lines[k : k + n + 1]).count('"') % 2 == 0), 0)
+        out += [*[""] * more, " ".join(lines[k : k + more + 1])]
+        k += more + 1
+    return out
 
 
 def split(line: str, delimiter: str) -> list[str]:
@@ -124,7 +138,7 @@ def _fit(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[bool, floa
     number: Callable[[str], bool] = partial(is_number, decimal=decimal)
     rows = [[cell.strip() for cell in split(line, delimiter)] for line in lines]
     widths = [len(row) for row in rows]
-    width = max(set(widths), key=widths.count, default=0)
+    width = max(widths, key=lambda count: (widths.count(count), count), default=0)
     cells = [cell for row in rows if len(row) == width for cell in row if cell]
     told = sum(number(cell) or is_clock(cell) for cell in cells)
     share = told / max(1, len(cells)) * widths.count(width) / max(1, len(rows))

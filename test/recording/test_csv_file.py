@@ -1,15 +1,16 @@
 import math
 import random
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
 from recorded_runs import make_trajectory
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.columns import Column
-from ehls_ros.recording.csv_file import ROWS_WRITTEN as BLOCK
-from ehls_ros.recording.csv_file import write_csv
+from ehls_ros.recording import csv_file
+from ehls_ros.recording.columns import Column, ColumnMap, Columns
+from ehls_ros.recording.csv_file import ROWS_WRITTEN, write_csv
 from ehls_ros.recording.load import load
 from ehls_ros.trajectory import SIGNALS, Trajectory
 
@@ -22,10 +23,14 @@ def csv(path: Path, text: str) -> Path:
     return file
 
 
-@pytest.mark.parametrize("samples", [1, 2, 100, BLOCK + 1])
+def read_csv(path: Path, columns: Columns = MappingProxyType({})) -> Trajectory:
+    return load(path, ColumnMap(columns))
+
+
+@pytest.mark.parametrize("samples", [1, 2, 100, ROWS_WRITTEN + 1])
 def test_a_trajectory_comes_back_to_the_last_bit(tmp_path: Path, samples: int):
     whole = make_trajectory(samples)
-    names = list(SIGNALS) if samples < BLOCK else ["force_n"]
+    names = list(SIGNALS) if samples < ROWS_WRITTEN else ["force_n"]
     trajectory = Trajectory(whole.time_s, {name: whole[name] for name in names})
     write_csv(tmp_path / "data.csv", trajectory)
     back = read_csv(tmp_path / "data.csv")
@@ -110,7 +115,7 @@ def test_columns_of_the_friction_elements_become_one_signal(tmp_path: Path):
     [
         ("", ": column time_s is missing (found: none); expected a column time_s, or a map of columns (ehls columns "),
         ("t,force_n\n0,1\n", ": column time_s is missing (found: t, force_n); expected a column time_s, or a map"),
-        ("0.0,1.0\n0.1,1.0\n", ": column time_s is missing (found: 0.0, 1.0); expected"),
+        ("0.0,1.0\n0.1,1.0\n", ": column time_s is missing (found: column 1, column 2); expected"),
         (
             "time_s,f\n0,1\n",
             ": no signal is among the columns time_s, f; expected a signal by its name in the data contract, or",
@@ -118,8 +123,9 @@ def test_columns_of_the_friction_elements_become_one_signal(tmp_path: Path):
         ("time_s,force_n\n", ": there is no sample; expected at least one sample"),
         ("time_s,force_n,force_n\n0,1,1\n", ": column 'force_n' occurs more than once; expected one column"),
         ("time_s,force_n\n0,1\n1,abc\n", ", line 3: column 'force_n' is 'abc'; expected a number"),
-        ("time_s,force_n\n0,1_000\n", ", line 2: column 'force_n' is '1_000'; expected a number"),
-        ("time_s;force_n\n0;1,5\n", ", line 2: column 'force_n' is '1,5'; expected a number"),
+        ("time_s,force_n\n0,1_000\n", ", line 2: column 'force_n' is '1_000'; expected a number with a decimal point"),
+        ("time_s;force_n\n0,1;1.5\n0,2;2,5\n", ", line 2: column 'force_n' is '1.5'; expected a number with a decimal comma"),
+        ("time_s;force_n\n0,1;1,5\n0,2;1.002,5\n", ", line 3: column 'force_n' is '1.002,5'; expected a number with"),
         ("time_s,force_n\n0,0,1,5\n", ", line 2: the row has 4 cells; expected 2, as in the header"),
         ("time_s,force_n\n0,1\n1\n", ", line 3: the row has 1 cells; expected 2, as in the header"),
         ("time_s,force_n\n0,1\n\n1,2\n", ", line 3: the row has 0 cells; expected 2, as in the header"),
@@ -129,8 +135,11 @@ def test_columns_of_the_friction_elements_become_one_signal(tmp_path: Path):
         ("time_s,spool_m\n0,1e999\n1,0\n", ", line 2: spool_m is inf; expected a finite number"),
         ("time_s,position_m\n0,1\n1,-Infinity\n", ", line 3: position_m is -inf; expected a finite number"),
         ("time_s,force_n\n0,1\n2,2\n1,3\n", ", line 4: time_s is 1.0 after 2.0; expected a time that increases with every row"),
-        ("time_s,force_n\n0,1\n0,2\n", ", line 3: time_s is 0.0 after 0.0; expected a time that increases"),
-        ('time_s,force_n\n0,"1\n', ": it is not CSV (unexpected end of data); expected a CSV file in UTF-8"),
+        (
+            "time_s,force_n\n0,1\n0,2\n1,3\n1,4\n0.5,5\n",
+            ", line 3: time_s is 0.0 after 0.0; 2 rows repeat the time before, 1 go back; expected a time that increases",
+        ),
+        ('time_s,force_n\n0,"1\n', ", line 2: the row has 1 cells; expected 2, as in the header"),
         ("time_s,friction_elements_n_1,friction_elements_n_3\n0,1,2\n", ": friction_elements_n has columns 1, 3; expected"),
         ("time_s,friction_elements_n,friction_elements_n_1\n0,1,2\n", ": friction_elements_n has columns 1; expected"),
     ],
@@ -148,16 +157,10 @@ def test_a_mapped_column_that_is_missing_is_named(tmp_path: Path):
         read_csv(csv(tmp_path, "time_s,x\n0,1\n"), {"position_m": Column("qm")})
 
 
-def test_a_file_in_another_encoding_is_bad_input(tmp_path: Path):
-    (tmp_path / "data.csv").write_bytes("time_s,force_n,°C\n0,1,2\n".encode("latin-1"))
-    with pytest.raises(BadInput, match=r"it is not CSV .*expected a CSV file in UTF-8"):
-        read_csv(tmp_path / "data.csv")
-
-
 @pytest.mark.parametrize("name", ["", "nothing.csv"])
 def test_a_file_that_cannot_be_read_or_made_is_bad_input(tmp_path: Path, name: str):
     with pytest.raises(BadInput, match="the file cannot be read"):
-        read_csv(tmp_path / name)
+        csv_file.read_csv(tmp_path / name)
     with pytest.raises(BadInput, match="the output cannot be created"):
         write_csv(tmp_path / name / "nowhere" / "data.csv", make_trajectory(1))
 
@@ -201,7 +204,7 @@ def test_a_damaged_file_is_refused_or_read_literally(tmp_path: Path):
         except BadInput:
             refused += 1
             continue
-        expected = understood(text.decode())
+        expected = understood(text.decode(errors="replace"))
         if expected is not None:
             np.testing.assert_array_equal(trajectory.time_s, expected.pop("time_s"))
             for name in trajectory.signals:

@@ -14,8 +14,8 @@ from recorded_runs import loader_state, make_trajectory, record, serialized, sto
 from ehls_ros.errors import LONGEST, BadInput
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
-from ehls_ros.recording.load import load as read_csv
 from ehls_ros.recording.limits import TEXT, YAML_DEPTH
+from ehls_ros.recording.load import load
 from ehls_ros.recording.provenance import CHECKSUM_KEY, KEY, _text_checksum
 from ehls_ros.recording.recording_note import NOTE
 from ehls_ros.recording.recovery import recover
@@ -93,10 +93,10 @@ def test_an_error_that_quotes_a_foreign_file_stays_one_short_line(tmp_path: Path
     file = tmp_path / "data.csv"
     file.write_text('time_s,"a\nb\x1b[31m\u2028c",' + "x" * 10_000 + "\n0,1,2\n", encoding="utf-8")
     with pytest.raises(BadInput) as caught:
-        read_csv(file)
+        load(file)
     assert str(caught.value).isprintable()
     assert len(caught.value.what) == LONGEST
-    assert "a\\nb\\x1b[31m\\u2028c" in str(caught.value)
+    assert "a b\\x1b[31m\\u2028c" in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,9 @@ from rich.table import Table as Printed
 
 from ehls_ros.diagnosis.stages import STAGES
 from ehls_ros.errors import BadInput
+from ehls_ros.recording.columns import TIME
 from ehls_ros.recording.load import READERS
-from ehls_ros.recording.proposal import Proposal, Table, look, proposed_map, valve_data
+from ehls_ros.recording.proposal import Proposal, Table, look, proposed_map, valve_data, with_valve
 from ehls_ros.recording.reason import reason
 
 SAID = {"contract": "certain: by its name", "stated": "certain", "unsure": "wants a look", "unknown": "not known"}
@@ -41,9 +42,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Run it."""
-    valve = valve_data(options.valve) if options.valve else None
     tables = [table for path in options.data for table in look(path)]
-    proposal = proposed_map(tables, valve)
+    if options.valve:
+        tables = with_valve(tables, valve_data(options.valve))
+    proposal = proposed_map(tables)
     console = Console(file=sys.stderr, width=None if sys.stderr.isatty() else 140)
     for table in tables:
         _print(table, console)
@@ -62,8 +64,10 @@ def run(options: Namespace) -> int:
 
 def _summary(proposal: Proposal) -> Iterator[str]:
     """Say what is certain, what wants a look, and what a diagnosis would lack."""
-    looks = f"; {proposal.unsure} want a look: complete or delete their lines, which begin with #" if proposal.unsure else ""
-    yield f"{proposal.certain} columns are certain{looks}"
+    looks = "; complete or delete their lines, which begin with #" if proposal.unsure else ""
+    yield f"columns that are certain: {proposal.certain}; that want a look: {proposal.unsure}{looks}"
+    if TIME not in proposal.signals:
+        yield f"{TIME} is missing: complete the line of its column, or write {TIME}: {{rate: 1000}} for a row every 1/1000 s"
     unjudged = proposal.unjudged()
     yield f"a diagnosis can judge: {', '.join(stage for stage in STAGES if stage not in unjudged) or 'nothing yet'}"
     for stage, needed in unjudged.items():
