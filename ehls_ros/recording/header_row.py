@@ -65,9 +65,10 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
         return is_number(cell) or is_clock(cell)
 
     plain = [k for k, row in enumerate(rows) if any(row) and not COMMENT.match(row[0])]
-    counts = [len(rows[k]) for k in plain[-TAIL:]]
+    last = plain[max(0, min(len(plain) // 2, len(plain) - 2)) :][-TAIL:]
+    counts = [len(rows[k]) for k in last]
     width = max(counts, key=lambda count: (counts.count(count), count), default=0)
-    tail = [rows[k] for k in plain[-TAIL:] if len(rows[k]) == width]
+    tail = [rows[k] for k in last if len(rows[k]) == width]
     kinds: list[Kind] = [_kind(list(filter(None, cells)), is_number) for cells in zip(*tail, strict=True)]
 
     def is_values(row: Row) -> bool:
@@ -80,6 +81,8 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
         # Without values, the last row of this width can only be names.
         first = max((k + 1 for k in plain if len(rows[k]) == width), default=0)
     above = [k for k in plain if k < first]
+    while above and len(rows[above[-1]]) == width and any(map(told, rows[above[-1]])):
+        first = above.pop()  # a damaged row of values
     if not above or len(rows[above[-1]]) != width:
         commented = [k for k in range(first) if rows[k] and k not in plain and len(rows[k]) in (width, width + 1)]
         above = commented or above

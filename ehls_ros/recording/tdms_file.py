@@ -59,6 +59,8 @@ def read_here(path: Path, pick: Pick | None) -> RawTable:
 
 
 def _table(channels: list[Any], pick: Pick | None, where: str) -> RawTable:
+    if not channels:
+        raise BadInput("it has no channel", where, EXPECTED_FILE)  # as npTDMS finds in any file
     plain = [channel.name for channel in channels]
     by_name = {c.name if plain.count(c.name) == 1 else f"{c.group_name}/{c.name}": c for c in channels}
     steps = {float(c.properties[INCREMENT]) for c in channels if INCREMENT in c.properties}

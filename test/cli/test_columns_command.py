@@ -20,7 +20,7 @@ def test_the_output_is_a_map_and_the_table_stands_beside_it(tmp_path: Path, caps
         "position_m": Column("Weg_mm", 1e-3),
     }
     assert "# load_pressure_pa: " in shown.out
-    for cell in ("100 Hz", "3 rows", "p [bar]", "stated", "unsure", "3.5"):
+    for cell in ("100 Hz", "3 rows", "p [bar]", "certain", "wants a look", "3.5"):
         assert cell in shown.err
 
 
@@ -31,14 +31,14 @@ def test_a_file_with_names_of_its_own_says_the_command(verb: str, tmp_path: Path
     rig = Path(__file__).parents[2] / "config" / "rig_paper.yaml"
     assert main([verb, str(data), "--rig", str(rig), "--out", str(tmp_path / "out")]) == 2
     [line] = capsys.readouterr().err.strip().splitlines()
-    assert f"ehls columns '{data}' > columns.yaml, then --columns columns.yaml" in line
+    assert f"ehls columns '{data}' --out columns.yaml, then --columns columns.yaml" in line
 
 
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
         ("bag.mcap", "", "truncated"),
-        ("data.xlsx", "", "its format is unknown"),
+        ("data.ods", "", "its format is unknown"),
         ("data.csv", None, "cannot be read"),
         ("data.mat", "no", "not a MAT file"),
     ],

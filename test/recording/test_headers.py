@@ -41,6 +41,7 @@ STATED = {
     "angle_deg": ("angle_rad", "deg"),
     "Drehmoment [Nm]": ("torque_n_m", "Nm"),
     "n_drehzahl [rpm]": None,
+    "log.motion.x_mm": ("position_m", "mm"),
     "Drehzahl [1/min]": ("angular_velocity_rad_s", "1/min"),
 }
 """Headers that say both quantity and unit; None for one with a letter that is not known."""
@@ -60,8 +61,8 @@ LEFT_OPEN = {
     "x_in": "'in' may be a unit or a word",
     "dp_mpa": "two units by its case",
     "T [°C]": "of the oil?",
-    "I [mA]": "the gain from mA",
-    "valve command [V]": "the gain from V",
+    "I [mA]": "two values in mA",
+    "valve command [V]": "two values in V",
     "Weg [bar]": "which the name contradicts",
     "Weg [furlong]": "is not known",
     "[mm]": "the name is not",
@@ -104,7 +105,18 @@ def test_two_columns_that_say_the_same_are_both_left_open():
     assert "2 columns say the same" in second.open
 
 
-@pytest.mark.parametrize(("written", "known"), [("mm", "mm"), ("N m", "N m"), ("in lbf", None), ("Bar", None), ("mPa", None)])
+@pytest.mark.parametrize(
+    ("written", "known"),
+    [
+        ("mm", "mm"),
+        ("N m", "N m"),
+        ("[Bar]", "bar"),
+        ("mPa", None),
+        ("bar(g)", "bar"),
+        ("bar(a)", None),
+        ("mm*s^-1", "mm/s"),
+    ],
+)
 def test_units_are_known_by_their_spelling(written: str, known: str | None):
     assert unit_of(written) == known
 
@@ -124,7 +136,7 @@ def test_a_proposed_map_can_be_used_as_it_is(tmp_path: Path):
     [table] = look(tmp_path / "data.csv")
     assert table.rate == pytest.approx(100.0)
     assert (table.columns[2].smallest, table.columns[2].largest) == (2.0, 4.0)
-    text = proposed_map([table])
+    text = proposed_map([table]).text
     (tmp_path / "columns.yaml").write_text(text, encoding="utf-8")
     given = read_columns(tmp_path / "columns.yaml")
     # What is not sure is not in it: neither the pressure without a unit nor the name with a word that is not known.
@@ -140,7 +152,7 @@ def test_a_proposed_map_can_be_used_as_it_is(tmp_path: Path):
 def test_several_tables_are_proposed_as_one_recording(tmp_path: Path):
     (tmp_path / "fast.csv").write_text("t [ms],F [N]\n" + "".join(f"{k},{k}\n" for k in range(50)))
     (tmp_path / "slow.csv").write_text("Zeit [s],Weg [mm]\n" + "".join(f"{k / 100},{k}\n" for k in range(5)))
-    text = proposed_map([*look(tmp_path / "fast.csv"), *look(tmp_path / "slow.csv")])
+    text = proposed_map([*look(tmp_path / "fast.csv"), *look(tmp_path / "slow.csv")]).text
     (tmp_path / "columns.yaml").write_text(text, encoding="utf-8")
     given = read_columns(tmp_path / "columns.yaml")
     assert list(given.tables) == ["fast.csv", "slow.csv"]

@@ -110,12 +110,10 @@ def test_matlab_variables_that_are_not_signals_are_bad_input(tmp_path: Path, var
     ("name", "content", "complaint"),
     [
         ("data.mat", b"nothing of the kind" * 20, "it is not a MAT file"),
-        ("data.mat", b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM", "it is a MAT file of version 7.3"),
-        (
-            "data.xlsx",
-            b"",
-            "its format is unknown; expected the folder of a rosbag2 or a file .mcap, .db3, .csv, .mat, .parquet",
-        ),
+        ("data.mat", b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM", "it is not a MAT file"),
+        ("data.xlsx", b"PK nothing more", "it is not an Excel file"),
+        ("data.tdms", b"nothing of the kind", "it has no channel; expected a TDMS file"),
+        ("data.ods", b"", "its format is unknown; expected the folder of a rosbag2 or a file .mcap, .db3, .csv, .tsv, .txt"),
         ("data", b"", "its format is unknown"),
         ("data.mcap", b"", "the file is truncated or still being written"),
     ],
@@ -133,10 +131,22 @@ def test_a_damaged_parquet_file_is_bad_input(tmp_path: Path):
         load(tmp_path / "data.parquet")
 
 
-def test_without_pyarrow_parquet_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    with pytest.raises(BadInput, match="pyarrow is not installed; expected pip install pyarrow, or the data as CSV"):
-        load(tmp_path / "data.parquet")
+@pytest.mark.parametrize(
+    ("suffix", "module", "package"),
+    [
+        (".parquet", "pyarrow.parquet", "pyarrow"),
+        (".xlsx", "python_calamine", "python-calamine"),
+        (".tdms", "nptdms", "npTDMS"),
+    ],
+)
+def test_a_library_that_is_missing_is_named_with_its_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, module: str, package: str
+):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(BadInput) as caught:
+        load(tmp_path / f"data{suffix}")
+    assert f"{package} is not installed" in str(caught.value)
+    assert f"`{sys.executable} -m pip install {package}`" in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["nothing", "nothing.csv", "nothing.mcap", "nothing.mat"])

@@ -180,7 +180,7 @@ def test_the_proposed_map_names_topics_and_leaves_open_what_they_do_not_say(tmp_
     messages = [picture, *(pressure(k) for k in range(5)), *(number("/weg_mm", k / 100, k) for k in range(5))]
     tables = look(record(tmp_path / "theirs", [*messages, *(wrench(k / 100, k) for k in range(5))]))
     assert {table.name: round(table.rate) for table in tables} == {"/boom/pressure_a": 100, "/cell": 100, "/weg_mm": 100}
-    text = proposed_map(tables)
+    text = proposed_map(tables).text
     assert mapped(tmp_path, text) == ColumnMap({
         "pressure_a_pa": Column("fluid_pressure", unit="Pa", table="/boom/pressure_a"),
         "position_m": Column("data", unit="mm", table="/weg_mm"),
