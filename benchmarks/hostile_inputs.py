@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
@@ -36,6 +37,8 @@ from ehls_ros.recording.load import load
 from ehls_ros.recording.topics import LOADER_STATE
 from ehls_ros.recording.typestore import typestore
 
+if find_spec("h5py"):
+    import h5py
 if find_spec("pyarrow"):
     import pyarrow as pa
     from pyarrow import parquet as parquet_
@@ -590,6 +593,78 @@ PARQUETS: Mapping[str, Callable[[Path], Path]] = {
     "Parquet, lists 200 deep": nested_lists,
 }
 
+
+def hdf(folder: Path, fill: Callable[[Any], object]) -> Path:
+    """A MAT file of version 7.3."""
+    file = folder / "new.mat"
+    with h5py.File(file, "w", userblock_size=512) as content:
+        fill(content)
+    with file.open("r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    return file
+
+
+def holding_itself(folder: Path) -> Path:
+    """A structure of version 7.3 that is a field of itself."""
+
+    def fill(content: Any) -> None:
+        log = content.create_group("log")
+        log["log"] = log
+
+    return hdf(folder, fill)
+
+
+def unwritten(folder: Path) -> Path:
+    """Two variables of version 7.3 with 10^12 values that were never written."""
+    return hdf(
+        folder, lambda content: [content.create_dataset(n, (10**12,), float, chunks=(MB,)) for n in ("time_s", "force_n")]
+    )
+
+
+def excel(folder: Path, rows: str) -> Path:
+    """An Excel file with these rows, as XML."""
+    file = folder / "data.xlsx"
+    names = {
+        "[Content_Types].xml": '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types"/>',
+        "_rels/.rels": (
+            '<Relationships><Relationship Id="r1" Target="xl/workbook.xml" '
+            'Type="http://schemas.openxmlformats.org/officeDocument/2006/relationships/officeDocument"/></Relationships>'
+        ),
+        "xl/workbook.xml": (
+            '<workbook xmlns:r="http://schemas.openxmlformats.org/officeDocument/2006/relationships">'
+            '<sheets><sheet name="a" sheetId="1" r:id="r1"/></sheets></workbook>'
+        ),
+        "xl/_rels/workbook.xml.rels": (
+            '<Relationships><Relationship Id="r1" Target="worksheets/sheet1.xml" '
+            'Type="http://schemas.openxmlformats.org/officeDocument/2006/relationships/worksheet"/></Relationships>'
+        ),
+        "xl/worksheets/sheet1.xml": f"<worksheet><sheetData>{rows}</sheetData></worksheet>",
+    }
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in names.items():
+            archive.writestr(name, content)
+    return file
+
+
+def expanding_sheet(folder: Path) -> Path:
+    """An Excel file whose rows expand to a thousand times its size."""
+    return excel(folder, "<row><c><v>1</v></c><c><v>1</v></c></row>" * 5_000_000)
+
+
+def far_corner(folder: Path) -> Path:
+    """An Excel file with one cell in each of two corners of the largest sheet."""
+    return excel(folder, '<row r="1"><c r="A1"><v>1</v></c></row><row r="1048576"><c r="XFD1048576"><v>1</v></c></row>')
+
+
+HDFS: Mapping[str, Callable[[Path], Path]] = {
+    "MAT 7.3, a structure in itself": holding_itself,
+    "MAT 7.3, 10^12 values that were never written": unwritten,
+}
+SHEETS: Mapping[str, Callable[[Path], Path]] = {
+    "Excel, 5 million rows in 1 MB": expanding_sheet,
+    "Excel, two cells 10^10 apart": far_corner,
+}
+
 INPUTS: Mapping[str, Callable[[Path], Path]] = {
     **TABLES,
     **NO_FILES,
@@ -597,6 +672,8 @@ INPUTS: Mapping[str, Callable[[Path], Path]] = {
     **BAGS,
     **MATS,
     **(PARQUETS if find_spec("pyarrow") else {}),
+    **(HDFS if find_spec("h5py") else {}),
+    **(SHEETS if find_spec("python_calamine") else {}),
 }
 """Makers of the inputs by name."""
 

@@ -17,7 +17,7 @@ from ehls_ros.recording.table import Pick, RawTable, check_length
 from ehls_ros.recording.text_layout import is_number
 from ehls_ros.recording.times import seconds_of_moments
 
-EXPECTED_FILE = "an Excel file"
+EXPECTED_FILE = "an Excel file, or the data as CSV"
 
 LOOKED_AT = 1000
 """First rows among which the names are looked for."""

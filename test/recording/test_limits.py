@@ -36,6 +36,7 @@ MEASURED = {
     "MAT, 10^9 cells",
     "MAT, cells 200000 deep",
     "Parquet, 1.9·10^7 equal rows",
+    "Excel, two cells 10^10 apart",
 }
 """Inputs that would cost time or memory if a check failed; each is read in a process of its own."""
 
@@ -53,6 +54,7 @@ LARGE = {
     "mcap, 2 million records",
     "MAT, 500000 variables",
     "Parquet, 30000 row groups",
+    "Excel, 5 million rows in 1 MB",
 }
 """Inputs read by the benchmark only, since they take long to make."""
 

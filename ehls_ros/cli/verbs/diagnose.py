@@ -53,7 +53,7 @@ def arguments(parser: ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="DATA",
-        help="one recording: a bag, a run folder, a .csv, .mat or .parquet file, or the tables that the map lists",
+        help="one recording: a bag, a run folder, a table (text, Excel, MAT, TDMS, Parquet), or the tables of the map",
     )
     parser.add_argument("--rig", type=Path, required=True, help="rig file that the simulation runs with")
     parser.add_argument(

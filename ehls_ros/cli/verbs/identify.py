@@ -38,7 +38,7 @@ RIG, RESULT, REPORT = "rig_identified.yaml", "identification.json", "report.html
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("data", type=Path, nargs="+", help="recordings: bags, or .csv, .mat or .parquet files")
+    parser.add_argument("data", type=Path, nargs="+", help="recordings: bags, or tables (text, Excel, MAT, TDMS, Parquet)")
     parser.add_argument(
         "--rig",
         type=Path,
