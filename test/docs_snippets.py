@@ -172,7 +172,7 @@ def check_ehls(words: list[str], made: Sequence[str]) -> Namespace:
     except SystemExit as end:
         raise Unknown(f"ehls {' '.join(words)} is refused") from end
     values = (value for values in vars(options).values() for value in (values if isinstance(values, list) else [values]))
-    for path in (value for value in values if isinstance(value, Path)):
+    for path in (value for value in values if isinstance(value, Path) and value != getattr(options, "out", None)):
         if len(path.parts) > 1 and (ROOT / path.parts[0]).is_dir() and path.parts[0] != "runs" and not (ROOT / path).exists():
             raise Unknown(f"{path} is not there")
         if path.suffix == ".yaml" and len(path.parts) == 1 and str(path) not in made:

@@ -169,6 +169,7 @@ def shell(block: Block, parameters_of: ParametersOf, made: list[str]) -> str:
     """Parse every command, and run those of `ehls` if the block is to be run."""
     for command in commands(block):
         options = docs_snippets.check(command, parameters_of, made)
+        made.append(str(getattr(options, "out", "")))
         if runs(block):
             if options is None:
                 raise Unknown(f"{command.shown} is not run by this test: mark the block with why it is only parsed")
