@@ -57,7 +57,7 @@ def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
             lines = _Lines(stream, layout, deadline, where)
             # The first of two columns of one name; those who want it have been told by `pick`.
             places = sorted({names.index(name) for name in wanted})
-            values = _Columns(layout, places, pick is None, where).read(lines) if places else {}
+            values = _Columns(layout, places, pick is None, deadline, where).read(lines) if places else {}
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", where, EXPECTED_FILE) from None
     said, header = layout.sentence(), layout.header
@@ -136,8 +136,8 @@ class _Lines:
 class _Columns:
     """The columns of blocks of lines, as pandas reads them."""
 
-    def __init__(self, layout: Layout, places: Iterable[int], lenient: bool, where: str) -> None:
-        self._layout, self._where, self._lenient = layout, where, lenient
+    def __init__(self, layout: Layout, places: Iterable[int], lenient: bool, deadline: Deadline, where: str) -> None:
+        self._layout, self._where, self._lenient, self._deadline = layout, where, lenient, deadline
         # Where every cell has to be a number, the first that is none will be named.
         kinds = {place: layout.header.kinds[place] for place in places}
         self.kinds = {place: "number" if kind == "text" and not lenient else kind for place, kind in kinds.items()}
@@ -189,6 +189,7 @@ class _Columns:
         return True
 
     def _parsed(self, lines: Sequence[str], places: Sequence[int]) -> dict[int, NDArray[Any]]:
+        self._deadline.check()
         if not places:
             return {}
         table = import_module("pandas").read_csv(

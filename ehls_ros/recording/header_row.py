@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeVar
 
 from ehls_ros.recording.units import unit_of
 
@@ -18,6 +18,7 @@ TAIL = 30
 NO_UNIT = ("", "-", "1", "–")
 """Cells of a row of units below a column without one."""
 
+Item = TypeVar("Item")
 Row = Sequence[str]
 
 Kind = Literal["number", "clock", "text"]
@@ -49,6 +50,11 @@ def is_clock(cell: str) -> bool:
     return bool(cell) and CLOCK.fullmatch(cell) is not None
 
 
+def tail_of(items: Sequence[Item]) -> Sequence[Item]:
+    """Return the last rows, of few the last half and at least two: rows of values, as far as there are any."""
+    return items[max(0, min(len(items) // 2, len(items) - 2)) :][-TAIL:]
+
+
 def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
     """Find the names and units of a table.
 
@@ -65,7 +71,7 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
         return is_number(cell) or is_clock(cell)
 
     plain = [k for k, row in enumerate(rows) if any(row) and not COMMENT.match(row[0])]
-    last = plain[max(0, min(len(plain) // 2, len(plain) - 2)) :][-TAIL:]
+    last = tail_of(plain)
     counts = [len(rows[k]) for k in last]
     width = max(counts, key=lambda count: (counts.count(count), count), default=0)
     tail = [rows[k] for k in last if len(rows[k]) == width]
@@ -86,11 +92,12 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
     if not above or len(rows[above[-1]]) != width:
         commented = [k for k in range(first) if rows[k] and k not in plain and len(rows[k]) in (width, width + 1)]
         above = commented or above
-    texts = [k for k in above[-2:] if rows[k] and not any(map(told, _uncommented(rows[k])))]
-    units_row = None
-    if len(texts) == 2 and len(rows[texts[0]]) == len(rows[texts[1]]):
-        units_row = next((k for k in reversed(texts) if _are_units(_uncommented(rows[k]))), None)
-    named = next((k for k in reversed(texts) if k != units_row), None)
+    texts = [k for k in above[-3:] if rows[k] and not any(map(told, _uncommented(rows[k])))]
+    alike = [k for k in texts if len(rows[k]) == len(rows[texts[-1]])]
+    units_row = next((k for k in alike[-2:] if len(alike) > 1 and _are_units(_uncommented(rows[k]))), None)
+    # Names stand above their units where anything does; what follows is a comment of each channel.
+    below = [k for k in reversed(texts) if k != units_row]
+    named = next((k for k in below if units_row is not None and k == units_row - 1), next(iter(below), None))
     names = _uncommented(rows[named]) if named is not None else [f"column {k + 1}" for k in range(width)]
     if len(names) == width - 1 and kinds[-1] == "text":
         names.append("")  # each row of values ends with a delimiter

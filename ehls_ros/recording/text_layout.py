@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from ehls_ros.recording.header_row import COMMENT, TAIL, Header, header_of, is_clock
+from ehls_ros.recording.header_row import COMMENT, Header, header_of, is_clock, tail_of
 
 BEGINNING = 2**19
 """Part of a file that tells its layout [B]."""
@@ -69,14 +69,17 @@ def layout_of(path: Path) -> Layout:
     if (whole and lines[-1] == "") or (not whole and len(lines) > 1):
         del lines[-1]
     lines = _with_cells_whole(lines)
+    plain = [line for line in lines if line.strip() and not COMMENT.match(line)]
     tail, size = list[str](), 0
-    for line in reversed(lines):
-        if line.strip() and not COMMENT.match(line):
-            size += len(line)
-            tail.append(line)
-            if len(tail) == TAIL or size > TAIL_CHARACTERS:
-                break
-    ranked = [(*_fit(tail, delimiter, decimal), delimiter, decimal) for delimiter in DELIMITERS for decimal in ".,"]
+    for line in reversed(tail_of(plain)):
+        size += len(line)
+        tail.append(line)
+        if size > TAIL_CHARACTERS:
+            break
+    # Between tabs or semicolons, spaces are parts of names.
+    others = 2 * sum("\t" in line or ";" in line for line in tail) > len(tail)
+    delimiters = [delimiter for delimiter in DELIMITERS if not (others and delimiter == SPACES)]
+    ranked = [(*_fit(tail, delimiter, decimal), delimiter, decimal) for delimiter in delimiters for decimal in ".,"]
     *_, delimiter, decimal = max(ranked, key=lambda fit: fit[:3])
     rows = [[cell.strip() for cell in split(line, delimiter)] if line.strip() else [] for line in lines]
     return Layout(encoding, delimiter, decimal, header_of(rows, partial(is_number, decimal=decimal)))

@@ -1,4 +1,8 @@
-"""Units as they stand in the headers of measured data, and their SI values."""
+"""Units as they stand in the headers of measured data, and their SI values.
+
+The list is closed. A library of all units reads ``Nm`` as a number times a metre, ``C`` as coulombs, ``bar(g)`` as bar times
+grams and ``1/min`` as a frequency, and does not tell an angle from a ratio or a count.
+"""
 
 import re
 from collections.abc import Mapping

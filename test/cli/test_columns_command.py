@@ -24,6 +24,33 @@ def test_the_output_is_a_map_and_the_table_stands_beside_it(tmp_path: Path, caps
         assert cell in shown.err
 
 
+def test_the_map_is_written_with_the_valves_data_and_what_is_missing_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    data, out = tmp_path / "data.csv", tmp_path / "map.yaml"
+    data.write_text("Zeit;Weg;p;i\ns;mm;;mA\n0,0;1,0;5;4\n0,0;2,0;6;12\n0,2;2,0;6;20\n")
+    assert main(["columns", str(data), "--out", str(out), "--valve", "4..20 mA = 1 mm"]) == 0
+    shown = capsys.readouterr()
+    assert f"{out}: the map. Next: ehls diagnose {data} --columns {out} --rig RIG" in shown.out
+    column = read_columns(out).plain()["valve_command_m"]
+    assert [column.scale * current + column.offset for current in (4, 12, 20)] == pytest.approx([-1e-3, 0.0, 1e-3])
+    for said in (
+        "decimal comma, names in line 1, units in line 2",
+        "1 times do not increase, the first in line 4",
+        "columns that are certain: 3; that want a look: 1",
+        "a diagnosis can judge: nothing yet",
+        "not force_balance: it needs position_m",
+    ):
+        assert said in shown.err
+
+
+@pytest.mark.parametrize("said", ["1 mm", "10 bar = 1 mm", "10 V = 1 kN", "4..4 mA = 1 mm", "1e V = 1 mm"])
+def test_valve_data_that_say_something_else_are_bad_input(said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "data.csv").write_text(DATA)
+    assert main(["columns", str(tmp_path / "data.csv"), "--valve", said]) == 2
+    assert "expected the signal of full stroke and the stroke, such as '10 V = 1 mm'" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("verb", ["diagnose", "identify"])
 def test_a_file_with_names_of_its_own_says_the_command(verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     data = tmp_path / "my data.csv"

@@ -43,6 +43,16 @@ LAYOUTS: dict[str, tuple[str, str, str]] = {
         "utf-8-sig",
         "utf-8-sig, semicolons between cells, decimal comma, names in line 5, values from line 6",
     ),
+    "LabVIEW's keys, and tabs": (
+        "Time\t12:03:04,125\n***End***\t\n\t\nTime [s]\tWeg [mm]\tComment\n0,00\t-1,5\t\n0,01\t0,25\t\n0,02\t1234,5\t\n",
+        "utf-8",
+        "utf-8, tabs between cells, decimal comma, names in line 4, values from line 5",
+    ),
+    "a row of channels below the units": (
+        "Zeit;Weg\ns;mm\n;Kanal 1\n0,00;-1,5\n0,01;0,25\n0,02;1234,5\n",
+        "utf-8",
+        "utf-8, semicolons between cells, decimal comma, names in line 1, units in line 2, values from line 4",
+    ),
     "comments, and names in one of them": (
         "% a run; of May, at 3 bar\n# time_ms x_mm\n 0   -1.5\n10    0.25\n20  1234.5\n",
         "utf-8",
