@@ -92,12 +92,7 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
     if not above or len(rows[above[-1]]) != width:
         commented = [k for k in range(first) if rows[k] and k not in plain and len(rows[k]) in (width, width + 1)]
         above = commented or above
-    texts = [k for k in above[-3:] if rows[k] and not any(map(told, _uncommented(rows[k])))]
-    alike = [k for k in texts if len(rows[k]) == len(rows[texts[-1]])]
-    units_row = next((k for k in alike[-2:] if len(alike) > 1 and _are_units(_uncommented(rows[k]))), None)
-    # Names stand above their units where anything does; what follows is a comment of each channel.
-    below = [k for k in reversed(texts) if k != units_row]
-    named = next((k for k in below if units_row is not None and k == units_row - 1), next(iter(below), None))
+    named, units_row = _named([k for k in above[-3:] if not any(map(told, _uncommented(rows[k])))], rows)
     names = _uncommented(rows[named]) if named is not None else [f"column {k + 1}" for k in range(width)]
     if len(names) == width - 1 and kinds[-1] == "text":
         names.append("")  # each row of values ends with a delimiter
@@ -105,6 +100,15 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
     written = _uncommented(rows[units_row]) if units_row is not None else []
     units = {name: unit.strip("[](){}<> ") for name, unit in zip(names, written, strict=False) if unit not in NO_UNIT}
     return Header(tuple(names), units, named, units_row, first, tuple(kinds))
+
+
+def _named(texts: Sequence[int], rows: Sequence[Row]) -> tuple[int | None, int | None]:
+    """Return which of the last rows of text above the values has the names, and which the units."""
+    alike = [k for k in texts if len(rows[k]) == len(rows[texts[-1]])]
+    units_row = next((k for k in alike[-2:] if len(alike) > 1 and _are_units(_uncommented(rows[k]))), None)
+    if units_row is not None and units_row - 1 in alike:
+        return units_row - 1, units_row  # what stands below the units is a comment of each channel
+    return next((k for k in reversed(texts) if k != units_row), None), units_row
 
 
 def _kind(cells: Sequence[str], is_number: Callable[[str], bool]) -> Kind:

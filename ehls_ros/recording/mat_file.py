@@ -67,19 +67,14 @@ def _table(variables: Mapping[str, Any], pick: Pick | None, where: str) -> RawTa
     names = tuple(variables)
     wanted = names if pick is None else pick(names)
     check_length(max((variables[name].size for name in wanted if hasattr(variables[name], "size")), default=0), 1, where)
-    found = {name: np.atleast_1d(np.asarray(variables[name][()] if _is_dataset(variables[name]) else variables[name]))
-             for name in wanted}  # fmt: skip
-    values = {name: _signal(value, variables[name], pick is None) for name, value in found.items()}
-    return RawTable(names, values, "sample")
+    return RawTable(names, {name: _signal(variables[name], pick is None) for name in wanted}, "sample")
 
 
-def _is_dataset(variable: object) -> bool:
-    return hasattr(variable, "attrs")
-
-
-def _signal(values: NDArray[Any], variable: Any, lenient: bool) -> NDArray[Any] | None:
+def _signal(variable: Any, lenient: bool) -> NDArray[Any] | None:
     """Return the values of a variable; None for what is no signal, where that is no error."""
-    if _is_dataset(variable):
+    of_newest = hasattr(variable, "attrs")
+    values = np.atleast_1d(np.asarray(variable[()] if of_newest else variable))
+    if of_newest:
         # MATLAB's vectors have two dimensions, and its arrays are stored in the other order.
         values = values.T.squeeze() if values.size > 1 else values.ravel()
         if variable.attrs.get("MATLAB_class", b"double") in (b"char", b"cell"):

@@ -230,7 +230,8 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
     headers = [column.header for table in tables for column in table.columns if column.numeric]
     ready = [header for header in headers if header.sureness == "contract"]
     times = [header for header in headers if header.sureness == "stated" and header.signal == TIME]
-    signals = frozenset({*taken, *(header.signal for header in ready)})
+    timed = [TIME] if several and (times or any(is_topic(table.name) for table in tables)) else []
+    signals = frozenset({*taken, *timed, *(header.signal for header in ready)})
     certain = len(ready) + len(taken) + (len(times) if several else 0)
     return Proposal("\n".join(lines) + "\n", signals, certain, len(headers) - certain)
 
