@@ -50,7 +50,7 @@ def test_values_are_taken_as_declared():
         ({"gain": 1.0, "range": 5.0}, "range is 5.0; expected a list (ends [V])"),
         ({"gain": 1.0, "range": [1.0]}, "range is [1.0]; expected a list of 2 values (ends [V])"),
         ({"gain": 1.0, "levels": [1.0, math.nan]}, "levels[1] is nan; expected a finite number (levels)"),
-        ({"gain": 1.0, "spacing": "lin"}, "spacing is 'lin'; expected one of linear, log"),
+        ({"gain": 1.0, "spacing": "lin"}, "spacing is 'lin'; expected one of linear, log; did you mean 'linear'?"),
         ({"gain": 1.0, "reaction": "warn"}, "reaction is 'warn'; expected one of hold, cut (reaction)"),
         ({"gain": 1.0, "reaction": 7}, "reaction is 7; expected a valid string in quotes (reaction)"),
         ({"gain": 1.0, "live": 1}, "live is 1; expected a valid boolean"),
