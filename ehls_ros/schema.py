@@ -24,7 +24,7 @@ class Note(NamedTuple):
     maximum: float | None = None
     above: float | None = None
     choices: tuple[str, ...] = ()
-    typical: float | tuple[float, ...] | None = None
+    typical: Any = None
 
     def explained(self) -> str:
         """Return description, unit, range and a typical value in brackets; the empty text where nothing is declared."""
