@@ -204,6 +204,8 @@ def fitted(kind: Any, value: Any) -> Any:
     """
     kind, note = _annotated(kind)
     made = _of_type(kind, value)
+    if made is None:
+        return None
     if note.minimum is not None and made < note.minimum:
         raise Misfit(value, f"a value greater than or equal to {note.minimum:.15g}")
     if note.above is not None and made <= note.above:

@@ -20,6 +20,7 @@ class Cell(NamedTuple):
     spacing: Literal["linear", "log"] = "linear"
     reaction: Annotated[str, text("reaction", choices=("hold", "cut"))] = "hold"
     spread: Annotated[tuple[float, float] | None, text("spread")] = None
+    limit: Annotated[float | None, quantity("N", "limit", minimum=0.0)] = None
     live: bool = False
     note: Any = None
 
@@ -29,7 +30,7 @@ def test_values_are_taken_as_declared():
     assert cell == Cell(2.0, 3, (0.0, 5.0), (1.0, 2.5), spread=(1.0, 2.0), note=[1])
     assert type(cell.gain) is float
     assert type(cell.channel) is int
-    assert parse(Cell, {"gain": 1.0, "spread": None}, "cell") == Cell(1.0)
+    assert parse(Cell, {"gain": 1.0, "spread": None, "limit": None}, "cell") == Cell(1.0)
 
 
 @pytest.mark.parametrize(

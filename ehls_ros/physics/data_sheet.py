@@ -5,12 +5,13 @@ here once. What no data sheet has is assumed, and says which measurement replace
 """
 
 import math
-from typing import Annotated, Any, Literal, NamedTuple
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, NamedTuple, get_type_hints
 
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.units import size
-from ehls_ros.schema import notes, quantity, text
+from ehls_ros.physics.units import in_unit, size
+from ehls_ros.schema import Misfit, fitted, notes, parse, quantity, text
 
 DAMPING = 0.7
 """Damping ratio of a servo valve, by which its frequency at -90° becomes the bandwidth of a first-order lag [1]."""
@@ -91,6 +92,9 @@ class DataSheet(NamedTuple):
     ] = None
 
 
+HINTS: Mapping[str, Any] = get_type_hints(DataSheet, include_extras=True)
+"""Type and declaration of each figure."""
+
 Origin = Literal["given", "computed", "assumed"]
 
 
@@ -145,26 +149,51 @@ def lag_bandwidth(frequency: float, at: str) -> float:
     return natural if at == "-3 dB" else natural / (2.0 * DAMPING)
 
 
-def check_sheet(sheet: DataSheet, where: str) -> None:
-    """Check that the figures describe a cylinder.
+def answer(name: str, written: Any) -> Any:
+    """Return the figure that an answer to a question of :class:`DataSheet` means.
 
     Args:
-        sheet: figures that are each in range.
+        name: the field.
+        written: what was written, a text with a unit or a value as a YAML file has it.
+
+    Raises:
+        Misfit: it is no such figure.
+    """
+    unit = notes(DataSheet)[name].unit
+    return fitted(HINTS[name], in_unit(written, unit) if unit and isinstance(written, str) else written)
+
+
+def sheet_from_mapping(data: Any, where: str) -> DataSheet:
+    """Check the content of a file of answers.
+
+    Args:
+        data: the parsed file; figures may have units, such as ``210 bar``.
         where: the file or terminal, for errors.
 
     Raises:
-        BadInput: the rod is as thick as the bore.
+        BadInput: the first answer that is missing, unknown or out of range, or a rod as thick as the bore.
     """
+    if not isinstance(data, Mapping):
+        raise BadInput(f"it contains {data!r}", where, f"a mapping with {', '.join(DataSheet._fields)}")
+    read = dict(data)
+    for name in read.keys() & HINTS.keys():
+        try:
+            read[name] = answer(name, read[name])
+        except Misfit as misfit:
+            what = f"{name} is {misfit.value!r}"
+            raise BadInput(what, where, f"{misfit.expected}{notes(DataSheet)[name].explained()}") from None
+    sheet = parse(DataSheet, read, where)
     if sheet.rod >= sheet.bore:
         what = f"rod is {sheet.rod:g} mm, bore is {sheet.bore:g} mm"
         raise BadInput(what, where, "a rod thinner than the bore; are they swapped?")
+    return sheet
 
 
 def rig_values(sheet: DataSheet) -> dict[str, dict[str, Source]]:
     """Return the values of a rig file by section and key, in the order of the file.
 
     Args:
-        sheet: figures checked by :func:`check_sheet`.
+        sheet: the figures.
     """
     plant = _plant(sheet)
     value = {key: source.value for key, source in plant.items()}
@@ -190,7 +219,7 @@ def _plant(sheet: DataSheet) -> dict[str, Source]:
     area = mean_area(sheet.bore * size("mm"), sheet.rod * size("mm"), sheet.rods)
     swept = area * sheet.stroke * size("mm")
     flow, drop = sheet.rated_flow * size("l/min"), sheet.rated_drop * size("bar")
-    edges = 2.0 if sheet.drop_over == "edge" else 1.0
+    edges, over = (2.0, "2 · rated_drop") if sheet.drop_over == "edge" else (1.0, "rated_drop")
     discharge = notes(Plant)["discharge_coefficient"].typical
     volume = Source(2.0 * swept, "assumed", "twice piston_area · stroke; measure hoses and manifold")
     if sheet.dead_volume is not None:
@@ -215,7 +244,7 @@ def _plant(sheet: DataSheet) -> dict[str, Source]:
         "valve_area_gradient": Source(
             area_gradient(flow, edges * drop, travel, discharge, density.value),
             "computed",
-            f"rated_flow / (discharge_coefficient · spool_travel · sqrt({edges:g} · rated_drop / oil_density)), equation (1)",
+            f"rated_flow / (discharge_coefficient · spool_travel · sqrt({over} / oil_density)), equation (1)",
         ),
         "leakage_coefficient": leaking,
         "total_volume": volume,
@@ -274,4 +303,6 @@ def _figure(sheet: DataSheet, name: str, replaced: str = "") -> Source:
     used = note.typical if figure is None else figure
     told = f"{used:g} {note.unit}"
     value = used * size(note.unit)
-    return Source(value, "assumed", "; ".join(filter(None, [told, replaced]))) if figure is None else Source(value, "given", told)
+    return (
+        Source(value, "assumed", "; ".join(filter(None, [told, replaced]))) if figure is None else Source(value, "given", told)
+    )
