@@ -57,7 +57,7 @@ def test_values_are_taken_as_declared():
         ({"gain": 1.0, "live": 1}, "live is 1; expected a valid boolean"),
         (
             {"gain": 1.0, 7: 1},
-            "key '7' is unknown; expected one of gain, channel, range, levels, spacing, reaction, spread, live, note",
+            "key '7' is unknown; expected one of gain, channel, range, levels, spacing, reaction, spread, limit, live, note",
         ),
     ],
 )
