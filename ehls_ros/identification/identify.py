@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.errors import BadInput
 from ehls_ros.identification.balance import Recorded, check_unit, without_known
 from ehls_ros.identification.declared import fit_declared
@@ -17,7 +18,7 @@ from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.result import Identification
 from ehls_ros.identification.static import Search, StaticFit, steady_fit
 from ehls_ros.identification.uncertainty import estimates
-from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.rig import Rig, check_known
 from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
 
@@ -32,6 +33,9 @@ STEADY = 0.1
 
 SOME_OUTLIERS = 1e-3
 """Fraction of a recording left out above which a remark says so."""
+
+NEEDED = ("plant.moving_mass", "plant.piston_area", "plant.spring_stiffness", "plant.viscous_damping")
+"""What friction's identification takes from the rig file beside the friction."""
 
 STEPS, DONE = 4, "done"
 """Largest number of steps that an identification reports, and the name of its end."""
@@ -80,6 +84,8 @@ def identify(
         raise BadInput(what, "identification", f"no number of elements, or a rig whose friction model is {MODEL}")
     tell("reading the motion")
     names = ", ".join(recordings)
+    check_known(rig, "identification", NEEDED)
+    doubts = [f"{name}: {doubt}" for name, recording in recordings.items() for doubt in check_suits(recording, rig, name)]
     motions = motions_of(recordings, rig)
     usable = tuple(m.resolved & known_state(m) if m.small else m.resolved for m in motions)
     if not any(np.any(u) for u in usable):
@@ -110,7 +116,7 @@ def identify(
         estimates=found.by_name,
         correlations=found.correlations,
         not_identifiable=found.not_identifiable,
-        remarks=(*_readings(recordings), *_remarks(motions), *result.remarks, *found.remarks),
+        remarks=(*_readings(recordings), *doubts, *_remarks(motions), *result.remarks, *found.remarks),
         static=steady,
         branch=by_elements.branch if by_elements else None,
         nodes=by_elements.nodes if by_elements else (),

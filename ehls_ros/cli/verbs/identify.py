@@ -7,16 +7,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rich.console import Console
 from rich.table import Table
 
 from ehls_ros.cli.folder import writable
 from ehls_ros.cli.progress import progress_bar
+from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
 from ehls_ros.experiments.spec import load_rig
+from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.identification.identify import DEFAULT_OPTIMISER, identify
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.result import Identification, to_json
@@ -97,6 +98,7 @@ def _whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespac
     if options.elements is not None:
         what = "--elements and --whole-rig are given"
         raise BadInput(what, "command line", "one of them: the whole rig keeps the rig file's number of friction elements")
+    _check(recordings, rig)
     with Workers() as workers, progress_bar("identifying") as bar:
         compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: bar(done, total, COMPILING))
         found = identify_rig(recordings, rig, seed=options.seed, progress=lambda doing, done, total: bar(done, total, doing))
@@ -107,9 +109,20 @@ def _whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespac
     return result
 
 
+def _check(recordings: Mapping[str, Trajectory], rig: Rig) -> None:
+    """Refuse what cannot be of one rig before compiling takes its time; one of several recordings may be left out later."""
+    refused = list[BadInput]()
+    for name, recording in recordings.items():
+        try:
+            check_suits(recording, rig, name)
+        except BadInput as error:
+            refused.append(error)
+    if len(refused) == len(recordings):
+        raise refused[0]
+
+
 def _write(folder: Path, rig: Rig, result: Mapping[str, Any], data: Sequence[Path]) -> None:
-    plain = json.loads(json.dumps(rig_to_mapping(rig)))
-    (folder / RIG).write_text(_heading(data) + yaml.safe_dump(plain, sort_keys=False), encoding="utf-8")
+    (folder / RIG).write_text(_heading(data) + rig_text(rig_to_mapping(rig)), encoding="utf-8")
     (folder / RESULT).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
 
 

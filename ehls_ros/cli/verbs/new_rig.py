@@ -88,7 +88,9 @@ def _question(note: Note, choices: tuple[str, ...]) -> str:
 
 def _asked(console: Console) -> dict[str, Any]:
     """Ask every question until its answer fits."""
-    console.print("Figures of the data sheets; another unit may follow the number. Enter alone takes what is in brackets.", soft_wrap=True)
+    console.print(
+        "Figures of the data sheets; another unit may follow the number. Enter alone takes what is in brackets.", soft_wrap=True
+    )
     given = dict[str, Any]()
     for name, note, choices, default in _questions():
         console.print(f"[bold]{name}[/bold]: {escape(_question(note, choices))}", highlight=False)
@@ -102,7 +104,9 @@ def _asked(console: Console) -> dict[str, Any]:
                 else:
                     given[name] = default
             except Misfit as misfit:
-                console.print(f"  {escape(repr(misfit.value))} does not do: {escape(misfit.expected)}", style="red", highlight=False)
+                console.print(
+                    f"  {escape(repr(misfit.value))} does not do: {escape(misfit.expected)}", style="red", highlight=False
+                )
     return given
 
 
