@@ -17,11 +17,13 @@ from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
 from ehls_ros.experiments.spec import load_rig
+from ehls_ros.experiments.stroke_experiments import stroke_experiments
 from ehls_ros.experiments.yaml_files import rig_text
-from ehls_ros.identification.identify import DEFAULT_OPTIMISER, identify
+from ehls_ros.identification.identify import DEFAULT_OPTIMISER, MissingStrokes, identify
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.result import Identification, to_json
 from ehls_ros.identification.rig_result import RigIdentification, rig_to_json
+from ehls_ros.identification.strokes import Missing
 from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import Rig, rig_to_mapping
@@ -78,20 +80,32 @@ def run(options: Namespace) -> int:
 
 
 def _friction(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespace, folder: Path) -> dict[str, Any]:
-    with progress_bar("identifying") as bar:
-        found = identify(
-            recordings,
-            rig,
-            optimiser=options.optimiser,
-            elements=options.elements,
-            seed=options.seed,
-            progress=lambda _, done, total: bar(done, total),
-        )
+    try:
+        with progress_bar("identifying") as bar:
+            found = identify(
+                recordings,
+                rig,
+                optimiser=options.optimiser,
+                elements=options.elements,
+                seed=options.seed,
+                progress=lambda _, done, total: bar(done, total),
+            )
+    except MissingStrokes as error:
+        _offer(error.missing, rig, options.rig, folder)
+        raise
     result = to_json(found)
     _write(folder, found.rig, result, options.data)
     write_identification_report(found, folder / REPORT, before=rig)
     _print(found, folder)
+    _offer(found.lacking, rig, options.rig, folder)
     return result
+
+
+def _offer(missing: Missing, rig: Rig, path: Path, folder: Path) -> None:
+    """Write the experiments that deliver what is missing, and say how to run them."""
+    for asked in stroke_experiments(missing, rig, path.resolve(), folder.resolve()):
+        (folder / asked.file).write_text(asked.text, encoding="utf-8")
+        print(f"  missing strokes: ehls experiment {folder / asked.file}")
 
 
 def _whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespace, folder: Path) -> dict[str, Any]:
