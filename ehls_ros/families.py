@@ -17,7 +17,7 @@ from pkgutil import iter_modules
 from types import ModuleType
 from typing import Any, Generic, TypeVar, cast
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, one_of
 
 Member = TypeVar("Member")
 
@@ -89,7 +89,7 @@ class Family(Generic[Member]):
     def _from_elsewhere(self, name: Any, where: str) -> ModuleType:
         points = [point for point in offered(self.group) if point.name == name]
         if not points:
-            raise BadInput(f"{self.noun} {name!r} is unknown", where, f"one of {', '.join(self.names())}")
+            raise BadInput(f"{self.noun} {name!r} is unknown", where, one_of(name, self.names()))
         if not str(name).isidentifier():
             raise BadInput(f"{self.noun} {name!r} of {_origin(points[0])}", where, "a name of letters, digits and underscores")
         if len(points) > 1:

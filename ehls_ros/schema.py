@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, one_of
 
 Parameters = TypeVar("Parameters")
 
@@ -24,6 +24,22 @@ class Note(NamedTuple):
     maximum: float | None = None
     above: float | None = None
     choices: tuple[str, ...] = ()
+    typical: Any = None
+
+    def explained(self) -> str:
+        """Return description, unit, range and a typical value in brackets; the empty text where nothing is declared."""
+        if not self.description:
+            return ""
+        unit = f" [{self.unit}]" if self.unit else ""
+        low = self.above if self.minimum is None else self.minimum
+        span = "" if low is None or self.maximum is None else f", {low:g} to {self.maximum:g}"
+        typical = "" if self.typical is None else f", such as {plain_text(self.typical)}"
+        return f" ({self.description}{unit}{span}{typical})"
+
+
+def plain_text(value: float | tuple[float, ...]) -> str:
+    """Return a number, or a list of them, as YAML has it and as short as it is exact enough for a reader."""
+    return f"[{', '.join(map(plain_text, value))}]" if isinstance(value, tuple) else f"{value:g}"
 
 
 class Misfit(ValueError):
@@ -50,6 +66,7 @@ def quantity(
     minimum: float | None = None,
     maximum: float | None = None,
     above: float | None = None,
+    typical: float | None = None,
 ) -> Note:
     """Declare a number with a unit, for ``Annotated[float, ...]``.
 
@@ -59,19 +76,21 @@ def quantity(
         minimum: smallest accepted value.
         maximum: largest accepted value.
         above: the value must be larger than this.
+        typical: a usual value, for errors and for who has none.
     """
-    return Note(description, unit, minimum, maximum, above)
+    return Note(description, unit, minimum, maximum, above, typical=typical)
 
 
-def text(description: str, unit: str = "", choices: Sequence[str] = ()) -> Note:
+def text(description: str, unit: str = "", choices: Sequence[str] = (), typical: tuple[float, ...] | None = None) -> Note:
     """Declare a field other than a number, such as a name or a list.
 
     Args:
         description: one sentence of help.
         unit: unit of a list's entries.
         choices: the texts that are accepted; empty: any.
+        typical: a usual list.
     """
-    return Note(description, unit, choices=tuple(choices))
+    return Note(description, unit, choices=tuple(choices), typical=typical)
 
 
 class Declaration(NamedTuple):
@@ -102,7 +121,9 @@ def declarations(parameters: type) -> Iterator[Declaration]:
         yield Declaration(name, kind, defaults.get(name), note.unit, low, note.maximum, note.description)
 
 
-def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> Parameters:
+def parse(
+    parameters: type[Parameters], data: Mapping[str, Any], where: str, absent: Mapping[str, Any] | None = None
+) -> Parameters:
     """Check a mapping against a parameter set and build it.
 
     Args:
@@ -110,6 +131,7 @@ def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> 
         data: the user's values. An int is accepted for a float, and a float without a fraction for an int; nothing else
             is converted: YAML's ``yes`` is not 1, and a quoted number is text.
         where: file and section, for the error.
+        absent: values of keys that may be missing although they have no default.
 
     Returns:
         The parameter set.
@@ -118,26 +140,32 @@ def parse(parameters: type[Parameters], data: Mapping[str, Any], where: str) -> 
         BadInput: naming the first offending key, its value and what was expected.
     """
     hints = get_type_hints(parameters, include_extras=True)
-    required = hints.keys() - getattr(parameters, "_field_defaults", {}).keys()
-    values = {}
+    values = dict(absent or {})
+    required = hints.keys() - getattr(parameters, "_field_defaults", {}).keys() - values.keys()
+    unknown = next((key for key in data if key not in hints), None)
+    if unknown is not None:
+        raise BadInput(f"key '{unknown}' is unknown", where, one_of(unknown, hints))
     for key, hint in hints.items():
         _, note = _annotated(hint)
-        unit = f" [{note.unit}]" if note.unit else ""
-        low = note.above if note.minimum is None else note.minimum
-        span = "" if low is None or note.maximum is None else f", {low:g} to {note.maximum:g}"
-        explained = f" ({note.description}{unit}{span})" if note.description else ""
         if key in data:
             try:
                 values[key] = fitted(hint, data[key])
             except Misfit as misfit:
                 what = f"{key}{misfit.place} is {misfit.value!r}"
-                raise BadInput(what, where, f"{misfit.expected}{_advice(misfit)}{explained}") from None
+                raise BadInput(what, where, f"{misfit.expected}{_advice(misfit)}{note.explained()}") from None
         elif key in required:
-            raise BadInput(f"key '{key}' is missing", where, f"a value for it{explained}")
-    unknown = next((key for key in data if key not in hints), None)
-    if unknown is not None:
-        raise BadInput(f"key '{unknown}' is unknown", where, f"one of {', '.join(hints)}" if hints else "no such key")
+            raise missing_key(key, note, where)
     return parameters(**values)
+
+
+def missing_key(key: str, note: Note, where: str) -> BadInput:
+    """Return the error of a key that is needed and missing."""
+    return BadInput(f"key '{key}' is missing", where, f"a value for it{note.explained()}")
+
+
+def notes(parameters: type) -> dict[str, Note]:
+    """Return what is declared of each field of a parameter set."""
+    return {name: _annotated(hint)[1] for name, hint in get_type_hints(parameters, include_extras=True).items()}
 
 
 def from_json(kind: Any, document: str | bytes) -> Any:
@@ -176,6 +204,8 @@ def fitted(kind: Any, value: Any) -> Any:
     """
     kind, note = _annotated(kind)
     made = _of_type(kind, value)
+    if made is None:
+        return None
     if note.minimum is not None and made < note.minimum:
         raise Misfit(value, f"a value greater than or equal to {note.minimum:.15g}")
     if note.above is not None and made <= note.above:
@@ -183,7 +213,7 @@ def fitted(kind: Any, value: Any) -> Any:
     if note.maximum is not None and made > note.maximum:
         raise Misfit(value, f"a value less than or equal to {note.maximum:.15g}")
     if note.choices and made not in note.choices:
-        raise Misfit(value, f"one of {', '.join(note.choices)}")
+        raise Misfit(value, one_of(value, note.choices))
     return made
 
 
@@ -206,7 +236,7 @@ def _of_type(kind: Any, value: Any) -> Any:
         return fitted(kind, value)
     if origin is Literal:
         if value not in arguments:
-            raise Misfit(value, f"one of {', '.join(map(str, arguments))}")
+            raise Misfit(value, one_of(value, map(str, arguments)))
         return value
     return _tuple(arguments, value) if origin in {tuple, Sequence} else _mapping(kind, value)
 

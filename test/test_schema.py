@@ -20,6 +20,7 @@ class Cell(NamedTuple):
     spacing: Literal["linear", "log"] = "linear"
     reaction: Annotated[str, text("reaction", choices=("hold", "cut"))] = "hold"
     spread: Annotated[tuple[float, float] | None, text("spread")] = None
+    limit: Annotated[float | None, quantity("N", "limit", minimum=0.0)] = None
     live: bool = False
     note: Any = None
 
@@ -29,7 +30,7 @@ def test_values_are_taken_as_declared():
     assert cell == Cell(2.0, 3, (0.0, 5.0), (1.0, 2.5), spread=(1.0, 2.0), note=[1])
     assert type(cell.gain) is float
     assert type(cell.channel) is int
-    assert parse(Cell, {"gain": 1.0, "spread": None}, "cell") == Cell(1.0)
+    assert parse(Cell, {"gain": 1.0, "spread": None, "limit": None}, "cell") == Cell(1.0)
 
 
 @pytest.mark.parametrize(
@@ -50,13 +51,13 @@ def test_values_are_taken_as_declared():
         ({"gain": 1.0, "range": 5.0}, "range is 5.0; expected a list (ends [V])"),
         ({"gain": 1.0, "range": [1.0]}, "range is [1.0]; expected a list of 2 values (ends [V])"),
         ({"gain": 1.0, "levels": [1.0, math.nan]}, "levels[1] is nan; expected a finite number (levels)"),
-        ({"gain": 1.0, "spacing": "lin"}, "spacing is 'lin'; expected one of linear, log"),
+        ({"gain": 1.0, "spacing": "lin"}, "spacing is 'lin'; expected one of linear, log; did you mean 'linear'?"),
         ({"gain": 1.0, "reaction": "warn"}, "reaction is 'warn'; expected one of hold, cut (reaction)"),
         ({"gain": 1.0, "reaction": 7}, "reaction is 7; expected a valid string in quotes (reaction)"),
         ({"gain": 1.0, "live": 1}, "live is 1; expected a valid boolean"),
         (
             {"gain": 1.0, 7: 1},
-            "key '7' is unknown; expected one of gain, channel, range, levels, spacing, reaction, spread, live, note",
+            "key '7' is unknown; expected one of gain, channel, range, levels, spacing, reaction, spread, limit, live, note",
         ),
     ],
 )

@@ -107,8 +107,11 @@ def candidates(record: Record, rig: Rig, lines: Sequence[float]) -> tuple[list[C
         if any(use.name == name for use in rig.effects):
             out[name] = "the rig file has it already"
             continue
-        for number, form in enumerate(effect.forms(rig)):
-            found.append(_candidate(name, number, form, record, lines))
+        tried = [_candidate(name, number, form, record, lines) for number, form in enumerate(effect.forms(rig))]
+        if not all(np.all(np.isfinite(candidate.starts)) for candidate in tried):
+            out[name] = "needs what the rig file lacks"
+            continue
+        found += tried
     return found, out
 
 

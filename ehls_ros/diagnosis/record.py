@@ -10,6 +10,7 @@ from scipy.ndimage import maximum_filter1d, median_filter
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask, filled, inliers, noise, noise_between_moves
@@ -89,14 +90,14 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
 
     Args:
         trajectory: the recording, any subset of :data:`USED`.
-        rig: the rig, whose limits reveal a wrong unit.
+        rig: the rig, which reveals wrong units.
         name: what the recording is called in errors.
 
     Returns:
         The record, without signals that are missing or have no finite sample.
 
     Raises:
-        BadInput: time does not increase, too much of a signal is bad, or a signal is far beyond the rig's limits.
+        BadInput: time does not increase, too much of a signal is bad, or recording and rig contradict each other.
     """
     time = np.asarray(trajectory.time_s, dtype=np.float64)
     if len(time) < rules.FEWEST_SAMPLES:
@@ -107,7 +108,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     period = float(np.median(steps))
     preparation = trajectory.preparation
     preparation.check_area(rig.plant.piston_area, name)
-    remarks = list(preparation.remarks)
+    remarks = [*preparation.remarks, *check_suits(trajectory, rig, name)]
     chosen = _stretches(time, remarks)
     # Each sample belongs to the nearest grid point.
     starts = np.flatnonzero(np.concatenate([[True], np.diff(chosen) > 1]))
@@ -137,7 +138,6 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
             remarks.append(f"{100 * bad:.2g} % of {signal} are missing or outliers and were left out")
         signals[signal], good[signal] = _on_grid(time[chosen], values, right, grid, period, signal in HELD)
         level[signal] = _noise(values[right], period) if own is None else spread_noise(own, period)
-    _check_sizes(signals, rig, name)
     if period > 0.0 and float(np.max(np.abs(steps - period))) > rules.UNEVEN * period and lost <= rules.MENTIONED_LOSS:
         remarks.append("the sampling is uneven; values are taken at even times by straight lines")
     return Record(
@@ -245,22 +245,3 @@ def _noise(values: Array, period: float) -> float:
         lattice = 0.0
     found = noise_between_moves if period > rules.SLOWEST_TURN else noise
     return max(found(values), lattice / math.sqrt(12.0))
-
-
-def _check_sizes(signals: dict[str, Array], rig: Rig, name: str) -> None:
-    """Refuse a signal so far beyond the rig's limits that its unit must be wrong."""
-    room = max(abs(rig.limits.position[0]), abs(rig.limits.position[1]))
-    limits = {
-        COMMAND: (rig.limits.spool, "m"),
-        SPOOL: (rig.limits.spool, "m"),
-        PRESSURE: (max(rig.limits.load_pressure, rig.plant.supply_pressure), "Pa"),
-        SUPPLY: (rig.plant.supply_pressure, "Pa"),
-        POSITION: (room, "m"),
-        VELOCITY: (rig.limits.velocity, "m/s"),
-        FORCE: (rig.limits.force, "N"),
-    }
-    for signal, (limit, unit) in limits.items():
-        if signal in signals and float(np.quantile(np.abs(signals[signal]), rules.UNIT_QUANTILE)) > rules.UNIT_FACTOR * limit:
-            largest = float(np.max(np.abs(signals[signal])))
-            what = f"{signal} reaches {largest:.3g}, the rig's limit is {limit:.3g} {unit}"
-            raise BadInput(what, name, "SI units (see --columns)")

@@ -100,13 +100,38 @@ LONGEST_RECORDING: Annotated[
 
 STRETCHES: Annotated[int, Rule("record", "1", "Stretches taken of a longer recording, spread evenly over it.")] = 15
 
-UNIT_FACTOR: Annotated[
-    float, Rule("record", "1", "Multiple of the rig's limit above which a signal is taken to have a wrong unit.")
-] = 20.0
+UNIT_QUANTILE: Annotated[float, Rule("record", "1", "Quantile of a signal's magnitude that counts as what it reaches.")] = 0.99
 
-UNIT_QUANTILE: Annotated[float, Rule("record", "1", "Quantile of a signal's magnitude that is compared with that limit.")] = (
-    0.99
-)
+SIZE_FACTOR: Annotated[
+    float,
+    Rule(
+        "record",
+        "1",
+        "Factor between a measured and a modelled quantity above which a unit, a sign or a column is taken to be wrong.",
+        "units differ by 60 or more, and rigs whose coefficients were all off by 2 keep within 4",
+    ),
+] = 10.0
+
+SIZE_FLOW: Annotated[
+    float, Rule("record", "1", "The same for the flow, of which more coefficients and the compressed oil are part.")
+] = 30.0
+
+SIZE_DOUBT: Annotated[float, Rule("record", "1", "Factor within that bound from which a remark is made.")] = 3.0
+
+SIZE_RELATED: Annotated[
+    float,
+    Rule("record", "1", "Correlation from which two quantities count as measurements of one, so that factor and sign tell."),
+] = 0.9
+
+SIZE_BLOCKS: Annotated[
+    int, Rule("record", "1", "Most blocks that signals are averaged over before they are compared by size.")
+] = 2000
+
+SIZE_BLOCK: Annotated[float, Rule("record", "s", "Shortest of these blocks.")] = 0.02
+
+SIZE_FEWEST: Annotated[int, Rule("record", "1", "Fewest blocks that tell a factor.")] = 50
+
+SIZE_READINGS: Annotated[int, Rule("record", "1", "Most values and signals that are taken to be wrong at once.")] = 3
 
 RESOLUTION_SAMPLES: Annotated[int, Rule("record", "1", "Samples in which a signal's resolution is looked for.")] = 20000
 

@@ -45,7 +45,7 @@ from ehls_ros.physics.along.friction import FrictionInputs
 from ehls_ros.physics.along.load import Piston
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Sensor
-from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig
+from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig, unknown_keys
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, earlier_commands
 from ehls_ros.samples import Mask
 
@@ -67,6 +67,7 @@ COMMAND_UNSEEN = "needs a slower command or faster samples: at {rate} Hz, comman
 TURNS_UNSEEN = (
     "needs slower motion or faster samples: at {rate} Hz, the piston turns through its presliding between two samples"
 )
+NOT_IN_FILE = "needs {keys} in the rig file"
 """Why a stage is not judged whose signals are there."""
 
 UNITS: Mapping[Channel, str] = {
@@ -500,9 +501,29 @@ def setup(record: Record, rig: Rig) -> Setup:
     if "force" in channels and np.mean(_friction_known(Comparison(record, found))) < rules.LEAST_SEEN:
         channels.remove("force")
         why_not["force_balance"] = TURNS_UNSEEN.format(rate=f"{1.0 / record.sampled(POSITION, VELOCITY):.3g}")
+    lacking = _lacking(Comparison(record, found), rig)
+    for stage in STAGES:
+        keys = dict.fromkeys(path for c in channels if CHANNELS[c] == stage for path in lacking[c])
+        if keys:
+            why_not[stage] = NOT_IN_FILE.format(keys=", ".join(keys))
     why_not |= {stage: record.not_judged[stage] for stage in STAGES if stage in record.not_judged}
-    left = tuple(c for c in channels if CHANNELS[c] not in record.not_judged)
+    left = tuple(c for c in channels if CHANNELS[c] not in record.not_judged and not lacking[c])
     return found._replace(channels=left, why_not=why_not)
+
+
+def _lacking(comparison: Comparison, rig: Rig) -> dict[Channel, list[str]]:
+    """Return the keys that the rig file lacks and each channel's residual depends on."""
+    paths = [path for path in unknown_keys(rig) if path.startswith("plant.")]
+    some = dict.fromkeys((path.removeprefix("plant.") for path in paths), 1.0)
+    out: dict[Channel, list[str]] = {channel: [] for channel in CHANNELS}
+    if some:
+        given = comparison.relevant(rig._replace(plant=rig.plant._replace(**some)))
+        for path, key in zip(paths, some, strict=True):
+            other = comparison.relevant(rig._replace(plant=rig.plant._replace(**{**some, key: 2.0})))
+            for channel, lacks in out.items():
+                if other[channel] != given[channel]:
+                    lacks.append(path)
+    return out
 
 
 def _friction_known(comparison: Comparison) -> Mask:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehls_ros.control.references import steps, velocity_sweep
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, one_of
 from ehls_ros.physics.rig import EffectiveRig, Rig
 
 SLOW = 1e-3
@@ -244,7 +244,7 @@ def catalogue_spec(name: str, rig: Rig) -> dict[str, Any]:
         BadInput: there is no such experiment.
     """
     if name not in CATALOGUE:
-        raise BadInput(f"experiment {name!r} is unknown", "catalogue", f"one of {', '.join(CATALOGUE)}")
+        raise BadInput(f"experiment {name!r} is unknown", "catalogue", one_of(name, CATALOGUE))
     entry = CATALOGUE[name]
     mapping: dict[str, Any] = _rounded({"title": f"next experiment: {entry.purpose}", **entry.build(reach(rig.effective()))})
     return mapping

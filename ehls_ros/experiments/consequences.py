@@ -17,7 +17,7 @@ from ehls_ros.experiments.controller_benefit import ControllerBenefit, controlle
 from ehls_ros.experiments.next_experiment import NextExperiment, Proposal, next_experiment
 from ehls_ros.parallel import Workers
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.rig import EffectUse, Rig
+from ehls_ros.physics.rig import EffectUse, Rig, unknown_keys
 from ehls_ros.trajectory import Trajectory
 
 SURE = 0.9
@@ -93,6 +93,8 @@ def consequences(
     Returns:
         The results, and why any of them is missing.
     """
+    if lacking := unknown_keys(diagnosis.rig):
+        return NOTHING._replace(remarks=(f"nothing is simulated: the rig file has no {', '.join(lacking)}",))
     remarks: list[str] = []
     run = controller = proposal = None
     if diagnosis.verdict != "insufficient":

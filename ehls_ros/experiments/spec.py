@@ -14,10 +14,10 @@ from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.serving import check_serves
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, one_of
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.physics.plausibility import WARNING_FACTOR, check_ranges, check_rig, check_signal, check_step
-from ehls_ros.physics.rig import Rig, effects_from_list, rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.rig import Rig, check_known, effects_from_list, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP
 from ehls_ros.recording import limits
 from ehls_ros.recording.regular_file import read_text
@@ -162,7 +162,7 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
         raise BadInput(f"a spec is {type(data).__name__}", where, f"a mapping with keys of {', '.join(SECTIONS)}")
     for key in data:
         if key not in SECTIONS:
-            raise BadInput(f"key {key!r} is unknown", where, f"one of {', '.join(SECTIONS)}")
+            raise BadInput(f"key {key!r} is unknown", where, one_of(key, SECTIONS))
     settings = parse(Settings, {key: data[key] for key in Settings._fields if key in data}, where)
     if data.get("rig") is None:
         raise BadInput("key 'rig' is missing", where, "a rig file's name or its content")
@@ -227,9 +227,11 @@ def check_spec(spec: Spec, where: str) -> None:
 
 
 def _rig(data: Any, where: str, folder: Path) -> Rig:
-    if isinstance(data, str):
-        return load_rig(folder / data)
-    return rig_from_mapping(data, where)
+    """Read a rig that is to be simulated, which takes all of it."""
+    named = isinstance(data, str)
+    rig = load_rig(folder / data) if named else rig_from_mapping(data, where)
+    check_known(rig, str(folder / data) if named else where)
+    return rig
 
 
 def _use(family: Any, data: Any, where: str, folder: Path) -> Use:

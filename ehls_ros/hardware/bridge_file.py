@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, one_of
 from ehls_ros.hardware.backends import BACKENDS
 from ehls_ros.hardware.backends.base import Device
 from ehls_ros.hardware.calibration import Calibration, Input, Output, check_channel
@@ -44,7 +44,7 @@ def bridge_from_mapping(data: Any, where: str) -> Bridge:
         raise BadInput(f"it contains a {type(data).__name__}", where, f"a mapping with the sections {', '.join(SECTIONS)}")
     for section in data:
         if section not in SECTIONS:
-            raise BadInput(f"section {section!r} is unknown", where, f"one of {', '.join(SECTIONS)}")
+            raise BadInput(f"section {section!r} is unknown", where, one_of(section, SECTIONS))
     for section in SECTIONS:
         if section not in data:
             raise BadInput(f"section '{section}' is missing", where, "a mapping of its keys")
@@ -67,7 +67,7 @@ def _inputs(data: Mapping[str, Any], where: str) -> dict[str, Input]:
     taken: dict[int, str] = {}
     for signal, values in data.items():
         if signal not in SENSED:
-            raise BadInput(f"signal {signal!r} is unknown", where, f"one of {', '.join(SENSED)}")
+            raise BadInput(f"signal {signal!r} is unknown", where, one_of(signal, SENSED))
         place = f"{where}: {signal}"
         if not isinstance(values, Mapping):
             raise BadInput(f"{signal} is {values!r}", where, f"a mapping of {', '.join(Input._fields)}")

@@ -3,11 +3,13 @@
 import itertools
 import math
 import time as clock
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
+from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.errors import BadInput
 from ehls_ros.identification.balance import Recorded, check_unit, without_known
 from ehls_ros.identification.declared import fit_declared
@@ -16,8 +18,9 @@ from ehls_ros.identification.motion import SMALL_TRAVEL, Motion, motions_of
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.result import Identification
 from ehls_ros.identification.static import Search, StaticFit, steady_fit
+from ehls_ros.identification.strokes import Missing, missing_strokes
 from ehls_ros.identification.uncertainty import estimates
-from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.rig import Rig, check_known
 from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
 
@@ -33,10 +36,22 @@ STEADY = 0.1
 SOME_OUTLIERS = 1e-3
 """Fraction of a recording left out above which a remark says so."""
 
+NEEDED = ("plant.moving_mass", "plant.piston_area", "plant.spring_stiffness", "plant.viscous_damping")
+"""What friction's identification takes from the rig file beside the friction."""
+
 STEPS, DONE = 4, "done"
 """Largest number of steps that an identification reports, and the name of its end."""
 
 Progress = Callable[[str, int, int], None]
+
+
+class MissingStrokes(BadInput):
+    """Recordings from which friction does not follow."""
+
+    def __init__(self, what: str, where: str, expected: str, missing: Missing) -> None:
+        """Make the one line, and keep what is missing."""
+        super().__init__(what, where, expected)
+        self.missing = missing
 
 
 def identify(
@@ -80,6 +95,8 @@ def identify(
         raise BadInput(what, "identification", f"no number of elements, or a rig whose friction model is {MODEL}")
     tell("reading the motion")
     names = ", ".join(recordings)
+    check_known(rig, "identification", NEEDED)
+    doubts = [f"{name}: {doubt}" for name, recording in recordings.items() for doubt in check_suits(recording, rig, name)]
     motions = motions_of(recordings, rig)
     usable = tuple(m.resolved & known_state(m) if m.small else m.resolved for m in motions)
     if not any(np.any(u) for u in usable):
@@ -93,16 +110,19 @@ def identify(
     known = tuple(without_known(m, straight, rig) for m in motions)
     slow = tuple(u if m.small else u & is_steady(m, rig) for u, m in zip(usable, motions, strict=True))
     wide = [i for i, m in enumerate(motions) if not m.small]
-    steady = steady_fit(
-        Recorded(known, slow, straight).chosen(wide), rig.plant.viscous_damping, Search(optimiser, chosen, seed)
-    )
-    if steady is not None:
-        _check_units(names, rig, steady)
+    even = [u & is_steady(m, rig) for u, m in zip(usable, motions, strict=True)]
+    lacking = missing_strokes(motions, even, rig, _disturbance(recordings))
+    with _explained(lacking):
+        sliding = Recorded(known, slow, straight).chosen(wide)
+        steady = steady_fit(sliding, rig.plant.viscous_damping, Search(optimiser, chosen, seed))
+        if steady is not None:
+            _check_units(names, rig, steady)
 
     recorded = Recorded(tuple(without_known(m, linear, rig) for m in motions), usable, linear)
     start = start_of(rig, steady)
-    by_elements = fit_elements(recorded, rig, start, steady, elements, tell) if rig.friction_model == MODEL else None
-    result = by_elements or fit_declared(recorded._replace(usable=slow), rig, start, steady, tell)
+    with _explained(lacking):
+        by_elements = fit_elements(recorded, rig, start, steady, elements, tell) if rig.friction_model == MODEL else None
+        result = by_elements or fit_declared(recorded._replace(usable=slow), rig, start, steady, tell)
     found = estimates(result.fit, rig)
     tell(DONE)
     return Identification(
@@ -110,7 +130,7 @@ def identify(
         estimates=found.by_name,
         correlations=found.correlations,
         not_identifiable=found.not_identifiable,
-        remarks=(*_readings(recordings), *_remarks(motions), *result.remarks, *found.remarks),
+        remarks=(*_readings(recordings), *doubts, *_remarks(motions), *_said(lacking), *result.remarks, *found.remarks),
         static=steady,
         branch=by_elements.branch if by_elements else None,
         nodes=by_elements.nodes if by_elements else (),
@@ -119,6 +139,7 @@ def identify(
         motions=recorded.motions,
         method=optimiser,
         wall_s=clock.perf_counter() - began,
+        lacking=lacking,
     )
 
 
@@ -171,8 +192,35 @@ def _check_units(names: str, rig: Rig, steady: StaticFit) -> None:
         check_unit("spring", steady.linear["spring"], rig.plant.spring_stiffness, names)
 
 
+@contextmanager
+def _explained(lacking: Missing) -> Iterator[None]:
+    """Say of a fit that fails which strokes it lacks."""
+    try:
+        yield
+    except BadInput as error:
+        if not lacking.told:
+            raise
+        what = f"{error.what}: there are no {', no '.join(lacking.told)}"
+        expected = f"{lacking.asked_for}; what valve, oil and inertia show is identified with --whole-rig all the same"
+        raise MissingStrokes(what, error.where, expected, lacking) from None
+
+
 def _readings(recordings: Mapping[str, Trajectory]) -> list[str]:
     return [f"{name}: {remark}" for name, read in recordings.items() for remark in read.preparation.remarks]
+
+
+def _disturbance(recordings: Mapping[str, Trajectory]) -> float:
+    """Return the largest standard deviation of a recorded disturbance force [N]."""
+    acting = [r["disturbance_force_n"] for r in recordings.values() if "disturbance_force_n" in r]
+    return max((float(np.nanstd(force)) for force in acting if np.any(np.isfinite(force))), default=0.0)
+
+
+def _said(lacking: Missing) -> list[str]:
+    return (
+        [f"missing: {', '.join(lacking.told)}; {lacking.asked_for} would tell the friction more surely."]
+        if lacking.told
+        else []
+    )
 
 
 def _remarks(motions: Sequence[Motion]) -> list[str]:

@@ -167,7 +167,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
 
     Args:
         trajectory: the recording; needs ``position_m``, and ``force_n`` or ``load_pressure_pa``.
-        rig: the rig, for the piston area and for limits that reveal a wrong unit.
+        rig: the rig, for the piston area.
         name: name of the recording in errors.
         period: length of a block [s].
 
@@ -189,7 +189,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
     if len(time) < 2 * WINDOW or time[-1] < 2 * WINDOW * period:
         raise BadInput(f"it is {time[-1]:.3g} s long with {len(time)} samples", name, f"at least {2 * WINDOW * period:g} s")
     good_position, good_force = _inliers(position, "position_m", name), _inliers(force, source, name)
-    _check_sizes(position[good_position], force[good_force], source, rig, name)
+    _check_moves(position[good_position], force[good_force], source, name)
     _check_stuck(time, position, force, source, rig, name)
 
     blocks = int(time[-1] // period)
@@ -255,16 +255,9 @@ def _inliers(values: Array, signal: str, name: str) -> Mask:
     return good
 
 
-def _check_sizes(position: Array, force: Array, source: str, rig: Rig, name: str) -> None:
-    """Refuse signals that only a wrong unit explains."""
-    travel, room = float(np.ptp(position)), rig.limits.position[1] - rig.limits.position[0]
-    if travel > 5.0 * room:
-        raise BadInput(f"position_m moves {travel:.3g} m, the rig {room:.3g} m", name, "position in metres (see --columns)")
-    largest = float(np.max(np.abs(force)))
-    if largest > 20.0 * rig.limits.force:
-        what = f"the force from {source} reaches {largest:.3g} N, the rig's limit is {rig.limits.force:.3g} N"
-        raise BadInput(what, name, "SI units: N, Pa (see --columns)")
-    if travel <= 0.0:
+def _check_moves(position: Array, force: Array, source: str, name: str) -> None:
+    """Refuse a recording in which nothing moves."""
+    if float(np.ptp(position)) <= 0.0:
         raise BadInput("position_m does not change", name, "a recording in which the piston moves")
     if float(np.ptp(force)) <= 0.0:
         raise BadInput(f"{source} does not change", name, "a force sensor that is not stuck")

@@ -11,6 +11,7 @@ from ehls_ros.identification.joint import JointFit
 from ehls_ros.identification.motion import Motion
 from ehls_ros.identification.presliding import Branch, Node
 from ehls_ros.identification.static import StaticFit
+from ehls_ros.identification.strokes import Missing
 from ehls_ros.physics.rig import Rig
 
 
@@ -31,6 +32,7 @@ class Identification(NamedTuple):
         motions: the recordings in blocks.
         method: the optimiser of the static fit.
         wall_s: wall time [s].
+        lacking: strokes that the recordings lack.
     """
 
     rig: Rig
@@ -46,6 +48,7 @@ class Identification(NamedTuple):
     motions: tuple[Motion, ...]
     method: str
     wall_s: float
+    lacking: Missing = Missing(())
 
     @property
     def elements(self) -> int:
@@ -60,6 +63,7 @@ def to_json(found: Identification) -> dict[str, Any]:
         "correlations": {"names": list(found.estimates), "matrix": found.correlations.tolist()},
         "not_identifiable": list(found.not_identifiable),
         "remarks": list(found.remarks),
+        "missing": list(found.lacking.told),
         "elements": found.elements,
         "criteria": {str(number): value for number, value in found.criteria.items()},
         "method": found.method,

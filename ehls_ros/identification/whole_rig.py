@@ -32,7 +32,7 @@ from ehls_ros.identification.rig_fit import Stack, fit
 from ehls_ros.identification.rig_result import ChannelFit, RigIdentification
 from ehls_ros.identification.rig_stages import BANDWIDTH, SURE, sizes, stage_by_stage, without_signals
 from ehls_ros.identification.rig_told import estimated, untold
-from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.rig import Rig, check_known
 from ehls_ros.trajectory import Trajectory
 
 OF_SENSORS: tuple[Channel, ...] = ("cell", "velocity")
@@ -100,6 +100,7 @@ def _records(recordings: Mapping[str, Trajectory], rig: Rig) -> tuple[list[Recor
     """Return the recordings that can be used, and what is to be said of all."""
     if not recordings:
         raise BadInput("there is no recording", "identification", "at least one recording")
+    check_known(rig, "identification of the whole rig")
     records, remarks, refused = list[Record](), list[str](), list[BadInput]()
     for name, trajectory in recordings.items():
         stuck = [signal for signal in MOVING if signal in trajectory and _is_stuck(trajectory[signal])]

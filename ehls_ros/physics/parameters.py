@@ -8,21 +8,28 @@ from ehls_ros.schema import quantity, text
 class Plant(NamedTuple):
     """Hydraulics, valve and beam load: the coefficients of equations (1)-(4)."""
 
-    supply_pressure: Annotated[float, quantity("Pa", "supply pressure ps", above=0.0)]
-    oil_density: Annotated[float, quantity("kg/m^3", "density of the oil, rho", above=0.0)]
-    bulk_modulus: Annotated[float, quantity("Pa", "effective bulk modulus of the oil, beta_e", above=0.0)]
-    discharge_coefficient: Annotated[float, quantity("1", "discharge coefficient of the valve, Cd", above=0.0)]
-    valve_area_gradient: Annotated[float, quantity("m", "valve area per spool displacement, w", above=0.0)]
-    leakage_coefficient: Annotated[float, quantity("m^5/(N s)", "internal leakage of the cylinder, Ctc", minimum=0.0)]
-    total_volume: Annotated[float, quantity("m^3", "oil volume of both chambers and lines, Vt", above=0.0)]
-    moving_mass: Annotated[float, quantity("kg", "equivalent mass of piston and load, m0", above=0.0)]
-    piston_area: Annotated[float, quantity("m^2", "ram area, Ac", above=0.0)]
-    arm_length: Annotated[float, quantity("m", "arm of the beam, L", above=0.0)]
-    spring_stiffness: Annotated[float, quantity("N/m", "equivalent spring of the beam load, ks", minimum=0.0)]
-    viscous_damping: Annotated[float, quantity("N s/m", "viscous damping of the friction loading device, B0", minimum=0.0)]
-    valve_bandwidth: Annotated[float, quantity("rad/s", "bandwidth of the servo valve, omega_v", above=0.0)]
-    valve_gain: Annotated[float, quantity("1", "spool displacement per spool command, Kv", above=0.0)]
-    gravity: Annotated[float, quantity("m/s^2", "gravity along -x as in (3); negative: along +x", minimum=-20.0, maximum=20.0)]
+    supply_pressure: Annotated[float, quantity("Pa", "supply pressure ps", above=0.0, typical=2.1e7)]
+    oil_density: Annotated[float, quantity("kg/m^3", "density of the oil, rho", above=0.0, typical=860.0)]
+    bulk_modulus: Annotated[float, quantity("Pa", "effective bulk modulus of the oil, beta_e", above=0.0, typical=1e9)]
+    discharge_coefficient: Annotated[float, quantity("1", "discharge coefficient of the valve, Cd", above=0.0, typical=0.62)]
+    valve_area_gradient: Annotated[float, quantity("m", "valve area per spool displacement, w", above=0.0, typical=0.03)]
+    leakage_coefficient: Annotated[
+        float, quantity("m^5/(N s)", "internal leakage of the cylinder, Ctc", minimum=0.0, typical=5e-12)
+    ]
+    total_volume: Annotated[float, quantity("m^3", "oil volume of both chambers and lines, Vt", above=0.0, typical=1e-3)]
+    moving_mass: Annotated[float, quantity("kg", "equivalent mass of piston and load, m0", above=0.0, typical=100.0)]
+    piston_area: Annotated[float, quantity("m^2", "ram area, Ac", above=0.0, typical=2e-3)]
+    arm_length: Annotated[float, quantity("m", "arm of the beam, L", above=0.0, typical=0.5)]
+    spring_stiffness: Annotated[float, quantity("N/m", "equivalent spring of the beam load, ks", minimum=0.0, typical=4e4)]
+    viscous_damping: Annotated[
+        float, quantity("N s/m", "viscous damping of the friction loading device, B0", minimum=0.0, typical=100.0)
+    ]
+    valve_bandwidth: Annotated[float, quantity("rad/s", "bandwidth of the servo valve, omega_v", above=0.0, typical=300.0)]
+    valve_gain: Annotated[float, quantity("1", "spool displacement per spool command, Kv", above=0.0, typical=1.0)]
+    gravity: Annotated[
+        float,
+        quantity("m/s^2", "gravity along -x as in (3); negative: along +x", minimum=-20.0, maximum=20.0, typical=9.81),
+    ]
 
 
 class Sensor(NamedTuple):
@@ -39,8 +46,8 @@ class Sensor(NamedTuple):
 class Limits(NamedTuple):
     """Limits of the rig."""
 
-    spool: Annotated[float, quantity("m", "largest spool command", above=0.0)]
-    force: Annotated[float, quantity("N", "largest driving force", above=0.0)]
-    load_pressure: Annotated[float, quantity("Pa", "largest load pressure", above=0.0)]
-    position: Annotated[tuple[float, float], text("smallest and largest piston position [m]")]
-    velocity: Annotated[float, quantity("m/s", "largest piston velocity", above=0.0)]
+    spool: Annotated[float, quantity("m", "largest spool command", above=0.0, typical=1e-3)]
+    force: Annotated[float, quantity("N", "largest driving force", above=0.0, typical=4e4)]
+    load_pressure: Annotated[float, quantity("Pa", "largest load pressure", above=0.0, typical=2.1e7)]
+    position: Annotated[tuple[float, float], text("smallest and largest piston position", "m", typical=(-0.1, 0.1))]
+    velocity: Annotated[float, quantity("m/s", "largest piston velocity", above=0.0, typical=1.0)]

@@ -1,18 +1,18 @@
 """The rig description shared by simulator, controller, identification and diagnosis."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import cache
 from typing import Any, NamedTuple, get_type_hints
 
 from ehls_ros.arrays import in_python
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, one_of
 from ehls_ros.physics.beam import piston_mass
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.friction.base import FrictionModel
 from ehls_ros.physics.parameters import Limits, Plant, Sensor
-from ehls_ros.schema import parse
+from ehls_ros.schema import missing_key, notes, parse
 
 
 class EffectUse(NamedTuple):
@@ -118,6 +118,15 @@ class EffectiveRig(NamedTuple):
         return Rig(*self)._replace(effects=())
 
 
+UNKNOWN = math.nan
+"""The value of a coefficient that the rig file does not have."""
+
+ABSENT: Mapping[type, Mapping[str, Any]] = {
+    Plant: dict.fromkeys(Plant._fields, UNKNOWN),
+    Limits: {**dict.fromkeys(Limits._fields, UNKNOWN), "position": (UNKNOWN, UNKNOWN)},
+}
+"""What stands for missing keys of a rig file."""
+
 SECTIONS = ("plant", "friction", "effects", "sensors", "limits")
 
 DEFAULT_FRICTION = "gms"
@@ -132,28 +141,28 @@ def rig_from_mapping(data: Any, where: str) -> Rig:
         where: the file, for errors.
 
     Returns:
-        The rig.
+        The rig; a key of plant or limits that is missing is :data:`UNKNOWN` in it, see :func:`check_known`.
 
     Raises:
-        BadInput: the first key that is missing, unknown or out of range.
+        BadInput: the first key that is unknown or out of range, or of the friction missing.
     """
     if not isinstance(data, Mapping):
         raise BadInput(f"a rig is {type(data).__name__}", where, f"a mapping with the sections {', '.join(SECTIONS)}")
-    for section in ("plant", "friction", "limits"):
-        if section not in data:
-            raise BadInput(f"section '{section}' is missing", where, "a mapping of its keys")
-        if not isinstance(data[section], Mapping):
-            raise BadInput(f"section '{section}' is {data[section]!r}", where, "a mapping of its keys")
     for section in data:
         if section not in SECTIONS:
-            raise BadInput(f"section {section!r} is unknown", where, f"one of {', '.join(SECTIONS)}")
+            raise BadInput(f"section {section!r} is unknown", where, one_of(section, SECTIONS))
+    if "friction" not in data:
+        raise BadInput("section 'friction' is missing", where, "a mapping of its keys")
+    for section in ("plant", "friction", "limits"):
+        if not isinstance(data.get(section, {}), Mapping):
+            raise BadInput(f"section '{section}' is {data[section]!r}", where, "a mapping of its keys")
     model, friction, others = _friction_from_mapping(data["friction"], f"{where}: friction")
-    limits = parse(Limits, data["limits"], f"{where}: limits")
-    if not -math.inf < limits.position[0] < limits.position[1] < math.inf:
+    limits = parse(Limits, data.get("limits", {}), f"{where}: limits", ABSENT[Limits])
+    if "position" in data.get("limits", {}) and not limits.position[0] < limits.position[1]:
         expected = "two finite numbers [min, max] with min < max [m]"
         raise BadInput(f"position is {list(limits.position)}", f"{where}: limits", expected)
     rig = Rig(
-        plant=parse(Plant, data["plant"], f"{where}: plant"),
+        plant=parse(Plant, data.get("plant", {}), f"{where}: plant", ABSENT[Plant]),
         friction_model=model,
         friction=friction,
         effects=effects_from_list([] if data.get("effects") is None else data["effects"], f"{where}: effects"),
@@ -163,6 +172,31 @@ def rig_from_mapping(data: Any, where: str) -> Rig:
     )
     check_friction_effects(rig, f"{where}: effects")
     return rig
+
+
+def unknown_keys(rig: Rig) -> tuple[str, ...]:
+    """Return the keys of plant and limits that the rig file does not have, such as ``plant.bulk_modulus``."""
+    values: dict[str, Any] = {
+        f"{section}.{key}": v for section in ("plant", "limits") for key, v in getattr(rig, section)._asdict().items()
+    }
+    return tuple(path for path, value in values.items() if math.isnan(value[0] if isinstance(value, tuple) else value))
+
+
+def check_known(rig: Rig, where: str, needed: Collection[str] = ()) -> None:
+    """Check that a rig has what is needed of it.
+
+    Args:
+        rig: the rig.
+        where: the file, for errors.
+        needed: keys such as ``plant.bulk_modulus``; none: all, as for a simulation.
+
+    Raises:
+        BadInput: the first one that is missing, with its unit and a typical value.
+    """
+    for path in unknown_keys(rig):
+        if not needed or path in needed:
+            section, _, key = path.partition(".")
+            raise missing_key(key, notes(type(getattr(rig, section)))[key], f"{where}: {section}")
 
 
 def _friction_from_mapping(data: Mapping[str, Any], where: str) -> tuple[str, Any, dict[str, Any]]:
@@ -181,8 +215,8 @@ def _friction_from_mapping(data: Mapping[str, Any], where: str) -> tuple[str, An
     known = _keys_of(tuple(FRICTION_MODELS.usable())) if foreign else {}
     for key in foreign:
         if key not in known:
-            expected = f"one of {', '.join(own)}; or, of other models, {', '.join(k for k in known if k not in own)}"
-            raise BadInput(f"key '{key}' is unknown", where, expected)
+            possible = ("model", *own, *(k for k in known if k not in own))
+            raise BadInput(f"key '{key}' is unknown", where, one_of(key, possible))
     others = {key: parse(known[key], {key: value}, where)[0] for key, value in foreign.items()}
     friction = parse(law.Parameters, _derived(law, others) | {key: data[key] for key in own if key in data}, where)
     law.check(friction, where)
@@ -254,7 +288,7 @@ def _sensors_from_mapping(data: Any, where: str) -> dict[str, Sensor]:
         raise BadInput(f"sensors is {data!r}", where, "a mapping signal: {noise_std, resolution, ...}")
     for signal in data:
         if signal not in SENSED:
-            raise BadInput(f"signal {signal!r} is unknown", where, f"one of {', '.join(SENSED)}")
+            raise BadInput(f"signal {signal!r} is unknown", where, one_of(signal, SENSED))
         if not isinstance(data[signal], Mapping | None):
             raise BadInput(f"{signal} is {data[signal]!r}", where, f"a mapping of {', '.join(Sensor._fields)}")
     return {signal: parse(Sensor, values or {}, f"{where}: {signal}") for signal, values in data.items()}
@@ -263,7 +297,7 @@ def _sensors_from_mapping(data: Any, where: str) -> dict[str, Sensor]:
 def rig_to_mapping(rig: Rig) -> dict[str, Any]:
     """Return the content of a rig file, the inverse of :func:`rig_from_mapping`.
 
-    Friction coefficients that are derived from others are left out.
+    Friction coefficients that are derived from others are left out, and so is what is :data:`UNKNOWN`.
     """
 
     def plain(parameters: Any) -> dict[str, Any]:
@@ -272,12 +306,17 @@ def rig_to_mapping(rig: Rig) -> dict[str, Any]:
     def listed(values: Mapping[str, Any]) -> dict[str, Any]:
         return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
 
+    def known(section: str) -> dict[str, Any]:
+        values = plain(getattr(rig, section))
+        return {key: value for key, value in values.items() if f"{section}.{key}" not in unknown}
+
+    unknown = unknown_keys(rig)
     derived = _derived(rig.friction_law, rig.other_friction)
     friction = {key: value for key, value in rig.friction._asdict().items() if derived.get(key) != value}
     return {
-        "plant": plain(rig.plant),
+        "plant": known("plant"),
         "friction": {"model": rig.friction_model, **listed(friction), **listed(rig.other_friction)},
         "effects": [{"name": use.name, **plain(use.parameters)} for use in rig.effects],
         "sensors": {signal: plain(sensor) for signal, sensor in rig.sensors.items()},
-        "limits": plain(rig.limits),
+        "limits": known("limits"),
     }

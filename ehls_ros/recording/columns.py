@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, one_of
 from ehls_ros.recording.expression import expression
 from ehls_ros.recording.units import ELECTRICAL, UNITS, quantity_of, unit_of
 from ehls_ros.recording.yaml_text import read_yaml
@@ -176,7 +176,7 @@ def _tables(entry: object, path: Path) -> dict[str, Column | None]:
 
 def _column(name: str, entry: object, path: Path) -> Column:
     if not is_contract_name(name):
-        raise BadInput(f"name '{name}' is unknown", str(path), f"one of {', '.join((TIME, *READABLE))}")
+        raise BadInput(f"name '{name}' is unknown", str(path), one_of(name, (TIME, *READABLE)))
     return _entry(name, entry, f"{path}, {name}", EXPECTED_MAP)
 
 

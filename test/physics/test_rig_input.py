@@ -7,7 +7,7 @@ import pytest
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
-from ehls_ros.physics.rig import EffectUse, rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.rig import EffectUse, check_known, rig_from_mapping, rig_to_mapping, unknown_keys
 
 
 def refused(data):
@@ -56,11 +56,48 @@ def test_a_value_out_of_range(section, key, value, said, rig_data):
         assert part in line
 
 
-@pytest.mark.parametrize(("section", "key"), [("plant", "bulk_modulus"), ("friction", "attraction_rate"), ("limits", "spool")])
-def test_a_key_that_is_missing(section, key, rig_data):
+def test_a_key_of_the_friction_that_is_missing(rig_data):
+    del rig_data["friction"]["attraction_rate"]
+    assert refused(rig_data).startswith("rig.yaml: friction: key 'attraction_rate' is missing; expected")
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "said"),
+    [
+        ("plant", "bulk_modulus", "effective bulk modulus of the oil, beta_e [Pa], such as 1e+09"),
+        ("limits", "position", "smallest and largest piston position [m], such as [-0.1, 0.1]"),
+    ],
+)
+def test_what_a_rig_file_lacks_is_asked_for_where_it_is_needed(section, key, said, rig_data):
     del rig_data[section][key]
+    rig = rig_from_mapping(rig_data, "rig.yaml")
+    assert unknown_keys(rig) == (f"{section}.{key}",)
+    assert rig_to_mapping(rig)[section] == rig_data[section]
+    check_known(rig, "rig.yaml", ("plant.moving_mass",))
+    for needed in ((), (f"{section}.{key}",)):
+        with pytest.raises(BadInput) as caught:
+            check_known(rig, "rig.yaml", needed)
+        assert str(caught.value) == f"rig.yaml: {section}: key '{key}' is missing; expected a value for it ({said})"
+
+
+def test_whole_sections_may_be_missing_of_a_rig_that_is_not_simulated(rig_data):
+    rig = rig_from_mapping({"friction": rig_data["friction"]}, "rig.yaml")
+    assert rig_to_mapping(rig)["plant"] == rig_to_mapping(rig)["limits"] == {}
+
+
+@pytest.mark.parametrize(
+    ("section", "typed", "meant"),
+    [
+        ("plant", "supply_presure", "supply_pressure"),
+        ("friction", "colomb_force", "coulomb_force"),
+        ("limits", "forces", "force"),
+    ],
+)
+def test_a_key_spelt_wrongly_is_named_with_the_one_it_is_like(section, typed, meant, rig_data):
+    rig_data[section][typed] = rig_data[section].pop(meant)
     line = refused(rig_data)
-    assert line.startswith(f"rig.yaml: {section}: key '{key}' is missing; expected")
+    assert f"key '{typed}' is unknown" in line
+    assert line.endswith(f"did you mean '{meant}'?")
 
 
 def test_a_key_that_is_unknown(rig_data):
@@ -71,10 +108,10 @@ def test_a_key_that_is_unknown(rig_data):
 
 
 def test_a_section_that_is_missing_or_unknown(rig_data):
-    limits = rig_data.pop("limits")
-    assert "section 'limits' is missing" in refused(rig_data)
-    rig_data.update(limits=limits, sensor={})
-    assert "section 'sensor' is unknown" in refused(rig_data)
+    friction = rig_data.pop("friction")
+    assert "section 'friction' is missing" in refused(rig_data)
+    rig_data.update(friction=friction, sensor={})
+    assert refused(rig_data).endswith("did you mean 'sensors'?")
 
 
 @pytest.mark.parametrize("data", [None, [], "rig", 3.0])

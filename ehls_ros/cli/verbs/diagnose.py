@@ -7,17 +7,16 @@ import sys
 import tempfile
 import time
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-import yaml
 from rich.console import Console
 from rich.table import Table
 
 from ehls_ros.cli.folder import writable
 from ehls_ros.cli.progress import progress_bar
+from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.diagnosis.result import Cause, Diagnosis
@@ -28,6 +27,7 @@ from ehls_ros.experiments.consequences import Consequences, consequences
 from ehls_ros.experiments.diagnosis_document import diagnosis_document
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.spec import load_rig
+from ehls_ros.experiments.yaml_files import rig_text, spec_text
 from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.columns import ColumnMap, read_columns
@@ -92,6 +92,8 @@ def run(options: Namespace) -> int:
         bar(0, BAR, "reading")
         trajectory = _load(data, columns)
         baselines = {str(path): _load(path, columns) for path in options.baseline}
+        for recording, called in ((trajectory, name), *((old, path) for path, old in baselines.items())):
+            check_suits(recording, rig, called)  # before compiling takes its time
         compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: bar(done, total, COMPILING))
         told = partial(_told, bar)
         if baselines:
@@ -152,7 +154,7 @@ def _write(folder: Path, found: Diagnosis, follows: Consequences, document: obje
         write_diagnosis_report(found, scratch / REPORT, follows, source)
         if experiment is not None:
             spec = {**experiment.spec, "rig": RIG, "controller_rig": os.path.relpath(rig, folder)}
-            (scratch / NEXT).write_text(_next_heading(experiment.purpose) + _yaml(spec), encoding="utf-8")
+            (scratch / NEXT).write_text(_next_heading(experiment.purpose) + spec_text(spec), encoding="utf-8")
         else:
             (folder / NEXT).unlink(missing_ok=True)
         for file in sorted(scratch.iterdir()):
@@ -161,11 +163,6 @@ def _write(folder: Path, found: Diagnosis, follows: Consequences, document: obje
         raise BadInput(f"the results cannot be written ({error.strerror})", str(folder), "a writable folder") from None
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
-
-
-def _yaml(mapping: Mapping[str, Any]) -> str:
-    text: str = yaml.safe_dump(json.loads(json.dumps(mapping)), sort_keys=False, allow_unicode=True)
-    return text
 
 
 def _rig_file(found: Diagnosis, rig: Path, source: str) -> str:
@@ -181,7 +178,7 @@ def _rig_file(found: Diagnosis, rig: Path, source: str) -> str:
     )
     fitted = "" if found.baseline is None else f"# Coefficients fitted to {', '.join(found.baseline.recordings)}.\n"
     end = f"# Added at the end of `effects`:\n{added}" if added else f"# Nothing was added: the verdict is '{found.verdict}'.\n"
-    return f"{heading}{fitted}{end}{_yaml(rig_to_mapping(found.extended))}"
+    return f"{heading}{fitted}{end}{rig_text(rig_to_mapping(found.extended))}"
 
 
 def _next_heading(purpose: str) -> str:

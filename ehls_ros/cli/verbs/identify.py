@@ -7,20 +7,23 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rich.console import Console
 from rich.table import Table
 
 from ehls_ros.cli.folder import writable
 from ehls_ros.cli.progress import progress_bar
+from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
 from ehls_ros.experiments.spec import load_rig
-from ehls_ros.identification.identify import DEFAULT_OPTIMISER, identify
+from ehls_ros.experiments.stroke_experiments import stroke_experiments
+from ehls_ros.experiments.yaml_files import rig_text
+from ehls_ros.identification.identify import DEFAULT_OPTIMISER, MissingStrokes, identify
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.result import Identification, to_json
 from ehls_ros.identification.rig_result import RigIdentification, rig_to_json
+from ehls_ros.identification.strokes import Missing
 from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import Rig, rig_to_mapping
@@ -77,26 +80,39 @@ def run(options: Namespace) -> int:
 
 
 def _friction(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespace, folder: Path) -> dict[str, Any]:
-    with progress_bar("identifying") as bar:
-        found = identify(
-            recordings,
-            rig,
-            optimiser=options.optimiser,
-            elements=options.elements,
-            seed=options.seed,
-            progress=lambda _, done, total: bar(done, total),
-        )
+    try:
+        with progress_bar("identifying") as bar:
+            found = identify(
+                recordings,
+                rig,
+                optimiser=options.optimiser,
+                elements=options.elements,
+                seed=options.seed,
+                progress=lambda _, done, total: bar(done, total),
+            )
+    except MissingStrokes as error:
+        _offer(error.missing, rig, options.rig, folder)
+        raise
     result = to_json(found)
     _write(folder, found.rig, result, options.data)
     write_identification_report(found, folder / REPORT, before=rig)
     _print(found, folder)
+    _offer(found.lacking, rig, options.rig, folder)
     return result
+
+
+def _offer(missing: Missing, rig: Rig, path: Path, folder: Path) -> None:
+    """Write the experiments that deliver what is missing, and say how to run them."""
+    for asked in stroke_experiments(missing, rig, path.resolve(), folder.resolve()):
+        (folder / asked.file).write_text(asked.text, encoding="utf-8")
+        print(f"  missing strokes: ehls experiment {folder / asked.file}")
 
 
 def _whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespace, folder: Path) -> dict[str, Any]:
     if options.elements is not None:
         what = "--elements and --whole-rig are given"
         raise BadInput(what, "command line", "one of them: the whole rig keeps the rig file's number of friction elements")
+    _check(recordings, rig)
     with Workers() as workers, progress_bar("identifying") as bar:
         compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: bar(done, total, COMPILING))
         found = identify_rig(recordings, rig, seed=options.seed, progress=lambda doing, done, total: bar(done, total, doing))
@@ -107,9 +123,20 @@ def _whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespac
     return result
 
 
+def _check(recordings: Mapping[str, Trajectory], rig: Rig) -> None:
+    """Refuse what cannot be of one rig before compiling takes its time; one of several recordings may be left out later."""
+    refused = list[BadInput]()
+    for name, recording in recordings.items():
+        try:
+            check_suits(recording, rig, name)
+        except BadInput as error:
+            refused.append(error)
+    if len(refused) == len(recordings):
+        raise refused[0]
+
+
 def _write(folder: Path, rig: Rig, result: Mapping[str, Any], data: Sequence[Path]) -> None:
-    plain = json.loads(json.dumps(rig_to_mapping(rig)))
-    (folder / RIG).write_text(_heading(data) + yaml.safe_dump(plain, sort_keys=False), encoding="utf-8")
+    (folder / RIG).write_text(_heading(data) + rig_text(rig_to_mapping(rig)), encoding="utf-8")
     (folder / RESULT).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
 
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, one_of
 from ehls_ros.experiments.campaign.variation import Distribution, Values, label, variation
 from ehls_ros.experiments.spec import SECTIONS, Spec, spec_from_mapping, spec_to_mapping
 from ehls_ros.recording.yaml_text import read_yaml
@@ -167,7 +167,7 @@ def plan_from_mapping(data: Any, where: str, folder: Path) -> Plan:
         raise BadInput(f"a campaign is {type(data).__name__}", where, f"a mapping with keys of {', '.join(KEYS)}")
     for key in data:
         if key not in KEYS:
-            raise BadInput(f"key {key!r} is unknown", where, f"one of {', '.join(KEYS)}")
+            raise BadInput(f"key {key!r} is unknown", where, one_of(key, KEYS))
     settings = parse(Settings, {key: data[key] for key in Settings._fields if key in data}, where)
     base = _base(data.get("base"), where, folder)
     groups, drawn = _varied(data, where, folder)

@@ -1,0 +1,173 @@
+"""`ehls new-rig`: a rig file from the figures of data sheets, asked for on the terminal or read from a file."""
+
+import json
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, get_args
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.yaml_files import commented, rig_text
+from ehls_ros.physics.data_sheet import HINTS, DataSheet, Source, answer, rig_values, sheet_from_mapping
+from ehls_ros.physics.plausibility import check_rig, check_step
+from ehls_ros.physics.rig import DEFAULT_FRICTION, rig_from_mapping
+from ehls_ros.physics.simulator import DEFAULT_STEP
+from ehls_ros.recording.yaml_text import read_yaml
+from ehls_ros.schema import Misfit, Note, declarations, notes
+
+HELP = "Make a rig file from data sheets: asks for bore, stroke, rated flow and so on, or takes the answers from a file."
+
+DIGITS = 6
+"""Digits of a computed value."""
+
+TERMINAL = "the terminal"
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("rig", type=Path, nargs="?", help="rig file to write")
+    parser.add_argument("--from", dest="answers", type=Path, metavar="ANSWERS", help="YAML file with the answers")
+    parser.add_argument("--template", action="store_true", help="print a file of answers to fill in, and write nothing")
+    parser.add_argument("--overwrite", action="store_true", help="replace a file that is there already")
+    parser.add_argument("--json", action="store_true", help="end with one line of JSON: each value and where it came from")
+
+
+def run(options: Namespace) -> int:
+    """Run it."""
+    if options.template:
+        print(template(), end="")
+        return 0
+    if options.rig is None:
+        raise BadInput("no rig file is named", "command line", "ehls new-rig my_rig.yaml")
+    if options.rig.exists() and not options.overwrite:
+        raise BadInput("the file is there already", str(options.rig), "another name, or --overwrite")
+    console = Console(stderr=True)
+    given = _asked(console) if options.answers is None else read_yaml(options.answers, "file of answers")
+    where = TERMINAL if options.answers is None else str(options.answers)
+    values = rig_values(sheet_from_mapping(given, where))
+    content = _content(values)
+    rig = rig_from_mapping(content, where)
+    check_rig(rig, where)
+    check_step(rig, DEFAULT_STEP, where)
+    source = "answers on the terminal" if options.answers is None else options.answers.name
+    _write(options.rig, f"# Made by `ehls new-rig` from {source}.\n{rig_text(content, _told(values))}")
+    _print(values, options.rig)
+    if options.json:
+        print(json.dumps({"rig": str(options.rig), "values": _document(values, content)}))
+    return 0
+
+
+def template() -> str:
+    """Return a file of answers with nothing but questions in it."""
+    remarks = {name: _question(note, options) for name, note, options, _ in _questions()}
+    lines = commented(dict.fromkeys(DataSheet._fields), remarks).replace(": null ", ":      ").splitlines()
+    needed = [line for line, name in zip(lines, DataSheet._fields, strict=True) if name not in DataSheet._field_defaults]
+    others = [f"# {line}" for line in lines if line not in needed]
+    heading = "# Answers for `ehls new-rig --from`; a figure may have another unit, such as 3000 psi."
+    return "\n".join([heading, *needed, "# What follows may stay out: a usual value is assumed then.", *others]) + "\n"
+
+
+def _questions() -> list[tuple[str, Note, tuple[str, ...], Any]]:
+    """Return name, declaration, choices and default of each question."""
+    told = notes(DataSheet)
+    kinds = {declared.name: declared.kind for declared in declarations(DataSheet)}
+    choices = {name: tuple(c for c in get_args(kind) if isinstance(c, str)) for name, kind in kinds.items()}
+    return [(name, told[name], choices[name], DataSheet._field_defaults.get(name, ...)) for name in HINTS]
+
+
+def _question(note: Note, choices: tuple[str, ...]) -> str:
+    span = "" if note.minimum is None else f", {note.minimum:g} to {note.maximum:g}"
+    unit = f"{note.unit}{span}; " if note.unit else f"{' or '.join(choices)}; " if choices else ""
+    return f"{unit}{note.description}"
+
+
+def _asked(console: Console) -> dict[str, Any]:
+    """Ask every question until its answer fits."""
+    console.print(
+        "Figures of the data sheets; another unit may follow the number. Enter alone takes what is in brackets.", soft_wrap=True
+    )
+    given = dict[str, Any]()
+    for name, note, choices, default in _questions():
+        console.print(f"[bold]{name}[/bold]: {escape(_question(note, choices))}", highlight=False)
+        while name not in given:
+            written = _line(console, name, _offered(note, default))
+            try:
+                if written:
+                    given[name] = answer(name, written)
+                elif default is ...:
+                    console.print("  a figure is needed", style="red")
+                else:
+                    given[name] = default
+            except Misfit as misfit:
+                console.print(
+                    f"  {escape(repr(misfit.value))} does not do: {escape(misfit.expected)}", style="red", highlight=False
+                )
+    return given
+
+
+def _offered(note: Note, default: Any) -> str:
+    """Return what Enter alone takes."""
+    if default is ...:
+        return ""
+    usual = f"{note.typical:g} {note.unit}, assumed" if note.typical is not None else "unknown"
+    return f" [{default or usual}]"
+
+
+def _line(console: Console, name: str, offered: str) -> str:
+    try:
+        return console.input(f"  {escape(offered)}> ").strip()
+    except EOFError:
+        raise BadInput(f"the answers end before {name}", TERMINAL, "an answer to each question, or --from a file") from None
+
+
+def _content(values: Mapping[str, Mapping[str, Source]]) -> dict[str, Any]:
+    """Return the content of the rig file."""
+
+    def rounded(value: Any) -> Any:
+        return [rounded(one) for one in value] if isinstance(value, list) else float(f"{value:.{DIGITS}g}")
+
+    plain = {section: {key: rounded(source.value) for key, source in own.items()} for section, own in values.items()}
+    friction = {"model": DEFAULT_FRICTION, **plain["friction"]}
+    return {"plant": plain["plant"], "friction": friction, "effects": [], "sensors": {}, "limits": plain["limits"]}
+
+
+def _told(values: Mapping[str, Mapping[str, Source]]) -> dict[str, dict[str, str]]:
+    return {section: {key: f"{s.origin}: {s.told}" for key, s in own.items()} for section, own in values.items()}
+
+
+def _document(values: Mapping[str, Mapping[str, Source]], content: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        f"{section}.{key}": {"value": content[section][key], "origin": source.origin, "from": source.told}
+        for section, own in values.items()
+        for key, source in own.items()
+    }
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a file, all of it or nothing."""
+    scratch = path.with_name(f".{path.name}.new")
+    try:
+        scratch.write_text(text, encoding="utf-8")
+        scratch.replace(path)
+    except OSError as error:
+        raise BadInput(f"the file cannot be written ({error.strerror})", str(path), "a file in a writable folder") from None
+    finally:
+        scratch.unlink(missing_ok=True)
+
+
+def _print(values: Mapping[str, Mapping[str, Source]], path: Path) -> None:
+    table = Table(title="Assumed, as no data sheet said it")
+    for heading in ("key", "value", "how it is assumed, and what replaces it"):
+        table.add_column(heading)
+    for section, own in values.items():
+        for key, source in own.items():
+            if source.origin == "assumed":
+                value = source.value[0] if isinstance(source.value, list) else source.value
+                table.add_row(f"{section}.{key}", f"{value:.4g}", escape(source.told))
+    Console(file=sys.stdout, width=None if sys.stdout.isatty() else 140).print(table)
+    print(f"  rig     {path}")

@@ -1,0 +1,322 @@
+"""Where a rig file and a recording contradict each other, said before anything is fitted.
+
+Quantities that both tell are compared by size: a ratio that no rig has means a wrong unit, sign or column. Which one is found
+by trying: each value and each signal is taken in each other unit of its quantity, turned round, or exchanged with another, and
+what resolves the contradictions best is named. No key is special.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+from ehls_ros.errors import BadInput
+from ehls_ros.physics.plausibility import RANGES, RELATIONS, largest_force
+from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.units import UNITS
+from ehls_ros.schema import notes
+from ehls_ros.trajectory import MEASURED, Trajectory
+
+
+class Ratio(NamedTuple):
+    """What was measured over what the rig file says.
+
+    Attributes:
+        what: both.
+        value: the ratio, negative where the signs differ.
+        low, high: what it is between on any rig.
+        usual: what it usually is; NaN where nothing is usual.
+    """
+
+    what: str
+    value: float
+    low: float
+    high: float
+    usual: float = math.nan
+
+    def __str__(self) -> str:
+        """Return it as a sentence's beginning."""
+        within = f"at most {self.high:.2g}" if self.low == -math.inf else f"{self.low:.2g} to {self.high:.2g}"
+        return f"{self.what} is {self.value:.2g}, where rigs have {within}"
+
+    @property
+    def impossible(self) -> bool:
+        """Whether no rig has it."""
+        return self.value < self.low or self.value > self.high
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether few rigs have it."""
+        return self.value < rules.SIZE_DOUBT * self.low or self.value > self.high / rules.SIZE_DOUBT
+
+
+class Seen(NamedTuple):
+    """A recording as far as sizes go.
+
+    Attributes:
+        signals: means over blocks, shape (n,) each.
+        reach: what each signal reaches.
+        period: of the blocks [s].
+    """
+
+    signals: Mapping[str, Array]
+    reach: Mapping[str, float]
+    period: float
+
+    def times(self, signal: str, factor: float) -> "Seen":
+        """Return the recording with another factor of a signal."""
+        signals = {**self.signals, signal: self.signals[signal] * factor}
+        return self._replace(signals=signals, reach={**self.reach, signal: self.reach[signal] * abs(factor)})
+
+    def exchanged(self, one: str, other: str) -> "Seen":
+        """Return the recording with two columns exchanged."""
+        swap = {one: other, other: one}
+        return self._replace(
+            signals={name: self.signals[swap.get(name, name)] for name in self.signals},
+            reach={name: self.reach[swap.get(name, name)] for name in self.reach},
+        )
+
+
+class Reading(NamedTuple):
+    """Another way to read a rig file and a recording.
+
+    Attributes:
+        rig: the rig.
+        seen: the recording.
+        doubted: the value or signal that is read otherwise.
+        meant: how.
+    """
+
+    rig: Rig
+    seen: Seen
+    doubted: str
+    meant: str
+
+
+def check_suits(trajectory: Trajectory, rig: Rig, name: str) -> tuple[str, ...]:
+    """Check that a rig file and a recording can be of one rig.
+
+    Args:
+        trajectory: the recording, any subset of the data contract's signals.
+        rig: the rig; what is unknown of it is not compared.
+        name: what the recording is called.
+
+    Returns:
+        What is doubtful, one sentence each.
+
+    Raises:
+        BadInput: they contradict each other; it names the value or signal that another unit, sign or column puts right.
+    """
+    seen = _seen(trajectory)
+    wrong = [ratio for ratio in _ratios(rig, seen) if ratio.impossible]
+    if not wrong:
+        return tuple(
+            f"{ratio}: are rig file and recording of one rig, in SI units?" for ratio in _of_both(rig, seen) if ratio.doubtful
+        )
+    # What the recording says of it tells more than a range.
+    told = "; ".join(map(str, wrong[:-3:-1]))
+    readings = _resolving(rig, seen)
+    if not readings:
+        raise BadInput(told, name, "a rig file and a recording of one rig, both in SI units (see --columns)")
+    doubted = "; ".join(reading.doubted for reading in readings)
+    raise BadInput(f"{doubted} ({told})", name, "; ".join(reading.meant for reading in readings))
+
+
+def _resolving(rig: Rig, seen: Seen) -> list[Reading]:
+    """Return the fewest other readings found that together resolve all contradictions; none if they are too many."""
+    chosen = list[Reading]()
+    while any(ratio.impossible for ratio in _ratios(rig, seen)):
+        best = _best_reading(rig, seen) if len(chosen) < rules.SIZE_READINGS else None
+        if best is None:
+            return []
+        chosen.append(best)
+        rig, seen = best.rig, best.seen
+    return chosen
+
+
+def _best_reading(rig: Rig, seen: Seen) -> Reading | None:
+    """Return the reading that leaves fewest contradictions, of these the most usual; None if none resolves any."""
+    before = list(_ratios(rig, seen))
+    wrong, compared = sum(ratio.impossible for ratio in before), len(before)
+    rated = list[tuple[int, int, float, int, Reading]]()
+    for reading in _readings(rig, seen):
+        ratios = list(_ratios(reading.rig, reading.seen))
+        left = sum(ratio.impossible for ratio in ratios)
+        # A reading in which quantities are not related any more explains nothing.
+        if left < wrong:
+            rated.append((left, max(0, compared - len(ratios)), _unusual(ratios), len(rated), reading))
+    return min(rated)[-1] if rated else None
+
+
+def _unusual(ratios: list[Ratio]) -> float:
+    """Return how far ratios are from what is usual, in squares of powers of ten, on average."""
+    away = [math.log10(max(abs(r.value), 1e-30) / r.usual) ** 2 for r in ratios if math.isfinite(r.usual)]
+    return float(np.mean(away)) if away else 0.0
+
+
+def _readings(rig: Rig, seen: Seen) -> Iterator[Reading]:
+    for section in ("plant", "friction", "limits"):
+        values = getattr(rig, section)
+        for key, note in notes(type(values)).items():
+            value = getattr(values, key)
+            for unit, size in UNITS.get(note.unit, {}).items():
+                scaled = tuple(size * v for v in value) if isinstance(value, tuple) else size * value
+                other = rig._replace(**{section: values._replace(**{key: scaled})})
+                said = f"{section}.{key} of the rig file is {_told(value, note.unit)}: {unit}?"
+                yield Reading(other, seen, said, f"{_told(scaled, note.unit)}, if {_told(value, unit)} was meant")
+    for signal in seen.signals:
+        unit = MEASURED[signal].unit
+        said = f"{signal} reaches {seen.reach[signal]:.3g} {unit}"
+        for other_unit, size in UNITS.get(unit, {}).items():
+            reached = seen.reach[signal]
+            meant = f"{reached * size:.3g} {unit}, if its column is in {other_unit} (see --columns)"
+            yield Reading(rig, seen.times(signal, size), f"{said}: {other_unit}?", meant)
+            meant = f"{reached / size:.3g} {unit}, if its column is not in {other_unit} but in {unit} already"
+            yield Reading(rig, seen.times(signal, 1.0 / size), f"{said}: {unit} already?", meant)
+        meant = f"its column with the other sign (scale: -1, see --columns): positive {signal} has to act towards +x"
+        yield Reading(rig, seen.times(signal, -1.0), f"{signal} goes the wrong way", meant)
+    for first, second in combinations(seen.signals, 2):
+        turned = seen.times(first, -1.0).times(second, -1.0)
+        yield Reading(rig, turned, f"{first} and {second} go the wrong way", "both columns with the other sign (scale: -1)")
+        yield Reading(rig, seen.exchanged(first, second), f"{first} and {second} do not fit", "the two columns exchanged")
+
+
+def _told(value: Any, unit: str) -> str:
+    return f"[{', '.join(f'{v:g}' for v in value)}] {unit}" if isinstance(value, tuple) else f"{value:g} {unit}"
+
+
+# --- what is compared --------------------------------------------------------------------------
+
+
+def _ratios(rig: Rig, seen: Seen) -> Iterator[Ratio]:
+    """Yield every ratio, first what the rig file says alone."""
+    yield from (ratio for ratio in _of_rig(rig) if math.isfinite(ratio.value))
+    yield from _of_both(rig, seen)
+
+
+def _of_both(rig: Rig, seen: Seen) -> Iterator[Ratio]:
+    """Yield what rig file and recording say together."""
+    with np.errstate(all="ignore"):
+        for ratio in (*_of_sizes(rig, seen), *_of_slopes(rig, seen), *_of_forces(rig, seen)):
+            if math.isfinite(ratio.value):
+                yield ratio
+
+
+def _of_rig(rig: Rig) -> Iterator[Ratio]:
+    """Yield what the rig file says alone."""
+    for (section, key), (low, high) in RANGES.items():
+        value = getattr(getattr(rig, section), key, math.nan)
+        yield Ratio(f"{section}.{key}", value, low, high)
+    for relation in RELATIONS:
+        yield Ratio(relation.what, relation.value(rig), relation.low, relation.high)
+
+
+def _of_sizes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
+    plant, limits, reach = rig.plant, rig.limits, seen.reach
+    room = limits.position[1] - limits.position[0]
+    inf = math.inf
+    for signal, known, what, low, high, usual in (
+        ("load_pressure_pa", plant.supply_pressure, "supply_pressure", 1e-4, 3.0, 0.3),
+        ("supply_pressure_pa", plant.supply_pressure, "supply_pressure", 0.1, 10.0, 1.0),
+        ("force_n", largest_force(rig), "supply_pressure times piston_area", -inf, rules.SIZE_FACTOR, 0.3),
+        ("velocity_m_s", limits.velocity, "limits.velocity", -inf, rules.SIZE_FACTOR, 0.1),
+        ("spool_m", limits.spool * max(1.0, plant.valve_gain), "limits.spool", 1e-5, rules.SIZE_FACTOR, 0.3),
+        ("valve_command_m", limits.spool, "limits.spool", 1e-5, rules.SIZE_FACTOR, 0.3),
+    ):
+        if reach.get(signal, 0.0) > 0.0:
+            unit = MEASURED[signal].unit
+            told = f"the recorded {signal}, which reaches {reach[signal]:.3g} {unit}, over {what}"
+            yield Ratio(told, reach[signal] / known, low, high, usual)
+    if "position_m" in seen.signals and (travel := float(np.ptp(seen.signals["position_m"]))) > 0.0:
+        yield Ratio(f"the recorded travel of {travel:.3g} m over limits.position", travel / room, -inf, 5.0, 0.3)
+
+
+def _of_slopes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
+    """Yield how two measurements of one quantity go together, one of them by the rig file."""
+    s, plant = seen.signals, rig.plant
+    command, spool = s.get("valve_command_m"), s.get("spool_m")
+    pressure, force, position, velocity = (s.get(k) for k in ("load_pressure_pa", "force_n", "position_m", "velocity_m_s"))
+    if pressure is not None and force is not None:
+        yield from _slope("force_n over piston_area times load_pressure_pa", force, plant.piston_area * pressure)
+    rate = None if position is None else np.gradient(position, seen.period)
+    if rate is not None and velocity is not None:
+        yield from _slope("velocity_m_s over the rate of position_m", velocity, rate)
+    if command is not None:
+        lag = math.exp(-plant.valve_bandwidth * seen.period)
+        filtered = lfilter([1.0 - lag], [1.0, -lag], plant.valve_gain * command)
+        if spool is not None:
+            yield from _slope("spool_m over valve_gain times valve_command_m", spool, filtered)
+        spool = filtered if spool is None else spool
+    moves = rate if velocity is None else velocity
+    if spool is not None and pressure is not None and moves is not None:
+        drop = np.maximum(plant.supply_pressure - np.sign(spool) * pressure, 0.0)
+        flow = plant.discharge_coefficient * plant.valve_area_gradient * spool * np.sqrt(drop / plant.oil_density)
+        stored = plant.total_volume / (4.0 * plant.bulk_modulus) * np.gradient(pressure, seen.period)
+        used = plant.piston_area * moves + stored + plant.leakage_coefficient * pressure
+        yield from _slope("the flow that moves the piston over the valve's by the orifice law", used, flow, rules.SIZE_FLOW)
+
+
+def _slope(what: str, measured: Array, modelled: Array, within: float = rules.SIZE_FACTOR) -> Iterator[Ratio]:
+    """Yield the slope of a measurement over a model where they go together."""
+    good = np.isfinite(measured) & np.isfinite(modelled)
+    if np.count_nonzero(good) < rules.SIZE_FEWEST:
+        return
+    y, x = (values[good] - np.mean(values[good]) for values in (measured, modelled))
+    product, of_x, of_y = float(x @ y), float(x @ x), float(y @ y)
+    if of_x > 0.0 and of_y > 0.0 and abs(product) > rules.SIZE_RELATED * math.sqrt(of_x * of_y):
+        yield Ratio(what, product / of_x, 1.0 / within, within, 1.0)
+
+
+def _of_forces(rig: Rig, seen: Seen) -> Iterator[Ratio]:
+    """Yield each term of the force balance over the forces that were recorded."""
+    plant, reach, position = rig.plant, seen.reach, seen.signals.get("position_m")
+    driving = max(reach.get("force_n", 0.0), plant.piston_area * reach.get("load_pressure_pa", 0.0))
+    if position is None or not driving > 0.0:
+        return
+    available = driving + reach.get("disturbance_force_n", 0.0)
+    rate = np.gradient(position, seen.period)
+    travel, fastest = float(np.ptp(position)), float(np.nanquantile(np.abs(rate), rules.UNIT_QUANTILE))
+    acceleration = float(np.nanquantile(np.abs(np.gradient(rate, seen.period)), rules.UNIT_QUANTILE))
+    viscous = plant.viscous_damping + rig.friction.viscous_coefficient
+    terms = {
+        "moving_mass times the recorded acceleration": plant.moving_mass * acceleration,
+        "spring_stiffness times the recorded travel": plant.spring_stiffness * 0.5 * travel,
+        "viscous friction at the recorded velocity": viscous * fastest,
+    }
+    if travel > rules.SIZE_FACTOR * rig.friction_law.break_away(rig.friction):
+        terms["the friction of sliding"] = rig.friction_level(math.inf)
+    for what, term in terms.items():
+        yield Ratio(f"{what} over the recorded forces", term / available, -math.inf, rules.SIZE_FACTOR)
+
+
+def _seen(trajectory: Trajectory) -> Seen:
+    time = trajectory.time_s - trajectory.time_s[0]
+    signals = {s: np.asarray(trajectory[s], dtype=np.float64) for s in MEASURED if s in trajectory and s != "oil_temperature_k"}
+    signals = {s: values for s, values in signals.items() if np.any(np.isfinite(values)) and np.nanmax(np.abs(values)) > 0.0}
+    period = max(
+        rules.SIZE_BLOCK,
+        float(time[-1]) / rules.SIZE_BLOCKS,
+        float(np.median(np.diff(time))) if len(time) > 1 else rules.SIZE_BLOCK,
+    )
+    index = (time / period).astype(np.intp)
+    return Seen(
+        signals={s: _means(values, index) for s, values in signals.items()},
+        reach={
+            s: float(np.nanquantile(np.abs(values[np.isfinite(values)]), rules.UNIT_QUANTILE)) for s, values in signals.items()
+        },
+        period=period,
+    )
+
+
+def _means(values: Array, index: Any) -> Array:
+    """Return the means of blocks; one without a finite sample has its neighbours'."""
+    good = np.isfinite(values)
+    count = np.bincount(index[good], minlength=int(index[-1]) + 1)
+    total = np.bincount(index[good], weights=values[good], minlength=int(index[-1]) + 1)
+    full = np.flatnonzero(count)
+    return np.interp(np.arange(len(count)), full, total[full] / count[full])

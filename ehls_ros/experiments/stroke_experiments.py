@@ -1,0 +1,80 @@
+"""The experiments that deliver the strokes that recordings lack, within the limits of the rig."""
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ehls_ros.control.references import velocity_sweep
+from ehls_ros.experiments.spec import check_spec, spec_from_mapping
+from ehls_ros.experiments.yaml_files import spec_text
+from ehls_ros.identification.strokes import Missing
+from ehls_ros.physics.rig import Rig, rig_to_mapping, unknown_keys
+
+OF_STROKE, LONGEST, REST, PERIODS = 0.8, 6.0, 0.5, 18
+"""Fraction of the stroke that is used, longest time at one velocity and rest before each stroke [s], periods of the sine."""
+
+ACCELERATION = 0.25
+"""Of the strokes, as the paper's [m/s^2]."""
+
+
+class Asked(NamedTuple):
+    """An experiment to run.
+
+    Attributes:
+        file: name of its file.
+        text: content of the file.
+    """
+
+    file: str
+    text: str
+
+
+def stroke_experiments(missing: Missing, rig: Rig, path: Path, folder: Path) -> Iterator[Asked]:
+    """Yield the experiments; none for a rig file that cannot be simulated.
+
+    Args:
+        missing: what recordings lack.
+        rig: the rig.
+        path: its file.
+        folder: where the experiments will stand.
+
+    Raises:
+        BadInput: the rig cannot run them.
+    """
+    if unknown_keys(rig):
+        return
+    low, high = rig.limits.position
+    if missing.velocities:
+        strokes: dict[str, Any] = {
+            "velocities": missing.velocities,
+            "repeats": 1,
+            "travel": OF_STROKE * (high - low),
+            "longest": LONGEST,
+            "acceleration": ACCELERATION,
+            "rest": REST,
+            "centre": 0.5 * (low + high),
+        }
+        length = velocity_sweep.duration(velocity_sweep.Parameters(**strokes)) + REST
+        reference = {"name": "velocity_sweep", **strokes}
+        yield _asked("missing_strokes.yaml", "strokes at constant velocities", reference, length, rig, path, folder)
+    if missing.sine is not None:
+        amplitude, frequency = missing.sine
+        reference = {"name": "sine", "amplitude": amplitude, "frequency": frequency, "offset": 0.5 * (low + high)}
+        yield _asked("missing_presliding.yaml", "presliding", reference, PERIODS / frequency, rig, path, folder)
+
+
+def _asked(file: str, title: str, reference: Mapping[str, Any], duration: float, rig: Rig, path: Path, folder: Path) -> Asked:
+    middle = 0.5 * sum(rig.limits.position)
+    spec = {
+        "title": title,
+        "duration": round(duration, 1),
+        "initial_position": middle,
+        "reference": reference,
+        "controller": "pid",
+    }
+    check_spec(spec_from_mapping({**spec, "rig": rig_to_mapping(rig)}, file, folder), file)
+    named = {"title": title, "rig": os.path.relpath(path, folder), **spec}
+    return Asked(
+        file, f"# Asked for by `ehls identify`: run it on the rig, with gains of its position controller.\n{spec_text(named)}"
+    )

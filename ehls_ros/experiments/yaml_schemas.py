@@ -1,0 +1,154 @@
+"""JSON Schemas of every kind of YAML file, from the declarations that also check these files."""
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from ehls_ros.experiments.campaign.plan import Settings as CampaignSettings
+from ehls_ros.experiments.campaign.variation import Distribution, Range, Values
+from ehls_ros.experiments.spec import Settings
+from ehls_ros.experiments.yaml_files import FAMILIES
+from ehls_ros.families import Family
+from ehls_ros.hardware.backends import BACKENDS
+from ehls_ros.hardware.calibration import Input, Output
+from ehls_ros.json_schema import Schema, mapping_of, object_of, schema_of
+from ehls_ros.physics.data_sheet import DataSheet
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.friction import FRICTION_MODELS
+from ehls_ros.physics.parameters import Limits, Plant, Sensor
+from ehls_ros.physics.plausibility import RANGES
+from ehls_ros.physics.rig import SENSED
+from ehls_ros.recording.columns import BASE, CYLINDER, ELEMENT_SIGNALS, ROTARY, TABLES, TIME, Column, Cylinder, Rotary
+from ehls_ros.schema import notes
+from ehls_ros.trajectory import READABLE
+
+SIGNALS = FAMILIES["signal"]
+
+DIALECT = "http://json-schema.org/draft-07/schema#"
+"""The dialect that editors' YAML servers know best."""
+
+
+def _ref(name: str) -> Schema:
+    return {"$ref": f"#/definitions/{name}"}
+
+
+def schema_text(kind: str) -> str:
+    """Return the schema of a kind of file.
+
+    Args:
+        kind: one of :data:`KINDS`.
+    """
+    made = KINDS[kind]()
+    used = {name: make() for name, make in SHARED.items() if f'"{_ref(name)["$ref"]}"' in json.dumps(made)}
+    whole = {"$schema": DIALECT, "title": f"ehls {kind}", **({"definitions": used} if used else {}), **made}
+    return json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
+
+
+def _rig() -> Schema:
+    laws = FRICTION_MODELS.usable().values()
+    keys = {key: schema for law in laws for key, schema in object_of(law.Parameters)["properties"].items()}
+    friction = mapping_of({"model": {"enum": list(FRICTION_MODELS.names())}, **keys})
+    sections = {"plant": object_of(Plant, ()), "friction": friction, "limits": object_of(Limits, ())}
+    for (section, key), (low, high) in RANGES.items():
+        sections[section]["properties"][key] |= {"minimum": low, "maximum": high}
+    return mapping_of(
+        {
+            **sections,
+            "effects": {"anyOf": [{"type": "array", "items": _member_of(EFFECTS)}, {"type": "null"}]},
+            "sensors": _by_signal(Sensor),
+        },
+        ("friction",),
+    )
+
+
+def _experiment() -> Schema:
+    named = {key: _ref("signal") if family is SIGNALS else _use(family) for key, family in FAMILIES.items() if key != "signal"}
+    rig = {"anyOf": [{"type": "string", "description": "rig file, from the folder of this one"}, _ref("rig"), {"type": "null"}]}
+    effects = {"anyOf": [{"type": "array", "items": _member_of(EFFECTS)}, {"type": "null"}]}
+    more: dict[str, Schema] = {"rig": rig, "controller_rig": rig, "effects": effects, **named}
+    return object_of(Settings, ("rig", "reference", "controller"), **more)
+
+
+def _campaign() -> Schema:
+    varied = {"anyOf": [{"type": "array"}, *map(schema_of, (Values, Range, Distribution))]}
+    paths: Schema = {"type": "object", "additionalProperties": varied}
+    more: dict[str, Schema] = {
+        "base": {
+            "type": ["string", "object"],
+            "description": "experiment, its content or its file from the folder of this one",
+        },
+        "vary": {**paths, "description": "values by dotted path into the experiment"},
+        "zip": {"type": "array", "items": paths, "description": "groups of paths whose values are taken together"},
+    }
+    return object_of(CampaignSettings, ("base",), **more)
+
+
+def _bridge() -> Schema:
+    parts = {"backend": _member_of(BACKENDS), "channels": _by_signal(Input), "command": schema_of(Output)}
+    return mapping_of(parts, tuple(parts))
+
+
+def _columns() -> Schema:
+    column = _ref("column")
+    tables: Schema = {
+        "anyOf": [
+            {"type": "array", "items": {"type": "string"}},
+            {"type": "object", "additionalProperties": {"anyOf": [column, {"type": "null"}]}},
+            {"type": "null"},
+        ]
+    }
+    parts = {TABLES: tables, BASE: {"type": "string"}, CYLINDER: schema_of(Cylinder), ROTARY: schema_of(Rotary)}
+    whole = mapping_of({**dict.fromkeys((TIME, *READABLE), column), **parts})
+    return {**whole, "patternProperties": {f"^({'|'.join(ELEMENT_SIGNALS)})_[1-9][0-9]*$": column}}
+
+
+def _answers() -> Schema:
+    whole = object_of(DataSheet)
+    for key, note in notes(DataSheet).items():
+        own = whole["properties"][key]
+        if note.unit:
+            written = {"type": "string", "pattern": "^[0-9.eE+-]+ *[^0-9 ].*$", "description": "a number and its unit"}
+            told = {word: own.pop(word) for word in ("description", "examples") if word in own}
+            whole["properties"][key] = {**told, "anyOf": [*own.get("anyOf", [own]), written]}
+    return whole
+
+
+def _by_signal(kind: type) -> Schema:
+    one = {"anyOf": [schema_of(kind), {"type": "null"}]}
+    return {"anyOf": [mapping_of(dict.fromkeys(SENSED, one)), {"type": "null"}]}
+
+
+def _member_of(family: Family[Any]) -> Schema:
+    """Return the schema of a mapping that names a member of a family and has its parameters."""
+    made = []
+    for name, member in family.usable().items():
+        more: dict[str, Schema] = {"name": {"const": name}}
+        if "points" in member.Parameters._fields:
+            more["file"] = {"type": "string", "description": "CSV with time_s and value, from the folder of this file"}
+        if family is FAMILIES["disturbance"]:
+            more["signal"] = _ref("signal")
+        needed = [key for key in object_of(member.Parameters)["required"] if "file" not in more or key != "points"]
+        made.append(object_of(member.Parameters, ("name", *needed), **more))
+    return {"anyOf": made}
+
+
+def _use(family: Family[Any]) -> Schema:
+    return {"anyOf": [{"enum": list(family.names())}, *_member_of(family)["anyOf"]]}
+
+
+SHARED: Mapping[str, Callable[[], Schema]] = {
+    "rig": _rig,
+    "signal": lambda: _use(SIGNALS),
+    "column": lambda: schema_of(Column),
+}
+"""What stands several times in a file."""
+
+KINDS: Mapping[str, Callable[[], Schema]] = {
+    "rig": _rig,
+    "experiment": _experiment,
+    "campaign": _campaign,
+    "bridge": _bridge,
+    "columns": _columns,
+    "answers": _answers,
+}
+"""What each kind of file may hold."""

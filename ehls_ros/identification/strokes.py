@@ -1,0 +1,102 @@
+"""Which strokes friction needs and recordings lack: slow and fast ones at even velocity both ways, and presliding.
+
+Without them the fit explains inertia, spring and disturbance by friction, and its figures mean nothing.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.identification.motion import Motion
+from ehls_ros.physics.rig import Rig
+from ehls_ros.samples import Mask
+
+SLOW, FAST = 2.0, 5.0
+"""Velocities, in Stribeck velocities: below the first friction falls, above the second it grows with the velocity."""
+
+SWEPT = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+"""Velocities of the strokes that are asked for, in Stribeck velocities."""
+
+FEWEST = 20
+"""Fewest blocks of steady sliding that tell the friction of a range of velocities."""
+
+EVEN = 0.3
+"""Time for which a stroke has to keep its velocity about, so that friction settles [s]."""
+
+DISTURBED = 0.1
+"""Disturbance force, as a fraction of sliding friction, that is no part of the balance and spoils it."""
+
+TURNED, SMALLEST = 1.7, 2e-4
+"""Amplitude of the small sine in travels of break-away, and at least [m]."""
+
+
+class Missing(NamedTuple):
+    """What recordings lack.
+
+    Attributes:
+        told: what is missing, one part each, such as ``strokes slower than 4.1 mm/s backwards``.
+        velocities: of the strokes that would deliver it [m/s]; empty if no strokes are missing.
+        sine: amplitude [m] and frequency [Hz] of the small sine that would show presliding; None if that was recorded.
+    """
+
+    told: tuple[str, ...]
+    velocities: tuple[float, ...] = ()
+    sine: tuple[float, float] | None = None
+
+    @property
+    def asked_for(self) -> str:
+        """What would deliver it, in words."""
+        parts = []
+        if self.velocities:
+            low, high = (1e3 * v for v in (self.velocities[0], self.velocities[-1]))
+            parts.append(f"strokes both ways at constant velocities from {low:.2g} to {high:.2g} mm/s")
+        if self.sine is not None:
+            parts.append(f"a sine of {1e3 * self.sine[0]:.2g} mm at {self.sine[1]:.2g} Hz")
+        return " and ".join(parts)
+
+
+def missing_strokes(motions: Sequence[Motion], steady: Sequence[Mask], rig: Rig, disturbance: float = 0.0) -> Missing:
+    """Return what is missing for the friction of a rig.
+
+    Args:
+        motions: the recordings.
+        steady: blocks of each that slide evenly.
+        rig: the rig as known so far, for the velocities that matter and its limits.
+        disturbance: standard deviation of the recorded disturbance force [N].
+    """
+    stribeck = float(getattr(rig.friction, "stribeck_velocity", math.inf))
+    wide = [(m, s) for m, s in zip(motions, steady, strict=True) if not m.small]
+    v = np.concatenate([m.velocity[s & _even(m)] for m, s in wide] or [np.empty(0)])
+    fastest = 0.5 * rig.limits.velocity if math.isfinite(rig.limits.velocity) else math.inf
+    if not math.isfinite(stribeck):
+        stribeck = fastest / max(SWEPT) if math.isfinite(fastest) else 5e-3
+    told = []
+    for way, name in ((1.0, "forwards"), (-1.0, "backwards")):
+        for what, count in (
+            (
+                f"strokes slower than {1e3 * SLOW * stribeck:.2g} mm/s",
+                np.count_nonzero((way * v > 0.0) & (way * v < SLOW * stribeck)),
+            ),
+            (f"strokes faster than {1e3 * FAST * stribeck:.2g} mm/s", np.count_nonzero(way * v > FAST * stribeck)),
+        ):
+            if count < FEWEST:
+                told.append(f"{what} {name}")
+    if disturbance > DISTURBED * rig.friction_level(math.inf):
+        told.append("strokes without a disturbance force")
+    velocities = tuple(float(f"{s * stribeck:.3g}") for s in SWEPT if s * stribeck < fastest) if told else ()
+    travel = float(rig.friction_law.break_away(rig.friction))
+    sine = None
+    if travel > 0.0 and not any(m.small for m in motions):
+        told.append("presliding, a motion to and fro that hardly leaves its place")
+        amplitude = max(TURNED * travel, SMALLEST)
+        sine = (float(f"{amplitude:.2g}"), float(f"{stribeck / (2.0 * math.pi * amplitude):.2g}"))
+    return Missing(tuple(told), velocities, sine)
+
+
+def _even(motion: Motion) -> Mask:
+    """Tell which blocks move clear of noise and keep their velocity."""
+    speed = np.abs(motion.velocity)
+    even: Mask = (speed > 5.0 * motion.velocity_noise) & (EVEN * np.abs(motion.acceleration) < speed)
+    return even

@@ -1,0 +1,308 @@
+"""From the figures of data sheets to the coefficients of a rig.
+
+A cylinder's data sheet has diameters, a valve's has a flow at a pressure drop, and the model has neither. Each relation stands
+here once. What no data sheet has is assumed, and says which measurement replaces it.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, NamedTuple, get_type_hints
+
+from ehls_ros.errors import BadInput
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.units import in_unit, size
+from ehls_ros.schema import Misfit, fitted, notes, parse, quantity, text
+
+DAMPING = 0.7
+"""Damping ratio of a servo valve, by which its frequency at -90° becomes the bandwidth of a first-order lag [1]."""
+
+BREAK_AWAY = 1e-4
+"""Travel over which static friction builds up: seals yield by about 0.1 mm [m]."""
+
+SEALS, OVER_COULOMB, STRIBECK = 0.03, 1.3, 5e-3
+"""Assumed of seals: friction over the largest force, static over Coulomb friction, Stribeck velocity [m/s]."""
+
+GRAVITY = 9.81
+"""Of the earth [m/s^2]."""
+
+SETTLING = 0.3
+"""Assumed time in which sliding friction settles to the Stribeck curve [s]."""
+
+LEAKING = 0.02
+"""Assumed leakage at supply pressure, as a fraction of the rated flow; servo valves leak as much at null."""
+
+
+Figure = float | None
+
+
+class DataSheet(NamedTuple):
+    """What data sheets of cylinder, valve, pump and load say; for what is None, a usual value is assumed."""
+
+    bore: Annotated[float, quantity("mm", "piston diameter (cylinder: 'bore' or 'piston Ø')", minimum=1.0, maximum=1e3)]
+    rod: Annotated[float, quantity("mm", "rod diameter (cylinder: 'rod Ø')", minimum=0.0, maximum=1e3)]
+    rods: Annotated[Literal["two", "one"], text("two: through both heads, so that both areas are equal; one: on one side")]
+    stroke: Annotated[float, quantity("mm", "whole stroke (cylinder: type code)", minimum=0.1, maximum=1e5)]
+    supply_pressure: Annotated[
+        float, quantity("bar", "pressure at the valve's port P (pump or relief valve)", minimum=1.0, maximum=2e3)
+    ]
+    rated_flow: Annotated[float, quantity("l/min", "flow at full opening (valve: 'rated flow')", minimum=1e-2, maximum=1e5)]
+    rated_drop: Annotated[
+        float, quantity("bar", "pressure drop at which that flow is rated (valve: beside it)", minimum=0.1, maximum=1e3)
+    ]
+    drop_over: Annotated[
+        Literal["valve", "edge"],
+        text("that drop is over the whole valve, P to A and B to T, as of servo valves (70 bar), or over one metering edge"),
+    ] = "valve"
+    rated_input: Annotated[
+        str, text("input at full opening, such as 40 mA or 10 V (valve: 'rated current' or 'command signal')")
+    ] = ""
+    spool_travel: Annotated[
+        Figure,
+        quantity("mm", "spool travel at full opening (valve: seldom given)", minimum=1e-3, maximum=100.0, typical=1.0),
+    ] = None
+    bandwidth: Annotated[
+        Figure, quantity("Hz", "bandwidth (valve: frequency response)", minimum=0.1, maximum=2e3, typical=60.0)
+    ] = None
+    bandwidth_at: Annotated[
+        Literal["-90 deg", "-3 dB"], text("where that was read: at -90 deg of phase or at -3 dB of amplitude")
+    ] = "-90 deg"
+    moving_mass: Annotated[Figure, quantity("kg", "mass of piston, rod and load", minimum=0.1, maximum=1e6, typical=100.0)] = (
+        None
+    )
+    rod_points: Annotated[Literal["level", "up", "down"], text("where the rod moves while the position grows")] = "level"
+    spring: Annotated[Figure, quantity("N/mm", "stiffness of a spring at the load", minimum=0.0, maximum=1e7, typical=0.0)] = (
+        None
+    )
+    arm: Annotated[Figure, quantity("m", "lever arm of the load", minimum=1e-3, maximum=100.0, typical=0.5)] = None
+    damping: Annotated[Figure, quantity("N s/m", "damper at the load", minimum=0.0, maximum=1e7, typical=0.0)] = None
+    friction: Annotated[
+        Figure, quantity("N", "friction of slow sliding (cylinder: 'friction'; or a slow stroke)", minimum=1e-3, maximum=1e7)
+    ] = None
+    dead_volume: Annotated[
+        Figure, quantity("cm^3", "oil in hoses, manifold and dead ends of both sides together", minimum=0.0, maximum=1e6)
+    ] = None
+    oil_density: Annotated[
+        Figure, quantity("kg/m^3", "density of the oil (oil: at 15 °C)", minimum=300.0, maximum=3e3, typical=860.0)
+    ] = None
+    bulk_modulus: Annotated[
+        Figure, quantity("MPa", "bulk modulus of oil, hoses and air together", minimum=1.0, maximum=1e5, typical=1000.0)
+    ] = None
+    leakage: Annotated[
+        Figure, quantity("l/min", "leakage past piston and spool at supply pressure", minimum=0.0, maximum=1e3)
+    ] = None
+
+
+HINTS: Mapping[str, Any] = get_type_hints(DataSheet, include_extras=True)
+"""Type and declaration of each figure."""
+
+Origin = Literal["given", "computed", "assumed"]
+
+
+class Source(NamedTuple):
+    """A value and where it came from.
+
+    Attributes:
+        value: in the SI unit of the rig file.
+        origin: a figure of the data sheet, a relation between such figures, or neither.
+        told: the figure or the relation; of what is assumed, also what replaces it.
+    """
+
+    value: Any
+    origin: Origin
+    told: str
+
+
+def mean_area(bore: float, rod: float, rods: str) -> float:
+    """Return the piston area of the model [m^2]: the ring of a double rod, or the mean of both areas of a single one.
+
+    Args:
+        bore: piston diameter [m].
+        rod: rod diameter [m].
+        rods: ``two`` or ``one``.
+    """
+    whole, ring = 0.25 * math.pi * bore**2, 0.25 * math.pi * (bore**2 - rod**2)
+    return ring if rods == "two" else 0.5 * (whole + ring)
+
+
+def area_gradient(flow: float, drop: float, opening: float, discharge_coefficient: float, oil_density: float) -> float:
+    """Return the valve's area per spool displacement [m] from its rated flow, by the orifice law (1).
+
+    Args:
+        flow: rated flow [m^3/s].
+        drop: of both metering edges together at that flow [Pa].
+        opening: spool displacement at that flow [m].
+        discharge_coefficient: Cd [1].
+        oil_density: rho [kg/m^3].
+    """
+    return flow / (discharge_coefficient * opening * math.sqrt(drop / oil_density))
+
+
+def lag_bandwidth(frequency: float, at: str) -> float:
+    """Return the bandwidth of a first-order lag [rad/s] that is late like the valve.
+
+    Args:
+        frequency: where the Bode plot has that phase or amplitude [Hz].
+        at: ``-3 dB``, which a first-order lag has at its bandwidth; or ``-90 deg``, the natural frequency of a second-order
+            valve, whose slow commands are late by 2 ζ / ω.
+    """
+    natural = 2.0 * math.pi * frequency
+    return natural if at == "-3 dB" else natural / (2.0 * DAMPING)
+
+
+def answer(name: str, written: Any) -> Any:
+    """Return the figure that an answer to a question of :class:`DataSheet` means.
+
+    Args:
+        name: the field.
+        written: what was written, a text with a unit or a value as a YAML file has it.
+
+    Raises:
+        Misfit: it is no such figure.
+    """
+    unit = notes(DataSheet)[name].unit
+    return fitted(HINTS[name], in_unit(written, unit) if unit and isinstance(written, str) else written)
+
+
+def sheet_from_mapping(data: Any, where: str) -> DataSheet:
+    """Check the content of a file of answers.
+
+    Args:
+        data: the parsed file; figures may have units, such as ``210 bar``.
+        where: the file or terminal, for errors.
+
+    Raises:
+        BadInput: the first answer that is missing, unknown or out of range, or a rod as thick as the bore.
+    """
+    if not isinstance(data, Mapping):
+        raise BadInput(f"it contains {data!r}", where, f"a mapping with {', '.join(DataSheet._fields)}")
+    read = dict(data)
+    for name in read.keys() & HINTS.keys():
+        try:
+            read[name] = answer(name, read[name])
+        except Misfit as misfit:
+            what = f"{name} is {misfit.value!r}"
+            raise BadInput(what, where, f"{misfit.expected}{notes(DataSheet)[name].explained()}") from None
+    sheet = parse(DataSheet, read, where)
+    if sheet.rod >= sheet.bore:
+        what = f"rod is {sheet.rod:g} mm, bore is {sheet.bore:g} mm"
+        raise BadInput(what, where, "a rod thinner than the bore; are they swapped?")
+    return sheet
+
+
+def rig_values(sheet: DataSheet) -> dict[str, dict[str, Source]]:
+    """Return the values of a rig file by section and key, in the order of the file.
+
+    Args:
+        sheet: the figures.
+    """
+    plant = _plant(sheet)
+    value = {key: source.value for key, source in plant.items()}
+    travel = _figure(sheet, "spool_travel", "only its product with valve_area_gradient counts, unless the spool is recorded")
+    pressure, area = value["supply_pressure"], value["piston_area"]
+    opened = value["discharge_coefficient"] * value["valve_area_gradient"] * travel.value
+    fastest = opened * math.sqrt(pressure / value["oil_density"]) / area
+    half = 0.5 * sheet.stroke * size("mm")
+    limits = {
+        "spool": travel,
+        "force": Source(pressure * area, "computed", "supply_pressure · piston_area"),
+        "load_pressure": Source(pressure, "computed", "supply_pressure"),
+        "position": Source([-half, half], "computed", "the stroke with 0 in its middle"),
+        "velocity": Source(fastest, "computed", "flow at full opening and supply_pressure, over piston_area"),
+    }
+    return {"plant": plant, "friction": _friction(sheet, pressure * area, fastest), "limits": limits}
+
+
+def _plant(sheet: DataSheet) -> dict[str, Source]:
+    fitted = "`ehls identify --whole-rig` measures it"
+    pressure, density = _figure(sheet, "supply_pressure"), _figure(sheet, "oil_density", "the oil's data sheet")
+    travel = _figure(sheet, "spool_travel").value
+    area = mean_area(sheet.bore * size("mm"), sheet.rod * size("mm"), sheet.rods)
+    swept = area * sheet.stroke * size("mm")
+    flow, drop = sheet.rated_flow * size("l/min"), sheet.rated_drop * size("bar")
+    edges, over = (2.0, "2 · rated_drop") if sheet.drop_over == "edge" else (1.0, "rated_drop")
+    discharge = notes(Plant)["discharge_coefficient"].typical
+    volume = Source(2.0 * swept, "assumed", "twice piston_area · stroke; measure hoses and manifold")
+    if sheet.dead_volume is not None:
+        volume = Source(swept + sheet.dead_volume * size("cm^3"), "computed", "piston_area · stroke + dead_volume")
+    leaking = Source(
+        LEAKING * flow / pressure.value, "assumed", f"{100 * LEAKING:g} % of rated_flow at supply_pressure; {fitted}"
+    )
+    if sheet.leakage is not None:
+        leaking = Source(sheet.leakage * size("l/min") / pressure.value, "computed", "leakage / supply_pressure")
+    lag = "" if sheet.bandwidth_at == "-3 dB" else f" / (2 · {DAMPING:g}), as late as a second-order valve"
+    bandwidth = _figure(sheet, "bandwidth")
+    measured = f"; the spool's response to a chirp tells it, or {fitted}" if sheet.bandwidth is None else ""
+    gravity = {"level": 0.0, "up": GRAVITY, "down": -GRAVITY}[sheet.rod_points]
+    opening = (
+        f": {travel:g} m at {sheet.rated_input}, of which the gain in a map of columns follows" if sheet.rated_input else ""
+    )
+    return {
+        "supply_pressure": pressure,
+        "oil_density": density,
+        "bulk_modulus": _figure(sheet, "bulk_modulus", fitted),
+        "discharge_coefficient": Source(discharge, "assumed", "sharp edges; valve_area_gradient makes up for it"),
+        "valve_area_gradient": Source(
+            area_gradient(flow, edges * drop, travel, discharge, density.value),
+            "computed",
+            f"rated_flow / (discharge_coefficient · spool_travel · sqrt({over} / oil_density)), equation (1)",
+        ),
+        "leakage_coefficient": leaking,
+        "total_volume": volume,
+        "moving_mass": _figure(sheet, "moving_mass", "weigh piston, rod and load"),
+        "piston_area": Source(
+            area,
+            "computed",
+            "π/4 (bore² - rod²)"
+            if sheet.rods == "two"
+            else "mean of π/4 bore² and π/4 (bore² - rod²), see docs/how_to/rig_data.md",
+        ),
+        "arm_length": _figure(sheet, "arm", "a tape measure"),
+        "spring_stiffness": _figure(sheet, "spring", fitted),
+        "viscous_damping": _figure(sheet, "damping", "counts together with viscous_coefficient"),
+        "valve_bandwidth": bandwidth._replace(
+            value=lag_bandwidth(bandwidth.value / size("Hz"), sheet.bandwidth_at),
+            origin="assumed" if sheet.bandwidth is None else "computed",
+            told=f"2 π · {bandwidth.told}{lag}{measured}",
+        ),
+        "valve_gain": Source(1.0, "computed", f"the command is a spool displacement{opening}"),
+        "gravity": Source(gravity, "given", f"the rod moves {sheet.rod_points} while the position grows"),
+    }
+
+
+def _friction(sheet: DataSheet, largest: float, fastest: float) -> dict[str, Source]:
+    """Return the friction's values; ``largest`` is the largest force [N], ``fastest`` the largest velocity [m/s]."""
+    replaced = "slow strokes both ways and `ehls identify` measure it"
+    coulomb = Source(SEALS * largest, "assumed", f"{100 * SEALS:g} % of the largest force; {replaced}")
+    if sheet.friction is not None:
+        coulomb = _figure(sheet, "friction")
+    static = OVER_COULOMB * coulomb.value
+    assumed = {
+        "static_force": (static, f"{OVER_COULOMB:g} coulomb_force"),
+        "stribeck_velocity": (STRIBECK, "usual of seals"),
+        "stribeck_exponent": (1.0, "usual of seals"),
+        "viscous_coefficient": (coulomb.value / fastest, "coulomb_force at the largest velocity"),
+        "element_stiffness": ([static / BREAK_AWAY], f"static_force over {1e3 * BREAK_AWAY:g} mm"),
+        "element_weight": ([1.0], "one element"),
+        "attraction_rate": (coulomb.value / SETTLING, f"coulomb_force in {SETTLING:g} s"),
+    }
+    return {
+        "coulomb_force": coulomb,
+        **{key: Source(value, "assumed", f"{told}; {replaced}") for key, (value, told) in assumed.items()},
+    }
+
+
+def _figure(sheet: DataSheet, name: str, replaced: str = "") -> Source:
+    """Return a figure in its SI unit, or the usual value in its place.
+
+    Args:
+        sheet: the figures.
+        name: which.
+        replaced: what replaces the usual value.
+    """
+    note, figure = notes(DataSheet)[name], getattr(sheet, name)
+    used = note.typical if figure is None else figure
+    told = f"{used:g} {note.unit}"
+    value = used * size(note.unit)
+    return (
+        Source(value, "assumed", "; ".join(filter(None, [told, replaced]))) if figure is None else Source(value, "given", told)
+    )
