@@ -108,9 +108,7 @@ def _failures(results: CampaignResults) -> list[str]:
     if not rows.size:
         return []
     shown = _told(results.columns)
-    body: list[Row] = [
-        [number(row), Entry(results.failures[row] or "", prose=True), *_values(results, shown, row)] for row in rows[:MOST_ROWS]
-    ]
+    body: list[Row] = [[number(row), results.failures[row] or "", *_values(results, shown, row)] for row in rows[:MOST_ROWS]]
     more = [page.paragraph(f"The first {MOST_ROWS} of {number(len(rows))}.")] if len(rows) > MOST_ROWS else []
     return [*more, page.table(["run", "error", *map(_with_unit, shown)], body)]
 

@@ -101,7 +101,7 @@ def _stages(found: Diagnosis) -> list[str]:
                 percent(result.nrmse_before),
                 *([percent(result.nrmse_after)] if compared else []),
                 percent(result.noise_floor),
-                Entry(said, prose=True),
+                said,
             ]
         )
     bars = [drawn.stage_bars(found)] if found.verdict != "insufficient" else []
@@ -140,9 +140,9 @@ def _benefit(benefit: ControllerBenefit) -> list[str]:
     return [page.paragraph(text), page.table(header, rows)]
 
 
-def _steady(run: Steady) -> Entry:
+def _steady(run: Steady) -> str | Entry:
     if run.max_error_n is None:
-        return Entry(run.trouble, prose=True)
+        return run.trouble
     return Entry(f"{number(run.max_error_n)} N", f"rms {number(run.rms_error_n)} N")
 
 
@@ -207,23 +207,23 @@ def _sensitivity(found: Diagnosis) -> list[str]:
                 " were not named. For effects with a threshold, such as play or a stop, no such size can be predicted."
             )
         )
+        # An effect that can be fitted in several ways says the same of a parameter that they share.
         rows: list[Row] = [
             [
-                Entry(item.name, words(item.name).noun),
-                Entry(item.parameter, findings.parameter_meaning(item.name, item.parameter), prose=True),
-                findings.smallest_text(item),
+                Entry(name, words(name).noun),
+                Entry(parameter, findings.parameter_meaning(name, parameter)),
+                smallest,
             ]
-            for item in items
+            for name, parameter, smallest in dict.fromkeys((i.name, i.parameter, findings.smallest_text(i)) for i in items)
         ]
         blocks.append(page.table(["effect", "parameter", "smallest detectable size"], rows))
     stages = [(stage, result) for stage, result in found.stages.items() if not result.judged]
     if (stages or found.not_judged) and found.verdict != "insufficient":
-        named = [(Entry(STAGE_NAMES[stage]), result.why_not) for stage, result in stages]
-        named += [(Entry(name, words(name).noun), why) for name, why in found.not_judged.items()]
-        unjudged: list[Row] = [[what, Entry(why, prose=True)] for what, why in named]
+        named: list[Row] = [[STAGE_NAMES[stage], result.why_not] for stage, result in stages]
+        named += [[Entry(name, words(name).noun), why] for name, why in found.not_judged.items()]
         blocks += [
             page.paragraph("Could not be evaluated from this recording:"),
-            page.table(["stage or effect", "reason"], unjudged),
+            page.table(["stage or effect", "reason"], named),
         ]
     return blocks
 

@@ -29,19 +29,16 @@ def what_to_do(found: Diagnosis) -> list[str]:
     blocks = []
     if found.causes:
         rows: list[Row] = [
-            [Entry(cause.name, said.noun), *(Entry(text, prose=True) for text in (said.inspect, said.measure, said.change))]
+            [Entry(cause.name, said.noun), said.inspect, said.measure, said.change]
             for cause in found.causes
             for said in [words(cause.name)]
         ]
         blocks.append(page.table(["cause", "look at the rig", "confirm by a measurement", "then change"], rows))
     blocks += [page.bullets(steps)] if (steps := findings.next_steps(found)) else []
     if found.verdict == "insufficient":
-        needed: list[Row] = [
-            [stage, Entry(needs, prose=True), Entry(excitation, prose=True)]
-            for stage, needs, excitation in findings.to_record(found)
-        ]
+        needed: list[Row] = [[stage, needs, excitation] for stage, needs, excitation in findings.to_record(found)]
         blocks.append(page.table(["stage of the model", "signals it needs", "excitation it needs"], needed))
-    places: list[Row] = [[on, Entry(place, prose=True)] for on, place in findings.where_to_look(found)]
+    places: list[Row] = list(findings.where_to_look(found))
     return [*blocks, page.table(["the error depends on", "look at"], places)] if places else blocks
 
 
@@ -72,8 +69,8 @@ def causes(found: Diagnosis) -> list[str]:
         about: list[Row] = [
             [
                 cause.name,
-                Entry(findings.meaning(cause.name), prose=True),
-                Entry(EFFECTS.load(cause.name).EQUATION, prose=True),
+                findings.meaning(cause.name),
+                EFFECTS.load(cause.name).EQUATION,
             ]
             for cause in found.causes
         ]
@@ -92,14 +89,14 @@ def _parameters(cause: Cause) -> list[Row]:
                 STAGE_NAMES[cause.stage] if first else "",
                 likely(cause.probability) if first else "",
                 "" if cause.share is None or not first else percent(cause.share),
-                Entry(name, findings.parameter_meaning(cause.name, name), prose=True),
+                Entry(name, findings.parameter_meaning(cause.name, name)),
                 findings.fitted(cause.name, name, found),
                 f"{found.value:.5g} ± {found.std:.2g} {'' if found.unit == '1' else found.unit}".rstrip(),
                 sure if first else "",
             ]
         )
     for name, fixed in cause.fixed.items():
-        parameter = Entry(name, findings.parameter_meaning(cause.name, name), prose=True)
+        parameter = Entry(name, findings.parameter_meaning(cause.name, name))
         rows.append(["", "", "", "", parameter, "fixed", f"{fixed:g}", ""])
     return rows
 
@@ -115,8 +112,8 @@ def rivals(found: Diagnosis) -> list[str]:
                 Entry(rival.name, words(rival.name).noun),
                 "equal" if rival.name in cause.equivalent_to else findings.odds(rival),
                 percent(rival.closed_fraction),
-                Entry(findings.parameters_text(rival.name, rival.parameters, 2), prose=True),
-                Entry(findings.why_lost(cause, rival), prose=True),
+                findings.parameters_text(rival.name, rival.parameters, 2),
+                findings.why_lost(cause, rival),
             ]
             for rival in cause.rivals[:RIVALS]
         ]
@@ -150,7 +147,7 @@ def unexplained(found: Diagnosis) -> list[str]:
         )
     blocks.append(page.paragraph(text))
     if found.partial:
-        rows: list[Row] = [[Entry(name, words(name).noun), Entry(findings.meaning(name), prose=True)] for name in found.partial]
+        rows: list[Row] = [[Entry(name, words(name).noun), findings.meaning(name)] for name in found.partial]
         blocks.append(page.paragraph("Explains a fraction of it, too little to be named as the cause:"))
         blocks.append(page.table(["effect", "meaning"], rows))
     return blocks

@@ -59,7 +59,7 @@ RASTER_COLUMNS = 1500
 
 def force_tracking(run: Trajectory) -> Panel | LeftOut:
     """Draw force and reference, and the disturbance behind them."""
-    title = "Force tracking"
+    title = "Force tracking" if known(run, "force_reference_n") else "Force"
     if missing := missing_reason(run, "force_n"):
         return LeftOut(title, missing)
     time = since_start(run)
