@@ -28,9 +28,6 @@ SURE = 0.95
 LIKELY = 0.5
 """Probability from which the sentence of a partial answer names a cause among those that the error comes from."""
 
-UNTOLD = 100.0
-"""Standard error in multiples of the value above which a parameter without a range is not determined."""
-
 HOPELESS = 1e6
 """Odds above which a rival is out of the question, however large they are."""
 
@@ -110,7 +107,7 @@ def fitted(effect: str, parameter: str, e: Estimate, digits: int = 2) -> str:
     declared = next((d for d in declarations(EFFECTS.load(effect).Parameters) if d.name == parameter), None)
     low, high = (None, None) if declared is None else (declared.minimum, declared.maximum)
     width = math.inf if low is None or high is None else high - low
-    if not e.std < min(width, UNTOLD * max(abs(e.value), 1e-300)):
+    if not (math.isfinite(e.std) and e.std < width):
         return f"{value(e.value, e.unit)}, not determined"
     if e.value in (low, high) and declared is not None and e.value not in (0.0, declared.default):
         return f"{value(e.value, e.unit)}, the end of its range"

@@ -13,7 +13,7 @@ from ehls_ros.report import page
 from ehls_ros.report import run_figures as drawn
 from ehls_ros.report import run_planes as planes
 from ehls_ros.report.decimation import BUCKETS
-from ehls_ros.report.page import MISSING_NUMBER, LeftOut, Panel, number
+from ehls_ros.report.page import MISSING_NUMBER, number
 from ehls_ros.report.run_signals import error_of, known
 from ehls_ros.report.run_statistics import sampling_sentence, statistics
 from ehls_ros.trajectory import Trajectory, steady_error
@@ -74,17 +74,11 @@ def write_experiment_report(
             _resolution(trajectory),
             page.figures(over_time),
             page.figures(beside, columns=2),
-            page.left_out([*over_time, *beside]) if metrics is not None else _left_out_in_short([*over_time, *beside]),
+            page.left_out([*over_time, *beside]),
             *_done_to(events),
             page.collapsed("Configuration", page.as_yaml(configuration)) if configuration else "",
         ],
     )
-
-
-def _left_out_in_short(panels: Sequence[Panel | LeftOut]) -> str:
-    """Name the figures that a recording without a reference has no signals for, in one sentence."""
-    names = [panel.title for panel in panels if isinstance(panel, LeftOut)]
-    return page.paragraph(f"Left out for want of signals: {', '.join(names)}.") if names else ""
 
 
 def _done_to(events: Sequence[Event]) -> list[str]:

@@ -22,7 +22,9 @@ function regrid(figure, layout) {
     x.domain = [left, left + 0.45];
     y.domain = [Math.max(top - high, 0), top];
     x.nticks = 4;
-    x.tickvals = x.tickvals?.filter(value => Number.isInteger(Math.log10(value)));
+    for (const axis of [x, y]) {
+      if (axis.tickvals?.length > 6) axis.tickvals = axis.tickvals.filter(value => Number.isInteger(Math.log10(value)));
+    }
     if (left && y.title.text === layout.yaxis.title.text) y.title = {text: ''};
   });
   layout.legend.y = 1 + 0.1 / rows;

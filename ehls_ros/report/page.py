@@ -252,12 +252,18 @@ def figures(panels: Iterable[Panel | LeftOut], *, columns: int = 1) -> str:
 
 
 def left_out(panels: Iterable[Panel | LeftOut]) -> str:
-    """Name the figures that could not be drawn, one per line."""
-    return "".join(
-        f'<p class="left-out"><b>{escape(panel.title)}</b> is left out: {escape(panel.reason)}.</p>'
-        for panel in panels
-        if isinstance(panel, LeftOut)
+    """Name the figures that could not be drawn, one per line; more than a few open on a click."""
+    missing = [panel for panel in panels if isinstance(panel, LeftOut)]
+    lines = "".join(
+        f'<p class="left-out"><b>{escape(panel.title)}</b> is left out: {escape(panel.reason)}.</p>' for panel in missing
     )
+    if len(missing) <= A_FEW:
+        return lines
+    return f"<details><summary>{len(missing)} figures are left out for want of signals</summary>{lines}</details>"
+
+
+A_FEW = 3
+"""Most figures left out that are named without a click."""
 
 
 def _figure(panel: Panel) -> str:

@@ -17,7 +17,7 @@ class Sampling(NamedTuple):
 
     Attributes:
         seconds: from the first sample to the last [s].
-        rate: usual number of samples in a second [Hz]; None of a single sample.
+        rate: usual number of samples in a second [Hz]; None where there are no two.
         gaps: number of gaps between samples.
         longest: longest time between two samples [s].
     """
@@ -31,7 +31,7 @@ class Sampling(NamedTuple):
 def sampling(run: Trajectory) -> Sampling:
     """Return how a recording is sampled."""
     steps = np.diff(run.time_s)
-    if not steps.size:
+    if not steps.any():
         return Sampling(0.0, None, 0, 0.0)
     usual = float(np.median(steps))
     seconds = float(run.time_s[-1] - run.time_s[0])
@@ -42,7 +42,7 @@ def sampling_sentence(run: Trajectory) -> str:
     """Say how long a recording is, how fast it was sampled, and where samples are missing."""
     found = sampling(run)
     if found.rate is None:
-        return "A single sample."
+        return f"Samples: {len(run)}."
     text = f"{number(found.seconds, 4)} s at {number(found.rate, 4)} Hz, {number(len(run))} samples"
     if not found.gaps:
         return f"{text} without a gap."

@@ -19,7 +19,7 @@ SPEC = {
     "controller": {"name": "fasmc", "k": 12.0, "g": 60.0, "h": 25.0, "b": 107.5},
 }
 TITLES = {
-    "Force tracking": {"force_n"},
+    "Force": {"force_n"},
     "Force error": {"force_n", "force_reference_n"},
     "Valve": {"valve_command_m"},
     "Load pressure": {"load_pressure_pa"},
@@ -96,7 +96,7 @@ def test_a_panel_needs_only_its_own_signals(report, title):
     assert title in panels(html)
     check(html)
     follows_position = "position_reference_m" in TITLES[title]
-    not_followed = {"Force tracking", "Force error"} if follows_position else {"Position error"}
+    not_followed = {"Force", "Force error"} if follows_position else {"Position error"}
     for other in set(TITLES) - set(panels(html)):
         assert html.count(f"<b>{other}</b> is left out: ") == (other not in not_followed)
 
@@ -132,7 +132,7 @@ def test_gaps_stay_gaps_and_lonely_samples_show(report):
     run["spool_m"][::2] = np.nan
     html = report(run)
     check(html)
-    force = next(trace for trace in panels(html)["Force tracking"][0] if trace["name"] == "force")
+    force = next(trace for trace in panels(html)["Force"][0] if trace["name"] == "force")
     assert np.isnan(numbers(force["y"])).any()
     modes = {trace["name"]: trace["mode"] for trace in panels(html)["Valve"][0]}
     assert (modes["command"], modes["spool"]) == ("lines", "lines+markers")
@@ -176,7 +176,7 @@ def test_a_run_along_a_position_shows_the_position_instead_of_force_tracking(rep
     html = report(run, evaluate(run))
     check(html)
     assert list(panels(html))[:2] == ["Motion", "Position error"]
-    assert not {"Force tracking", "Force error"} & set(panels(html))
+    assert not {"Force", "Force error"} & set(panels(html))
     assert "<b>Force" not in html
     names = {title: [trace.get("name") for trace in traces] for title, (traces, _) in panels(html).items()}
     assert {"piston position", "position reference", "piston velocity", "velocity reference"} <= set(names["Motion"])
@@ -243,7 +243,7 @@ def test_the_file_of_a_long_run_is_small_and_keeps_its_peak(whole_report):
     run["force_n"][123_457] = 4.2e4
     html = whole_report(run)
     assert len(html.encode()) < 8e6
-    force = next(trace for trace in panels(html)["Force tracking"][0] if trace["name"] == "force")
+    force = next(trace for trace in panels(html)["Force"][0] if trace["name"] == "force")
     assert np.nanmax(numbers(force["y"])) == 42.0
     assert "every 0.0625 s" in html
 
