@@ -30,15 +30,19 @@ function regrid(figure, layout) {
   layout.legend.y = 1 + 0.1 / rows;
 }
 
-// A title that is longer than its axis is broken in the middle.
-function brokenTitle(axis, room) {
-  const text = axis.title?.text ?? '';
-  axis.title = {...axis.title, font: {size: 11}};
-  if (text.length * 6 <= room) return;
+// A text that is longer than its room is broken in the middle, not within a unit.
+function broken(text, room) {
   const spaces = [...text.matchAll(/ (?![^[]*\])/g)].map(match => match.index);
+  if (text.length * 6 <= room || !spaces.length) return text;
   const middle = spaces.sort((a, b) => Math.abs(a - text.length / 2) - Math.abs(b - text.length / 2))[0];
-  if (middle) axis.title.text = `${text.slice(0, middle)}<br>${text.slice(middle + 1)}`;
+  return `${text.slice(0, middle)}<br>${text.slice(middle + 1)}`;
+}
+
+function fitTitle(axis, room) {
+  const text = axis.title?.text ?? '';
+  axis.title = {...axis.title, font: {size: 11}, text: broken(text, room)};
   axis.automargin = true;
+  if (axis.title.text !== text) axis.title.standoff = 20;
 }
 
 for (const figure of figures) {
@@ -48,13 +52,16 @@ for (const figure of figures) {
     layout.margin = {...layout.margin, l: Math.min(layout.margin.l, 58), r: 12};
     layout.legend = {...layout.legend, font: {size: 11}};
     const high = figure.clientHeight - 80;
+    const entries = data.filter(trace => trace.name && trace.showlegend !== false).length;
+    figure.style.height = `${figure.clientHeight + 18 * Math.max(entries - 2, 0)}px`;
     const wide = (figure.clientWidth - 80) * (layout.yaxis?.ticktext ? 0.6 : 1);
     for (const [key, axis] of Object.entries(layout)) {
       const [low, top] = axis.domain ?? [0, 1];
-      if (/^xaxis/.test(key)) brokenTitle(axis, wide * (top - low));
-      if (/^yaxis/.test(key)) brokenTitle(axis, high * (top - low));
+      if (/^xaxis/.test(key)) fitTitle(axis, wide * (top - low));
+      if (/^yaxis/.test(key)) fitTitle(axis, high * (top - low));
     }
   }
+  if (narrow) for (const trace of data) if (trace.name) trace.name = broken(trace.name, figure.clientWidth - 120);
   Plotly.newPlot(figure, data, layout, options);
 }
 
