@@ -56,8 +56,8 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
     sentence, good = answer(found)
     rest = unexplained(found)
     parts = [
-        ("Old and new", old_and_new(found)),
         ("Measured and simulated", measured_and_simulated(found)),
+        ("Old and new", old_and_new(found)),
         ("What to do next", what_to_do(found)),
         ("Shares and sizes", shares(found)),
         ("Unexplained", [] if found.names_causes else rest),

@@ -41,8 +41,8 @@ function broken(text, room) {
 function fitTitle(axis, room) {
   const text = axis.title?.text ?? '';
   axis.title = {...axis.title, font: {size: 11}, text: broken(text, room)};
-  axis.automargin = true;
   if (axis.title.text !== text) axis.title.standoff = 20;
+  axis.automargin ||= axis.title.text !== text || Boolean(axis.tickvals);
 }
 
 for (const figure of figures) {

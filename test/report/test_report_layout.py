@@ -48,7 +48,7 @@ COVERED = """
   }).filter(box => box.width);
   const whole = figure.getBoundingClientRect(), heading = figure.previousElementSibling.innerText;
   const titles = [...named('title', 'text[class*="xtitle"],text[class*="ytitle"]'), ...named('legend', '.legend .bg')];
-  const ticks = named('tick', '.xtick text,.ytick text');
+  const ticks = [...named('tick', '.xtick text,.ytick text'), ...named('drawing', '.nsewdrag')];
   const apart = (a, b) => a.right < b.left + 1 || b.right < a.left + 1 || a.bottom < b.top + 1 || b.bottom < a.top + 1;
   const out = [...titles, ...named('label', '.annotation')]
     .filter(box => box.left < whole.left - 2 || box.right > whole.right + 2 || box.bottom > whole.bottom + 2)
