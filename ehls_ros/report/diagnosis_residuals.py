@@ -79,12 +79,12 @@ def over_time(found: Diagnosis, channel: Channel) -> Panel:
     if compares(found):
         models.append((after_name(found), BLUE, "dash", trace.after))
     traces = [time_line(time, broken(trace.measured), "measured", above, SKY, width=4.0)]
+    traces += band(trace.time, SPREAD * trace.floor, f"{FLOOR}, {_rms(trace.floor, below)}", below, row=2)
     for name, color, dash, residual in models:
         said = f"{name}, residual {_rms(residual, below)}"
         simulated = time_line(time, broken(trace.simulated(residual)), said, above, color, width=1.3, dash=dash)
         left = time_line(time, broken(residual), said, below, color, row=2, width=1.2)
         traces += [simulated | {"legendgroup": name}, left | {"legendgroup": name, "showlegend": False}]
-    traces += band(trace.time, SPREAD * trace.floor, f"{FLOOR}, {_rms(trace.floor, below)}", below, row=2)
     rows = [Axis(MEASURED[channel], above), Axis("residual", below)]
     layout = time_layout(float(trace.time[-1]), rows)
     note = "" if found.baseline is None else "Less what the baselines lead to expect, and what varies without a fault."

@@ -16,6 +16,7 @@ _LENGTH = ((1e-3, Unit("µm", 1e6)), (1.0, Unit("mm", 1e3)), (math.inf, Unit("m"
 _TIME = ((1.0, Unit("ms", 1e3)), (math.inf, Unit("s")))
 _UNITS: Mapping[str, tuple[tuple[float, Unit], ...]] = {
     "m": _LENGTH,
+    "m^2": ((math.inf, Unit("cm²", 1e4)),),
     "s": _TIME,
     "m/s": ((math.inf, Unit("mm/s", 1e3)),),
     "Pa": ((math.inf, Unit("bar", 1e-5)),),

@@ -10,6 +10,7 @@ import test_rig_identification_report as rig
 from headless_browser import CHROMIUM, browser
 
 from ehls_ros.experiments.campaign.results import results_of
+from ehls_ros.recording.events import Event
 from ehls_ros.report import page
 from ehls_ros.report.campaign import write_campaign_report
 from ehls_ros.report.diagnosis import write_diagnosis_report
@@ -25,12 +26,16 @@ COLUMNS = (
     campaign.varied(campaign.WORD, "", numeric=False),
     campaign.varied(campaign.K, "MPa/s", drawn=True),
 )
+SWEPT = (campaign.varied(campaign.K, "MPa/s"), campaign.varied("controller.h", "t/s"))
+SWEEP = campaign.table(6, **{campaign.K: [1.0, 2.0, 4.0] * 2, "controller.h": [10.0] * 3 + [20.0] * 3})
+EVENTS = (Event(None, "control_node", "k: 1.0 → 2.0"), Event(0.3, "plant_node", "armed → tripped: " + "why " * 30))
 REPORTS = {
-    "experiment": lambda path: write_experiment_report(experiment.make_run(), experiment.METRICS, path),
+    "experiment": lambda path: write_experiment_report(experiment.make_run(), experiment.METRICS, path, EVENTS),
     "recording": lambda path: write_experiment_report(
         experiment.only(experiment.make_run(title=""), ("force_n", "position_m")), None, path, name="axis.csv"
     ),
     "campaign": lambda path: write_campaign_report(results_of(COLUMNS, RESULTS), {"title": "a", "base": {}}, [], path),
+    "sweep": lambda path: write_campaign_report(results_of(SWEPT, SWEEP), {"title": "a", "base": {}}, [], path),
     "effect": lambda path: write_diagnosis_report(diagnosis.make_found(), path, diagnosis.FOLLOWS, "axis.csv"),
     "unknown": lambda path: write_diagnosis_report(diagnosis.unknown(), path),
     "insufficient": lambda path: write_diagnosis_report(diagnosis.insufficient(), path),
