@@ -19,12 +19,13 @@ from ehls_ros.diagnosis.partial import partial_answer
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.remainder import Remainder, in_full, remainders
-from ehls_ros.diagnosis.result import NAMING, Cause, ChannelTrace, Diagnosis, Sensitivity, StageResult
+from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Sensitivity, StageResult
 from ehls_ros.diagnosis.search import search
 from ehls_ros.diagnosis.spectrum import spectral_lines
 from ehls_ros.diagnosis.stage_results import Nrmse, not_recorded, stage_result
-from ehls_ros.diagnosis.stages import CHANNELS, STAGES, UNITS, Channel, Setup, Stage, setup
+from ehls_ros.diagnosis.stages import CHANNELS, STAGES, Channel, Setup, Stage, setup
 from ehls_ros.diagnosis.starts import Starts, main_channel, try_starts
+from ehls_ros.diagnosis.traces import trace
 from ehls_ros.diagnosis.verdict import Finding, decide
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
@@ -86,7 +87,9 @@ def diagnose(
     names = verdict in NAMING
     signals = signals_along(evidence.comparison(), model)
     said = allowed_for(known, best.held_out.residuals.values)
-    stages = _stage_results(known, best, findings, signals)
+    # What a partial answer counts as noise is none.
+    noise = {c: seen.noise_nrmse(c) for c in seen.channels}
+    stages = _stage_results(known, best, findings, noise, signals)
     return Diagnosis(
         verdict=verdict,
         missing=_missing(stages),
@@ -95,10 +98,10 @@ def diagnose(
         unknown_stage=unknown,
         depends_on=stages[unknown].depends_on if unknown is not None else (),
         partial=tuple(c.name for c in named) if verdict == "unknown" else (),
-        gain=gain(known, best, seed) if names else None,
+        gain=gain(known, best, noise, seed) if names else None,
         rig=rig,
         extended=model if names else rig,
-        traces={c: _trace(seen, signals, known.floor[c] * best.held_out.residuals.values[c], c) for c in evidence.channels},
+        traces={c: trace(seen, c, known.floor[c] * best.held_out.residuals.values[c], signals) for c in evidence.channels},
         sensitivities=sizes,
         not_judged=not_tried,
         remarks=(
@@ -124,7 +127,11 @@ def _findings(evidence: Evidence, sizes: Sequence[Sensitivity], left: Sequence[R
 
 
 def _stage_results(
-    evidence: Evidence, best: Assessment, findings: Mapping[Stage, Finding], signals: Mapping[str, Array]
+    evidence: Evidence,
+    best: Assessment,
+    findings: Mapping[Stage, Finding],
+    noise: Mapping[Channel, float],
+    signals: Mapping[str, Array],
 ) -> dict[Stage, StageResult]:
     held_out = best.held_out.residuals.values
 
@@ -133,7 +140,7 @@ def _stage_results(
         return depends_on(held_out[channel], means, evidence.block[channel] % 2 == 0)
 
     nrmse = {
-        c: Nrmse(*(evidence.nrmse(c, e[c]) for e in (evidence.base.values, held_out, evidence.noise)))
+        c: Nrmse(evidence.nrmse(c, evidence.base.values[c]), evidence.nrmse(c, held_out[c]), noise[c])
         for c in evidence.channels
     }
     why_not = evidence.setup.why_not
@@ -195,18 +202,4 @@ def _nothing_recorded(record: Record, rig: Rig, compared: Setup, seed: int, bega
         remarks=record.remarks,
         seed=seed,
         wall_s=time.perf_counter() - began,
-    )
-
-
-def _trace(evidence: Evidence, signals: Mapping[str, Array], after: Array, channel: Channel) -> ChannelTrace:
-    floor = evidence.floor[channel]
-    return ChannelTrace(
-        channel=channel,
-        unit=UNITS[channel],
-        time=evidence.times[channel],
-        before=evidence.base.values[channel] * floor,
-        after=after,
-        floor=floor,
-        noise=evidence.noise[channel] * floor,
-        against={name: evidence.means(channel, values) for name, values in signals.items() if name != "time_s"},
     )

@@ -138,6 +138,10 @@ class Evidence:
         """Return the rms of whitened residuals in the channel's unit, as a fraction of the largest term of its balance."""
         return float(np.sqrt(np.mean((e * self.floor[channel]) ** 2))) / max(self.sizes[channel], 1e-300)
 
+    def noise_nrmse(self, channel: Channel) -> float:
+        """Return the rms of the noise floor, as the same fraction."""
+        return float(np.sqrt(np.mean(self.floor[channel] ** 2))) / max(self.sizes[channel], 1e-300)
+
     def means(self, channel: Channel, values: Array) -> Array:
         """Return the mean of a signal over each usable window."""
         return self.setup.window_of(channel).mean(values)[self.masks[channel]]

@@ -1,5 +1,7 @@
 """What the extended model gains on held-out data."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ehls_ros.arrays import Array
@@ -11,12 +13,13 @@ from ehls_ros.diagnosis.result import ChannelGain, Gain
 from ehls_ros.diagnosis.stages import Channel
 
 
-def gain(evidence: Evidence, best: Assessment, seed: int) -> Gain | None:
+def gain(evidence: Evidence, best: Assessment, noise: Mapping[Channel, float], seed: int) -> Gain | None:
     """Measure what the causes gain on held-out data; None where they change nothing.
 
     Args:
         evidence: the recording compared with the given model.
         best: the causes.
+        noise: rms noise in each channel, as a fraction of the largest term.
         seed: of the resampling.
     """
     channels = tuple(best.held_out.gain)
@@ -30,16 +33,16 @@ def gain(evidence: Evidence, best: Assessment, seed: int) -> Gain | None:
     main = max(channels, key=removed)
     # A channel with nothing to remove says nothing about the fraction removed.
     telling = tuple(c for c in channels if power(base[c]) > rules.REMOVABLE * power(evidence.noise[c])) or (main,)
-    before, after, noise = (
+    before, after, chance = (
         np.sum([np.bincount(evidence.block[c], e[c] ** 2, evidence.blocks) for c in telling], axis=0)
         for e in (base, held_out, evidence.noise)
     )
-    fraction, ci95 = closed_fraction(before, after, noise, seed)
+    fraction, ci95 = closed_fraction(before, after, chance, seed)
     return Gain(
         channel=main,
         heldout_nrmse_before=evidence.nrmse(main, base[main]),
         heldout_nrmse_after=evidence.nrmse(main, held_out[main]),
-        noise_floor=evidence.nrmse(main, evidence.noise[main]),
+        noise_floor=noise[main],
         closed_fraction=fraction,
         ci95=ci95,
         channels={c: _channel_gain(evidence, held_out[c], c) for c in telling},

@@ -67,7 +67,7 @@ def allowed_for(evidence: Evidence, left: Mapping[Channel, Array]) -> str:
     explained = dict[Stage, float]()
     for c, e in left.items():
         taken = evidence.whole(c, e) - e
-        if power(taken) > power(evidence.noise[c]):
+        if power(taken) > max(power(evidence.noise[c]), rules.LEAST_NOISE_POWER):
             explained[CHANNELS[c]] = max(explained.get(CHANNELS[c], 0.0), evidence.nrmse(c, taken))
     parts = [f"{100.0 * part:.2g} % in the {stage.replace('_', ' ')}" for stage, part in explained.items()]
     return f"{said}; that explains {', '.join(parts)}" if parts else said

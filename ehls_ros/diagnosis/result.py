@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.stages import Channel, Stage
+from ehls_ros.diagnosis.stages import REQUIRED, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.rig import Rig
 
@@ -23,7 +23,8 @@ class StageResult(NamedTuple):
         why_not: what is missing if they are not.
         nrmse_before: rms residual of the given model, as a fraction of the stage's largest term; None if not judged.
         nrmse_after: the same with the causes named, on held-out data.
-        noise_floor: the same of the sensors' noise alone.
+        noise_floor: the same of noise alone: what the sensors' noise, what is lost between samples, and the accuracy no
+            model exceeds leave of a right model; the rms of :attr:`ChannelTrace.floor`.
         exceeds: whether the given model's residual exceeds the noise, by enough to matter.
         unexplained: whether a remainder does that no cause explains.
         leaves_much: whether more remains than right causes usually leave.
@@ -134,22 +135,30 @@ class ChannelTrace(NamedTuple):
     Attributes:
         channel: name of the channel.
         unit: unit of the residuals.
+        size: rms of the largest term in the channel's balance, in that unit.
         time: middle of the windows [s].
+        measured: the measured quantity that the residuals are the error of.
         before: residual of the given model.
         after: residual with the causes, on held-out data.
-        floor: noise floor.
-        noise: residual of noise alone, for spectra.
+        floor: noise floor, the standard deviation of a right model's residual.
+        noise: what as much noise again as the sensors have adds to a residual, for spectra.
         against: means of the signals it may depend on over the same windows, by the names of the data contract.
     """
 
     channel: Channel
     unit: str
+    size: float
     time: Array
+    measured: Array
     before: Array
     after: Array
     floor: Array
     noise: Array
     against: Mapping[str, Array]
+
+    def simulated(self, residual: Array) -> Array:
+        """Return what a model with this residual makes of the measured quantity, shape (n,)."""
+        return self.measured + residual if self.channel in REQUIRED else self.measured - residual
 
 
 class Sensitivity(NamedTuple):

@@ -74,6 +74,9 @@ UNITS: Mapping[Channel, str] = {
     "spool": "m", "volume": "m³/s", "supply": "Pa", "force": "N", "cell": "N", "velocity": "m/s",
 }  # fmt: skip
 
+REQUIRED: frozenset[Channel] = frozenset({"force"})
+"""Channels whose residual is what the model requires less what is measured; of the others it is measured less modelled."""
+
 GUIDE = 2.0 * math.pi / rules.WINDOW
 """Rate at which a piston separated from the load is drawn to its measured position [rad/s].
 
@@ -91,6 +94,14 @@ SENSED = {
     "oil_temperature": TEMPERATURE,
 }
 """The recording's signals by the sensors' names in a rig file."""
+
+
+_SENSOR_OF: Mapping[Channel, str] = {
+    "spool": "spool_position",
+    "supply": "supply_pressure",
+    "cell": "force",
+    "velocity": "velocity",
+}
 
 
 class Setup(NamedTuple):
@@ -144,6 +155,20 @@ class Comparison:
         with np.errstate(over="ignore", invalid="ignore"):
             return {channel: getattr(self, f"_{channel}")(effective) for channel in wanted}
 
+    def measured(self, rig: Rig, channel: Channel) -> Array:
+        """Return the measured quantity that a channel's residual is the error of, in its unit, one a window.
+
+        Args:
+            rig: the rig, as whose sensors the signals are read.
+            channel: of the force balance it is the driving force, of the flow balance the flow that the cylinder takes up.
+        """
+        effective, window = rig.effective(), self.setup.window_of(channel)
+        if channel == "volume":
+            return self._taken_up(effective)
+        if channel == "force":
+            return window.mean(effective.plant.piston_area * self.pressure(effective))
+        return window.mean(self.corrected(effective, _SENSOR_OF[channel]))
+
     def relevant(self, rig: Rig) -> dict[Channel, Any]:
         """Return what each channel's residual depends on: where it is equal, so are the residuals."""
         whole = rig.effective()
@@ -174,6 +199,11 @@ class Comparison:
         return average.mean(self.corrected(rig, "spool_position")) - average.mean(self.simulated_spool(rig))
 
     def _volume(self, rig: EffectiveRig) -> Array:
+        terms = self.flow_terms(rig)
+        return self._taken_up(rig) - self.setup.window.mean(terms[:, 0] - terms[:, 1])  # (2)
+
+    def _taken_up(self, rig: EffectiveRig) -> Array:
+        """Return the flow that the motion of the piston and the compression of the oil take up, one a window [m^3/s]."""
         window, plant, motion = self.setup.window, rig.plant, self.motion(rig)
         terms = self.flow_terms(rig)
         stored = plant.total_volume / (4.0 * terms[:, 2])
@@ -182,8 +212,8 @@ class Comparison:
         squeezed[:-1] = 0.5 * (stored[1:] + stored[:-1]) * np.diff(pressure) / self.record.period
         squeezed[-1] = 0.0
         middle = np.concatenate([0.5 * (window.weights[1:] + window.weights[:-1]), [0.0]])
-        swept = plant.piston_area * self._swept(rig, motion)
-        return swept + window.over(squeezed, middle) - window.mean(terms[:, 0] - terms[:, 1])  # (2)
+        taken_up: Array = plant.piston_area * self._swept(rig, motion) + window.over(squeezed, middle)
+        return taken_up
 
     def _swept(self, rig: EffectiveRig, motion: Motion) -> Array:
         if POSITION in self.record:

@@ -19,7 +19,8 @@ from ehls_ros.diagnosis.natural import Natural, describe, learn_natural
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis, Fitted, Healthy
-from ehls_ros.diagnosis.stages import CHANNELS, UNITS, Channel, setup
+from ehls_ros.diagnosis.stages import CHANNELS, Channel, setup
+from ehls_ros.diagnosis.traces import trace
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.rig_coefficients import BIASES, COULOMB, VISCOUS, coefficients
@@ -166,19 +167,9 @@ def _channels(natural: Natural, expected: Mapping[Channel, Expected]) -> dict[Ch
 
 def _traces(evidence: Evidence, expected: Mapping[Channel, Expected], natural: Natural) -> dict[Channel, ChannelTrace]:
     """Return the residuals of the fitted model, and what the expected remainder leaves of them."""
-    signals = {k: v for k, v in signals_along(evidence.comparison(), evidence.rig).items() if k != "time_s"}
+    signals = signals_along(evidence.comparison(), evidence.rig)
     out = {}
     for c, healthy in expected.items():
-        floor = evidence.floor[c]
-        before = evidence.base.values[c] * floor
-        out[c] = ChannelTrace(
-            channel=c,
-            unit=UNITS[c],
-            time=evidence.times[c],
-            before=before,
-            after=before - healthy.mean * natural.channels[c].terms.size,
-            floor=floor,
-            noise=evidence.noise[c] * floor,
-            against={name: evidence.means(c, values) for name, values in signals.items()},
-        )
+        before = evidence.base.values[c] * evidence.floor[c]
+        out[c] = trace(evidence, c, before - healthy.mean * natural.channels[c].terms.size, signals)
     return out

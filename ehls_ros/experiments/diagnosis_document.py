@@ -78,6 +78,14 @@ class ParameterEntry(NamedTuple):
     ci95: tuple[float, float]
 
 
+class Advice(NamedTuple):
+    """What to do next where an effect is the cause; attributes as in :class:`ehls_ros.physics.effects.base.Words`."""
+
+    inspect: str
+    measure: str
+    change: str
+
+
 class CauseEntry(NamedTuple):
     """A named cause; attributes as in :class:`ehls_ros.diagnosis.result.Cause`."""
 
@@ -91,6 +99,7 @@ class CauseEntry(NamedTuple):
     parameters: Mapping[str, ParameterEntry]
     fixed: Mapping[str, float]
     evidence: Evidence
+    advice: Advice
 
 
 class UnknownEvidence(NamedTuple):
@@ -292,6 +301,7 @@ def _verdict(diagnosis: Diagnosis) -> Verdict | Literal["unchanged", "changed"]:
 
 
 def _cause(cause: Cause) -> CauseEntry:
+    effect = EFFECTS.load(cause.name)
     rivals = tuple(RivalEntry(r.name, r.behind, r.closed_fraction, r.parameters) for r in cause.rivals)
     return CauseEntry(
         cause.name,
@@ -303,7 +313,8 @@ def _cause(cause: Cause) -> CauseEntry:
         cause.group,
         {name: _parameter(e) for name, e in cause.parameters.items()},
         cause.fixed,
-        Evidence(cause.gain, cause.sigmas, EFFECTS.load(cause.name).EQUATION, rivals),
+        Evidence(cause.gain, cause.sigmas, effect.EQUATION, rivals),
+        Advice(effect.WORDS.inspect, effect.WORDS.measure, effect.WORDS.change),
     )
 
 

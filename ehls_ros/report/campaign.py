@@ -11,7 +11,7 @@ from ehls_ros.report import campaign_figures as drawn
 from ehls_ros.report import campaign_findings as findings
 from ehls_ros.report import page
 from ehls_ros.report.campaign_findings import Group
-from ehls_ros.report.page import Configuration, Entry, Row, number
+from ehls_ros.report.page import MISSING_NUMBER, Configuration, Entry, Row, number
 
 MOST_GROUPS, MOST_ROWS, MOST_COLUMNS = 8, 10, 6
 """Largest number of groups in a figure, of rows in a table of single runs, and of varied columns in it."""
@@ -56,10 +56,15 @@ def _group_table(results: CampaignResults, groups: Sequence[Group]) -> str:
     rows: list[Row] = []
     for group in groups:
         lost = len(np.intersect1d(results.failed, group.rows))
-        levels = [f"{number(quantile(errors[group.rows], share))} N" for share in (0.5, 0.95, 1.0)]
-        settled = f"{number(quantile(times[group.rows], 0.5))} s"
+        levels = [_in(quantile(errors[group.rows], share), "N") for share in (0.5, 0.95, 1.0)]
+        settled = _in(quantile(times[group.rows], 0.5), "s")
         rows.append([group.name, number(group.rows.size), Entry(number(lost), heat=0.5 if lost else 0.0), *levels, settled])
     return page.table(header, rows)
+
+
+def _in(value: float, unit: str) -> str:
+    """Write a value with its unit, a dash without one."""
+    return f"{number(value)} {unit}" if np.isfinite(value) else MISSING_NUMBER
 
 
 def _sweeps(results: CampaignResults, groups: Sequence[Group]) -> list[str]:
@@ -108,9 +113,7 @@ def _failures(results: CampaignResults) -> list[str]:
     if not rows.size:
         return []
     shown = _told(results.columns)
-    body: list[Row] = [
-        [number(row), Entry(results.failures[row] or "", prose=True), *_values(results, shown, row)] for row in rows[:MOST_ROWS]
-    ]
+    body: list[Row] = [[number(row), results.failures[row] or "", *_values(results, shown, row)] for row in rows[:MOST_ROWS]]
     more = [page.paragraph(f"The first {MOST_ROWS} of {number(len(rows))}.")] if len(rows) > MOST_ROWS else []
     return [*more, page.table(["run", "error", *map(_with_unit, shown)], body)]
 

@@ -59,13 +59,14 @@ def correlations(results: CampaignResults, columns: Sequence[Column], group: Gro
     return np.array([rank_correlation(results.numbers[column.path][group.rows], errors) for column in columns])
 
 
-def verdict_sentence(results: CampaignResults) -> tuple[str, bool]:
+def verdict_sentence(results: CampaignResults) -> tuple[str, bool | None]:
     """Summarise the campaign.
 
     Returns:
-        The sentence, and whether every run ended and converged.
+        The sentence, and whether every run ended and converged, the worst included; None where no run has a force error.
     """
     errors, lost, open_ended = results.max_error_n, len(results.failed), len(results.not_converged)
+    untold = int(np.isnan(errors).sum()) - lost
     parts = [f"{number(len(errors))} runs"]
     if np.isfinite(errors).any():
         parts.append(
@@ -76,8 +77,17 @@ def verdict_sentence(results: CampaignResults) -> tuple[str, bool]:
     if lost:
         parts.append(f"{number(lost)} failed")
     if open_ended:
-        parts.append(f"{number(open_ended)} never converged")
-    return f"{'; '.join(parts)}.", not lost and not open_ended
+        parts.append(f"{number(open_ended)} never converged{_worst_of(results)}")
+    if untold > 0:
+        parts.append(f"{number(untold)} without a force error")
+    if lost or open_ended:
+        return f"{'; '.join(parts)}.", False
+    return f"{'; '.join(parts)}.", None if untold > 0 else True
+
+
+def _worst_of(results: CampaignResults) -> str:
+    """Say whether the run with the largest error is one that never converged."""
+    return ", the worst among them" if worst(results, 1)[0] in results.not_converged else ""
 
 
 def influence_remark(results: CampaignResults, columns: Sequence[Column], within: Sequence[Group]) -> str:

@@ -5,7 +5,7 @@ from typing import get_args
 
 from ehls_ros.diagnosis.free_run import FreeRun
 from ehls_ros.diagnosis.result import Diagnosis
-from ehls_ros.diagnosis.rules import CLOSED, TOLERANCE
+from ehls_ros.diagnosis.rules import CLOSED
 from ehls_ros.experiments.consequences import NOTHING, Consequences
 from ehls_ros.experiments.controller_benefit import ControllerBenefit, Steady
 from ehls_ros.physics.effects import EFFECTS
@@ -14,7 +14,7 @@ from ehls_ros.report import diagnosis_figures as drawn
 from ehls_ros.report import diagnosis_findings as findings
 from ehls_ros.report import page
 from ehls_ros.report.diagnosis_baseline import learnt, old_and_new, since_sentence
-from ehls_ros.report.diagnosis_causes import before_and_after, causes, insufficient, rivals, shares, unexplained
+from ehls_ros.report.diagnosis_causes import causes, measured_and_simulated, rivals, shares, unexplained, what_to_do
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
 from ehls_ros.report.diagnosis_units import percent, quantity
 from ehls_ros.report.page import MISSING_NUMBER, Entry, LeftOut, Panel, Row, listed, number, signed
@@ -56,11 +56,11 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
     sentence, good = answer(found)
     rest = unexplained(found)
     parts = [
+        ("Measured and simulated", measured_and_simulated(found)),
         ("Old and new", old_and_new(found)),
-        ("Before and after", before_and_after(found)),
+        ("What to do next", what_to_do(found)),
         ("Shares and sizes", shares(found)),
         ("Unexplained", [] if found.names_causes else rest),
-        ("What to record", insufficient(found)),
         ("Runner-up and caveats" if found.names_causes else "Caveats", _limits(found, follows)),
         ("What remains", rest if found.names_causes else []),
         ("The cause" if len(found.causes) < 2 else "The causes", causes(found)),
@@ -101,12 +101,12 @@ def _stages(found: Diagnosis) -> list[str]:
                 percent(result.nrmse_before),
                 *([percent(result.nrmse_after)] if compared else []),
                 percent(result.noise_floor),
-                Entry(said, prose=True),
+                said,
             ]
         )
     bars = [drawn.stage_bars(found)] if found.verdict != "insufficient" else []
     after = [] if not compared else ["with the extension" if found.causes else "with the partial causes"]
-    header = ["stage of the model", "residual", *after, "noise floor", "conclusion"]
+    header = ["stage of the model", "residual", *after, "noise", "conclusion"]
     note = (
         "Residual: rms of the stage's imbalance as a fraction of its largest term; of several signals, the one that stands out"
         " most."
@@ -140,9 +140,9 @@ def _benefit(benefit: ControllerBenefit) -> list[str]:
     return [page.paragraph(text), page.table(header, rows)]
 
 
-def _steady(run: Steady) -> Entry:
+def _steady(run: Steady) -> str | Entry:
     if run.max_error_n is None:
-        return Entry(run.trouble, prose=True)
+        return run.trouble
     return Entry(f"{number(run.max_error_n)} N", f"rms {number(run.rms_error_n)} N")
 
 
@@ -170,7 +170,7 @@ def _residuals(found: Diagnosis) -> list[str]:
         return []
     note = (
         "Lines: means over classes of the signal. Bands: the middle 80 % of the windows. Dashed: 95 % of the"
-        f" noise, at least {100.0 * TOLERANCE:g} % of the largest term. Last picture of each block: the spectrum. The residual"
+        " noise. Last picture of each block: the spectrum. The residual"
         " of a correct model stays within the noise and depends on no signal."
     )
     return [page.paragraph(note), *(page.figures([panel]) for panel in panels), page.left_out(panels)]
@@ -207,23 +207,23 @@ def _sensitivity(found: Diagnosis) -> list[str]:
                 " were not named. For effects with a threshold, such as play or a stop, no such size can be predicted."
             )
         )
+        # An effect that can be fitted in several ways says the same of a parameter that they share.
         rows: list[Row] = [
             [
-                Entry(item.name, words(item.name).noun),
-                Entry(item.parameter, findings.parameter_meaning(item.name, item.parameter), prose=True),
-                findings.smallest_text(item),
+                Entry(name, words(name).noun),
+                Entry(parameter, findings.parameter_meaning(name, parameter)),
+                smallest,
             ]
-            for item in items
+            for name, parameter, smallest in dict.fromkeys((i.name, i.parameter, findings.smallest_text(i)) for i in items)
         ]
         blocks.append(page.table(["effect", "parameter", "smallest detectable size"], rows))
     stages = [(stage, result) for stage, result in found.stages.items() if not result.judged]
     if (stages or found.not_judged) and found.verdict != "insufficient":
-        named = [(Entry(STAGE_NAMES[stage]), result.why_not) for stage, result in stages]
-        named += [(Entry(name, words(name).noun), why) for name, why in found.not_judged.items()]
-        unjudged: list[Row] = [[what, Entry(why, prose=True)] for what, why in named]
+        named: list[Row] = [[STAGE_NAMES[stage], result.why_not] for stage, result in stages]
+        named += [[Entry(name, words(name).noun), why] for name, why in found.not_judged.items()]
         blocks += [
             page.paragraph("Could not be evaluated from this recording:"),
-            page.table(["stage or effect", "reason"], unjudged),
+            page.table(["stage or effect", "reason"], named),
         ]
     return blocks
 

@@ -109,7 +109,7 @@ def _channels(baseline: BaselineSummary) -> list[str]:
         ]
         for channel, item in baseline.channels.items()
     ]
-    header = ["stage of the model", "fitted model", "less the rig's own remainder", "noise floor", "allowed for"]
+    header = ["stage of the model", "fitted model", "less the rig's own remainder", "noise", "allowed for"]
     text = (
         f"The rig file was fitted to {listed(list(baseline.recordings))}. What the fit leaves there is the rig's own remainder;"
         " what it was learnt from leaves out one block after the other. Allowed for: how far the new recording may be off"

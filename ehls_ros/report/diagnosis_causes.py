@@ -7,7 +7,7 @@ from ehls_ros.report import page
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
 from ehls_ros.report.diagnosis_residuals import over_signal, over_time, remaining
 from ehls_ros.report.diagnosis_shares import share_bars
-from ehls_ros.report.diagnosis_units import estimate, likely, percent, quantity
+from ehls_ros.report.diagnosis_units import likely, percent, quantity
 from ehls_ros.report.diagnosis_views import view_of_cause, views_of_rest
 from ehls_ros.report.page import Entry, Row, listed, number
 
@@ -15,10 +15,31 @@ RIVALS = 4
 """Largest number of rivals listed for a cause."""
 
 
-def before_and_after(found: Diagnosis) -> list[str]:
-    """Show the residuals that the causes explain, without and with them."""
-    channels = dict.fromkeys(cause.channel for cause in found.causes)
-    return [page.figures(over_time(found, channel) for channel in channels if channel in found.traces)]
+def measured_and_simulated(found: Diagnosis) -> list[str]:
+    """Show over time what is measured and what the models make of it, where the error is; else the force balance."""
+    channels = [cause.channel for cause in found.causes if cause.channel in found.traces]
+    channels += [view.channel for view in views_of_rest(found)]
+    channels = channels or [channel for channel in ("force", *found.traces) if channel in found.traces][:1]
+    drawn = page.figures(over_time(found, channel) for channel in dict.fromkeys(channels))
+    return [drawn, page.paragraph(findings.noise_meaning(found))] if drawn else []
+
+
+def what_to_do(found: Diagnosis) -> list[str]:
+    """Show what to do next: for each cause from its own file, for an unknown one by the signals it depends on."""
+    blocks = []
+    if found.causes:
+        rows: list[Row] = [
+            [Entry(cause.name, said.noun), said.inspect, said.measure, said.change]
+            for cause in found.causes
+            for said in [words(cause.name)]
+        ]
+        blocks.append(page.table(["cause", "look at the rig", "confirm by a measurement", "then change"], rows))
+    blocks += [page.bullets(steps)] if (steps := findings.next_steps(found)) else []
+    if found.verdict == "insufficient":
+        needed: list[Row] = [[stage, needs, excitation] for stage, needs, excitation in findings.to_record(found)]
+        blocks.append(page.table(["stage of the model", "signals it needs", "excitation it needs"], needed))
+    places: list[Row] = list(findings.where_to_look(found))
+    return [*blocks, page.table(["the error depends on", "look at"], places)] if places else blocks
 
 
 def shares(found: Diagnosis) -> list[str]:
@@ -41,27 +62,26 @@ def shares(found: Diagnosis) -> list[str]:
 
 
 def causes(found: Diagnosis) -> list[str]:
-    """Show the named causes: the residual each one explains, its equation, and what to check on the rig."""
+    """Show the named causes: the residual each one explains, and its equation."""
     views = dict.fromkeys(view for cause in found.causes if (view := view_of_cause(found, cause)) is not None)
     blocks = [page.figures(over_signal(found, view), columns=2) for view in views]
     if found.causes:
         about: list[Row] = [
             [
                 cause.name,
-                Entry(findings.meaning(cause.name), prose=True),
-                Entry(EFFECTS.load(cause.name).EQUATION, prose=True),
-                Entry(words(cause.name).check, prose=True),
+                findings.meaning(cause.name),
+                EFFECTS.load(cause.name).EQUATION,
             ]
             for cause in found.causes
         ]
-        blocks.append(page.table(["cause", "meaning", "equation", "to check on the rig"], about))
+        blocks.append(page.table(["cause", "meaning", "equation"], about))
     return blocks
 
 
 def _parameters(cause: Cause) -> list[Row]:
     rows: list[Row] = []
     sure = "" if cause.sigmas <= 0.0 else f"{number(min(cause.sigmas, 1e6), 2)} standard errors from neutral"
-    for index, (name, fitted) in enumerate(cause.parameters.items()):
+    for index, (name, found) in enumerate(cause.parameters.items()):
         first = index == 0
         rows.append(
             [
@@ -69,14 +89,14 @@ def _parameters(cause: Cause) -> list[Row]:
                 STAGE_NAMES[cause.stage] if first else "",
                 likely(cause.probability) if first else "",
                 "" if cause.share is None or not first else percent(cause.share),
-                Entry(name, findings.parameter_meaning(cause.name, name), prose=True),
-                estimate(fitted),
-                f"{fitted.value:.5g} ± {fitted.std:.2g} {'' if fitted.unit == '1' else fitted.unit}".rstrip(),
+                Entry(name, findings.parameter_meaning(cause.name, name)),
+                findings.fitted(cause.name, name, found),
+                f"{found.value:.5g} ± {found.std:.2g} {'' if found.unit == '1' else found.unit}".rstrip(),
                 sure if first else "",
             ]
         )
     for name, fixed in cause.fixed.items():
-        parameter = Entry(name, findings.parameter_meaning(cause.name, name), prose=True)
+        parameter = Entry(name, findings.parameter_meaning(cause.name, name))
         rows.append(["", "", "", "", parameter, "fixed", f"{fixed:g}", ""])
     return rows
 
@@ -92,8 +112,8 @@ def rivals(found: Diagnosis) -> list[str]:
                 Entry(rival.name, words(rival.name).noun),
                 "equal" if rival.name in cause.equivalent_to else findings.odds(rival),
                 percent(rival.closed_fraction),
-                Entry(findings.parameters_text(rival.parameters, 2), prose=True),
-                Entry(findings.why_lost(cause, rival), prose=True),
+                findings.parameters_text(rival.name, rival.parameters, 2),
+                findings.why_lost(cause, rival),
             ]
             for rival in cause.rivals[:RIVALS]
         ]
@@ -110,7 +130,7 @@ def rivals(found: Diagnosis) -> list[str]:
 
 
 def unexplained(found: Diagnosis) -> list[str]:
-    """Show an error that no effect explains: what it depends on, and where to look."""
+    """Show an error that no effect explains, and what it depends on."""
     if found.verdict not in ("partial", "unknown") or found.unknown_stage is None:
         return []
     blocks = [page.figures(remaining(found, views_of_rest(found)), columns=2)]
@@ -127,23 +147,7 @@ def unexplained(found: Diagnosis) -> list[str]:
         )
     blocks.append(page.paragraph(text))
     if found.partial:
-        rows: list[Row] = [[Entry(name, words(name).noun), Entry(findings.meaning(name), prose=True)] for name in found.partial]
+        rows: list[Row] = [[Entry(name, words(name).noun), findings.meaning(name)] for name in found.partial]
         blocks.append(page.paragraph("Explains a fraction of it, too little to be named as the cause:"))
         blocks.append(page.table(["effect", "meaning"], rows))
-    places: list[Row] = [[on, Entry(place, prose=True)] for on, place in findings.where_to_look(found)]
-    return [*blocks, page.table(["depends on", "look at"], places)]
-
-
-def insufficient(found: Diagnosis) -> list[str]:
-    """Show what the data lack."""
-    if found.verdict != "insufficient":
-        return []
-    text = (
-        "A stage of the model can be evaluated if its signals are recorded and excited. The best recording has all signals at"
-        " 1 kHz for a minute, with slow and fast, small and large motions in both directions under a changing load."
-    )
-    rows: list[Row] = [
-        [stage, Entry(needs, prose=True), Entry(excitation, prose=True)]
-        for stage, needs, excitation in findings.to_record(found)
-    ]
-    return [page.paragraph(text), page.table(["stage of the model", "signals it needs", "excitation it needs"], rows)]
+    return blocks

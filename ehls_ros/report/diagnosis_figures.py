@@ -65,7 +65,7 @@ LAST: Mapping[str, str] = {"volume": "load_pressure_rate_pa_s", "supply": "load_
 
 
 def stage_bars(found: Diagnosis) -> Panel | LeftOut:
-    """Draw the residual of each stage with both models, beside the noise floor."""
+    """Draw the residual of each stage with both models, beside the noise."""
     title = "Residual of each stage"
     evaluated = [(stage, result) for stage, result in found.stages.items() if result.judged]
     if not evaluated:
@@ -74,7 +74,7 @@ def stage_bars(found: Diagnosis) -> Panel | LeftOut:
     columns: list[tuple[str, str, list[float | None]]] = [
         (before_name(found), VERMILION, [result.nrmse_before for _, result in evaluated]),
         *([(after_name(found), BLUE, [r.nrmse_after for _, r in evaluated])] if compares(found) else []),
-        ("noise floor", GREEN, [result.noise_floor for _, result in evaluated]),
+        ("noise", GREEN, [result.noise_floor for _, result in evaluated]),
     ]
     largest = max((value for *_, values in columns for value in values if value is not None), default=0.0)
     traces: list[Trace] = [

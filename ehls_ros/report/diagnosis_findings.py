@@ -6,17 +6,18 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival, Sensitivity, StageResult
+from ehls_ros.diagnosis.rules import TOLERANCE
 from ehls_ros.diagnosis.stage_results import NEEDED_MOTION, NEEDED_SIGNALS
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Words
-from ehls_ros.report.diagnosis_units import change, estimate, percent, quantity
+from ehls_ros.report.diagnosis_units import change, estimate, percent, quantity, value
 from ehls_ros.report.page import listed, number
 from ehls_ros.schema import declarations
 
-CLOSED = 1.2
-"""Ratio of residual to noise floor up to which a balance is said to close to the noise."""
+AT_NOISE = 1.5
+"""Ratio of residual to noise up to which a balance is said to close to the noise, or to hold only noise."""
 
 IN_A_SENTENCE = 2
 """Largest number of causes, or of signals, that the sentence of the verdict lists."""
@@ -29,9 +30,6 @@ LIKELY = 0.5
 
 HOPELESS = 1e6
 """Odds above which a rival is out of the question, however large they are."""
-
-LEAKY = 1.5
-"""Ratio of residual to noise floor above which the form of the extended model is doubted."""
 
 STAGE_NAMES: Mapping[Stage, str] = {
     "force_balance": "force balance",
@@ -58,6 +56,16 @@ CHANNEL_SHORT: Mapping[Channel, str] = {
     "velocity": "velocity sensor",
 }
 
+MEASURED: Mapping[Channel, str] = {
+    "spool": "spool",
+    "volume": "flow taken up",
+    "supply": "supply pressure",
+    "force": "driving force",
+    "cell": "force",
+    "velocity": "velocity",
+}
+"""What is measured in each channel, as the axis of its figure names it."""
+
 COMPARED: Mapping[Stage, str] = {
     "force_balance": "force balance (3), with friction simulated along the recorded motion",
     "flow": "volume balance (1), (2) of recorded spool, pressure and motion; supply pressure",
@@ -82,9 +90,28 @@ def parameter_meaning(effect: str, parameter: str) -> str:
     return next((d.description for d in declarations(EFFECTS.load(effect).Parameters) if d.name == parameter), "")
 
 
-def parameters_text(parameters: Mapping[str, Estimate], digits: int = 1) -> str:
-    """Write the parameters of a cause within a sentence."""
-    return ", ".join(f"{name.replace('_', ' ')} {estimate(e, digits)}" for name, e in parameters.items())
+def parameters_text(effect: str, parameters: Mapping[str, Estimate], digits: int = 1) -> str:
+    """Write the parameters of an effect within a sentence."""
+    return ", ".join(f"{name.replace('_', ' ')} {fitted(effect, name, e, digits)}" for name, e in parameters.items())
+
+
+def fitted(effect: str, parameter: str, e: Estimate, digits: int = 2) -> str:
+    """Write a fitted parameter with its standard error, unless the data do not tell it.
+
+    Args:
+        effect: name of the effect.
+        parameter: name of the parameter.
+        e: its estimate.
+        digits: significant digits of the standard error.
+    """
+    declared = next((d for d in declarations(EFFECTS.load(effect).Parameters) if d.name == parameter), None)
+    low, high = (None, None) if declared is None else (declared.minimum, declared.maximum)
+    width = math.inf if low is None or high is None else high - low
+    if not (math.isfinite(e.std) and e.std < width):
+        return f"{value(e.value, e.unit)}, not determined"
+    if e.value in (low, high) and declared is not None and e.value not in (0.0, declared.default):
+        return f"{value(e.value, e.unit)}, the end of its range"
+    return estimate(e, digits)
 
 
 # --- the verdict -------------------------------------------------------------------------------
@@ -143,7 +170,7 @@ def named(found: Diagnosis, cause: Cause) -> str:
     if len(found.causes) > 1:
         return noun
     others = " or ".join(words(name).noun for name in cause.equivalent_to)
-    beside = [parameters_text(cause.parameters), f"or {others}" if others else ""]
+    beside = [parameters_text(cause.name, cause.parameters), f"or {others}" if others else ""]
     return f"{noun} ({'; '.join(filter(None, beside))})" if any(beside) else noun
 
 
@@ -153,7 +180,7 @@ def _closed_part(found: Diagnosis) -> str:
         return ""
     with_it = "with it" if len(found.causes) == 1 else "with them"
     balances = listed([f"the {STAGE_NAMES[stage]}" for stage, _ in wrong_before])
-    if all((result.nrmse_after or 0.0) <= CLOSED * (result.noise_floor or 0.0) for _, result in wrong_before):
+    if all(at_noise(result) for _, result in wrong_before):
         return f"; {with_it} {balances} close{'s' if len(wrong_before) == 1 else ''} to the noise"
     closed = percent(found.gain.closed_fraction)
     return f"; {with_it} {closed} of the error beyond the noise disappears from {balances}"
@@ -177,16 +204,42 @@ def _unknown_sentence(found: Diagnosis) -> str:
     if found.unknown_stage is None:
         return "The simulation is wrong, and no known effect explains how."
     result = found.stages[found.unknown_stage]
-    size = f"{percent(result.nrmse_before)} of its largest term (noise: {percent(result.noise_floor)})"
-    text = f"The simulation's {STAGE_NAMES[found.unknown_stage]} is wrong by {size}, and no known effect explains how"
+    where = STAGE_NAMES[found.unknown_stage]
+    text = f"The simulation's {where} is wrong by {_size(result)}, and no known effect explains how"
     return f"{text}; the error {depends(found)}."
 
 
 def _consistent_sentence(found: Diagnosis) -> str:
-    assessed = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if result.judged])
-    text = f"The simulation agrees with this recording: only noise remains in {assessed}"
+    judged = [(stage, result) for stage, result in found.stages.items() if result.judged]
+    quiet = [STAGE_NAMES[stage] for stage, result in judged if at_noise(result)]
+    small = [
+        f"no significant error in {STAGE_NAMES[stage]} ({_size(result)})" for stage, result in judged if not at_noise(result)
+    ]
+    said = [f"only noise remains in {listed(quiet)}", *small] if quiet else small
+    text = f"The simulation agrees with this recording: {listed(said)}"
     rest = [STAGE_NAMES[stage] for stage, result in found.stages.items() if not result.judged]
     return f"{text}; the data are insufficient to assess {listed(rest)}." if rest else f"{text}."
+
+
+def at_noise(result: StageResult) -> bool:
+    """Tell whether a stage holds no more than noise when all that is named is in the model."""
+    return (result.nrmse_after or 0.0) <= AT_NOISE * (result.noise_floor or 0.0)
+
+
+def _size(result: StageResult) -> str:
+    return f"{percent(result.nrmse_before)} of its largest term, noise {percent(result.noise_floor)}"
+
+
+def noise_meaning(found: Diagnosis) -> str:
+    """Say what noise is, in every figure, table and sentence of the page."""
+    spread = ", and the natural spread that the baselines show" if found.baseline is not None else ""
+    return (
+        "Noise, everywhere on this page, is how far a right model may be off: by what the sensors' noise does to the balance,"
+        " estimated from the scatter from sample to sample, by what is lost between samples, and by"
+        f" {100.0 * TOLERANCE:g} % of the largest term, the accuracy no model exceeds{spread}. Tables and sentences give its"
+        " rms, figures ±2 times its value, which should hold 95 % of the residual. A signal that really moves as fast as it is"
+        " sampled counts as noisy: then the residual stays well below."
+    )
 
 
 def gain_sentence(found: Diagnosis) -> str:
@@ -249,8 +302,7 @@ def left_over(result: StageResult) -> str:
         return "an error remains that no effect explains"
     if result.exceeds:
         return "wrong in the given model, explained by the extension"
-    small = (result.nrmse_after or 0.0) <= LEAKY * (result.noise_floor or 0.0)
-    text = "only noise" if small else "no significant error"
+    text = "only noise" if at_noise(result) else "no significant error"
     if result.incident is not None:
         return f"{text}, except between {result.incident[0]:.1f} and {result.incident[1]:.1f} s"
     return text
@@ -263,9 +315,9 @@ def caveats(found: Diagnosis, remarks: Sequence[str] = ()) -> list[str]:
         if not found.names_causes or not result.judged or result.nrmse_after is None or not result.noise_floor:
             continue
         ratio = result.nrmse_after / result.noise_floor
-        if result.exceeds and ratio > LEAKY:
+        if result.exceeds and not at_noise(result):
             out.append(
-                f"In the {STAGE_NAMES[stage]} {number(ratio, 2)} times the noise floor remains. "
+                f"In the {STAGE_NAMES[stage]} {number(ratio, 2)} times the noise remains. "
                 + (
                     "A correct cause usually leaves less: the true cause may be an effect outside the list. The probability"
                     " allows for this."
@@ -340,6 +392,25 @@ _LOOK_ALWAYS: Mapping[Stage, str] = {
     "valve": "elements with memory: a spool that sticks, a rate limit; hum on the command",
     "sensors": "samples that freeze, missing codes of a converter, cables",
 }
+
+
+def next_steps(found: Diagnosis) -> list[str]:
+    """Return what to do where no cause, or not all of the error, is known, a sentence each."""
+    if found.verdict in ("unknown", "partial") and found.unknown_stage is not None:
+        stage = STAGE_NAMES[found.unknown_stage]
+        return [
+            f"Record the same motion again: an error of the {stage} that is gone was an incident, not the model.",
+            f"Check the rig file's values for the {stage} against data sheets and drawings, or fit them by `ehls identify`.",
+            "Look at the rig where the signals point to, below.",
+            "If you find an effect that the list lacks, write it down as one file (how-to: a new effect) and diagnose again.",
+        ]
+    if found.verdict == "insufficient":
+        return [
+            "Record the signals below together, with the motion that each stage needs.",
+            "Best are all signals at 1 kHz for a minute: slow and fast, small and large motions both ways, the load changing.",
+            "`ehls columns FILE` shows which of a file's columns were understood.",
+        ]
+    return []
 
 
 def where_to_look(found: Diagnosis) -> list[tuple[str, str]]:

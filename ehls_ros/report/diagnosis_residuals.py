@@ -9,7 +9,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import Channel
-from ehls_ros.report.diagnosis_findings import CHANNEL_SHORT, after_name, before_name, capital
+from ehls_ros.report.diagnosis_findings import CHANNEL_SHORT, MEASURED, after_name, before_name, capital, compares
 from ehls_ros.report.diagnosis_units import Shown, quantity, shown_signal, unit_for
 from ehls_ros.report.diagnosis_views import BINS, View, classes, signals_of
 from ehls_ros.report.page import Panel, number
@@ -17,6 +17,7 @@ from ehls_ros.report.plot import (
     BLACK,
     BLUE,
     GREEN,
+    SKY,
     VERMILION,
     Axis,
     Trace,
@@ -65,19 +66,29 @@ class Cloud(NamedTuple):
 
 
 def over_time(found: Diagnosis, channel: Channel) -> Panel:
-    """Draw a channel's residual over time, without and with the causes, and the band of noise."""
+    """Draw what a channel measures and what the models make of it over time, and below the residuals in the band of noise."""
     trace = found.traces[channel]
-    unit = unit_for(trace.unit, float(np.quantile(np.abs(trace.before), 0.98)))
-    traces = band(trace.time, SPREAD * trace.floor, FLOOR, unit)
+    above, below = (unit_for(trace.unit, float(np.quantile(np.abs(v), 0.98))) for v in (trace.measured, trace.before))
     gaps = np.flatnonzero(np.diff(trace.time) > GAP * np.median(np.diff(trace.time))) + 1
     time = np.insert(trace.time, gaps, trace.time[gaps - 1])
-    for name, color, residual in ((before_name(found), VERMILION, trace.before), (after_name(found), BLUE, trace.after)):
-        broken = np.insert(residual, gaps, np.nan)
-        traces.append(time_line(time, broken, f"{name}, {_rms(residual, unit)}", unit, color, width=1.2))
-    layout = time_layout(float(trace.time[-1]), [Axis(f"{CHANNEL_SHORT[channel]}, residual", unit)])
-    title = f"{capital(CHANNEL_SHORT[channel])}, without and with the {'cause' if len(found.causes) == 1 else 'causes'}"
+
+    def broken(values: Array) -> Array:
+        return np.insert(values, gaps, np.nan)
+
+    models = [(before_name(found), VERMILION, "solid", trace.before)]
+    if compares(found):
+        models.append((after_name(found), BLUE, "dash", trace.after))
+    traces = [time_line(time, broken(trace.measured), "measured", above, SKY, width=4.0)]
+    traces += band(trace.time, SPREAD * trace.floor, f"{FLOOR}, {_rms(trace.floor, below)}", below, row=2)
+    for name, color, dash, residual in models:
+        said = f"{name}, residual {_rms(residual, below)}"
+        simulated = time_line(time, broken(trace.simulated(residual)), said, above, color, width=1.3, dash=dash)
+        left = time_line(time, broken(residual), said, below, color, row=2, width=1.2)
+        traces += [simulated | {"legendgroup": name}, left | {"legendgroup": name, "showlegend": False}]
+    rows = [Axis(MEASURED[channel], above), Axis("residual", below)]
+    layout = time_layout(float(trace.time[-1]), rows)
     note = "" if found.baseline is None else "Less what the baselines lead to expect, and what varies without a fault."
-    return Panel(title, traces, layout, note, height=360)
+    return Panel(f"{capital(CHANNEL_SHORT[channel])}, measured and simulated", traces, layout, note, height=460)
 
 
 def _rms(residual: Array, unit: Unit) -> str:

@@ -1,4 +1,4 @@
-"""The bars of a diagnosis: what the causes close of the removable error, each one's share, what remains, the noise."""
+"""The bars of a diagnosis: what the causes close of the removable error, each one's share, and what remains."""
 
 from collections.abc import Mapping
 from html import escape
@@ -9,13 +9,10 @@ from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.report.diagnosis_findings import CHANNEL_SHORT, words
 from ehls_ros.report.diagnosis_units import percent
 from ehls_ros.report.page import Panel
-from ehls_ros.report.plot import BLUE, GREEN, PURE_NUMBER, SKY, VERMILION, Axis, Trace, Unit, plane_layout
+from ehls_ros.report.plot import BLUE, PURE_NUMBER, SKY, VERMILION, Axis, Trace, Unit, plane_layout
 
 ROW_OF_BAR, BAR_WIDTH = 52, 0.5
 """Height of a bar of shares with its label in pixels, and the fraction of it that the bar takes."""
-
-MOST_SHOWN = 2.0
-"""Longest bar that is drawn in full, as a multiple of the removable error; noise may exceed it."""
 
 
 class _Bar(NamedTuple):
@@ -25,12 +22,12 @@ class _Bar(NamedTuple):
     parts: Mapping[str, float]
 
 
-CLOSED, RETURNS, REMAINS, NOISE = "closed by the causes", "returns without that cause", "remains", "noise"
-_PARTS = ((CLOSED, BLUE), (RETURNS, SKY), (REMAINS, VERMILION), (NOISE, GREEN))
+CLOSED, RETURNS, REMAINS = "closed by the causes", "returns without that cause", "remains"
+_PARTS = ((CLOSED, BLUE), (RETURNS, SKY), (REMAINS, VERMILION))
 
 
 def share_bars(found: Diagnosis) -> Panel | None:
-    """Draw what the causes close of each channel's removable error, what remains, the noise, and the share of each cause."""
+    """Draw what the causes close of each channel's removable error, what remains, and the share of each cause."""
     gains = {} if found.gain is None else found.gain.channels
     bars = [bar for channel, closed in gains.items() for bar in _bars(found, channel, closed)]
     if not bars:
@@ -50,7 +47,7 @@ def share_bars(found: Diagnosis) -> Panel | None:
         for part, color in _PARTS
         if any(part in bar.parts for bar in bars)
     ]
-    longest = min(max(sum(bar.parts.values()) for bar in bars), MOST_SHOWN)
+    longest = max(sum(bar.parts.values()) for bar in bars)
     layout = plane_layout(
         Axis("share of the removable error", Unit("%"), (0.0, 102.0 * max(longest, 1.0))),
         Axis("", PURE_NUMBER, (0.4, len(bars) + 0.8)),
@@ -74,8 +71,8 @@ def share_bars(found: Diagnosis) -> Panel | None:
 def _bars(found: Diagnosis, channel: Channel, gain: ChannelGain) -> list[_Bar]:
     closed = max(gain.closed, 0.0)
     own = [cause for cause in found.causes if cause.channel == channel]
-    sizes = f"{percent(closed)} closed, {percent(1.0 - closed)} remains, noise {percent(gain.noise)}"
-    first = _Bar(f"{CHANNEL_SHORT[channel]}: {sizes}", {CLOSED: closed, REMAINS: 1.0 - closed, NOISE: gain.noise})
+    sizes = f"{percent(closed)} closed, {percent(1.0 - closed)} remains"
+    first = _Bar(f"{CHANNEL_SHORT[channel]}: {sizes}", {CLOSED: closed, REMAINS: 1.0 - closed})
     if len(own) < 2:
         return [first]
     shares = [(words(cause.name).noun, max(cause.share or 0.0, 0.0)) for cause in own]

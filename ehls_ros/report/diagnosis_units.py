@@ -16,6 +16,7 @@ _LENGTH = ((1e-3, Unit("µm", 1e6)), (1.0, Unit("mm", 1e3)), (math.inf, Unit("m"
 _TIME = ((1.0, Unit("ms", 1e3)), (math.inf, Unit("s")))
 _UNITS: Mapping[str, tuple[tuple[float, Unit], ...]] = {
     "m": _LENGTH,
+    "m^2": ((math.inf, Unit("cm²", 1e4)),),
     "s": _TIME,
     "m/s": ((math.inf, Unit("mm/s", 1e3)),),
     "Pa": ((math.inf, Unit("bar", 1e-5)),),
@@ -25,12 +26,13 @@ _UNITS: Mapping[str, tuple[tuple[float, Unit], ...]] = {
     "m^3/(s Pa^0.5)": ((math.inf, Unit("cm³/(s √bar)", 1e6 * math.sqrt(1e5))),),
     "Pa s/m^3": ((math.inf, Unit("bar/(l/min)", 1e-5 / 6e4)),),
     "Pa s^2/m^6": ((math.inf, Unit("bar/(l/min)²", 1e-5 / 6e4**2)),),
-    "N/m": ((math.inf, Unit("N/mm", 1e-3)),),
-    "N/m^2": ((math.inf, Unit("N/mm²", 1e-6)),),
-    "N/m^3": ((math.inf, Unit("N/mm³", 1e-9)),),
-    "N/m^5": ((math.inf, Unit("N/mm⁵", 1e-15)),),
-    "N s/m": ((math.inf, Unit("N s/mm", 1e-3)),),
+    "N/m": ((1e3, Unit("N/m")), (math.inf, Unit("N/mm", 1e-3))),
+    "N/m^2": ((1e6, Unit("N/m²")), (math.inf, Unit("N/mm²", 1e-6))),
+    "N/m^3": ((1e9, Unit("N/m³")), (math.inf, Unit("N/mm³", 1e-9))),
+    "N/m^5": ((1e15, Unit("N/m⁵")), (math.inf, Unit("N/mm⁵", 1e-15))),
+    "N s/m": ((1e3, Unit("N s/m")), (math.inf, Unit("N s/mm", 1e-3))),
     "N s/(m K)": ((math.inf, Unit("N s/(mm K)", 1e-3)),),
+    "1/Pa": ((math.inf, Unit("1/bar", 1e5)),),
     "N/Pa": ((math.inf, Unit("N/bar", 1e5)),),
 }
 ALMOST = 0.9995

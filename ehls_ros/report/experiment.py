@@ -15,13 +15,16 @@ from ehls_ros.report import run_planes as planes
 from ehls_ros.report.decimation import BUCKETS
 from ehls_ros.report.page import MISSING_NUMBER, number
 from ehls_ros.report.run_signals import error_of, known
+from ehls_ros.report.run_statistics import sampling_sentence, statistics
 from ehls_ros.trajectory import Trajectory, steady_error
 
 MOST_EVENTS = 200
 """Most lines of what was done to a run."""
 
 
-def write_experiment_report(trajectory: Trajectory, metrics: Metrics | None, path: Path, events: Sequence[Event] = ()) -> None:
+def write_experiment_report(
+    trajectory: Trajectory, metrics: Metrics | None, path: Path, events: Sequence[Event] = (), name: str = "Experiment"
+) -> None:
     """Write one self-contained HTML file that shows a run.
 
     Args:
@@ -31,6 +34,7 @@ def write_experiment_report(trajectory: Trajectory, metrics: Metrics | None, pat
         metrics: metrics of the run; None for a recording without a reference.
         path: file to write; its folder must exist.
         events: what was done to the run.
+        name: heading of a recording without a title, such as its file's name.
     """
     sentence, good = summary(trajectory, metrics)
     motion, position_error = drawn.motion(trajectory), drawn.position_error(trajectory)
@@ -59,19 +63,20 @@ def write_experiment_report(trajectory: Trajectory, metrics: Metrics | None, pat
     configuration = {key: metadata[key] for key in ("rig", "spec", "versions") if key in metadata}
     page.write_page(
         path,
-        title=str(metadata.get("title") or "Experiment"),
+        title=str(metadata.get("title") or name),
         subtitle=_subtitle(trajectory),
         blocks=[
             page.verdict(sentence, good=good),
             *(page.paragraph(f"Warning: {warning}.") for warning in (() if metrics is None else metrics.warnings)),
             _pace(metrics),
-            page.facts(_facts(trajectory, metrics)),
+            page.facts(facts) if (facts := _facts(trajectory, metrics)) else "",
+            page.table(*statistics(trajectory)) if metrics is None else "",
             _resolution(trajectory),
             page.figures(over_time),
             page.figures(beside, columns=2),
             page.left_out([*over_time, *beside]),
             *_done_to(events),
-            page.collapsed("Configuration", page.as_yaml(configuration)),
+            page.collapsed("Configuration", page.as_yaml(configuration)) if configuration else "",
         ],
     )
 
@@ -97,7 +102,7 @@ def summary(trajectory: Trajectory, metrics: Metrics | None) -> tuple[str, bool 
         real time where that was required; None if there is no bound to compare with.
     """
     if metrics is None:
-        return "The recording has no reference, so its tracking error cannot be evaluated.", None
+        return f"{sampling_sentence(trajectory)} There is no reference, so no tracking error can be evaluated.", None
     loop = f"{number(metrics.missed_cycles)} of {number(metrics.cycles)} cycles were missed"
     if not math.isfinite(metrics.max_error_n):
         position_error = steady_error(trajectory, "position_m", "position_reference_m")

@@ -95,7 +95,7 @@ def _coefficients(found: Identification, before: Rig | None) -> list[str]:
                         _named(found, entry.name),
                         findings.symbol(entry.name),
                         Entry(entry.value, heat=0.4),
-                        Entry(entry.reason, prose=True),
+                        entry.reason,
                     ]
                     for entry in missing
                 ],

@@ -38,7 +38,7 @@ class Panel:
         note: how to read the figure, in one or two sentences.
         height: height of the figure in pixels.
         over_time: the horizontal axis is the time of the run; all such figures zoom together.
-        least_width: width in pixels below which the figure scrolls instead of shrinking.
+        least_width: width in pixels below which a figure of several pictures has fewer of them side by side.
     """
 
     title: str
@@ -71,13 +71,11 @@ class Entry:
         text: first line.
         beside: second line, such as a value to compare with.
         heat: shade, from -1 (far better, blue) over 0 (none) to 1 (far worse, orange).
-        prose: a sentence: aligned left, with line breaks.
     """
 
     text: str
     beside: str = ""
     heat: float = 0.0
-    prose: bool = False
 
 
 def number(value: object, digits: int = 3) -> str:
@@ -148,12 +146,12 @@ def sections(parts: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
 
 def paragraph(text: str) -> str:
     """Make a paragraph."""
-    return f"<p>{escape(text)}</p>"
+    return f"<p>{_said(text)}</p>"
 
 
 def bullets(texts: Iterable[str]) -> str:
     """Make a list of short texts."""
-    return f"<ul>{''.join(f'<li>{escape(text)}</li>' for text in texts)}</ul>"
+    return f"<ul>{''.join(f'<li>{_said(text)}</li>' for text in texts)}</ul>"
 
 
 def facts(items: Iterable[tuple[str, str]]) -> str:
@@ -171,42 +169,71 @@ Row = Sequence[str | Entry]
 
 
 def table(header: Sequence[str], rows: Sequence[Row]) -> str:
-    """Make a table whose first column names the row. On a narrow screen it becomes a list, unless shades are to be compared.
+    """Make a table whose first column names the row: words stand on the left of their column, figures on the right.
+
+    On a narrow screen a table that is wider becomes a list.
 
     Args:
         header: one title a column.
         rows: one text or entry a cell.
     """
-    prose = {place for row in rows for place, cell in enumerate(row) if isinstance(cell, Entry) and cell.prose}
-    head = "".join(
-        f'<th scope="col"{_PROSE if place in prose else ""}>{escape(cell)}</th>' for place, cell in enumerate(header)
-    )
-    listed = not any(isinstance(cell, Entry) and cell.heat for row in rows for cell in row)
-    columns = [f' data-column="{escape(title)}"' if listed and title else "" for title in header[1:]]
+    columns = list(zip(*[[_text(cell) for cell in row] for row in rows], strict=True)) or [()] * len(header)
+    kinds = [' class="words"' if place and not _figures(texts) else "" for place, texts in enumerate(columns)]
+    listed = _width(header, columns) > NARROW
+    head = "".join(f'<th scope="col"{kind}>{escape(title)}</th>' for title, kind in zip(header, kinds, strict=True))
+    named = [f' data-column="{escape(title)}"' if listed and title else "" for title in header]
     body = "".join(
-        f'<tr><th scope="row">{_cell(row[0])[1]}</th>'
+        f'<tr><th scope="row">{_inner(row[0])}</th>'
         + "".join(
-            f"<td{column}{style}>{inner}</td>" for column, (style, inner) in zip(columns, map(_cell, row[1:]), strict=True)
+            f"<td{name}{kind}{_shade(cell)}>{_inner(cell)}</td>"
+            for cell, name, kind in zip(row[1:], named[1:], kinds[1:], strict=True)
         )
         + "</tr>"
         for row in rows
     )
-    kind = ' class="listed"' if listed else ""
-    return f'<div class="wide"><table{kind}><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    return (
+        f'<div class="wide"><table{LISTED if listed else ""}><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    )
 
 
-_PROSE = ' class="prose"'
+NARROW, CHARACTER, PADDING = 340, 7.5, 17
+"""Width of a table on a narrow screen, of a character in it, and of the padding of a cell, in pixels."""
+
+LISTED = ' class="listed"'
+_FIGURE = re.compile(r"[<>≈▲±+−\-\s]*\d|–$")
 
 
-def _cell(cell: str | Entry) -> tuple[str, str]:
-    if isinstance(cell, str):
-        return "", escape(cell)
-    beside = f"<small>{escape(cell.beside)}</small>" if cell.beside else ""
+def _text(cell: str | Entry) -> str:
+    return cell if isinstance(cell, str) else cell.text
+
+
+def _figures(texts: Sequence[str]) -> bool:
+    """Tell whether a column holds figures: most of its cells begin with one."""
+    filled = [text for text in texts if text]
+    return 2 * sum(bool(_FIGURE.match(text)) for text in filled) > len(filled)
+
+
+def _width(header: Sequence[str], columns: Sequence[Sequence[str]]) -> float:
+    """Return about how many pixels a table is wide whose figures stay in one line and whose titles break between words."""
+    longest = [max([0, *map(len, texts), *map(len, title.split())]) for title, texts in zip(header, columns, strict=True)]
+    return sum(CHARACTER * count + PADDING for count in longest)
+
+
+def _shade(cell: str | Entry) -> str:
+    if isinstance(cell, str) or not cell.heat:
+        return ""
     color = "213, 94, 0" if cell.heat > 0 else "0, 114, 178"
-    style = f' style="background: rgba({color}, {0.5 * min(abs(cell.heat), 1.0):.2f})"' if cell.heat else ""
-    if cell.prose:
-        style += _PROSE
-    return style, escape(cell.text) + beside
+    return f' style="background: rgba({color}, {0.5 * min(abs(cell.heat), 1.0):.2f})"'
+
+
+def _inner(cell: str | Entry) -> str:
+    beside = f"<small>{_said(cell.beside)}</small>" if isinstance(cell, Entry) and cell.beside else ""
+    return _said(_text(cell)) + beside
+
+
+def _said(text: str) -> str:
+    """Return a text as HTML; what stands between backticks is code."""
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
 
 
 def figures(panels: Iterable[Panel | LeftOut], *, columns: int = 1) -> str:
@@ -225,12 +252,18 @@ def figures(panels: Iterable[Panel | LeftOut], *, columns: int = 1) -> str:
 
 
 def left_out(panels: Iterable[Panel | LeftOut]) -> str:
-    """Name the figures that could not be drawn, one per line."""
-    return "".join(
-        f'<p class="left-out"><b>{escape(panel.title)}</b> is left out: {escape(panel.reason)}.</p>'
-        for panel in panels
-        if isinstance(panel, LeftOut)
+    """Name the figures that could not be drawn, one per line; more than a few open on a click."""
+    missing = [panel for panel in panels if isinstance(panel, LeftOut)]
+    lines = "".join(
+        f'<p class="left-out"><b>{escape(panel.title)}</b> is left out: {escape(panel.reason)}.</p>' for panel in missing
     )
+    if len(missing) <= A_FEW:
+        return lines
+    return f"<details><summary>{len(missing)} figures are left out for want of signals</summary>{lines}</details>"
+
+
+A_FEW = 3
+"""Most figures left out that are named without a click."""
 
 
 def _figure(panel: Panel) -> str:
@@ -239,7 +272,7 @@ def _figure(panel: Panel) -> str:
     kind = "figure over-time" if panel.over_time else "figure"
     return (
         f"<section><header><h2>{escape(panel.title)}</h2>{note}</header>"
-        f'<div class="{kind}" style="height: {panel.height}px; min-width: {panel.least_width}px"></div>'
+        f'<div class="{kind}" data-least-width="{panel.least_width}" style="height: {panel.height}px"></div>'
         f'<script type="application/json">{description.replace("<", chr(92) + "u003c")}</script></section>'
     )
 

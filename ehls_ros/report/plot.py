@@ -158,7 +158,7 @@ def time_line(
     return line(time[kept], values[kept], name, unit, color, row=row, width=width, dash=dash)
 
 
-def band(time: NDArray[np.float64], half_width: NDArray[np.float64], name: str, unit: Unit) -> list[Trace]:
+def band(time: NDArray[np.float64], half_width: NDArray[np.float64], name: str, unit: Unit, *, row: int = 1) -> list[Trace]:
     """Shade the region between plus and minus a bound.
 
     Args:
@@ -166,13 +166,14 @@ def band(time: NDArray[np.float64], half_width: NDArray[np.float64], name: str, 
         half_width: the bound in the trajectory's unit, shape (n,); gaps are bridged.
         name: entry in the legend.
         unit: unit to show it in.
+        row: row of the figure, 1 on top.
 
     Returns:
         Two plotly traces, the lower and the upper edge.
     """
     known = np.isfinite(half_width)
-    lower = time_line(time[known], -half_width[known], name, unit, GREY, width=0.8)
-    upper = time_line(time[known], half_width[known], name, unit, GREY, width=0.8)
+    lower = time_line(time[known], -half_width[known], name, unit, GREY, row=row, width=0.8)
+    upper = time_line(time[known], half_width[known], name, unit, GREY, row=row, width=0.8)
     fill = {"fill": "tonexty", "fillcolor": "rgba(0, 158, 115, 0.16)"}
     return [lower | _SILENT, upper | fill]
 

@@ -359,5 +359,5 @@ def off_by(robustness: Robustness, nominal_n: float | None) -> Panel:
         Axis("coefficient", plot.PURE_NUMBER, (0.4, len(names) + 0.6), names=tuple(name.replace("_", " ") for name in names)),
     )
     title = "One coefficient of the rig off"
-    height = 110 + 21 * len(names)
+    height = 160 + 21 * len(names)
     return Panel(title, traces, layout, "Largest error over all cells.", height=height, over_time=False)

@@ -87,9 +87,13 @@ def verdict_sentence(results: Results) -> tuple[str, bool | None]:
     if short:
         named = [f"{row.reference} ({_instead(row.best_width_percent, row.paper_percent)} %)" for row in short]
         parts.append(f"GMS gains less over the best Stribeck curve than in the paper: {listed(named)}")
+    draws = None if results.beyond is None else results.beyond.robustness.draws
+    lost = 0 if draws is None else draws.diverged
+    if draws is not None and lost:
+        parts.append(f"{FASMC_2} loses the force on {lost} of {number(draws.count)} rigs that differ from the controller's")
     if not parts:
         return "No cell can be compared with the paper.", None
-    return "; ".join(parts) + ".", not above and not short and ranked == of
+    return "; ".join(parts) + ".", not above and not short and not lost and ranked == of
 
 
 def is_short(percent: float, row: Reduction) -> bool:

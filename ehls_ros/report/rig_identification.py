@@ -108,8 +108,7 @@ def _short(path: str, estimate: Estimate) -> list[str | Entry]:
 
 def _not_told(found: RigIdentification, before: Rig) -> list[str]:
     rows: list[list[str | Entry]] = [
-        [path, Entry(as_shown(read(before, path))), Entry(reason, prose=True)]
-        for path, reason in found.not_identifiable.items()
+        [path, Entry(as_shown(read(before, path))), reason] for path, reason in found.not_identifiable.items()
     ]
     return [table(["coefficient", "in the rig file", "why"], rows)] if rows else []
 

@@ -42,6 +42,7 @@ from ehls_ros.report.run_signals import (
     WITHOUT_VISCOUS,
     columns_of,
     error_of,
+    force_unit,
     known,
     largest_of,
     missing_reason,
@@ -59,18 +60,18 @@ RASTER_COLUMNS = 1500
 
 def force_tracking(run: Trajectory) -> Panel | LeftOut:
     """Draw force and reference, and the disturbance behind them."""
-    title = "Force tracking"
+    title = "Force"
     if missing := missing_reason(run, "force_n"):
         return LeftOut(title, missing)
-    time = since_start(run)
+    time, unit = since_start(run), force_unit(run)
     traces: list[Trace] = []
     if known(run, "disturbance_force_n"):
-        traces.append(time_line(time, run["disturbance_force_n"], "disturbance", KILONEWTON, ORANGE, width=1.2))
-    traces.append(time_line(time, run["force_n"], "force", KILONEWTON, BLUE, width=2.2))
+        traces.append(time_line(time, run["disturbance_force_n"], "disturbance", unit, ORANGE, width=1.2))
+    traces.append(time_line(time, run["force_n"], "force", unit, BLUE, width=2.2))
     if known(run, "force_reference_n"):
         reference = run["force_reference_n"]
-        traces.append(time_line(time, reference, "reference", KILONEWTON, BLACK, width=1.2, dash="dash"))
-    return Panel(title, traces, time_layout(time[-1], [Axis("force", KILONEWTON)]), height=290)
+        traces.append(time_line(time, reference, "reference", unit, BLACK, width=1.2, dash="dash"))
+    return Panel(title, traces, time_layout(time[-1], [Axis("force", unit)]), height=290)
 
 
 def force_error(run: Trajectory, convergence_s: float | None) -> Panel | LeftOut:

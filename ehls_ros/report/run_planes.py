@@ -11,7 +11,6 @@ from ehls_ros.report.plot import (
     BLUE,
     CYCLES,
     GREEN,
-    KILONEWTON,
     MEGAPASCAL,
     MEGAPASCAL_PER_SECOND,
     MICROSECOND,
@@ -31,6 +30,7 @@ from ehls_ros.report.plot import (
 from ehls_ros.report.run_signals import (
     PLANE_SAMPLES,
     WITHOUT_VISCOUS,
+    force_unit,
     known,
     largest_of,
     last_samples,
@@ -132,8 +132,8 @@ def force_against_position(run: Trajectory) -> Panel | LeftOut:
     title = "Force against position"
     if missing := missing_together(run, last_samples(run), "force_n", "position_m"):
         return LeftOut(title, missing)
-    steady = last_samples(run)
+    steady, unit = last_samples(run), force_unit(run)
     position = run["position_m"][steady] * MILLIMETRE.factor
-    traces = [line(position, run["force_n"][steady], "force", KILONEWTON, BLUE, width=1.3)]
-    layout = plane_layout(Axis("position", MILLIMETRE), Axis("force", KILONEWTON))
+    traces = [line(position, run["force_n"][steady], "force", unit, BLUE, width=1.3)]
+    layout = plane_layout(Axis("position", MILLIMETRE), Axis("force", unit))
     return Panel(title, traces, layout, f"The {last_seconds(run)}.", height=340, over_time=False)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.report.page import Configuration, number
+from ehls_ros.report.plot import KILONEWTON, NEWTON, Unit
 from ehls_ros.trajectory import Trajectory
 
 PLANE_SAMPLES = 10_000
@@ -105,6 +106,11 @@ def largest_of(values: NDArray[np.float64]) -> float:
     """Return the largest finite magnitude, 0 where there is none."""
     known = np.abs(values[np.isfinite(values)])
     return float(known.max()) if known.size else 0.0
+
+
+def force_unit(run: Trajectory) -> Unit:
+    """Return the unit the force is shown in."""
+    return KILONEWTON if largest_of(run["force_n"]) >= 1.0 / KILONEWTON.factor else NEWTON
 
 
 def last_samples(run: Trajectory) -> slice:

@@ -17,6 +17,8 @@ from ehls_ros.experiments import consequences as follows
 from ehls_ros.experiments.spec import load_rig, load_spec
 from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.load import load
+from ehls_ros.report.diagnosis_units import percent
+from ehls_ros.report.page import number
 
 ROOT = Path(__file__).parents[2]
 RIG = ROOT / "config" / "rig_paper_measured.yaml"
@@ -68,6 +70,7 @@ def test_diagnosis_json_keeps_the_contract(diagnosed):
     assert set(result["stages"]) == STAGES
     assert (result["seed"], result["extended_rig"]) == (3, "rig_extended.yaml")
     cause = result["causes"][0]
+    assert cause["advice"].keys() == {"inspect", "measure", "change"}
     assert set(cause) >= {"name", "probability", "equivalent_to", "stage", "parameters", "evidence"}
     assert (cause["name"], cause["stage"]) == ("coulomb_shift", "force_balance")
     assert cause["parameters"]["offset"]["value"] == pytest.approx(OFFSET, rel=0.02)
@@ -86,6 +89,27 @@ def test_diagnosis_json_keeps_the_contract(diagnosed):
     judged = result["stages"]["force_balance"]
     assert judged["judged"]
     assert judged["nrmse_before"] > 10.0 * judged["nrmse_after"]
+
+
+def test_noise_is_the_same_in_every_number(diagnosed):
+    out, found = diagnosed
+    trace, stage = found.traces["force"], found.stages["force_balance"]
+    noise, before, after = (float(np.sqrt(np.mean(values**2))) for values in (trace.floor, trace.before, trace.after))
+    assert noise / trace.size == pytest.approx(stage.noise_floor) == found.gain.noise_floor
+    assert (before / trace.size, after / trace.size) == pytest.approx((stage.nrmse_before, stage.nrmse_after))
+    assert after < 1.5 * noise, "what is said to close to the noise does"
+    assert np.mean(np.abs(trace.after) < 2.0 * trace.floor) > 0.95
+    page = re.sub(r"\s+", " ", (out / "report.html").read_text())
+    assert f"noise, 95 %, rms {number(noise, 2)} N" in page
+    assert f"of its largest term, noise {percent(stage.noise_floor)};" in page
+    assert f">{percent(stage.noise_floor)}</td>" in page
+
+
+def test_measured_is_what_was_recorded(diagnosed, recording):
+    trace, run = diagnosed[1].traces["force"], load(recording)
+    area = load_rig(RIG).plant.piston_area
+    recorded = area * np.interp(trace.time, run.time_s, run["load_pressure_pa"])
+    assert trace.measured == pytest.approx(recorded, abs=0.02 * np.ptp(recorded))
 
 
 def test_it_says_more_than_the_contract_asks_for(diagnosed):
@@ -121,7 +145,7 @@ def test_json_is_the_last_line(again, capsys):
     out = capsys.readouterr().out.strip().splitlines()
     assert json.loads(out[-1]) == result
     assert re.match(r"The simulation has the Coulomb friction \(offset −23[345]\S* ± \S+ N\) wrong", out[0])
-    assert any("coulomb_shift" in line for line in out)
+    assert any("to confirm coulomb_shift: record a slow stroke" in line for line in out)
     assert any("report.html" in line for line in out)
 
 

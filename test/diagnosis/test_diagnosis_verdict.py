@@ -482,14 +482,14 @@ def test_an_estimate_is_uncertain_by_its_form(value, neutral, form):
 
 def test_the_gain_is_the_power_that_is_gone():
     evidence, found = searched()
-    held_out = gain(evidence, found.best, 0)
+    held_out = gain(evidence, found.best, {"force": 0.02}, 0)
     assert held_out.channel == "force"
     # Noise of 1 and an error of 3: nine tenths of the power can be removed, and are.
     assert held_out.closed_fraction == pytest.approx(1.0, abs=0.03)
     assert held_out.heldout_nrmse_before == pytest.approx(math.sqrt(10.0) / SIZE, rel=0.1)
     assert held_out.heldout_nrmse_after == pytest.approx(1.0 / SIZE, rel=0.1)
-    assert held_out.noise_floor == pytest.approx(1.0 / SIZE, rel=0.1)
-    assert gain(evidence, nothing(evidence), 0) is None
+    assert held_out.noise_floor == 0.02
+    assert gain(evidence, nothing(evidence), {"force": 0.02}, 0) is None
 
 
 def test_channels_without_an_error_do_not_dilute_the_closed_fraction():
@@ -498,7 +498,7 @@ def test_channels_without_an_error_do_not_dilute_the_closed_fraction():
     idle = np.tile(noise, 20)
     evidence = evidence_of({"force": noise + error, "volume": 1.04 * idle}, {"force": noise, "volume": idle})
     half = assessed((MASS,), {"force": noise + math.sqrt(0.5) * error, "volume": 1.04 * idle}, [1.0])
-    found = gain(evidence, half, 0)
+    found = gain(evidence, half, {"force": 0.02}, 0)
     assert found.channel == "force"
     assert found.closed_fraction == pytest.approx(0.5)
     assert found.channels.keys() == {"force"}

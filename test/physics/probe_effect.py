@@ -12,7 +12,7 @@ from ehls_ros.schema import quantity
 GROUP = "mechanics"
 EQUATION = "see the hooks"
 SOURCE = "a test"
-WORDS = Words("a probe", check="look at every hook")
+WORDS = Words("a probe", inspect="look at every hook", measure="measure them", change="remove it")
 STATES = 1
 REACH = 0.0
 

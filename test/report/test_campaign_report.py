@@ -135,4 +135,7 @@ def test_rank_correlation_sees_order_alone():
 def test_the_verdict_is_good_only_where_every_run_ended_and_converged():
     assert verdict_sentence(results_of((), table(4)))[1]
     assert not verdict_sentence(results_of((), table(2, error=[None, "lost"])))[1]
-    assert not verdict_sentence(results_of((), table(2, convergence_s=[None, 0.1])))[1]
+    sentence, good = verdict_sentence(results_of((), table(2, convergence_s=[0.1, None])))
+    assert "1 never converged, the worst among them" in sentence
+    assert good is False
+    assert verdict_sentence(results_of((), table(2, max_error_n=[None, 5.0])))[1] is None

@@ -12,6 +12,7 @@ from scipy.integrate import trapezoid
 
 from ehls_ros.diagnosis.free_run import Followed, FreeRun
 from ehls_ros.diagnosis.result import Cause, ChannelGain, ChannelTrace, Diagnosis, Gain, Rival, Sensitivity, StageResult
+from ehls_ros.diagnosis.stages import SENSED
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.consequences import NOTHING, Consequences
 from ehls_ros.experiments.controller_benefit import BenefitCase, ControllerBenefit, Steady
@@ -19,16 +20,28 @@ from ehls_ros.experiments.next_experiment import NextExperiment, Pair, Proposal
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Words
+from ehls_ros.physics.friction.gms import Parameters as Gms
+from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import EffectUse
 from ehls_ros.report import diagnosis_figures as drawn
 from ehls_ros.report import diagnosis_units as units
 from ehls_ros.report.diagnosis import write_diagnosis_report
-from ehls_ros.report.diagnosis_findings import caveats, left_over, verdict_sentence, where_to_look
+from ehls_ros.report.diagnosis_findings import (
+    CHANNEL_SHORT,
+    MEASURED,
+    caveats,
+    fitted,
+    left_over,
+    verdict_sentence,
+    where_to_look,
+)
 from ehls_ros.report.diagnosis_views import view_of_cause
 
 RIG = load_rig(Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml")
 DEAD_ZONE = {"positive": Estimate(91.2e-6, 0.4e-6, "m"), "negative": Estimate(80.1e-6, 0.5e-6, "m")}
 WINDOWS = 3000
+FRICTION_KEYS = Gms._fields
+ADVICE = EFFECTS.load("valve_dead_zone").WORDS[1:4]
 RIVAL = Rival("valve_gain_shift", 180.0, 0.52, {"flow_gain": Estimate(0.947, 0.002, "1")})
 TWIN = Rival("valve_hysteresis", 1.0, 0.97, {"width": Estimate(150e-6, 2e-6, "m")})
 CAUSE = Cause("valve_dead_zone", 0.999, (), "valve", "valve", DEAD_ZONE, {}, 5000.0, 230.0, (RIVAL,), "volume")
@@ -53,9 +66,8 @@ def make_traces():
         noise = level * rng.standard_normal((3, WINDOWS))
         missing = -size * np.clip(spool / 85e-6, -1.0, 1.0)
         after = noise[0] if size else missing + noise[0]
-        traces[channel] = ChannelTrace(
-            channel, unit, time, missing + noise[0], after, np.full(WINDOWS, level), noise[1], against
-        )
+        before, floor, measured = missing + noise[0], np.full(WINDOWS, level), 300.0 * level * np.sin(time)
+        traces[channel] = ChannelTrace(channel, unit, 100.0 * level, time, measured, before, after, floor, noise[1], against)
     return traces
 
 
@@ -219,7 +231,7 @@ def test_two_causes_in_one_stage_are_doubted(stage, said):
 @pytest.mark.parametrize("doubted", [False, True])
 def test_a_cause_that_leaves_much_is_doubted(doubted):
     left = QUIET._replace(nrmse_before=0.1, nrmse_after=0.004, noise_floor=0.001, exceeds=True, leaves_much=doubted)
-    (said,) = (text for text in caveats(make_found(stages={"flow": left})) if "times the noise floor remains" in text)
+    (said,) = (text for text in caveats(make_found(stages={"flow": left})) if "times the noise remains" in text)
     assert ("outside the list" in said) == doubted
     assert ("essentially right" in said) != doubted
 
@@ -243,6 +255,14 @@ def test_the_verdict_does_not_claim_more_than_is_closed():
     assert "99.8 % of the error beyond the noise disappears from the flow balance" in sentence
 
 
+def test_what_is_above_the_noise_is_not_said_to_be_noise():
+    slight = QUIET._replace(nrmse_before=0.0061, nrmse_after=0.0061, noise_floor=0.001)
+    sentence, good = verdict_sentence(replace(consistent(), stages={**consistent().stages, "valve": slight}))
+    assert "only noise remains in force balance and flow balance and no significant error in valve" in sentence
+    assert "(0.61 % of its largest term, noise 0.10 %)" in sentence
+    assert good is True
+
+
 def test_the_verdicts_without_a_cause():
     sentence, good = verdict_sentence(consistent())
     assert sentence.startswith(
@@ -252,7 +272,7 @@ def test_the_verdicts_without_a_cause():
     assert good is True
     sentence, good = verdict_sentence(unknown())
     assert sentence == (
-        "The simulation's flow balance is wrong by 7.7 % of its largest term (noise: 0.30 %), and no known effect explains how;"
+        "The simulation's flow balance is wrong by 7.7 % of its largest term, noise 0.30 %, and no known effect explains how;"
         " the error depends on spool and load pressure."
     )
     assert good is False
@@ -267,12 +287,18 @@ def test_an_effects_words_fit_the_sentences_they_stand_in(name):
     words = EFFECTS.load(name).WORDS
     # Names stand in lists and before brackets, advice in a cell of a table.
     assert re.fullmatch(r"(the |an? )?[^\s,;.()][^,;.()]*", words.noun)
-    assert re.fullmatch(r"[a-z].*[^.\s]", words.check)
+    for advice in (words.inspect, words.measure, words.change):
+        assert re.fullmatch(r"[a-z][^.]*[^.\s]( \d[^.]*)?", advice.replace("limits.", "").replace("sensors.", "")), (
+            "one sentence"
+        )
+    own = {*Plant._fields, *FRICTION_KEYS, *(f"sensors.{sensor}" for sensor in SENSED), "limits.position", "limits.spool"}
+    named = re.findall(r"`([^`]+)`", words.change)
+    assert set(named) <= {*own, name, "effects", "bias", "gain", "bandwidth", "delay", "ehls identify"}, "no key of a rig file"
     article = words.noun.split()[0]
     assert article == "the" or words.lacking, f"'has {words.noun} wrong' is not English"
 
 
-@pytest.mark.parametrize("said", ["noun", "check"])
+@pytest.mark.parametrize("said", ["noun", "inspect", "measure", "change"])
 def test_no_two_effects_have_the_same_words(said):
     said_of = {}
     for name in EFFECTS.names():
@@ -282,7 +308,9 @@ def test_no_two_effects_have_the_same_words(said):
 
 @pytest.mark.parametrize(("lacking", "said"), [(True, "lacks a gremlin (positive"), (False, "has a gremlin (positive")])
 def test_the_sentence_uses_the_words_of_the_effects_file(monkeypatch, lacking, said):
-    monkeypatch.setattr(EFFECTS.load(CAUSE.name), "WORDS", Words("a gremlin", check="listen", lacking=lacking))
+    monkeypatch.setattr(
+        EFFECTS.load(CAUSE.name), "WORDS", Words("a gremlin", "listen", "record it", "remove it", lacking=lacking)
+    )
     assert said in verdict_sentence(make_found())[0]
 
 
@@ -292,7 +320,8 @@ MADE = {
     "effect": (
         make_found,
         [
-            "Before and after",
+            "Measured and simulated",
+            "What to do next",
             "Shares and sizes",
             "Runner-up and caveats",
             "The cause",
@@ -309,6 +338,7 @@ MADE = {
     "consistent": (
         consistent,
         [
+            "Measured and simulated",
             "Caveats",
             "Stage by stage",
             "Residuals against every signal",
@@ -320,6 +350,8 @@ MADE = {
     "unknown": (
         unknown,
         [
+            "Measured and simulated",
+            "What to do next",
             "Unexplained",
             "Caveats",
             "Stage by stage",
@@ -329,7 +361,7 @@ MADE = {
             "Method",
         ],
     ),
-    "insufficient": (insufficient, ["What to record", "Caveats", "Method"]),
+    "insufficient": (insufficient, ["What to do next", "Caveats", "Method"]),
 }
 
 
@@ -357,12 +389,22 @@ def test_the_main_picture_shows_the_residual_against_what_explains_it(report):
     assert np.std(after) == pytest.approx(0.2, rel=0.1)
 
 
-def test_the_first_picture_shows_what_the_causes_remove_over_time(report):
-    title, (traces, _) = next(iter(panels(report(make_found())).items()))
-    assert title == "Flow balance, without and with the cause"
-    before, after = (trace for trace in traces if "rms" in trace["name"])
-    assert np.max(np.abs(numbers(before["y"]))) > 20.0 * np.std(numbers(after["y"]))
-    assert re.fullmatch(r"extended model, held-out data, rms 0\.20 cm³/s", after["name"])
+@pytest.mark.parametrize(("make", "channel"), [(make_found, "volume"), (consistent, "force")])
+def test_the_first_picture_shows_measured_and_simulated_above_the_residual(report, make, channel):
+    found = make()
+    trace = found.traces[channel]
+    title, (traces, layout) = next(iter(panels(report(found)).items()))
+    assert title == f"{CHANNEL_SHORT[channel].capitalize()}, measured and simulated"
+    above = {line["name"].split(",")[0]: numbers(line["y"]) for line in traces if line["yaxis"] == "y"}
+    below = {line["name"].split(",")[0]: numbers(line["y"]) for line in traces if line["yaxis"] == "y2"}
+    # The force balance's residual is the force the model requires less the one measured.
+    sign = 1.0 if channel == "force" else -1.0
+    assert set(below) == {"noise", *above} - {"measured"}
+    for name in set(above) - {"measured"}:
+        assert above[name] == pytest.approx(above["measured"] + sign * below[name], abs=1e-3 * float(np.ptp(above["measured"])))
+    drawn = np.max(np.abs(below["given model"])) / np.max(np.abs(above["measured"]))
+    assert drawn == pytest.approx(np.max(np.abs(trace.before)) / np.max(np.abs(trace.measured)), rel=1e-3)
+    assert [layout[axis]["title"]["text"].split(" [")[0] for axis in ("yaxis", "yaxis2")] == [MEASURED[channel], "residual"]
 
 
 def test_the_shares_are_bars_of_the_removable_error(report):
@@ -372,10 +414,9 @@ def test_the_shares_are_bars_of_the_removable_error(report):
     lengths = {trace["name"]: trace["x"] for trace in traces}
     assert lengths["closed by the causes"] == pytest.approx([70.0, 0.0, 0.0])
     assert lengths["remains"] == pytest.approx([30.0, 0.0, 0.0])
-    assert lengths["noise"] == pytest.approx([5.0, 0.0, 0.0])
     assert lengths["returns without that cause"] == pytest.approx([0.0, 50.0, 40.0])
     assert [note["text"] for note in layout["annotations"]] == [
-        "flow balance: 70 % closed, 30 % remains, noise 5.0 %",
+        "flow balance: 70 % closed, 30 % remains",
         "50 %: a dead zone of the valve",
         "40 %: a null bias of the valve",
     ]
@@ -384,7 +425,12 @@ def test_the_shares_are_bars_of_the_removable_error(report):
 def test_a_partial_answer_shows_what_remains_over_each_signal_it_depends_on(report):
     found = make_found(verdict="partial", unknown_stage="flow", depends_on=("spool_m", "load_pressure_pa"))
     text = report(found)
-    assert parts(text)[:5] == ["Before and after", "Shares and sizes", "Runner-up and caveats", "What remains", "The cause"]
+    assert parts(text)[2:6] == ["Shares and sizes", "Runner-up and caveats", "What remains", "The cause"]
+    assert [title for title in panels(text) if title.endswith("measured and simulated")] == [
+        "Flow balance, measured and simulated"
+    ]
+    assert row(text, "What to do next", "valve_dead_zone")[1:] == [re.sub("`", "", said) for said in ADVICE]
+    assert row(text, "What to do next", "spool")[1] == "the valve's flow curve: lands, notches, flow forces"
     titles = [title for title in panels(text) if title.startswith("Unexplained")]
     assert [title.split(":")[0] for title in titles] == ["Unexplained, over the spool", "Unexplained, over the load pressure"]
 
@@ -463,7 +509,7 @@ def test_what_would_have_been_noticed_is_in_units_people_read(report):
 def test_what_to_keep_in_mind(report):
     leaky = {**make_found().stages, "flow": QUIET._replace(nrmse_before=0.077, nrmse_after=0.009, exceeds=True)}
     text = shown(report(make_found(stages=leaky)))
-    assert "In the flow balance 3.0 times the noise floor remains" in text
+    assert "In the flow balance 3.0 times the noise remains" in text
     assert "rests on one recording" in text
     assert "0.7 % of load_pressure_pa are missing" in text
     assert "Something went wrong." in text
@@ -480,7 +526,7 @@ def test_an_unknown_cause_says_where_to_look(report):
 
 def test_too_little_says_what_to_record(report):
     text = report(insufficient(), NOTHING)
-    needed = row(text, "What to record", "flow balance")
+    needed = row(text, "What to do next", "flow balance")
     assert "spool_m" in needed[1]
     assert "oil has to flow" in needed[2]
 
@@ -525,6 +571,20 @@ def test_every_unit_of_an_effect_can_be_written():
     for name in EFFECTS.names():
         for declared in declarations(EFFECTS.load(name).Parameters):
             assert "^" not in units.estimate(Estimate(1.0, 0.1, declared.unit)), (name, declared.unit)
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter", "estimate", "said"),
+    [
+        ("mass_shift", "factor", Estimate(1.2, 0.01, "1"), "1.200 ± 0.010"),
+        ("position_dependent_friction", "wavelength", Estimate(0.1, 1.6e7, "m"), "100 mm, not determined"),
+        ("mass_shift", "factor", Estimate(1.2, np.inf, "1"), "1.2, not determined"),
+        ("stribeck_shift", "velocity_factor", Estimate(50.0, 3.0, "1"), "50, the end of its range"),
+        ("valve_dead_zone", "positive", Estimate(0.0, 1e-6, "m"), "0.0 ± 1.0 µm"),
+    ],
+)
+def test_a_parameter_that_the_data_do_not_tell_says_so(effect, parameter, estimate, said):
+    assert fitted(effect, parameter, estimate) == said
 
 
 def test_fractions_are_written_in_per_cent():

@@ -19,7 +19,7 @@ SPEC = {
     "controller": {"name": "fasmc", "k": 12.0, "g": 60.0, "h": 25.0, "b": 107.5},
 }
 TITLES = {
-    "Force tracking": {"force_n"},
+    "Force": {"force_n"},
     "Force error": {"force_n", "force_reference_n"},
     "Valve": {"valve_command_m"},
     "Load pressure": {"load_pressure_pa"},
@@ -96,7 +96,7 @@ def test_a_panel_needs_only_its_own_signals(report, title):
     assert title in panels(html)
     check(html)
     follows_position = "position_reference_m" in TITLES[title]
-    not_followed = {"Force tracking", "Force error"} if follows_position else {"Position error"}
+    not_followed = {"Force", "Force error"} if follows_position else {"Position error"}
     for other in set(TITLES) - set(panels(html)):
         assert html.count(f"<b>{other}</b> is left out: ") == (other not in not_followed)
 
@@ -116,6 +116,21 @@ def test_nothing_recorded(report):
     assert "no reference" in html
 
 
+def test_a_foreign_recording_has_its_name_its_rate_and_its_statistics(written, without_plotly):
+    time_s = np.delete(0.002 * np.arange(1000), slice(300, 350))
+    force = np.where(time_s > 1.0, 200.0, -100.0)
+    force[:19] = np.nan
+    run = Trajectory(time_s, {"force_n": force, "position_m": 0.01 * time_s})
+    html = written(lambda path: write_experiment_report(run, None, path, name="axis_7.csv"))
+    assert "<h1>axis_7.csv</h1>" in html
+    assert "1.998 s at 500.0 Hz, 950 samples with 1 gap between them, the longest 0.102 s." in html.replace("\u202f", "")
+    cells = {name: row for name, *row in re.findall("<tr>" + 7 * r".*?>([^<]*)</t[hd]>" + "</tr>", html)}
+    rms = np.sqrt(np.nanmean(force**2))
+    assert cells["force_n"] == ["-100.0", "200.0", f"{np.nanmean(force):.2f}", f"{rms:.1f}", "N", "2.0 %"]
+    assert cells["position_m"][:2] + cells["position_m"][4:] == ["0", "19.98", "mm", "0 %"]
+    assert panels(html)["Force"][1]["yaxis"]["title"]["text"] == "force [N]"
+
+
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_hardly_any_samples(report, count):
     html = report(make_run(count))
@@ -132,7 +147,7 @@ def test_gaps_stay_gaps_and_lonely_samples_show(report):
     run["spool_m"][::2] = np.nan
     html = report(run)
     check(html)
-    force = next(trace for trace in panels(html)["Force tracking"][0] if trace["name"] == "force")
+    force = next(trace for trace in panels(html)["Force"][0] if trace["name"] == "force")
     assert np.isnan(numbers(force["y"])).any()
     modes = {trace["name"]: trace["mode"] for trace in panels(html)["Valve"][0]}
     assert (modes["command"], modes["spool"]) == ("lines", "lines+markers")
@@ -176,7 +191,7 @@ def test_a_run_along_a_position_shows_the_position_instead_of_force_tracking(rep
     html = report(run, evaluate(run))
     check(html)
     assert list(panels(html))[:2] == ["Motion", "Position error"]
-    assert not {"Force tracking", "Force error"} & set(panels(html))
+    assert not {"Force", "Force error"} & set(panels(html))
     assert "<b>Force" not in html
     names = {title: [trace.get("name") for trace in traces] for title, (traces, _) in panels(html).items()}
     assert {"piston position", "position reference", "piston velocity", "velocity reference"} <= set(names["Motion"])
@@ -243,7 +258,7 @@ def test_the_file_of_a_long_run_is_small_and_keeps_its_peak(whole_report):
     run["force_n"][123_457] = 4.2e4
     html = whole_report(run)
     assert len(html.encode()) < 8e6
-    force = next(trace for trace in panels(html)["Force tracking"][0] if trace["name"] == "force")
+    force = next(trace for trace in panels(html)["Force"][0] if trace["name"] == "force")
     assert np.nanmax(numbers(force["y"])) == 42.0
     assert "every 0.0625 s" in html
 

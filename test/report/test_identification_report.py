@@ -398,8 +398,8 @@ def test_correlations_are_shaded_and_the_strongest_named(report):
     assert rows(text, "Correlations")[0] == ["", "Fc", "Fs", "Vs", "δ", "σf", "C", "k1", "α1", "g"]
     assert row(text, "Correlations", "Fs")[1:5] == ["0", "1", "−0.9962", "0"]
     assert row(text, "Correlations", "Fc")[1:6] == ["1", "0", "0", "+0.52", "0"]
-    assert '<td style="background: rgba(0, 114, 178, 0.50)">−0.9962</td>' in text
-    assert '<td style="background: rgba(213, 94, 0, 0.26)">+0.52</td>' in text
+    assert 'style="background: rgba(0, 114, 178, 0.50)">−0.9962</td>' in text
+    assert 'style="background: rgba(213, 94, 0, 0.26)">+0.52</td>' in text
     assert correlation_remark(make_found()) == "Strongest: Fs and Vs −0.996."
     weak = make_found(correlations=make_found().correlations * 0.5)
     assert correlation_remark(weak) == "None reaches 0.9 in size; the largest is −0.50, Fs and Vs."

@@ -3,6 +3,7 @@ import math
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -251,6 +252,19 @@ def test_the_verdict_of_a_study_without_a_miss():
     )
     assert sentence.endswith("FASMC II in 2 of 2.")
     assert good is True
+
+
+def test_a_rig_on_which_the_force_is_lost_spoils_the_verdict():
+    beyond = make_beyond()
+    short, enough = beyond.reductions
+    draws = beyond.robustness.draws
+    beyond = beyond._replace(
+        reductions=(short._replace(best_width_percent=80.0), enough),
+        robustness=beyond.robustness._replace(draws=replace(draws, diverged=3)),
+    )
+    sentence, good = verdict_sentence(make_results(cells=with_cell(1, max_error_n=391.0), beyond=beyond))
+    assert "FASMC II loses the force on 3 of 100 rigs" in sentence
+    assert good is False
 
 
 @pytest.mark.parametrize("error", [92.0, math.inf, math.nan])

@@ -33,8 +33,8 @@ from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.columns import ColumnMap, read_columns
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
-from ehls_ros.report.diagnosis_findings import gain_sentence
-from ehls_ros.report.diagnosis_units import estimate, likely, percent
+from ehls_ros.report.diagnosis_findings import fitted, gain_sentence, next_steps, words
+from ehls_ros.report.diagnosis_units import likely, percent
 from ehls_ros.trajectory import Trajectory
 
 HELP = "Find what is wrong in the simulation of a rig, from a recording: diagnosis.json, a report, an extended rig file."
@@ -171,14 +171,14 @@ def _rig_file(found: Diagnosis, rig: Path, source: str) -> str:
     if found.extended == found.rig and found.baseline is None:
         return f"{heading}# Nothing was added: the verdict is '{found.verdict}'.\n{rig.read_text(encoding='utf-8')}"
     added = "".join(
-        f"#   {cause.name}: {', '.join(f'{name} {estimate(e)}' for name, e in cause.parameters.items())};"
+        f"#   {cause.name}: {', '.join(f'{name} {fitted(cause.name, name, e)}' for name, e in cause.parameters.items())};"
         f" probability {likely(cause.probability)}"
         f"{', or ' + ' or '.join(cause.equivalent_to) if cause.equivalent_to else ''}\n"
         for cause in found.causes
     )
-    fitted = "" if found.baseline is None else f"# Coefficients fitted to {', '.join(found.baseline.recordings)}.\n"
+    learnt = "" if found.baseline is None else f"# Coefficients fitted to {', '.join(found.baseline.recordings)}.\n"
     end = f"# Added at the end of `effects`:\n{added}" if added else f"# Nothing was added: the verdict is '{found.verdict}'.\n"
-    return f"{heading}{fitted}{end}{rig_text(rig_to_mapping(found.extended))}"
+    return f"{heading}{learnt}{end}{rig_text(rig_to_mapping(found.extended))}"
 
 
 def _next_heading(purpose: str) -> str:
@@ -193,6 +193,10 @@ def _print(found: Diagnosis, follows: Consequences, folder: Path, wall: float) -
     console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 140)
     if found.causes:
         console.print(_causes_table(found.causes))
+    for cause in found.causes:
+        print(f"  to confirm {cause.name}: {words(cause.name).measure}")
+    for step in next_steps(found):
+        print(f"  {step}")
     for sentence in found.missing if found.verdict == "insufficient" else ():
         print(f"  {sentence}")
     if found.gain is not None:
@@ -224,6 +228,6 @@ def _causes_table(causes: Sequence[Cause]) -> Table:
         said = [cause.name, likely(cause.probability), percent(cause.share)]
         others = [", ".join(cause.equivalent_to)] if equivalents else []
         for name, e in cause.parameters.items():
-            table.add_row(*said, name, estimate(e), *others)
+            table.add_row(*said, name, fitted(cause.name, name, e), *others)
             said, others = [""] * len(said), [""] * len(others)
     return table

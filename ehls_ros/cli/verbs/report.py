@@ -15,7 +15,7 @@ HELP = "Write the HTML report of a bag, a CSV file or a run folder."
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("data", type=Path, help="bag folder, .mcap, .db3, .csv or the folder of a run")
+    parser.add_argument("data", type=Path, help="a bag, a run folder, or a recording in any format of `ehls diagnose`")
     parser.add_argument("--columns", type=Path, help="YAML that maps the data's own column names and units")
     parser.add_argument("--out", type=Path, help="HTML file (default: report.html beside the data)")
 
@@ -31,7 +31,7 @@ def run(options: Namespace) -> int:
     controlled = {"force_reference_n", "position_reference_m"} & trajectory.signals.keys()
     metrics = evaluate(trajectory) if controlled else None
     try:
-        write_experiment_report(trajectory, metrics, out, events)
+        write_experiment_report(trajectory, metrics, out, events, name=data.resolve().name)
     except OSError as error:
         raise BadInput(f"the report cannot be written ({error.strerror})", str(out), "a writable place (--out)") from None
     print(out)

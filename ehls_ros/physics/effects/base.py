@@ -72,16 +72,20 @@ Group = Literal["valve", "flow", "friction", "mechanics", "sensors", "environmen
 
 
 class Words(NamedTuple):
-    """Wording of an effect in reports.
+    """Wording of an effect in reports. The advice is for an effect that is the cause: one sentence each, in the imperative.
 
     Attributes:
         noun: the effect within a sentence, with its article: "The simulation lacks <noun>".
-        check: what to inspect or measure on the rig if the effect is the cause, in the imperative.
+        inspect: part of the rig to look at.
+        measure: quick measurement that would confirm it.
+        change: what to change in the rig file, or on the rig so that its file need not.
         lacking: whether the model lacks the term; False: it has the term with a wrong value ("has <noun> wrong").
     """
 
     noun: str
-    check: str
+    inspect: str
+    measure: str
+    change: str
     lacking: bool = True
 
 

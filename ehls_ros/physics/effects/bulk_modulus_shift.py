@@ -12,7 +12,9 @@ SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 2: effective bulk modulu
 WORDS = Words(
     "the bulk modulus of the oil",
     lacking=False,
-    check="check the volume between valve and piston, and its hoses; bleed the cylinder",
+    inspect="inspect the hoses between valve and cylinder, the chambers' volumes and the oil for air",
+    measure="close the valve, push the piston by a known force and compare its travel with the column's stiffness",
+    change="multiply `bulk_modulus` in the rig file by the factor, unless bleeding restores it",
 )
 
 

@@ -13,7 +13,12 @@ from ehls_ros.schema import quantity
 GROUP: Group = "valve"
 EQUATION = "u(t) -> u(t - delay)"
 SOURCE = "Åström, Wittenmark, Computer-Controlled Systems, 1997: delays that are no whole number of periods"
-WORDS = Words("a delay of the command", check="time the path from controller to valve: cycle time, field bus, converter")
+WORDS = Words(
+    "a delay of the command",
+    inspect="inspect the path from controller to valve: cycle time, field bus, converter",
+    measure="record a step of the command and the valve's input voltage with one oscilloscope",
+    change="keep `command_delay` under `effects` in the rig file, or shorten the path",
+)
 REACH = 0.05
 
 ROUNDING = 1e-7

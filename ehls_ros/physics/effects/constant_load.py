@@ -11,7 +11,12 @@ from ehls_ros.schema import quantity
 GROUP: Group = "environment"
 EQUATION = "F = force"
 SOURCE = "Kang et al. 2018, (3), with a constant added on the right side"
-WORDS = Words("a constant force", check="zero the load cell unloaded; look for weights, hoses and mountings under tension")
+WORDS = Words(
+    "a constant force",
+    inspect="look for weights, hoses and mountings under tension, and for an offset of the load cell",
+    measure="read the load cell with the piston free of the load, then at rest at several positions",
+    change="keep `constant_load` under `effects` in the rig file, or zero the load cell and record again",
+)
 
 
 class Parameters(NamedTuple):

@@ -16,7 +16,9 @@ EQUATION = "s(v) -> s(v) + offset sgn(v), at least 1 N; unchanged at standstill"
 SOURCE = "Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models, ... machines with friction, Automatica 30, 1994"
 WORDS = Words(
     "a Coulomb friction that differs between the directions",
-    check="compare slow strokes in both directions; check which way the seals face",
+    inspect="inspect which way the seals face, and the wiper of the rod",
+    measure="record slow strokes at one speed in both directions and compare their forces",
+    change="keep `coulomb_asymmetry` under `effects` in the rig file",
 )
 
 

@@ -15,7 +15,9 @@ SOURCE = "Olsson, Åström, Canudas de Wit, Gäfvert, Lischinsky, Friction Model
 WORDS = Words(
     "the Coulomb friction",
     lacking=False,
-    check="identify the friction again (`ehls identify`); check seals, alignment and side load",
+    inspect="inspect seals, alignment and side load",
+    measure="record a slow stroke to and fro: half the difference of the forces is the Coulomb friction",
+    change="add the offset to `coulomb_force` and `static_force` in the rig file, or identify both again by `ehls identify`",
 )
 
 

@@ -14,7 +14,9 @@ EQUATION = "F = stiffness (x_servo - x) + damping (v_servo - v)"
 SOURCE = "two masses on an elastic beam; Kang et al. 2018, Fig. 1"
 WORDS = Words(
     "the elastic coupling to the position servo",
-    check="record the servo's displacement; check the beam and its hinges",
+    inspect="inspect the beam, its hinges and the servo's mounting",
+    measure="record the servo's displacement while the piston is blocked",
+    change="keep `coupling_stiffness` under `effects` in the rig file",
 )
 NEEDS = ("disturbance_displacement_m",)
 

@@ -20,7 +20,9 @@ SOURCE = (
 )
 WORDS = Words(
     "an end stop inside the stroke",
-    check="move slowly over the stroke and look for contact; check the position limits",
+    inspect="look along the stroke for marks of contact, and compare them with the position limits",
+    measure="move slowly over the whole stroke and note where the force rises",
+    change="keep `end_stop` under `effects` in the rig file, and set `limits.position` inside it",
 )
 
 

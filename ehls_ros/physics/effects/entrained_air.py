@@ -19,7 +19,9 @@ EQUATION = "1/βe -> 1/βe + fraction (p0/p)^(1/n)/(n p), p absolute, p0 atmosph
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 2: 1/βe = 1/βl + (Vg/Vt)/(n p), with Vg compressed polytropically"
 WORDS = Words(
     "air in the oil",
-    check="bleed the cylinder; check the reservoir's level, the suction line and the return for foam",
+    inspect="inspect the reservoir's level, the suction line, and the return for foam",
+    measure="bleed the cylinder and record again: the effect must get smaller",
+    change="keep `entrained_air` under `effects` in the rig file only if bleeding does not remove it",
 )
 
 POLYTROPIC = 1.4

@@ -12,7 +12,12 @@ from ehls_ros.schema import quantity
 GROUP: Group = "flow"
 EQUATION = "leakage -> leakage + ((first + each) p1 - (second + each) p2)/2,  p1,2 = (ps ± pL)/2"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 6: external leakage in the volume balances of both chambers"
-WORDS = Words("a leakage to the outside", check="look for oil at the rod seals, fittings and drain lines")
+WORDS = Words(
+    "a leakage to the outside",
+    inspect="look for oil at rod seals, fittings and drain lines",
+    measure="hold the piston under pressure and measure what drips within some minutes",
+    change="keep `external_leakage` under `effects` in the rig file until the leak is sealed",
+)
 
 
 class Parameters(NamedTuple):

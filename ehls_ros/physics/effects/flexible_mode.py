@@ -27,7 +27,9 @@ EQUATION = (
 SOURCE = "Den Hartog, Mechanical Vibrations, 1956, ch. 3: two-mass systems"
 WORDS = Words(
     "a flexible mode of the load",
-    check="tap the load and measure its natural frequency; check what is bolted to the piston",
+    inspect="inspect what is bolted to the piston, and how stiffly",
+    measure="tap the load and read its natural frequency from an acceleration sensor",
+    change="keep `flexible_mode` under `effects` in the rig file; it takes its mass out of `moving_mass`",
 )
 STATES = 2
 PISTON = 0

@@ -25,7 +25,9 @@ EQUATION = (
 SOURCE = "Nordin, Gutman, Controlling mechanical systems with backlash - a survey, Automatica 38, 2002"
 WORDS = Words(
     "backlash in the hinge",
-    check="turn the load back and forth by hand and measure the free play; check pins and bushings",
+    inspect="inspect pins and bushings between piston and load",
+    measure="move the load back and forth by hand and read the free play from a dial gauge",
+    change="keep `hinge_backlash` under `effects` in the rig file until the joint is repaired",
 )
 STATES = 3
 PISTON = 1

@@ -12,7 +12,9 @@ SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 6: leakage across the pi
 WORDS = Words(
     "the leakage past the piston",
     lacking=False,
-    check="hold the piston under pressure and measure the flow past it; inspect the piston seal",
+    inspect="inspect the piston seal and the valve's lands",
+    measure="hold the piston against a stop under pressure and measure the flow past it",
+    change="add the fitted value to `leakage_coefficient` in the rig file",
 )
 
 

@@ -9,7 +9,13 @@ from ehls_ros.schema import quantity
 GROUP: Group = "mechanics"
 EQUATION = "m0 -> factor m0"
 SOURCE = "Kang et al. 2018, (3)"
-WORDS = Words("the moving mass", lacking=False, check="weigh the moving parts, including fixtures and oil")
+WORDS = Words(
+    "the moving mass",
+    lacking=False,
+    inspect="inspect what moves with the piston: fixtures, oil, couplings",
+    measure="weigh the moving parts, or add a known mass and record again",
+    change="multiply `moving_mass` in the rig file by the factor",
+)
 
 
 class Parameters(NamedTuple):

@@ -12,7 +12,12 @@ from ehls_ros.schema import quantity
 GROUP: Group = "environment"
 EQUATION = "F = sine sin(2π frequency t) + cosine cos(2π frequency t)"
 SOURCE = "Bodson, Sacks, Khosla, Harmonic generation in adaptive feedforward cancellation schemes, IEEE TAC 39, 1994"
-WORDS = Words("a periodic force", check="compare its frequency with the pump's and with machines nearby; stop them one by one")
+WORDS = Words(
+    "a periodic force",
+    inspect="look for pumps and machines that turn at this frequency",
+    measure="stop them one by one and watch the line in the force's spectrum",
+    change="keep `periodic_disturbance` under `effects` in the rig file only if its source cannot be removed",
+)
 
 
 class Parameters(NamedTuple):

@@ -16,7 +16,9 @@ EQUATION = "s -> s + slope x + curvature x² + cubic x³ + sine sin(2π x/wavele
 SOURCE = "Armstrong-Hélouvry, Control of Machines with Friction, 1991: position-dependent friction"
 WORDS = Words(
     "a friction that changes along the stroke",
-    check="record one slow stroke from end to end; check tube, rod and guides there",
+    inspect="inspect tube, rod and guides where friction is highest",
+    measure="record one slow stroke from end to end in both directions",
+    change="keep `position_dependent_friction` under `effects` in the rig file",
 )
 
 

@@ -13,7 +13,9 @@ SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: zero shif
 WORDS = Words(
     "the zero of the position sensor",
     lacking=False,
-    check="move the piston to mid-stroke and set the sensor's zero there",
+    inspect="inspect the mounting of the position sensor",
+    measure="move the piston to mid-stroke by a gauge and read the sensor",
+    change="set the sensor's zero, or give the value as `bias` of `sensors.position` in the rig file",
 )
 
 

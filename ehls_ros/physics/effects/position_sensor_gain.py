@@ -13,7 +13,9 @@ SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: sensitivi
 WORDS = Words(
     "the gain of the position sensor",
     lacking=False,
-    check="compare two positions with a gauge block or a dial gauge",
+    inspect="inspect the scaling of the position sensor and of its amplifier",
+    measure="compare two positions with a gauge block or a dial gauge",
+    change="correct the scaling, or give the factor as `gain` of `sensors.position` in the rig file",
 )
 
 

@@ -14,7 +14,9 @@ SOURCE = "Kang et al. 2018, (6)"
 WORDS = Words(
     "the presliding stiffness",
     lacking=False,
-    check="record small slow oscillations about one position and identify the friction again",
+    inspect="inspect the seals: they stiffen with age and pressure",
+    measure="record small slow oscillations about one position and read the slope of force over travel",
+    change="multiply the presliding stiffness in the rig file by the factor, or identify it again by `ehls identify`",
 )
 
 

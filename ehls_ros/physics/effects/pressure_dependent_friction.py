@@ -21,7 +21,9 @@ SOURCE = (
 )
 WORDS = Words(
     "a friction that grows with the pressure",
-    check="repeat a slow stroke at several loads; check the type and the fit of the seals",
+    inspect="inspect type and fit of the seals",
+    measure="repeat a slow stroke at several loads and compare the friction",
+    change="keep `pressure_dependent_friction` under `effects` in the rig file",
 )
 
 

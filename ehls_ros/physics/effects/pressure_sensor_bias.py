@@ -13,7 +13,9 @@ SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: zero shif
 WORDS = Words(
     "the zero of the load pressure sensor",
     lacking=False,
-    check="read both pressure sensors with the rig depressurised",
+    inspect="inspect the zeros of both pressure sensors and their amplifiers",
+    measure="read both pressure sensors with the rig depressurised",
+    change="zero the sensors, or give the value as `bias` of `sensors.load_pressure` in the rig file",
 )
 
 

@@ -13,7 +13,9 @@ SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: sensitivi
 WORDS = Words(
     "the gain of the load pressure sensor",
     lacking=False,
-    check="calibrate both pressure sensors against a reference gauge",
+    inspect="inspect ranges and scaling of both pressure sensors, and whether they are exchanged",
+    measure="compare both pressure sensors with a reference gauge at two pressures",
+    change="correct the scaling, or give the factor as `gain` of `sensors.load_pressure` in the rig file",
 )
 
 

@@ -11,7 +11,12 @@ from ehls_ros.schema import quantity
 GROUP: Group = "sensors"
 EQUATION = "time_constant p' = pL - p; it adds to the sensor's own time constant"
 SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: first-order instruments"
-WORDS = Words("a lag of the load pressure sensor", check="bleed the sensors' lines; check the filter of their amplifiers")
+WORDS = Words(
+    "a lag of the load pressure sensor",
+    inspect="inspect the sensors' lines for air, and the filters of their amplifiers",
+    measure="record a step of pressure together with a sensor mounted at the cylinder",
+    change="bleed the lines, or give 1 / time constant as `bandwidth` of `sensors.load_pressure` in the rig file",
+)
 
 
 class Parameters(NamedTuple):

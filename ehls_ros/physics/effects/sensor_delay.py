@@ -12,7 +12,12 @@ from ehls_ros.schema import quantity
 GROUP: Group = "sensors"
 EQUATION = "read(t) = true(t - delay)"
 SOURCE = "Doebelin, Measurement Systems: Application and Design, 1966: dead-time elements"
-WORDS = Words("a delay of a sensor", check="sample all channels simultaneously, or record the time stamps of each")
+WORDS = Words(
+    "a delay of a sensor",
+    inspect="inspect how the channels are sampled: converter, multiplexer, bus, filters",
+    measure="feed one signal to all channels and compare their samples",
+    change="sample all channels together, or give the value as `delay` of the sensor in the rig file",
+)
 
 
 class Parameters(NamedTuple):

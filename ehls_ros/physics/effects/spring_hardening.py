@@ -14,7 +14,9 @@ EQUATION = "ks x -> ks x + cubic x³ + quintic x⁵"
 SOURCE = "Kovacic, Brennan, The Duffing Equation, 2011"
 WORDS = Words(
     "a spring that hardens with its deflection",
-    check="measure the spring's force at several positions over the stroke",
+    inspect="inspect the spring for coils that touch and for guides that bind",
+    measure="measure the spring's force at rest at five positions over the stroke",
+    change="keep `spring_hardening` under `effects` in the rig file",
 )
 
 

@@ -9,7 +9,13 @@ from ehls_ros.schema import quantity
 GROUP: Group = "mechanics"
 EQUATION = "ks -> ks + added, at least 0"
 SOURCE = "Kang et al. 2018, (3)"
-WORDS = Words("the stiffness of the spring", lacking=False, check="measure the spring's force at two positions at rest")
+WORDS = Words(
+    "the stiffness of the spring",
+    lacking=False,
+    inspect="inspect which spring is mounted, and its fixtures",
+    measure="measure the spring's force at rest at two positions",
+    change="add the fitted value to `spring_stiffness` in the rig file",
+)
 
 
 class Parameters(NamedTuple):

@@ -14,7 +14,9 @@ SOURCE = "Kang et al. 2018, (7); Armstrong-Hélouvry, Dupont, Canudas de Wit, Au
 WORDS = Words(
     "the Stribeck curve",
     lacking=False,
-    check="identify the friction again with slow strokes around the Stribeck velocity; check the lubrication",
+    inspect="inspect lubrication and state of the seals",
+    measure="record slow strokes at some ten speeds around the Stribeck velocity",
+    change="identify `static_force`, `stribeck_velocity` and `stribeck_exponent` again by `ehls identify`",
 )
 
 STEEPEST = 4.0

@@ -19,7 +19,9 @@ EQUATION = "ps -> ps - loss, at least 0;  loss = resistance |QL| + quadratic QLÂ
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 3: pressure lost in laminar and turbulent flow; ch. 11: supplies"
 WORDS = Words(
     "a supply pressure that droops under flow",
-    check="record the supply pressure at the valve; check pump control, accumulator charge, line and filter",
+    inspect="inspect pump control, accumulator charge, line and filter",
+    measure="record the supply pressure at the valve during a fast stroke",
+    change="keep `supply_pressure_droop` under `effects` in the rig file, or record the supply pressure",
 )
 STATES = 1
 

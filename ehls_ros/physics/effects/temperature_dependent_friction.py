@@ -16,7 +16,9 @@ EQUATION = "s(v) -> s(v) + a (T - T0), at least 1 N;  Ff -> Ff + (b (T - T0) + Ï
 SOURCE = "Simoni, Beschi, Legnani, Visioli, Modelling the temperature in joint friction of industrial manipulators, 2019"
 WORDS = Words(
     "a friction that changes with the oil's temperature",
-    check="repeat a slow stroke cold and warm, and log the oil temperature",
+    inspect="inspect the oil's grade and the cooler",
+    measure="repeat a slow stroke cold and warm, and record the oil's temperature",
+    change="keep `temperature_dependent_friction` under `effects` in the rig file, or warm up before each run",
 )
 NEEDS = ("oil_temperature_k",)
 

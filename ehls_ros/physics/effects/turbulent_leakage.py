@@ -15,7 +15,9 @@ EQUATION = "leakage -> leakage + coefficient pL / (pL² + transition²)^(1/4), c
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 3: turbulent flow through an orifice"
 WORDS = Words(
     "a leakage through an orifice",
-    check="measure the leakage at several pressures; look for a worn edge, a scratch or an open relief valve",
+    inspect="look for a worn edge, a scratch or an open relief valve",
+    measure="measure the leakage at three pressures: it grows with their square root",
+    change="keep `turbulent_leakage` under `effects` in the rig file until the part is replaced",
 )
 
 

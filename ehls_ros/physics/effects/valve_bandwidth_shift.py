@@ -12,7 +12,9 @@ SOURCE = "Kang et al. 2018, (4)"
 WORDS = Words(
     "the bandwidth of the valve",
     lacking=False,
-    check="measure the valve's frequency response at working pressure; check the pilot supply and its filter",
+    inspect="inspect the pilot supply and its filter",
+    measure="measure the valve's frequency response at working pressure and small amplitude",
+    change="multiply `valve_bandwidth` in the rig file by the factor",
 )
 
 

@@ -17,7 +17,9 @@ EQUATION = (
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 5: overlapped (closed-centre) valve"
 WORDS = Words(
     "a dead zone of the valve",
-    check="measure the flow at small openings either side of null; compare the lap with the valve's data sheet",
+    inspect="inspect the spool's lap in the valve's data sheet",
+    measure="raise the command slowly through null in both directions and note where the piston starts",
+    change="keep `valve_dead_zone` under `effects` in the rig file, or compensate it in the amplifier",
 )
 
 

@@ -13,7 +13,9 @@ EQUATION = "u -> (1 + command_±) u,  xv,eff = (1 + opening_±) xv,  by the sign
 SOURCE = "Jelali, Kroll, Hydraulic Servo-systems, 2003: flow gains of a servo valve that differ by direction"
 WORDS = Words(
     "a valve gain that differs between the directions",
-    check="measure the flow against the command in both directions; look for worn edges on one side",
+    inspect="look for worn edges on one side of the spool",
+    measure="apply the same command in both directions and compare the piston's speeds",
+    change="keep `valve_gain_asymmetry` under `effects` in the rig file",
 )
 
 

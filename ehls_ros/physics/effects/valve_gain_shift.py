@@ -12,7 +12,9 @@ SOURCE = "Kang et al. 2018, (1) and (4)"
 WORDS = Words(
     "the gain of the valve",
     lacking=False,
-    check="check the amplifier's scaling and the spool's stroke; measure the flow at a known pressure drop",
+    inspect="inspect the amplifier's scaling, the spool's stroke and the valve's rated flow",
+    measure="measure the piston's speed at a known command and pressure drop",
+    change="multiply `valve_gain` by the gain and `discharge_coefficient` by the flow gain in the rig file",
 )
 
 

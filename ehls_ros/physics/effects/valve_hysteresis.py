@@ -20,7 +20,9 @@ SOURCE = (
 )
 WORDS = Words(
     "a hysteresis of the valve",
-    check="drive the valve slowly around null with and without dither; check the oil for contamination",
+    inspect="inspect the oil for contamination, and the dither of the amplifier",
+    measure="drive the valve slowly around null, with and without dither, and plot spool over command",
+    change="keep `valve_hysteresis` under `effects` in the rig file",
 )
 STATES = 4
 

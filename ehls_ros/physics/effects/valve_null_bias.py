@@ -13,7 +13,9 @@ EQUATION = "u -> u + command;  xv,eff = xv + opening"
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 7: null shift of servo valves"
 WORDS = Words(
     "a null bias of the valve",
-    check="re-null the valve warm and at working pressure; check the zero of its amplifier and of the spool sensor",
+    inspect="inspect the zeros of the amplifier and of the spool sensor",
+    measure="find the command at which the piston stands still, warm and at working pressure",
+    change="re-null the valve, or keep `valve_null_bias` under `effects` in the rig file",
 )
 
 

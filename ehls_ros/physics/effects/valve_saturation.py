@@ -14,7 +14,9 @@ EQUATION = "u -> min(max(u, -command_limit), command_limit);  xv,eff = min(max(x
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 10: saturation"
 WORDS = Words(
     "a saturation of the valve",
-    check="check the amplifier's output limit and the spool's stroke; compare the demanded flow with the rated one",
+    inspect="inspect the amplifier's output limit and the spool's stroke",
+    measure="raise the command slowly and note where the spool or the piston's speed stops rising",
+    change="keep `valve_saturation` under `effects` in the rig file, and set `limits.spool` to it",
 )
 
 

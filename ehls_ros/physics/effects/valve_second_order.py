@@ -16,7 +16,9 @@ EQUATION = "q'' = ωn² (u - q) - 2 ζ ωn q';  u -> q + q'/ωv, with which (4) 
 SOURCE = "Thayer, Transfer functions for Moog servovalves, Moog Technical Bulletin 103, 1958"
 WORDS = Words(
     "the second-order dynamics of the spool",
-    check="measure the valve's frequency response beyond its bandwidth; its phase falls below -90 degrees",
+    inspect="inspect the phase in the valve's data sheet: beyond the bandwidth it falls below -90°",
+    measure="record a small step of the command and look whether the spool overshoots",
+    change="keep `valve_second_order` under `effects` in the rig file",
 )
 STATES = 2
 

@@ -14,7 +14,9 @@ EQUATION = "σf -> σf + asymmetry + forward along +x, σf - asymmetry + backwar
 SOURCE = "Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models, ... machines with friction, Automatica 30, 1994"
 WORDS = Words(
     "a viscous friction that differs between the directions",
-    check="compare fast strokes in both directions; look for a restriction in one line",
+    inspect="look for a restriction in one line, and which way the seals face",
+    measure="record fast strokes at one speed in both directions and compare their forces",
+    change="keep `viscous_asymmetry` under `effects` in the rig file",
 )
 
 

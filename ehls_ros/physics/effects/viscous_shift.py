@@ -14,7 +14,9 @@ SOURCE = "Kang et al. 2018, (5)"
 WORDS = Words(
     "the viscous friction",
     lacking=False,
-    check="identify the friction again at several speeds; check the oil's viscosity and temperature",
+    inspect="inspect the oil's grade, viscosity and temperature",
+    measure="record strokes at three speeds and read the slope of friction over speed",
+    change="add the fitted value to `viscous_coefficient` in the rig file, or identify it again by `ehls identify`",
 )
 
 
