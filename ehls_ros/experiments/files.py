@@ -18,3 +18,15 @@ def config_folder() -> Path:
             if (folder / "rig_paper.yaml").is_file():
                 return folder
     raise BadInput("the installation has no config folder", str(PACKAGE), "share/ehls_ros/config as setup.py installs it")
+
+
+def configured(name: str | Path, folder: str = "") -> Path:
+    """Return a file, or the one that comes with the package where only its name is given.
+
+    Args:
+        name: path of a file, or name without ``.yaml`` of one that comes with the package, such as ``sine_fd2``.
+        folder: where those are in the configuration folder: ``experiments``, ``campaigns``, or the empty text for rigs.
+    """
+    path = Path(name)
+    named = not path.exists() and path.name == str(name) and not path.suffix
+    return config_folder() / folder / f"{name}.yaml" if named else path

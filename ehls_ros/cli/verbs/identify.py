@@ -12,18 +12,16 @@ from rich.console import Console
 from rich.table import Table
 
 from ehls_ros.cli.folder import writable
-from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
-from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
+from ehls_ros.experiments.identifying import identify_whole_rig
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.identification.identify import DEFAULT_OPTIMISER, identify
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.result import Identification, to_json
 from ehls_ros.identification.rig_result import RigIdentification, rig_to_json
-from ehls_ros.identification.whole_rig import identify_rig
-from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import Rig, rig_to_mapping
+from ehls_ros.progress import progress_bar
 from ehls_ros.recording.columns import ColumnMap, read_columns
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.identification import write_identification_report
@@ -97,9 +95,8 @@ def _whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespac
     if options.elements is not None:
         what = "--elements and --whole-rig are given"
         raise BadInput(what, "command line", "one of them: the whole rig keeps the rig file's number of friction elements")
-    with Workers() as workers, progress_bar("identifying") as bar:
-        compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: bar(done, total, COMPILING))
-        found = identify_rig(recordings, rig, seed=options.seed, progress=lambda doing, done, total: bar(done, total, doing))
+    with progress_bar("identifying") as bar:
+        found = identify_whole_rig(recordings, rig, seed=options.seed, progress=bar)
     result = rig_to_json(found)
     _write(folder, found.rig, result, options.data)
     write_rig_report(found, folder / REPORT, before=rig)
