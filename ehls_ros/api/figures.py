@@ -9,8 +9,8 @@ from ehls_ros.report.page import LeftOut, Panel
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-TITLE_HEIGHT = 26
-"""Room for the title above the legend, in pixels."""
+UNUSED = ("zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "autoScale2d", "select2d", "lasso2d")
+"""Buttons left out: dragging zooms, and a double click goes back."""
 
 
 def figure(panel: Panel | LeftOut) -> "Figure":
@@ -25,12 +25,6 @@ def figure(panel: Panel | LeftOut) -> "Figure":
         plotly: Any = import_module("plotly.graph_objects")
     except ImportError:
         raise BadInput("plotly is not installed", panel.title, "pip install plotly") from None
-    margin = panel.layout["margin"]
-    title = {"text": panel.title, "x": 0, "xanchor": "left", "y": 1, "yanchor": "top", "pad": {"t": 8, "l": 8}}
-    layout = panel.layout | {
-        "title": title | {"font": {"size": 14}},
-        "margin": margin | {"t": margin["t"] + TITLE_HEIGHT},
-        "height": panel.height + TITLE_HEIGHT,
-    }
+    layout = panel.layout | {"height": panel.height, "modebar": {"remove": list(UNUSED)}}
     drawn: Figure = plotly.Figure({"data": list(panel.traces), "layout": layout}, skip_invalid=True)
     return drawn

@@ -89,7 +89,7 @@ def simulate(
 
     Args:
         spec: the experiment to start from: path of its file, name of one that comes with the package, such as
-            ``"sine_fd2"``, its content, or an experiment. None: rig and reference are given; by default the controller is FASMC.
+            ``"sine_fd2"``, its content, or an experiment. None: rig and reference are given, and the controller is FASMC.
         rig: the rig as it is, in place of the experiment's rig, effects and controller's rig.
         controller_rig: the rig as the controller believes it to be.
         effects: effects of the rig beyond its file, each with ``name`` and parameters.
@@ -133,6 +133,7 @@ def _changed(source: SpecSource | None, own: RigSource | None, believed: RigSour
         content["effects"] = [
             {"name": use.name, **use.parameters._asdict()} if isinstance(use, EffectUse) else use for use in changes["effects"]
         ]
+    where = f"simulate, from {where}" if source is not None and changes else where
     spec = spec_from_mapping(content, where, folder)
     check_spec(spec, where)
     return spec

@@ -26,7 +26,16 @@ def configured(name: str | Path, folder: str = "") -> Path:
     Args:
         name: path of a file, or name without ``.yaml`` of one that comes with the package, such as ``sine_fd2``.
         folder: where those are in the configuration folder: ``experiments``, ``campaigns``, or the empty text for rigs.
+
+    Raises:
+        BadInput: no file of that name comes with the package.
     """
     path = Path(name)
-    named = not path.exists() and path.name == str(name) and not path.suffix
-    return config_folder() / folder / f"{name}.yaml" if named else path
+    if path.exists() or path.suffix or path.name != str(name):
+        return path
+    own = config_folder() / folder
+    found = own / f"{name}.yaml"
+    if not found.is_file():
+        names = ", ".join(sorted(file.stem for file in own.glob("*.yaml")))
+        raise BadInput(f"there is no file {str(name)!r}", folder or "rigs", f"a file's path, or a name of {names}")
+    return found

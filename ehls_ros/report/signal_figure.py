@@ -10,6 +10,9 @@ from ehls_ros.report.run_signals import columns_of, largest_of, since_start
 from ehls_ros.trajectory import MEASURED, READABLE, Trajectory
 
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+QUANTITIES = {"N": "force", "Pa": "pressure", "m": "displacement", "m/s": "velocity", "K": "temperature", "s": "time"}
+"""What an axis of several signals shows, by its SI unit."""
+
 MOST_ROWS = 8
 """Largest number of rows of a figure."""
 
@@ -37,7 +40,7 @@ def signals_over_time(run: Trajectory, names: Sequence[str]) -> Panel:
     rows: list[Axis] = []
     for row, (symbol, members) in enumerate(by_unit.items(), start=1):
         unit = unit_for(symbol, max(largest_of(run[name]) for name in members))
-        rows.append(Axis(READABLE[members[0]].label if len(members) == 1 else "", unit))
+        rows.append(Axis(QUANTITIES.get(symbol, ""), unit))
         lines = [(name, column) for name in members for column in columns_of(run[name])]
         for place, (name, values) in enumerate(lines):
             color = COLORS[(len(traces) if len(lines) == 1 else place) % len(COLORS)]
