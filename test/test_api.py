@@ -73,7 +73,7 @@ def test_a_run_that_ends_early_is_a_result_with_the_reason():
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda: ehls.simulate("sine_fd3"), r"'sine_fd3'; expected a file's path, or a name of .*sine_fd2"),
+        (lambda: ehls.simulate("sine_fd3"), r"'sine_fd3'; expected a file's path, or .*sine_fd2"),
         (lambda: ehls.simulate("sine_fd2", duration=-1.0), "simulate, from .*: duration is -1"),
         (lambda: ehls.simulate(rig="rig_paper"), "reference"),
         (lambda: ehls.rig("no_rig.yaml"), r"no_rig\.yaml"),
@@ -136,7 +136,7 @@ def test_a_diagnosis_from_a_file_to_the_extended_rig(tmp_path, capsys):
     assert abs(row.value - -150.0) < 4.0 * row.std
     assert ehls.rig(ehls.save_rig(found.extended, tmp_path / "rig.yaml")).effects[0].name == "coulomb_shift"
     assert found.sentence in found._repr_html_()
-    assert "[N]" in found.plot().layout.yaxis.title.text
+    assert "N]" in found.plot().layout.yaxis.title.text
     assert capsys.readouterr() == ("", ""), "no bar where there is no terminal"
 
 
