@@ -41,6 +41,7 @@ nb_merge_streams = True
 os.environ["PLOTLY_RENDERER"] = "notebook"
 
 autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented_params"  # a record's fields are told once
 autodoc_member_order = "bysource"
 
 html_theme = "furo"

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, fields
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -33,7 +33,7 @@ Data = str | Path | Trajectory
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Recording(Trajectory):
-    """Signals over a common time base.
+    """Signals over a common time base, from a file, a simulation, or arrays: ``Recording(time_s, {"force_n": force})``.
 
     ``recording["force_n"]`` is one signal, ``"force_n" in recording`` tells whether it was recorded, and ``len(recording)``
     is the number of samples.
@@ -43,12 +43,6 @@ class Recording(Trajectory):
     """
 
     name: str = "recording"
-
-    @classmethod
-    def of(cls, trajectory: Trajectory, name: str, **more: Any) -> Self:
-        """Return a trajectory as a recording."""
-        own = {field.name: getattr(trajectory, field.name) for field in fields(Trajectory)}
-        return cls(**own, name=name, **more)
 
     def to_pandas(self) -> "DataFrame":
         """Return a table: one row per sample, indexed by ``time_s``, one column per signal in SI units."""
@@ -115,6 +109,15 @@ class Recording(Trajectory):
         return f"<p><b>{escape(self.name)}</b>: {self._extent()}</p>{table}{f'<ul>{said}</ul>' if said else ''}"
 
 
+Kind = TypeVar("Kind", bound=Recording)
+
+
+def with_methods(kind: type[Kind], trajectory: Trajectory, name: str, **more: Any) -> Kind:
+    """Return a trajectory as a recording of a kind, with ``more`` of its fields."""
+    own = {field.name: getattr(trajectory, field.name) for field in fields(Trajectory)}
+    return kind(**own, name=name, **more)
+
+
 def load(path: str | Path, columns: Columns | None = None) -> Recording:
     """Read data in any supported format.
 
@@ -133,7 +136,7 @@ def load(path: str | Path, columns: Columns | None = None) -> Recording:
 def read(path: str | Path, columns: Columns | None, wanted: Collection[str]) -> Recording:
     """Read data of which some signals are wanted."""
     place = Path(path)
-    return Recording.of(formats.load(recording_in(place), column_map(columns), wanted), place.name or str(place))
+    return with_methods(Recording, formats.load(recording_in(place), column_map(columns), wanted), place.name or str(place))
 
 
 def column_map(columns: Columns | None) -> ColumnMap | None:
@@ -151,7 +154,7 @@ def as_recording(data: Data, columns: Columns | None, wanted: Collection[str] = 
     """
     if not isinstance(data, Trajectory):
         return read(data, columns, wanted)
-    return data if isinstance(data, Recording) else Recording.of(data, str(data.metadata.get("title", "recording")))
+    return data if isinstance(data, Recording) else with_methods(Recording, data, str(data.metadata.get("title", "recording")))
 
 
 def by_name(data: Data | Iterable[Data], columns: Columns | None, wanted: Collection[str] = SIGNALS) -> dict[str, Recording]:

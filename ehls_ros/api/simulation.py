@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from ehls_ros.api.files import written
-from ehls_ros.api.recordings import Recording
+from ehls_ros.api.recordings import Recording, with_methods
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
@@ -118,7 +118,7 @@ def simulate(
     metrics = evaluate(trajectory)
     if failure is not None:
         metrics = metrics._replace(warnings=(str(failure),))
-    return Simulation.of(trajectory, made.settings.title, metrics=metrics, spec=made)
+    return with_methods(Simulation, trajectory, made.settings.title, metrics=metrics, spec=made)
 
 
 def _changed(source: SpecSource | None, own: RigSource | None, believed: RigSource | None, changes: Mapping[str, Any]) -> Spec:
