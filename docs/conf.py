@@ -36,7 +36,7 @@ nb_execution_mode = "cache"
 nb_execution_cache_path = str(Path(__file__).parent.parent / "build" / "notebooks" / sources_digest("")[:12])
 nb_execution_in_temp = True
 nb_execution_show_tb = True
-nb_execution_timeout = 300
+nb_execution_timeout = 600
 nb_merge_streams = True
 os.environ["PLOTLY_RENDERER"] = "notebook"
 
