@@ -10,6 +10,7 @@ from rich.console import Console
 
 import ehls_ros as ehls
 from ehls_ros import progress
+from ehls_ros.api.recordings import by_name
 from ehls_ros.physics.effects.viscous_asymmetry import Parameters as Asymmetry
 from ehls_ros.physics.rig import EffectUse
 
@@ -106,6 +107,11 @@ def test_a_recording_becomes_a_table_and_a_file_and_comes_back(run, tmp_path):
         back = ehls.load(run.save(tmp_path / name))
         assert np.array_equal(back["force_n"], run["force_n"])
     assert "<title>" in run.report(tmp_path / "new" / "run.html").read_text(encoding="utf-8")
+
+
+def test_recordings_of_one_name_are_numbered(run):
+    assert list(by_name([run, run], None)) == [f"{run.name} 1", f"{run.name} 2"]
+    assert list(by_name(run, None)) == [run.name]
 
 
 def test_signals_of_one_unit_share_a_row_whose_axis_has_the_unit(run):

@@ -92,7 +92,7 @@ def simulate(
             ``"sine_fd2"``, its content, or an experiment. None: rig and reference are given, and the controller is FASMC.
         rig: the rig as it is, in place of the experiment's rig, effects and controller's rig.
         controller_rig: the rig as the controller believes it to be.
-        effects: effects of the rig beyond its file, each with ``name`` and parameters.
+        effects: effects beyond those of the rig itself, each with ``name`` and parameters.
         reference: what the controller follows, such as ``{"name": "sine", "amplitude": 1e4, "frequency": 0.5}``.
         disturbance: what disturbs the rig; by default nothing.
         controller: the control law with its parameters, such as ``{"name": "fasmc", "k": 6.0}``.
