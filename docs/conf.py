@@ -3,10 +3,12 @@
 Sphinx, as in ROS's rosdoc2, with MyST, so that the pages are the repository's Markdown files. The site loads nothing external.
 """
 
+import os
 import sys
 from pathlib import Path
 
 from ehls_ros import __version__
+from ehls_ros.sources import sources_digest
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
@@ -14,14 +16,32 @@ project = "ehls_ros"
 copyright = "ehls_ros maintainers"  # noqa: A001 - Sphinx's name for it
 version = release = __version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "reference_pages", "source_links"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "mathml",
+    "notebooks",
+    "reference_pages",
+    "source_links",
+]
 exclude_patterns = ["pictures"]
 
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 myst_url_schemes = ["http", "https", "source"]
 
+# Notebooks are executed, and again once the package has changed; their figures are drawn by a plotly.js within the page.
+nb_execution_mode = "cache"
+nb_execution_cache_path = str(Path(__file__).parent.parent / "build" / "notebooks" / sources_digest("")[:12])
+nb_execution_in_temp = True
+nb_execution_show_tb = True
+nb_execution_timeout = 600
+nb_merge_streams = True
+os.environ["PLOTLY_RENDERER"] = "notebook"
+
 autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented_params"  # a record's fields are told once
 autodoc_member_order = "bysource"
 
 html_theme = "furo"

@@ -8,6 +8,7 @@ from types import ModuleType
 import pytest
 from docs_snippets import ROOT
 
+import ehls_ros
 from ehls_ros.cli.verbs import VERBS
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.diagnosis import rules
@@ -65,6 +66,10 @@ def test_a_table_shows_required_parameters_and_ranges(reference: ModuleType) -> 
 def test_services_are_those_of_the_plant_node(reference: ModuleType) -> None:
     names = ("emergency_stop", "acknowledge_stop", "reset_trips", "enable")
     assert {name for name, _, _ in reference.services()} == {f"`/ehls/{name}`" for name in names}
+
+
+def test_every_public_name_is_on_the_page_of_python(reference: ModuleType) -> None:
+    assert sorted(name for names in reference.API.values() for name in names) == ehls_ros.__all__
 
 
 def test_every_rule_of_diagnosis_has_its_row(reference: ModuleType) -> None:

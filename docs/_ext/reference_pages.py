@@ -84,27 +84,34 @@ FILES: Mapping[str, tuple[tuple[str, type, ModuleType], ...]] = {
 }
 
 API: Mapping[str, tuple[str, ...]] = {
-    "Experiments": (
-        "ehls_ros.experiments.spec.load_spec",
-        "ehls_ros.experiments.spec.load_rig",
-        "ehls_ros.experiments.loop.run_in_process",
-        "ehls_ros.experiments.metrics.evaluate",
-    ),
-    "Recordings": (
-        "ehls_ros.recording.load.load",
-        "ehls_ros.recording.csv_file.write_csv",
-        "ehls_ros.recording.bag_writer.write_trajectory",
-        "ehls_ros.trajectory.Trajectory",
-    ),
-    "Identification and diagnosis": (
-        "ehls_ros.identification.identify.identify",
-        "ehls_ros.identification.whole_rig.identify_rig",
-        "ehls_ros.diagnosis.diagnose.diagnose",
-    ),
-    "Simulation of the plant alone": ("ehls_ros.physics.simulator.Simulator",),
-    "Errors": ("ehls_ros.errors.BadInput", "ehls_ros.errors.WorkFailed"),
+    "Recordings": ("load", "Recording"),
+    "Simulation": ("simulate", "Simulation", "campaign", "CampaignResult"),
+    "Diagnosis": ("diagnose", "DiagnosisResult"),
+    "Identification": ("identify", "FrictionResult", "RigResult", "Estimate"),
+    "Rigs": ("rig", "save_rig", "Rig"),
+    "More": ("evaluate", "Metrics", "Spec", "Simulator"),
+    "Errors": ("BadInput", "WorkFailed"),
 }
-"""Functions and classes for users' scripts."""
+"""Public names of the package, by heading."""
+
+PUBLIC = (
+    "`import ehls_ros as ehls`. The names on this page, those of `ehls.__all__`, are stable, and so is what the how-tos import"
+    " for a controller, an effect or another member of a family; everything else in the package is private and may change. A"
+    " caller's mistake raises `BadInput`, whose message says what, where, and what was expected. What fails numerically is a"
+    " result that says so.\n"
+)
+"""What may be used."""
+
+RECORDS = (
+    "ehls_ros.trajectory.Trajectory",
+    "ehls_ros.diagnosis.result.Diagnosis",
+    "ehls_ros.diagnosis.result.Cause",
+    "ehls_ros.experiments.consequences.Consequences",
+    "ehls_ros.identification.result.Identification",
+    "ehls_ros.identification.rig_result.RigIdentification",
+    "ehls_ros.experiments.campaign.results.CampaignResults",
+)
+"""What public results are made of."""
 
 TOPICS: Mapping[str, str] = {
     "loader_state": "one atomic snapshot of the sensors, which opens a control cycle",
@@ -386,15 +393,27 @@ def rules_page() -> str:
 
 def python_page() -> str:
     """Return the autodoc directives of the Python interface."""
-    parts = ["# Python\n"]
+    parts = [
+        "# Python\n",
+        PUBLIC,
+    ]
     for title, names in API.items():
         parts.append(f"## {title}\n")
-        for name in names:
-            module, _, member = name.rpartition(".")
-            kind = "autoclass" if inspect.isclass(getattr(import_module(module), member)) else "autofunction"
-            options = "   :members:\n" if kind == "autoclass" else ""
-            parts.append(f"```{{eval-rst}}\n.. {kind}:: {name}\n{options}```\n")
+        parts += [documented(f"ehls_ros.{name}") for name in names]
+    parts.append("## Fields of results\n\nResults have the fields of these records, which are no names of the package.\n")
+    parts += [documented(name) for name in RECORDS]
     return "\n".join(parts)
+
+
+def documented(name: str) -> str:
+    """Return the autodoc directive of a function or class; the docstring of a class has its fields."""
+    module, _, member = name.rpartition(".")
+    found = getattr(import_module(module), member)
+    if not inspect.isclass(found):
+        return f"```{{eval-rst}}\n.. autofunction:: {name}\n```\n"
+    fields = ", ".join(getattr(found, "_fields", ()))
+    options = f"   :members:\n{f'   :exclude-members: {fields}' if fields else ''}\n"
+    return f"```{{eval-rst}}\n.. autoclass:: {name}\n{options}```\n"
 
 
 def slug(title: str) -> str:

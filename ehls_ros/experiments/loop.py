@@ -317,6 +317,29 @@ def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = Non
     return _trajectory(spec, loop.columns, record, reference, disturbance)
 
 
+def run_as_far_as_it_goes(
+    spec: Spec, progress: Callable[[int, int], None] | None = None
+) -> tuple[Trajectory, Implausible | None]:
+    """Run an experiment without ROS, and keep what there is of a run that ends early.
+
+    Args:
+        spec: the experiment.
+        progress: called now and then with the number of cycles done and the total number.
+
+    Returns:
+        The run, and why it ended early if it did.
+
+    Raises:
+        BadInput: the spec's numbers describe no rig, or the run does not fit into memory.
+    """
+    try:
+        return run_in_process(spec, progress), None
+    except Implausible as error:
+        if error.trajectory is None:
+            raise
+        return error.trajectory, error
+
+
 def _check_memory(spec: Spec, columns: int) -> None:
     needed, there = 8 * columns * spec.cycles, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if needed > there:

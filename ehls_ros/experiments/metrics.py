@@ -108,6 +108,11 @@ def evaluate(trajectory: Trajectory) -> Metrics:
     )
 
 
+def evaluate_controlled(trajectory: Trajectory) -> Metrics | None:
+    """Evaluate a recording; None where it has no reference."""
+    return evaluate(trajectory) if {"force_reference_n", "position_reference_m"} & trajectory.signals.keys() else None
+
+
 def _warnings(run: Trajectory, late: Any) -> Iterator[str]:
     """Say why a run is of little use: the reference is not followed, the valve saturates, the rig leaves its limits."""
     followed = (("force", "force_n", "force_reference_n", "N"), ("position", "position_m", "position_reference_m", "m"))

@@ -100,3 +100,9 @@ class RunFolder(NamedTuple):
     def write_metrics(self, metrics: Metrics) -> None:
         """Keep the metrics."""
         (self.path / "metrics.json").write_text(json.dumps(json_document(metrics), indent=2) + "\n", encoding="utf-8")
+
+
+def recording_in(path: Path) -> Path:
+    """Return the bag of a run's folder; any other path as it is."""
+    bag = path / "bag"
+    return bag if bag.is_dir() else path

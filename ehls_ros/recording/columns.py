@@ -125,9 +125,22 @@ def read_columns(path: Path) -> ColumnMap:
     Raises:
         BadInput: the file cannot be read, or an entry is wrong.
     """
-    content = read_yaml(path, "map of columns")
-    if not isinstance(content, dict):
-        raise BadInput(f"it contains {content!r}", str(path), EXPECTED_MAP)
+    return columns_from_mapping(read_yaml(path, "map of columns"), path)
+
+
+def columns_from_mapping(data: Any, path: Path) -> ColumnMap:
+    """Check a map of columns.
+
+    Args:
+        data: the parsed file.
+        path: where it stands, for errors.
+
+    Raises:
+        BadInput: an entry is wrong.
+    """
+    if not isinstance(data, Mapping):
+        raise BadInput(f"it contains {data!r}", str(path), EXPECTED_MAP)
+    content = dict(data)
     others = {key: content.pop(key, None) for key in (TABLES, BASE, CYLINDER, ROTARY)}
     columns = {str(name): _column(str(name), entry, path) for name, entry in content.items()}
     for name, column in columns.items():

@@ -14,6 +14,7 @@ from ehls_ros.cli.verbs import diagnose as verb
 from ehls_ros.diagnosis.result import Rival
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments import consequences as follows
+from ehls_ros.experiments import diagnosing
 from ehls_ros.experiments.spec import load_rig, load_spec
 from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.load import load
@@ -45,7 +46,7 @@ def diagnosed(recording, tmp_path_factory):
     """The folder of a run, and the diagnosis it was made of."""
     out, kept = tmp_path_factory.mktemp("diagnosed"), []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(verb, "diagnose", lambda *a, real=verb.diagnose, **k: kept.append(real(*a, **k)) or kept[-1])
+        patch.setattr(diagnosing, "diagnose", lambda *a, real=diagnosing.diagnose, **k: kept.append(real(*a, **k)) or kept[-1])
         assert main(["diagnose", str(recording), "--rig", str(RIG), "--out", str(out), "--threads", "1", "--seed", "3"]) == 0
     return out, kept[0]
 
@@ -56,7 +57,7 @@ def again(diagnosed, recording, tmp_path, monkeypatch):
 
     def run(*arguments, **changes):
         found = replace(diagnosed[1], **changes)
-        monkeypatch.setattr(verb, "diagnose", lambda *a, **k: found)
+        monkeypatch.setattr(diagnosing, "diagnose", lambda *a, **k: found)
         code = main(["diagnose", str(recording), "--rig", str(RIG), "--out", str(tmp_path), *arguments])
         return code, json.loads((tmp_path / "diagnosis.json").read_text()) if code == 0 else None
 
@@ -200,12 +201,12 @@ def test_what_fails_beside_the_diagnosis_is_a_remark(again, monkeypatch):
     assert result["free_run"] is result["controller_gain"] is result["next_experiment"] is None
 
 
-@pytest.mark.parametrize("where", ["consequences", "write_diagnosis_report"])
-def test_an_interruption_leaves_no_halves(again, tmp_path, monkeypatch, where, capsys):
+@pytest.mark.parametrize(("module", "where"), [(diagnosing, "consequences"), (verb, "write_diagnosis_report")])
+def test_an_interruption_leaves_no_halves(again, tmp_path, monkeypatch, module, where, capsys):
     def interrupt(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(verb, where, interrupt)
+    monkeypatch.setattr(module, where, interrupt)
     assert again()[0] == 130
     assert list(tmp_path.iterdir()) == []
     assert "interrupted" in capsys.readouterr().err

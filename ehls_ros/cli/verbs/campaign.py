@@ -8,7 +8,6 @@ from pathlib import Path
 
 import yaml
 
-from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.campaign.backends import dask, local
 from ehls_ros.experiments.campaign.conduct import Outcome, conduct
@@ -17,6 +16,7 @@ from ehls_ros.experiments.campaign.results import CampaignResults, Summary, quan
 from ehls_ros.experiments.campaign.store import Folder, opened, read_results
 from ehls_ros.experiments.campaign.work import code_version
 from ehls_ros.experiments.json_document import json_document
+from ehls_ros.progress import progress_bar
 from ehls_ros.report.campaign import write_campaign_report
 from ehls_ros.report.campaign_findings import verdict_sentence
 

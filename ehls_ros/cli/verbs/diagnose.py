@@ -7,29 +7,25 @@ import sys
 import tempfile
 import time
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
 from ehls_ros.cli.folder import writable
-from ehls_ros.cli.progress import progress_bar
-from ehls_ros.diagnosis.contradictions import check_suits
-from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.baseline import diagnose_against
-from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
-from ehls_ros.experiments.consequences import Consequences, consequences
+from ehls_ros.experiments.consequences import Consequences
+from ehls_ros.experiments.diagnosing import STEPS, diagnose_recording
 from ehls_ros.experiments.diagnosis_document import diagnosis_document
 from ehls_ros.experiments.json_document import json_document
+from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.yaml_files import rig_text, spec_text
-from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import rig_to_mapping
+from ehls_ros.progress import progress_bar
 from ehls_ros.recording.columns import ColumnMap, read_columns
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
@@ -41,9 +37,6 @@ HELP = "Find what is wrong in the simulation of a rig, from a recording: diagnos
 
 RESULT, REPORT, RIG, NEXT = "diagnosis.json", "report.html", "rig_extended.yaml", "next_experiment.yaml"
 """Files in the folder of the results; the last only where an experiment is proposed."""
-
-CORE, BAR = 0.8, 1000
-"""Fraction of the time taken by the diagnosis itself; length of the progress bar."""
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -88,33 +81,12 @@ def run(options: Namespace) -> int:
     rig = load_rig(options.rig)
     folder = writable(options.out, RESULT)
     name = data.name or str(data)
-    with Workers() as workers, progress_bar("diagnosing") as bar:
-        bar(0, BAR, "reading")
+    with progress_bar("diagnosing") as bar:
+        bar(0, STEPS, "reading")
         trajectory = _load(data, columns)
         baselines = {str(path): _load(path, columns) for path in options.baseline}
-        for recording, called in ((trajectory, name), *((old, path) for path, old in baselines.items())):
-            check_suits(recording, rig, called)  # before compiling takes its time
-        compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: bar(done, total, COMPILING))
-        told = partial(_told, bar)
-        if baselines:
-            found = diagnose_against(
-                trajectory,
-                list(baselines.values()),
-                rig,
-                name,
-                seed=options.seed,
-                threads=options.threads,
-                progress=told,
-                names=list(baselines),
-            )
-        else:
-            found = diagnose(trajectory, rig, name, seed=options.seed, threads=options.threads, progress=told)
-        follows = consequences(
-            found,
-            trajectory,
-            name,
-            workers=workers,
-            progress=lambda doing, done: bar(round(BAR * (CORE + (1.0 - CORE) * done)), BAR, doing),
+        found, follows = diagnose_recording(
+            trajectory, rig, name, baselines=baselines, seed=options.seed, threads=options.threads, progress=bar
         )
         wall = time.perf_counter() - began
         document = json_document(diagnosis_document(found, follows, answer(found)[0], RIG, wall))
@@ -126,13 +98,7 @@ def run(options: Namespace) -> int:
 
 
 def _load(data: Path, columns: ColumnMap | None) -> Trajectory:
-    """Read a recording; of a run's folder, its bag."""
-    bag = data / "bag"
-    return load(bag if bag.is_dir() else data, columns, USED)
-
-
-def _told(bar: Callable[[int, int, str], None], doing: str, done: float) -> None:
-    bar(round(CORE * BAR * done), BAR, doing)
+    return load(recording_in(data), columns, USED)
 
 
 def _source(data: Path, options: Namespace, trajectory: Trajectory) -> str:

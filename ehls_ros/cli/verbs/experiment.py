@@ -9,14 +9,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.json_document import json_document
-from ehls_ros.experiments.loop import Implausible, run_in_process
+from ehls_ros.experiments.loop import Implausible, run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, load_spec
 from ehls_ros.hardware.pace import ADVICE
+from ehls_ros.progress import progress_bar
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import write_trajectory
 from ehls_ros.recording.events import read_events
@@ -91,12 +91,7 @@ def _with_duration(spec: Spec, duration: float) -> Spec:
 
 def _in_process(spec: Spec, folder: RunFolder, options: Namespace, progress: Callable[[int, int], None]) -> _Done:
     start = time.perf_counter()
-    try:
-        trajectory, failure = run_in_process(spec, progress), None
-    except Implausible as error:
-        if error.trajectory is None:
-            raise
-        trajectory, failure = error.trajectory, error
+    trajectory, failure = run_as_far_as_it_goes(spec, progress)
     wall = time.perf_counter() - start
     write_trajectory(folder.bag, trajectory, options.storage)
     return _Done(trajectory, wall, failure)

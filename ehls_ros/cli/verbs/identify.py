@@ -11,11 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from ehls_ros.cli.folder import writable
-from ehls_ros.cli.progress import progress_bar
-from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
-from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
+from ehls_ros.experiments.identifying import identify_whole_rig
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.stroke_experiments import stroke_experiments
 from ehls_ros.experiments.yaml_files import rig_text
@@ -24,9 +22,8 @@ from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.result import Identification, to_json
 from ehls_ros.identification.rig_result import RigIdentification, rig_to_json
 from ehls_ros.identification.strokes import Missing
-from ehls_ros.identification.whole_rig import identify_rig
-from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import Rig, rig_to_mapping
+from ehls_ros.progress import progress_bar
 from ehls_ros.recording.columns import ColumnMap, read_columns
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.identification import write_identification_report
@@ -112,27 +109,13 @@ def _whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespac
     if options.elements is not None:
         what = "--elements and --whole-rig are given"
         raise BadInput(what, "command line", "one of them: the whole rig keeps the rig file's number of friction elements")
-    _check(recordings, rig)
-    with Workers() as workers, progress_bar("identifying") as bar:
-        compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: bar(done, total, COMPILING))
-        found = identify_rig(recordings, rig, seed=options.seed, progress=lambda doing, done, total: bar(done, total, doing))
+    with progress_bar("identifying") as bar:
+        found = identify_whole_rig(recordings, rig, seed=options.seed, progress=bar)
     result = rig_to_json(found)
     _write(folder, found.rig, result, options.data)
     write_rig_report(found, folder / REPORT, before=rig)
     _print_rig(found, folder)
     return result
-
-
-def _check(recordings: Mapping[str, Trajectory], rig: Rig) -> None:
-    """Refuse what cannot be of one rig before compiling takes its time; one of several recordings may be left out later."""
-    refused = list[BadInput]()
-    for name, recording in recordings.items():
-        try:
-            check_suits(recording, rig, name)
-        except BadInput as error:
-            refused.append(error)
-    if len(refused) == len(recordings):
-        raise refused[0]
 
 
 def _write(folder: Path, rig: Rig, result: Mapping[str, Any], data: Sequence[Path]) -> None:

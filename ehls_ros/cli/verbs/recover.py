@@ -4,8 +4,8 @@ import json
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import WorkFailed
+from ehls_ros.progress import progress_bar
 from ehls_ros.recording.ledger import Range
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recovery import Recovery, recover

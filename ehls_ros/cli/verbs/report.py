@@ -4,7 +4,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.metrics import evaluate
+from ehls_ros.experiments.metrics import evaluate_controlled
+from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.recording.columns import read_columns
 from ehls_ros.recording.events import read_events
 from ehls_ros.recording.load import holds_tables, load
@@ -23,15 +24,12 @@ def arguments(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Write it."""
     data: Path = options.data
-    bag = data / "bag"
-    recording = bag if bag.is_dir() else data
+    recording = recording_in(data)
     trajectory = load(recording, read_columns(options.columns) if options.columns else None)
     events = [] if options.columns or holds_tables(recording) else read_events(recording)
-    out: Path = options.out or (data if bag.is_dir() else data.parent) / "report.html"
-    controlled = {"force_reference_n", "position_reference_m"} & trajectory.signals.keys()
-    metrics = evaluate(trajectory) if controlled else None
+    out: Path = options.out or (data.parent if recording == data else data) / "report.html"
     try:
-        write_experiment_report(trajectory, metrics, out, events, name=data.resolve().name)
+        write_experiment_report(trajectory, evaluate_controlled(trajectory), out, events, name=data.resolve().name)
     except OSError as error:
         raise BadInput(f"the report cannot be written ({error.strerror})", str(out), "a writable place (--out)") from None
     print(out)

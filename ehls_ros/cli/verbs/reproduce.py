@@ -9,7 +9,6 @@ from rich.console import Console
 from rich.table import Table
 
 from ehls_ros.cli.folder import writable
-from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.reproduction import paper
 from ehls_ros.experiments.reproduction.results import (
@@ -20,6 +19,7 @@ from ehls_ros.experiments.reproduction.results import (
     table3_document,
 )
 from ehls_ros.experiments.reproduction.study import compile_everything, reproduce
+from ehls_ros.progress import progress_bar
 from ehls_ros.report.reproduction import write_reproduction_report
 
 HELP = "Run the paper's simulation study again: table3.json, and a report with the paper's number beside ours."

@@ -1,0 +1,121 @@
+"""What a rig's model gets wrong, as an object: the work of `ehls diagnose`."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ehls_ros.api.figures import figure
+from ehls_ros.api.files import written
+from ehls_ros.api.recordings import Columns, Data, as_recording, by_name
+from ehls_ros.api.simulation import RigSource
+from ehls_ros.api.simulation import rig as rig_of
+from ehls_ros.diagnosis.record import USED
+from ehls_ros.diagnosis.result import Diagnosis
+from ehls_ros.experiments.consequences import Consequences
+from ehls_ros.experiments.diagnosing import diagnose_recording
+from ehls_ros.progress import progress_bar
+from ehls_ros.report.diagnosis import answer, write_diagnosis_report
+from ehls_ros.report.diagnosis_figures import stage_bars
+from ehls_ros.report.diagnosis_findings import largest_first
+from ehls_ros.report.diagnosis_residuals import over_time
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from plotly.graph_objects import Figure
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class DiagnosisResult(Diagnosis):
+    """What a rig's model gets wrong, why, what correcting it gains, and what follows.
+
+    Attributes:
+        follows: free run of both models, benefit to the controller, and in ``next_experiment`` what would separate open causes.
+        name: what was diagnosed.
+    """
+
+    follows: Consequences
+    name: str
+
+    @property
+    def sentence(self) -> str:
+        """The result in a sentence."""
+        return answer(self)[0]
+
+    def to_pandas(self) -> "DataFrame":
+        """Return the causes as a table, one row per parameter; share is that of the removable error."""
+        from pandas import DataFrame  # noqa: PLC0415 - half a second that only tables cost
+
+        columns = ["cause", "probability", "share", "parameter", "value", "std", "unit"]
+        rows = [
+            (cause.name, cause.probability, cause.share, name, *found)
+            for cause in self.causes
+            for name, found in cause.parameters.items()
+        ]
+        return DataFrame(rows, columns=columns)
+
+    def plot(self) -> "Figure":
+        """Draw the residual over time where the model is most wrong, without and with the causes."""
+        return figure(over_time(self, largest_first(self)[0]) if self.traces else stage_bars(self))
+
+    def plot_stages(self) -> "Figure":
+        """Draw the residual of each stage of the model beside its noise floor."""
+        return figure(stage_bars(self))
+
+    def report(self, path: str | Path) -> Path:
+        """Write the HTML report that `ehls diagnose` writes, and return its path.
+
+        Raises:
+            BadInput: the file cannot be written.
+        """
+        return written(path, lambda file: write_diagnosis_report(self, file, self.follows, self.name))
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        causes = ", ".join(cause.name for cause in self.causes)
+        return f"<{type(self).__name__} {self.name}: {self.verdict}{f': {causes}' if causes else ''}>"
+
+    def _repr_html_(self) -> str:
+        table = self.to_pandas().to_html(index=False, float_format="{:.4g}".format) if self.causes else ""
+        said = "".join(f"<li>{escape(remark)}</li>" for remark in (*self.missing, *self.remarks, *self.follows.all_remarks))
+        return f"<p><b>{escape(self.sentence)}</b></p>{table}{f'<ul>{said}</ul>' if said else ''}"
+
+
+def diagnose(
+    data: Data,
+    rig: RigSource,
+    *,
+    columns: Columns | None = None,
+    baseline: Data | Iterable[Data] = (),
+    seed: int = 0,
+    threads: int | None = None,
+    progress: bool = True,
+) -> DiagnosisResult:
+    """Find what is wrong in the simulation of a rig, from a recording, or what has changed since it was well.
+
+    Args:
+        data: the recording, or its path.
+        rig: the rig as its file describes it, or that file.
+        columns: names and units of the data's own, for paths.
+        baseline: one or several recordings from when the rig was well; none: the recording is judged by itself.
+        seed: of the noise added to find the noise floor, and of resampling.
+        threads: hypotheses tried at once; None: one for each processor.
+        progress: show a progress bar, in a notebook or on a terminal.
+
+    Returns:
+        The diagnosis: ``verdict``, ``causes`` with their parameters, ``extended``, the rig with the causes in it. Data that
+        tell too little give the verdict ``insufficient`` and say in ``missing`` what to record.
+
+    Raises:
+        BadInput: the data or the rig cannot be read, or the data are not of such a rig.
+    """
+    model = rig_of(rig)
+    with progress_bar("diagnosing", shown=progress) as bar:
+        recording = as_recording(data, columns, USED)
+        baselines = by_name(baseline, columns, USED)
+        found, follows = diagnose_recording(
+            recording, model, recording.name, baselines=baselines, seed=seed, threads=threads, progress=bar
+        )
+    own = {field.name: getattr(found, field.name) for field in fields(Diagnosis)}
+    return DiagnosisResult(**own, follows=follows, name=recording.name)

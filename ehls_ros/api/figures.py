@@ -1,0 +1,30 @@
+"""The figures of the reports as plotly's own objects, which notebooks show and users can change."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from ehls_ros.errors import BadInput
+from ehls_ros.report.page import LeftOut, Panel
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+UNUSED = ("zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "autoScale2d", "select2d", "lasso2d")
+"""Buttons left out: dragging zooms, and a double click goes back."""
+
+
+def figure(panel: Panel | LeftOut) -> "Figure":
+    """Return a report's figure as plotly's object.
+
+    Raises:
+        BadInput: what it would show was not recorded, or plotly is not installed.
+    """
+    if isinstance(panel, LeftOut):
+        raise BadInput(f"there is nothing to draw ({panel.reason})", panel.title, "a recording with these signals")
+    try:
+        plotly: Any = import_module("plotly.graph_objects")
+    except ImportError:
+        raise BadInput("plotly is not installed", panel.title, "pip install plotly") from None
+    layout = panel.layout | {"height": panel.height, "modebar": {"remove": list(UNUSED)}}
+    drawn: Figure = plotly.Figure({"data": list(panel.traces), "layout": layout}, skip_invalid=True)
+    return drawn

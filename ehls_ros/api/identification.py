@@ -1,0 +1,165 @@
+"""A rig identified from recordings, as an object: the work of `ehls identify`."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, overload
+
+from ehls_ros.api.figures import figure
+from ehls_ros.api.files import written
+from ehls_ros.api.recordings import Columns, Data, by_name
+from ehls_ros.api.simulation import RigSource
+from ehls_ros.api.simulation import rig as rig_of
+from ehls_ros.errors import BadInput
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.identifying import identify_whole_rig
+from ehls_ros.identification import identify as friction
+from ehls_ros.identification.identify import DEFAULT_OPTIMISER
+from ehls_ros.identification.result import Identification
+from ehls_ros.identification.rig_result import RigIdentification
+from ehls_ros.physics.rig import Rig
+from ehls_ros.progress import progress_bar
+from ehls_ros.report.identification import write_identification_report
+from ehls_ros.report.identification_figures import stribeck
+from ehls_ros.report.rig_identification import write_rig_report
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from plotly.graph_objects import Figure
+
+
+class FrictionResult(Identification):
+    """Identified friction: ``rig``, ``estimates`` by name, ``not_identifiable``, ``remarks``."""
+
+    __slots__ = ()
+
+    def to_pandas(self) -> "DataFrame":
+        """Return the estimates as a table: value, standard error and unit by name."""
+        return _table(self.estimates)
+
+    def plot(self) -> "Figure":
+        """Draw the Stribeck curve: steady friction against velocity, data and fits.
+
+        Raises:
+            BadInput: the data have no steady sliding.
+        """
+        return figure(stribeck(self))
+
+    def report(self, path: str | Path, before: Rig | None = None) -> Path:
+        """Write the HTML report that `ehls identify` writes, and return its path.
+
+        Args:
+            path: the file.
+            before: the rig before, shown beside the new values.
+
+        Raises:
+            BadInput: the file cannot be written.
+        """
+        return written(path, lambda file: write_identification_report(self, file, before=before))
+
+    def _repr_html_(self) -> str:
+        return str(self.to_pandas().to_html(float_format="{:.5g}".format))
+
+
+class RigResult(RigIdentification):
+    """An identified rig: ``rig``, ``estimates`` by name, ``not_identifiable`` with reasons, ``absent``, ``remarks``."""
+
+    __slots__ = ()
+
+    def to_pandas(self) -> "DataFrame":
+        """Return the estimates as a table: value, standard error and unit by name."""
+        return _table(self.estimates)
+
+    def report(self, path: str | Path, before: Rig) -> Path:
+        """Write the HTML report that `ehls identify --whole-rig` writes, and return its path.
+
+        Args:
+            path: the file.
+            before: the rig before, shown beside the new values.
+
+        Raises:
+            BadInput: the file cannot be written.
+        """
+        return written(path, lambda file: write_rig_report(self, file, before=before))
+
+    def _repr_html_(self) -> str:
+        return str(self.to_pandas().to_html(float_format="{:.5g}".format))
+
+
+def _table(estimates: Mapping[str, Estimate]) -> "DataFrame":
+    from pandas import DataFrame  # noqa: PLC0415 - half a second that only tables cost
+
+    return DataFrame.from_dict(estimates, orient="index", columns=Estimate._fields)
+
+
+@overload
+def identify(
+    data: Data | Iterable[Data],
+    rig: RigSource,
+    *,
+    whole_rig: Literal[False] = False,
+    columns: Columns | None = None,
+    optimiser: str = DEFAULT_OPTIMISER,
+    elements: int | None = None,
+    seed: int = 0,
+    progress: bool = True,
+) -> FrictionResult: ...
+
+
+@overload
+def identify(
+    data: Data | Iterable[Data],
+    rig: RigSource,
+    *,
+    whole_rig: Literal[True],
+    columns: Columns | None = None,
+    seed: int = 0,
+    progress: bool = True,
+) -> RigResult: ...
+
+
+def identify(
+    data: Data | Iterable[Data],
+    rig: RigSource,
+    *,
+    whole_rig: bool = False,
+    columns: Columns | None = None,
+    optimiser: str = DEFAULT_OPTIMISER,
+    elements: int | None = None,
+    seed: int = 0,
+    progress: bool = True,
+) -> FrictionResult | RigResult:
+    """Identify a rig, or its friction alone, from recordings.
+
+    Args:
+        data: one or several recordings, or their paths.
+        rig: the rig as known so far, or its file, where the search starts.
+        whole_rig: identify valve, flow, mass, spring and sensors as well, as far as they are recorded.
+        columns: names and units of the data's own, for paths.
+        optimiser: of the friction's static fit.
+        elements: number of friction elements; None: as many as the data show.
+        seed: of what is random in the search.
+        progress: show a progress bar, in a notebook or on a terminal.
+
+    Returns:
+        The estimates with their standard errors, and the rig with them in it.
+
+    Raises:
+        BadInput: data or rig cannot be read, or the data cannot be used; the message names the signal.
+    """
+    known = rig_of(rig)
+    if whole_rig and elements is not None:
+        expected = "one of them: the whole rig keeps the rig file's number of friction elements"
+        raise BadInput("elements and whole_rig are given", "identify", expected)
+    recordings = by_name(data, columns)
+    with progress_bar("identifying", shown=progress) as bar:
+        if whole_rig:
+            return RigResult(*identify_whole_rig(recordings, known, seed=seed, progress=bar))
+        found = friction.identify(
+            recordings,
+            known,
+            optimiser=optimiser,
+            elements=elements,
+            seed=seed,
+            progress=lambda doing, done, total: bar(done, total, doing),
+        )
+    return FrictionResult(*found)

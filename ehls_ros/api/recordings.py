@@ -1,0 +1,167 @@
+"""A recording as an object: a trajectory that becomes a table, a figure, a report or a file."""
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, fields
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from ehls_ros.api.figures import figure
+from ehls_ros.api.files import written
+from ehls_ros.experiments.metrics import evaluate_controlled
+from ehls_ros.experiments.run_folder import recording_in
+from ehls_ros.recording import load as formats
+from ehls_ros.recording.bag_writer import write_trajectory
+from ehls_ros.recording.columns import ColumnMap, columns_from_mapping, read_columns
+from ehls_ros.recording.csv_file import write_csv
+from ehls_ros.report.experiment import write_experiment_report
+from ehls_ros.report.signal_figure import signals_over_time
+from ehls_ros.trajectory import READABLE, SIGNALS, Trajectory
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from plotly.graph_objects import Figure
+
+Columns = ColumnMap | Mapping[str, Any] | str | Path
+"""A map of columns: read already, as a mapping like its YAML file, or the path of that file."""
+
+Data = str | Path | Trajectory
+"""A recording, or its path."""
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Recording(Trajectory):
+    """Signals over a common time base, from a file, a simulation, or arrays: ``Recording(time_s, {"force_n": force})``.
+
+    ``recording["force_n"]`` is one signal, ``"force_n" in recording`` tells whether it was recorded, and ``len(recording)``
+    is the number of samples.
+
+    Attributes:
+        name: what errors and reports call it.
+    """
+
+    name: str = "recording"
+
+    def to_pandas(self) -> "DataFrame":
+        """Return a table: one row per sample, indexed by ``time_s``, one column per signal in SI units."""
+        from pandas import DataFrame, Index  # noqa: PLC0415 - half a second that only tables cost
+
+        columns: dict[str, Any] = {}
+        for name, values in self.signals.items():
+            if values.ndim == 1:
+                columns[name] = values
+            else:
+                columns |= {f"{name}_{number}": column for number, column in enumerate(values.T, start=1)}
+        return DataFrame(columns, index=Index(self.time_s, name="time_s"))
+
+    def describe(self) -> "DataFrame":
+        """Return a table with one row per signal: what it is, unit, smallest and largest value, fraction of missing samples."""
+        from pandas import DataFrame  # noqa: PLC0415 - half a second that only tables cost
+
+        rows = {}
+        for name, values in self.signals.items():
+            known = values[np.isfinite(values)]
+            ends = (known.min(), known.max()) if known.size else (np.nan, np.nan)
+            rows[name] = (*READABLE[name], *ends, 1.0 - known.size / max(values.size, 1))
+        return DataFrame.from_dict(rows, orient="index", columns=["what", "unit", "min", "max", "missing"])
+
+    def plot(self, *signals: str) -> "Figure":
+        """Draw signals over time, those of one unit in one row.
+
+        Args:
+            signals: their names; none: the measured ones.
+
+        Raises:
+            BadInput: a signal was not recorded.
+        """
+        return figure(signals_over_time(self, signals))
+
+    def report(self, path: str | Path) -> Path:
+        """Write the HTML report that `ehls report` writes, and return its path.
+
+        Raises:
+            BadInput: the file cannot be written.
+        """
+        return written(path, lambda file: write_experiment_report(self, evaluate_controlled(self), file, name=self.name))
+
+    def save(self, path: str | Path) -> Path:
+        """Write a CSV file, or a bag where the path does not end in ``.csv``, and return its path.
+
+        Raises:
+            BadInput: the file cannot be written, or the bag exists.
+        """
+        writer = write_csv if Path(path).suffix.lower() == ".csv" else write_trajectory
+        return written(path, lambda file: writer(file, self))
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"<{type(self).__name__} {self.name}: {self._extent()}>"
+
+    def _extent(self) -> str:
+        seconds = float(self.time_s[-1] - self.time_s[0]) if len(self) else 0.0
+        return f"{seconds:.4g} s, {len(self)} samples, {len(self.signals)} signals"
+
+    def _repr_html_(self) -> str:
+        said = "".join(f"<li>{escape(remark)}</li>" for remark in self.preparation.remarks)
+        table = self.describe().to_html(float_format="{:.5g}".format)
+        return f"<p><b>{escape(self.name)}</b>: {self._extent()}</p>{table}{f'<ul>{said}</ul>' if said else ''}"
+
+
+Kind = TypeVar("Kind", bound=Recording)
+
+
+def with_methods(kind: type[Kind], trajectory: Trajectory, name: str, **more: Any) -> Kind:
+    """Return a trajectory as a recording of a kind, with ``more`` of its fields."""
+    own = {field.name: getattr(trajectory, field.name) for field in fields(Trajectory)}
+    return kind(**own, name=name, **more)
+
+
+def load(path: str | Path, columns: Columns | None = None) -> Recording:
+    """Read data in any supported format.
+
+    Args:
+        path: folder of a run or a rosbag2; a file ``.mcap``, ``.db3``, ``.csv``, ``.mat`` or ``.parquet``; or a folder with the
+            tables of one recording.
+        columns: the data's own names and units, as a mapping such as ``{"position_m": {"name": "x", "unit": "mm"}}`` or the
+            path of a YAML file with it. None: the names of the data contract.
+
+    Raises:
+        BadInput: the data cannot be read; the message says where and what was expected.
+    """
+    return read(path, columns, SIGNALS)
+
+
+def read(path: str | Path, columns: Columns | None, wanted: Collection[str]) -> Recording:
+    """Read data of which some signals are wanted."""
+    place = Path(path)
+    return with_methods(Recording, formats.load(recording_in(place), column_map(columns), wanted), place.name or str(place))
+
+
+def column_map(columns: Columns | None) -> ColumnMap | None:
+    """Return a map of columns however it was given."""
+    if columns is None or isinstance(columns, ColumnMap):
+        return columns
+    return columns_from_mapping(columns, Path("columns")) if isinstance(columns, Mapping) else read_columns(Path(columns))
+
+
+def as_recording(data: Data, columns: Columns | None, wanted: Collection[str] = SIGNALS) -> Recording:
+    """Return what a caller gave as data; ``columns`` are those of files.
+
+    Raises:
+        BadInput: it cannot be read.
+    """
+    if not isinstance(data, Trajectory):
+        return read(data, columns, wanted)
+    return data if isinstance(data, Recording) else with_methods(Recording, data, str(data.metadata.get("title", "recording")))
+
+
+def by_name(data: Data | Iterable[Data], columns: Columns | None, wanted: Collection[str] = SIGNALS) -> dict[str, Recording]:
+    """Return one or several recordings by their names, numbered where two have the same."""
+    given = [data] if isinstance(data, str | Path | Trajectory) else list(data)
+    found = [as_recording(one, columns, wanted) for one in given]
+    names = [one.name for one in found]
+    if len(set(names)) < len(names):
+        names = [f"{name} {number}" for number, name in enumerate(names, start=1)]
+    return dict(zip(names, found, strict=True))

@@ -1,0 +1,151 @@
+"""Rigs, and experiments on them in simulation."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ehls_ros.api.files import written
+from ehls_ros.api.recordings import Recording, with_methods
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.files import configured
+from ehls_ros.experiments.loop import run_as_far_as_it_goes
+from ehls_ros.experiments.metrics import Metrics, evaluate
+from ehls_ros.experiments.spec import Spec, check_spec, load_rig, spec_from_mapping, spec_to_mapping
+from ehls_ros.experiments.yaml_files import rig_text
+from ehls_ros.physics.rig import EffectUse, Rig, rig_from_mapping, rig_to_mapping
+from ehls_ros.progress import progress_bar
+from ehls_ros.recording.yaml_text import read_yaml
+
+RigSource = Rig | Mapping[str, Any] | str | Path
+"""A rig: read already, as a mapping like its YAML file, that file, or the name of one that comes with the package."""
+
+SpecSource = Spec | Mapping[str, Any] | str | Path
+"""An experiment, likewise."""
+
+Part = Mapping[str, Any] | str
+"""A member of a family: its name, or a mapping of ``name`` and parameters."""
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Simulation(Recording):
+    """The recording of a simulated experiment.
+
+    Attributes:
+        metrics: its figures of merit. ``metrics.warnings`` says why a run is of little use, with the reason if it ended early.
+        spec: the experiment.
+    """
+
+    metrics: Metrics
+    spec: Spec
+
+
+def rig(source: RigSource) -> Rig:
+    """Return a rig.
+
+    Args:
+        source: path of a rig file; name of one that comes with the package, such as ``"rig_paper_measured"``; its content as a
+            mapping; or a rig, which is returned as it is.
+
+    Raises:
+        BadInput: the file or one of its keys is wrong.
+    """
+    if isinstance(source, Rig):
+        return source
+    return rig_from_mapping(source, "rig") if isinstance(source, Mapping) else load_rig(configured(source))
+
+
+def save_rig(rig: Rig, path: str | Path) -> Path:
+    """Write a rig file, and return its path.
+
+    Raises:
+        BadInput: the file cannot be written.
+    """
+    return written(path, partial(Path.write_text, data=rig_text(rig_to_mapping(rig)), encoding="utf-8"))
+
+
+def simulate(
+    spec: SpecSource | None = None,
+    *,
+    rig: RigSource | None = None,
+    controller_rig: RigSource | None = None,
+    effects: Sequence[Part | EffectUse] | None = None,
+    reference: Part | None = None,
+    disturbance: Part | None = None,
+    controller: Part | None = None,
+    compensation: Part | None = None,
+    duration: float | None = None,
+    seed: int | None = None,
+    title: str | None = None,
+    progress: bool = True,
+) -> Simulation:
+    """Run an experiment on the simulated rig: plant, friction observer and controller in one process, without ROS.
+
+    All arguments but the last are keys of an experiment file, and take the place of those in ``spec``.
+
+    Args:
+        spec: the experiment to start from: path of its file, name of one that comes with the package, such as
+            ``"sine_fd2"``, its content, or an experiment. None: rig and reference are given, and the controller is FASMC.
+        rig: the rig as it is, in place of the experiment's rig, effects and controller's rig.
+        controller_rig: the rig as the controller believes it to be.
+        effects: effects beyond those of the rig itself, each with ``name`` and parameters.
+        reference: what the controller follows, such as ``{"name": "sine", "amplitude": 1e4, "frequency": 0.5}``.
+        disturbance: what disturbs the rig; by default nothing.
+        controller: the control law with its parameters, such as ``{"name": "fasmc", "k": 6.0}``.
+        compensation: the friction observer.
+        duration: plant time [s].
+        seed: seed of the sensors' noise.
+        title: what reports call it.
+        progress: show a progress bar, in a notebook or on a terminal.
+
+    Returns:
+        The recording with its metrics. A run whose numbers became impossible ends there, and its warnings say so.
+
+    Raises:
+        BadInput: a value is wrong, or the numbers together describe no rig.
+    """
+    changes: dict[str, Any] = {
+        "effects": effects, "reference": reference, "disturbance": disturbance, "controller": controller,
+        "compensation": compensation, "duration": duration, "seed": seed, "title": title,
+    }  # fmt: skip
+    made = _changed(spec, rig, controller_rig, {key: value for key, value in changes.items() if value is not None})
+    with progress_bar(made.settings.title, shown=progress) as bar:
+        trajectory, failure = run_as_far_as_it_goes(made, bar)
+    metrics = evaluate(trajectory)
+    if failure is not None:
+        metrics = metrics._replace(warnings=(str(failure),))
+    return with_methods(Simulation, trajectory, made.settings.title, metrics=metrics, spec=made)
+
+
+def _changed(source: SpecSource | None, own: RigSource | None, believed: RigSource | None, changes: Mapping[str, Any]) -> Spec:
+    """Return an experiment with other values for some of its keys."""
+    content, where, folder = _content(source)
+    if own is not None:
+        content |= {"rig": rig_to_mapping(rig(own)), "controller_rig": None, "effects": None}
+    if believed is not None:
+        content["controller_rig"] = rig_to_mapping(rig(believed))
+    content |= changes
+    if "effects" in changes:
+        content["effects"] = [
+            {"name": use.name, **use.parameters._asdict()} if isinstance(use, EffectUse) else use for use in changes["effects"]
+        ]
+    where = f"simulate, from {where}" if source is not None and changes else where
+    spec = spec_from_mapping(content, where, folder)
+    check_spec(spec, where)
+    return spec
+
+
+def _content(source: SpecSource | None) -> tuple[dict[str, Any], str, Path]:
+    """Return an experiment's keys, what errors call it, and the folder that the files it names are relative to."""
+    if source is None:
+        return {"controller": "fasmc"}, "simulate", Path()
+    if isinstance(source, Spec):
+        return spec_to_mapping(source), source.settings.title, Path()
+    if isinstance(source, Mapping):
+        return dict(source), "simulate", Path()
+    path = configured(source, "experiments")
+    content = read_yaml(path, "spec")
+    if not isinstance(content, Mapping):
+        raise BadInput(f"a spec is {type(content).__name__}", str(path), "a mapping of an experiment's keys")
+    return dict(content), str(path), path.parent

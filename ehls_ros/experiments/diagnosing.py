@@ -1,0 +1,74 @@
+"""A recording to its diagnosis and what follows from it: the work of `ehls diagnose`, without files."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from ehls_ros.diagnosis.contradictions import check_suits
+from ehls_ros.diagnosis.diagnose import diagnose
+from ehls_ros.diagnosis.result import Diagnosis
+from ehls_ros.experiments.baseline import diagnose_against
+from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
+from ehls_ros.experiments.consequences import Consequences, consequences
+from ehls_ros.parallel import Workers
+from ehls_ros.physics.rig import Rig
+from ehls_ros.progress import Update
+from ehls_ros.trajectory import Trajectory
+
+CORE, STEPS = 0.8, 1000
+"""Fraction of the time taken by the diagnosis itself; number of steps told of the whole work."""
+
+
+class Diagnosed(NamedTuple):
+    """A diagnosis, and what follows from it."""
+
+    found: Diagnosis
+    follows: Consequences
+
+
+def diagnose_recording(
+    trajectory: Trajectory,
+    rig: Rig,
+    name: str,
+    *,
+    baselines: Mapping[str, Trajectory],
+    seed: int,
+    threads: int | None,
+    progress: Update,
+) -> Diagnosed:
+    """Find what a rig's model gets wrong, or what changed since its baselines, and what follows.
+
+    Args:
+        trajectory: the recording.
+        rig: the rig as its file describes it.
+        name: name of the recording in errors.
+        baselines: recordings from when the rig was well, by their names; none: the recording is judged by itself.
+        seed: of the noise added to find the noise floor, and of resampling.
+        threads: hypotheses tried at once; None: one for each processor.
+        progress: called with the steps done, their number and what is being done.
+
+    Raises:
+        BadInput: a recording cannot be read as one of such a rig, or contradicts the rig file.
+    """
+
+    def told(doing: str, part: float) -> None:
+        progress(round(CORE * STEPS * part), STEPS, doing)
+
+    for called, recording in ({name: trajectory} | dict(baselines)).items():
+        check_suits(recording, rig, called)  # before compiling takes its time
+    with Workers() as workers:
+        compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: progress(done, total, COMPILING))
+        if baselines:
+            known = list(baselines.values())
+            found = diagnose_against(
+                trajectory, known, rig, name, seed=seed, threads=threads, progress=told, names=list(baselines)
+            )
+        else:
+            found = diagnose(trajectory, rig, name, seed=seed, threads=threads, progress=told)
+        follows = consequences(
+            found,
+            trajectory,
+            name,
+            workers=workers,
+            progress=lambda doing, part: progress(round(STEPS * (CORE + (1.0 - CORE) * part)), STEPS, doing),
+        )
+    return Diagnosed(found, follows)
