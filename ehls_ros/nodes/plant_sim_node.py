@@ -3,7 +3,7 @@
 import time
 from collections.abc import Collection, Mapping
 from types import MappingProxyType
-from typing import Any, NoReturn
+from typing import Annotated, Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -14,9 +14,26 @@ from ehls_ros.hardware.gate_parameters import SIMULATED
 from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.hardware.simulated_clock import SimulatedClock
 from ehls_ros.nodes.control import ERROR, WAIT, WARN, run_node
+from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.plant import PlantNode
 from ehls_ros.nodes.transport import Inbox, Waiter
 from ehls_ros.physics.rig import SENSED
+from ehls_ros.schema import quantity
+
+BURST = 0.005
+"""Simulated time that a lockstep run may be ahead of its speed [s]: waking up in every cycle would cost a slow machine time."""
+
+LATE = 0.1
+"""Simulated time by which a lockstep run may be behind its speed and still catch up [s]."""
+
+
+class Parameters(NamedTuple):
+    """What the simulated rig has in addition to every plant's."""
+
+    speed: Annotated[
+        float,
+        quantity("1", "in lockstep, largest speed relative to the wall clock; 0: as fast as the machine goes", minimum=0.0),
+    ] = 0.0
 
 
 class PlantSimNode(PlantNode):
@@ -28,6 +45,8 @@ class PlantSimNode(PlantNode):
     def __init__(self) -> None:
         """Declare the parameters."""
         super().__init__("plant_sim_node")
+        declare(self, Parameters, live=False)
+        self.speed = float(self.get_parameter("speed").value)
 
     def measured(self) -> Collection[str]:
         """Return all signals."""
@@ -57,6 +76,7 @@ class PlantSimNode(PlantNode):
         """Publish the first snapshot."""
         self.begin_stamps(self.cycle)
         self.time = SimulatedClock(self.period, time.perf_counter())
+        self.on_schedule = time.perf_counter()
         self.gate.begin()
         self._tell_driving()
         self._snapshot()
@@ -73,6 +93,10 @@ class PlantSimNode(PlantNode):
             self._once_realtime()
 
     def _once_lockstep(self) -> None:
+        ahead = self.on_schedule - time.perf_counter()
+        if ahead > BURST:
+            time.sleep(min(ahead, WAIT))
+            return
         complete = self.answered == self.cycle
         (self.anything if complete else self.answer).wait(WAIT)
         self._take()
@@ -109,6 +133,8 @@ class PlantSimNode(PlantNode):
         self.dense += self.simulator.advance(self._gated(), *row)
         self.tell_telemetry()
         self.cycle += 1
+        if self.speed > 0.0:
+            self.on_schedule = max(self.on_schedule, time.perf_counter() - LATE) + self.period / self.speed
         if self.cycles and self.cycle >= self.cycles:
             self.end_cycles()
             return
