@@ -112,6 +112,13 @@ const ehlsLive = (() => {
     return view.shown[chart.title] ?? chart.signals;
   }
 
+  // A plot that shows another kind of signal than it was made for is named after that signal.
+  function titleOf(chart) {
+    const [name] = chosen(chart);
+    const own = settings.signals[chart.signals[0]].unit;
+    return name === undefined || settings.signals[name].unit === own ? chart.title : settings.signals[name].label;
+  }
+
   // Unit of a chart and the factor to it; the chart's own unless another signal or unit was chosen.
   function unitOf(chart) {
     const [name] = chosen(chart);
@@ -189,6 +196,7 @@ const ehlsLive = (() => {
       const legend = document.getElementById(`legend-${described.id}`);
       const entries = lines.filter(({ sign }) => sign > 0).map(({ label, colour: index }) => item("span", label, `c${index}`));
       legend.replaceChildren(...entries);
+      document.getElementById(`title-${described.id}`).textContent = titleOf(described);
     }
   }
 
@@ -202,6 +210,8 @@ const ehlsLive = (() => {
   // The fields with which time, units and signals are chosen.
   function offer() {
     const place = document.getElementById("view");
+    // The page is built after this script has run.
+    if (!place || !settings.charts.every(({ id }) => document.getElementById(`signals-${id}`))) return setTimeout(offer, 50);
     place.append(field("time shown", settings.spans, view.span, (span) => (view.span = Number(span)), (span) => `${span} s`));
     const names = { N: "force", Pa: "pressure", m: "length", "m/s": "speed" };
     for (const [own, units] of Object.entries(settings.units)) {

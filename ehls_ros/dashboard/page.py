@@ -202,7 +202,7 @@ def _plot(panel: Panel) -> dict[str, Any]:
         chart = ui.echart(options(panel))
     legend = f'<span class="legend" id="legend-{chart.id}"></span>'
     menu = MENU.format(id=f"signals-{chart.id}", words="+")
-    head.set_content(f"<b>{escape(panel.title)}</b>{legend}{menu}")
+    head.set_content(f'<b id="title-{chart.id}">{escape(panel.title)}</b>{legend}{menu}')
     return {"id": chart.id, "title": panel.title, "unit": panel.unit, "signals": panel.signals}
 
 

@@ -29,7 +29,7 @@ TOO_SLOW = "too slow"
 
 GONE = "No more snapshots: the graph was stopped, or the plant node has died."
 
-SAME = 0.05
+SAME = 0.1
 """Distance from real time that is not mentioned."""
 
 GOOD, WARNING, BAD = range(3)
@@ -102,7 +102,7 @@ def _running(snapshot: Snapshot) -> Status:
 def _pace(snapshot: Snapshot) -> str:
     """Return how fast the rig's time passes, if not as the wall clock's."""
     pace = snapshot.rate * snapshot.period
-    return f", {pace:.2g} x real time" if snapshot.period and abs(pace - 1.0) > SAME else ""
+    return f", {pace:.2g} times real time" if snapshot.period and abs(pace - 1.0) > SAME else ""
 
 
 def _trip(gate: Health) -> tuple[str, Remedy]:
@@ -116,7 +116,7 @@ def _trip(gate: Health) -> tuple[str, Remedy]:
 
 
 _CAUSE = re.compile(
-    r"(?P<name>\w+)(?: of (?P<subject>[\w/]+))?(?:: (?P<value>\S+)(?: (?P<unit>\S+))?, limit (?P<limit>\S+)(?: \S+)?)?"
+    r"(?P<name>[\w ]+?)(?: of (?P<subject>[\w/]+))?(?:: (?P<value>\S+)(?: (?P<unit>\S+))?, limit (?P<limit>\S+)(?: \S+)?)?"
     r" at (?P<time>\S+) s, \w+"
 )
 """A cause as :class:`ehls_ros.hardware.safety_gate.Cause` words it, with time and reaction."""
@@ -142,9 +142,6 @@ def explained(cause: str) -> str:
     Args:
         cause: as the gate's diagnostics word it.
     """
-    for name, words in _OWN.items():
-        if cause.startswith(f"{name} at "):
-            return f"Tripped: {words}."
     match = _CAUSE.fullmatch(cause)
     if match is None:
         return f"Tripped by {cause}."
