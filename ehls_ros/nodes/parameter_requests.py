@@ -1,6 +1,5 @@
 """Requests to the parameter services of running nodes, as `ros2 param` makes them."""
 
-import gc
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -9,6 +8,7 @@ from typing import Any, NamedTuple
 
 import rclpy
 from rcl_interfaces.msg import ParameterType
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
@@ -73,9 +73,10 @@ class Described(NamedTuple):
 class Requests:
     """Asks the nodes of this process's ROS domain."""
 
-    def __init__(self, node: Node) -> None:
-        """Ask as a node, which nothing else spins."""
+    def __init__(self, node: Node, executor: Executor) -> None:
+        """Ask as a node, with an executor for its context that nothing else uses."""
         self._node = node
+        self._executor = executor
 
     def nodes(self) -> list[str]:
         """Return the full names of all nodes, once no new ones are found."""
@@ -164,7 +165,7 @@ class Requests:
         if not client.wait_for_services(FOUND):
             raise WorkFailed(f"{node} offers no parameter services")
         future = request(client)
-        rclpy.spin_until_future_complete(self._node, future, timeout_sec=ANSWERED)
+        rclpy.spin_until_future_complete(self._node, future, self._executor, ANSWERED)
         if not future.done():
             raise WorkFailed(f"{node} has not answered for {ANSWERED:g} s")
         return future.result()
@@ -173,16 +174,16 @@ class Requests:
 @contextmanager
 def requests() -> Iterator[Requests]:
     """Join the graph for as long as requests are made."""
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node(f"_ehls_param_{os.getpid()}", start_parameter_services=False)
+    context = rclpy.Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node = Node(f"_ehls_param_{os.getpid()}", context=context, start_parameter_services=False)
+    executor = SingleThreadedExecutor(context=context)
     try:
-        yield Requests(node)
+        yield Requests(node, executor)
     finally:
+        executor.shutdown()
         node.destroy_node()
-        del node
-        # Objects that refer to the middleware must be collected before it shuts down.
-        gc.collect()
-        rclpy.try_shutdown()
+        rclpy.try_shutdown(context=context)
 
 
 def _plain(value: Any) -> Any:

@@ -276,7 +276,7 @@ def test_a_page_without_the_token_shows_but_cannot_write(tab, shown, chromium):
         reader.until("document.querySelector('[data-name=state]')?.innerText.includes('cycles/s')")
         goes_on(reader)
         assert reader.text("read-only")
-        assert reader.evaluate("document.querySelectorAll('button, .side input').length") == 0
+        assert reader.evaluate("document.querySelectorAll('.q-btn, .side input').length") == 0
         # Send from here what the other page's button sends.
         button = tab.evaluate("document.querySelector(\"[data-name='emergency stop']\").id.slice(1)")
         listener = tab.evaluate(f"mounted_app.elements[{button}].events.find(e => e.type === 'click').listener_id")
