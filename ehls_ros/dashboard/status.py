@@ -85,7 +85,7 @@ def _running(snapshot: Snapshot) -> Status:
     speed = f"{snapshot.rate:.0f} cycles/s{_pace(snapshot)}"
     if gate is not None and gate.figures.get(CAUSE):
         tripped = "stopped" if gate.figures.get(STOP) else "tripped"
-        return Status(f"{tripped}, valve closed, {speed}", BAD, *_trip(gate))
+        return Status(f"{tripped}, valve closed, {speed}", BAD, *_trip(gate, snapshot))
     if snapshot.complaint:
         return Status(f"a node died, {speed}", BAD, snapshot.complaint)
     slow = next((f"{node.node}: {node.message}" for node in snapshot.health if TOO_SLOW in node.message), "")
@@ -105,14 +105,15 @@ def _pace(snapshot: Snapshot) -> str:
     return f", {pace:.2g} times real time" if snapshot.period and abs(pace - 1.0) > SAME else ""
 
 
-def _trip(gate: Health) -> tuple[str, Remedy]:
+def _trip(gate: Health, snapshot: Snapshot) -> tuple[str, Remedy]:
     """Return what happened, why and what to press."""
     happened = explained(gate.figures[CAUSE])
     if gate.figures.get(STOP):
         remedy, then = Remedy.ACKNOWLEDGE, f", then {Remedy.RESET.value}"
     else:
         remedy, then = Remedy.RESET, ""
-    return f"{happened} The valve is closed. To go on: {remedy.value}{then}.", remedy
+    anew = " If it trips again: stop and start under Experiment." if snapshot.started_here else ""
+    return f"{happened} The valve is closed. To go on: {remedy.value}{then}.{anew}", remedy
 
 
 _CAUSE = re.compile(

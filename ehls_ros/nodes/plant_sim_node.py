@@ -106,18 +106,25 @@ class PlantSimNode(PlantNode):
             self.ask_again(self.cycle)
 
     def _once_realtime(self) -> None:
+        complete = self._is_complete()
         present = not self.time.waiting or self.commands.handle.get_publisher_count() > 0
-        remaining = self.time.remaining(time.perf_counter(), answered=self.answered == self.cycle, present=present)
+        remaining = self.time.remaining(time.perf_counter(), answered=complete, present=present)
         if remaining > 0.0:
-            self.answer.wait(min(remaining, WAIT))
+            (self.answer if complete or self.answered != self.cycle else self.anything).wait(min(remaining, WAIT))
             self._take()
             return
         self._take()
-        changed = self.time.end(time.perf_counter(), answered=self.answered == self.cycle, expected=self.answered >= 0)
+        changed = self.time.end(time.perf_counter(), answered=self._is_complete(), expected=self.answered >= 0)
         self.missed = self.time.missed
         self._advance()
         if changed:
             self.report_change()
+
+    def _is_complete(self) -> bool:
+        """Return whether the cycle has its command, and its disturbance if there is any: a held one would push the rig away."""
+        if self.answered != self.cycle:
+            return False
+        return self.cycle in self.disturbances or self.disturbance.handle.get_publisher_count() == 0
 
     def _take(self) -> None:
         if self.cycle not in self.disturbances:

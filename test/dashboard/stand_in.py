@@ -27,7 +27,8 @@ class StandIn:
         self.where = "made up"
         cycle = np.arange(CYCLES)
         self.window.add(1e-3 * cycle, dict.fromkeys(SIGNALS, np.sin(1e-3 * cycle)))
-        self._health = (Health("fasmc_node", 0, "running", {}),)
+        # A closed gate, so that there is a button that opens it: those that are not shown do nothing.
+        self._health = (Health("plant_sim_node", 0, "disabled", {"state": "disabled"}),)
 
     def listen(self) -> None:
         for line in sys.stdin:
