@@ -6,7 +6,7 @@ from typing import Any
 from nicegui import ui
 
 from ehls_ros.dashboard.controls import ask, button
-from ehls_ros.dashboard.graph import Answer, Graph
+from ehls_ros.dashboard.graph import Answer, Graph, Snapshot, Timing
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, load_spec
@@ -79,19 +79,23 @@ class EffectsForm:
 class ExperimentTab:
     """Start, stop, record."""
 
-    def __init__(self, graph: Graph, spec: Path | None) -> None:
+    def __init__(self, graph: Graph, spec: Path | None, timing: Timing) -> None:
         """Build the tab in the current slot.
 
         Args:
             graph: the graph to start and stop.
             spec: experiment file preselected; None: the 10 kN sine.
+            timing: preselected.
         """
         self._graph = graph
+        self._recording = False
         folder = config_folder() / "experiments"
         first = str(spec or folder / "sine_fd2.yaml")
         files = sorted({first, *map(str, folder.glob("*.yaml"))})
         names = {file: Path(file).name if Path(file).parent == folder else file for file in files}
         self._spec = ui.select(names, value=first, label="experiment file").props("dense").style("width: 100%")
+        timings = {choice: choice.value for choice in Timing}
+        self._timing = ui.select(timings, value=timing, label="time").props('dense data-name="timing"').style("width: 100%")
         ui.label("Effects hidden in the simulated rig; the controller does not know them.").classes("said")
         self._effects = EffectsForm()
         with ui.element("div").classes("row-of"):
@@ -101,15 +105,15 @@ class ExperimentTab:
         self._refused = ui.label("").classes("refused").props('data-name="refused-start"')
         self._activity = ui.label("").classes("said").props('data-name="activity"')
 
-    def show(self) -> None:
+    def show(self, snapshot: Snapshot) -> None:
         """Update buttons and status line."""
-        graph = self._graph
-        here, there = graph.started_here(), graph.rate() > 0.0
+        here, there = snapshot.started_here, snapshot.rate > 0.0
+        self._recording = snapshot.recording
         self._start.set_enabled(not here and not there)
         self._stop.set_enabled(here)
-        self._record.set_enabled(there or graph.recording())
-        self._record.set_text("End recording" if graph.recording() else "Record")
-        self._activity.set_text(graph.activity())
+        self._record.set_enabled(there or self._recording)
+        self._record.set_text("End recording" if self._recording else "Record")
+        self._activity.set_text(snapshot.activity)
 
     async def _start_graph(self) -> None:
         try:
@@ -117,7 +121,7 @@ class ExperimentTab:
         except BadInput as error:
             self._refused.set_text(str(error))
             return
-        self._say(await ask(lambda: self._graph.start(spec, name)))
+        self._say(await ask(lambda: self._graph.start(spec, name, self._timing.value)))
 
     def _chosen(self) -> tuple[Spec, str]:
         path = Path(str(self._spec.value))
@@ -125,7 +129,7 @@ class ExperimentTab:
         return spec._replace(rig=spec.rig.with_effects(self._effects.chosen())), path.stem
 
     async def _toggle_recording(self) -> None:
-        on = not self._graph.recording()
+        on = not self._recording
         self._say(await ask(lambda: self._graph.record(on=on)))
 
     def _say(self, answer: Answer) -> None:

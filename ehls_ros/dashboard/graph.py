@@ -1,6 +1,7 @@
 """What the page needs of the graph; ``ehls_ros.nodes.dashboard_graph`` implements it over ROS."""
 
 from collections.abc import Mapping
+from enum import Enum
 from typing import NamedTuple, Protocol
 
 from ehls_ros.dashboard.window import Window
@@ -43,6 +44,18 @@ class Tunable(NamedTuple):
     maximum: float | None
 
 
+class Timing(Enum):
+    """How the time of a graph started here passes; the value is what the page says.
+
+    In the first two, every cycle waits for its answers. The first is the default: a simulated rig has no time of its own to
+    keep, and however slow or busy the machine is, the loop behaves as on a fast one.
+    """
+
+    LOCKSTEP = "in step, at most as fast as real time"
+    FASTEST = "in step, as fast as this machine"
+    REALTIME = "real time: late answers count as late"
+
+
 class Beginning(NamedTuple):
     """Progress of nodes being started.
 
@@ -53,6 +66,30 @@ class Beginning(NamedTuple):
 
     seconds: float
     nodes: Mapping[str, str]
+
+
+class Snapshot(NamedTuple):
+    """State of the graph at one moment; all the page says of it comes from one of these.
+
+    Attributes:
+        rate: rate of cycles over about the last second [1/s]; 0 without a graph.
+        period: the rig's time between two cycles [s]; 0 if unknown.
+        health: the nodes' diagnostics.
+        beginning: progress of the nodes being started here; None if none are.
+        complaint: which node started here died, and the last line of its log; empty if none did.
+        activity: what was started here: recording, files.
+        started_here: whether nodes started here are running.
+        recording: whether a recording started here is running.
+    """
+
+    rate: float = 0.0
+    period: float = 0.0
+    health: tuple[Health, ...] = ()
+    beginning: Beginning | None = None
+    complaint: str = ""
+    activity: str = ""
+    started_here: bool = False
+    recording: bool = False
 
 
 class Answer(NamedTuple):
@@ -73,11 +110,8 @@ class Graph(Protocol):
     window: Window
     where: str
 
-    def rate(self) -> float:
-        """Return the rate of snapshots over about the last second [1/s]; 0 without a graph."""
-
-    def health(self) -> tuple[Health, ...]:
-        """Return the nodes' diagnostics."""
+    def snapshot(self) -> Snapshot:
+        """Return the present state of everything the page shows beside the signals."""
 
     def tunable_nodes(self) -> tuple[str, ...]:
         """Return the nodes with live parameters, the controller first."""
@@ -100,29 +134,17 @@ class Graph(Protocol):
     def enable(self) -> Answer:
         """Let commands through again."""
 
-    def start(self, spec: Spec, name: str) -> Answer:
-        """Start the nodes of a spec in real time, with no last cycle; returns once they run."""
+    def reset_and_enable(self) -> Answer:
+        """Reset the gate's latched trips and let commands through again."""
+
+    def start(self, spec: Spec, name: str, timing: Timing) -> Answer:
+        """Start the nodes of a spec, with no last cycle; returns once they run."""
 
     def stop(self) -> Answer:
         """Stop the nodes started here."""
 
     def record(self, *, on: bool) -> Answer:
         """Start or end a recording."""
-
-    def beginning(self) -> Beginning | None:
-        """Return the progress of the nodes being started here; None if none are."""
-
-    def complaint(self) -> str:
-        """Return which node started here died, and the last line of its log; empty if none did."""
-
-    def activity(self) -> str:
-        """Return one sentence on what was started here: recording, files."""
-
-    def started_here(self) -> bool:
-        """Return whether nodes started here are running."""
-
-    def recording(self) -> bool:
-        """Return whether a recording started here is running."""
 
     def give_up(self) -> None:
         """Abort every pending request: the server is shutting down."""

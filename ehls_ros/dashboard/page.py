@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from ehls_ros.dashboard.beginning import BeginningCard
 from ehls_ros.dashboard.controls import button
 from ehls_ros.dashboard.experiment import ExperimentTab
-from ehls_ros.dashboard.graph import Beginning, Graph, Health
-from ehls_ros.dashboard.panels import PANELS, SPAN, Panel, options
+from ehls_ros.dashboard.graph import Graph, Health, Timing
+from ehls_ros.dashboard.panels import PANELS, SIGNALS, SPANS, UNITS, Panel, options
+from ehls_ros.dashboard.status import WARNING, Remedy, status_of
 from ehls_ros.dashboard.tuning import TuningTab
 from ehls_ros.dashboard.window import INTERVAL
 
@@ -25,17 +26,11 @@ PICTURES = 0.1
 WORDS = 0.5
 """Time between two updates of the texts [s]."""
 
-GATE_STATE = "state"
-"""Diagnostics key by which the node with the safety gate is known."""
-
-STOP = "stop"
-"""Diagnostics key that names the emergency stop while one is engaged."""
-
 PAUSE = '<input type="checkbox" onchange="ehlsLive.pause(this.checked)"> pause'
-"""Handled in the browser alone, since a read-only page cannot send events."""
+"""Handled in the browser alone, as is what is plotted, since a read-only page cannot send events."""
 
-TOO_SLOW = "too slow"
-"""Part of a node's message when this machine cannot keep its cycle time."""
+MENU = '<details class="menu"><summary>{words}</summary><div id="{id}" class="choices"></div></details>'
+"""A menu that the browser fills."""
 
 LEVELS = ("OK", "warning", "error", "silent")
 """Names of the levels of :class:`Health`."""
@@ -44,12 +39,13 @@ LEVELS = ("OK", "warning", "error", "silent")
 class Page:
     """One browser's page."""
 
-    def __init__(self, graph: Graph, spec: Path | None, *, writes: bool) -> None:
+    def __init__(self, graph: Graph, spec: Path | None, timing: Timing, *, writes: bool) -> None:
         """Build the page; timers keep it up to date once a browser has loaded it.
 
         Args:
             graph: the graph it shows.
             spec: experiment file preselected for Start.
+            timing: preselected for Start.
             writes: whether it may change things. If not, no controls exist, neither in the browser nor here.
         """
         self._graph = graph
@@ -58,15 +54,22 @@ class Page:
         self._was_there = False
         self._tuning: TuningTab | None = None
         self._experiment: ExperimentTab | None = None
-        self._acknowledge: ui.button | None = None
+        self._remedies: dict[Remedy, ui.button] = {}
         ui.add_css(FOLDER / "style.css")
         self._head(writes=writes)
         with ui.element("div").classes("plots"):
             charts = [_plot(panel) for panel in PANELS]
         self._beginning = BeginningCard(graph, writes=writes)
         with ui.element("div").classes("side"):
-            self._side(spec, writes=writes)
-        settings = {"interval": INTERVAL, "kept": round(SPAN / INTERVAL), "charts": charts}
+            self._side(spec, timing, writes=writes)
+        settings = {
+            "interval": INTERVAL,
+            "kept": round(max(SPANS) / INTERVAL),
+            "spans": SPANS,
+            "units": {own: dict(units) for own, units in UNITS.items()},
+            "signals": {name: signal._asdict() for name, signal in SIGNALS.items()},
+            "charts": charts,
+        }
         script = (FOLDER / "live.js").read_text(encoding="utf-8")
         ui.add_body_html(f"<script>{script}\nehlsLive.begin({_json(settings)})</script>")
         self._show_words()
@@ -78,25 +81,27 @@ class Page:
         with ui.element("div").classes("head"):
             ui.html("Electro-hydraulic load simulator", sanitize=False, tag="h1")
             self._state = ui.label("no graph").classes("badge").props('data-name="state"')
-            self._gate = ui.label("").classes("badge").props('data-name="gate"')
-            self._gate.set_visibility(False)
             ui.label(graph.where).classes("said").props('data-name="where"')
             ui.element("div").classes("grow")
             if not writes:
                 ui.label("read only: controls need the address with the token").classes("said").props('data-name="read-only"')
+            ui.html(MENU.format(id="view", words="View"), sanitize=False)
             ui.html(PAUSE, sanitize=False, tag="label").classes("pause")
             if writes:
-                self._acknowledge = button("Acknowledge stop", graph.acknowledge_stop, "flat dense")
-                self._acknowledge.set_visibility(False)
-                button("Reset trips", graph.reset_trips, "flat dense")
-                button("Enable", graph.enable, "outline dense")
                 button("Emergency stop", graph.emergency_stop, "dense color=negative")
-        self._trouble = ui.label("").classes("trouble").props('data-name="trouble"')
-        self._trouble.set_visibility(False)
+        with ui.element("div").classes("trouble") as self._trouble:
+            self._words = ui.label("").props('data-name="trouble"')
+            if writes:
+                requests = {
+                    Remedy.ACKNOWLEDGE: graph.acknowledge_stop,
+                    Remedy.RESET: graph.reset_and_enable,
+                    Remedy.ENABLE: graph.enable,
+                }
+                self._remedies = {remedy: button(remedy.value, ask, "dense color=negative") for remedy, ask in requests.items()}
         lost = "The dashboard's server does not answer: it was stopped, the connection is lost, or the machine is too busy."
         ui.label(lost).classes("trouble lost")
 
-    def _side(self, spec: Path | None, *, writes: bool) -> None:
+    def _side(self, spec: Path | None, timing: Timing, *, writes: bool) -> None:
         names = ("Tune", "Experiment", "Nodes") if writes else ("Nodes",)
         with ui.tabs().props("dense no-caps align=justify") as tabs:
             made = {name: ui.tab(name).props(f'data-name="tab-{name.lower()}"') for name in names}
@@ -105,7 +110,7 @@ class Page:
                 with ui.tab_panel(made["Tune"]):
                     self._tuning = TuningTab(self._graph)
                 with ui.tab_panel(made["Experiment"]):
-                    self._experiment = ExperimentTab(self._graph, spec)
+                    self._experiment = ExperimentTab(self._graph, spec, timing)
             with ui.tab_panel(made["Nodes"]):
                 self._nodes = NodesTab()
 
@@ -127,44 +132,22 @@ class Page:
             await self._tuning.follow()
 
     def _show_words(self) -> None:
-        rate, health, beginning = self._graph.rate(), self._graph.health(), self._graph.beginning()
-        self._was_there |= rate > 0.0
-        slow = next((f"{node.node}: {node.message}" for node in health if TOO_SLOW in node.message), "")
-        self._show_state(rate, beginning, slow=bool(slow))
-        gate = next((node for node in health if GATE_STATE in node.figures), None)
-        self._gate.set_text(f"gate {gate.figures[GATE_STATE]}" if gate else "")
-        self._gate.set_visibility(gate is not None)
-        if self._acknowledge is not None:
-            self._acknowledge.set_visibility(gate is not None and bool(gate.figures.get(STOP)))
-        _set_level(self._gate, gate.level if gate else 0)
-        self._beginning.show(beginning, was_there=self._was_there)
-        self._show_trouble(health, slow, there=rate > 0.0 or beginning is not None)
-        self._nodes.show(health)
+        snapshot = self._graph.snapshot()
+        status = status_of(snapshot, was_there=self._was_there)
+        self._was_there |= snapshot.rate > 0.0
+        self._state.set_text(status.text)
+        _set_level(self._state, status.level)
+        self._words.set_text(status.trouble)
+        self._trouble.set_visibility(bool(status.trouble))
+        self._trouble.classes(
+            add="bad" if status.level > WARNING else "warn", remove="warn" if status.level > WARNING else "bad"
+        )
+        for remedy, pressed in self._remedies.items():
+            pressed.set_visibility(remedy is status.remedy)
+        self._beginning.show(snapshot.beginning, was_there=self._was_there)
+        self._nodes.show(snapshot.health)
         if self._experiment is not None:
-            self._experiment.show()
-
-    def _show_state(self, rate: float, beginning: Beginning | None, *, slow: bool) -> None:
-        if rate:
-            text, level = f"{TOO_SLOW if slow else 'running'}, {rate:.0f} cycles/s", int(slow)
-        elif beginning:
-            text, level = f"starting, {beginning.seconds:.0f} s", 1
-        else:
-            text, level = ("graph gone", 3) if self._was_there else ("no graph", 1)
-        self._state.set_text(text)
-        _set_level(self._state, level)
-
-    def _show_trouble(self, health: tuple[Health, ...], slow: str, *, there: bool) -> None:
-        worst = max(health, key=lambda node: node.level, default=None)
-        text = self._graph.complaint()
-        if not text and self._was_there and not there:
-            text = "No more snapshots: the graph was stopped, or the plant node has died."
-        elif not text and worst is not None and worst.level:
-            text = f"{worst.node}: {worst.message}"
-            if slow and slow != text:
-                # The cause before its consequence.
-                text = f"{slow}. {text}"
-        self._trouble.set_text(text)
-        self._trouble.set_visibility(bool(text))
+            self._experiment.show(snapshot)
 
 
 class NodesTab:
@@ -214,13 +197,13 @@ def _set_level(badge: ui.label, level: int) -> None:
 
 def _plot(panel: Panel) -> dict[str, Any]:
     """Make an empty plot, and return what the browser needs to fill it."""
-    legend = [f'<span class="c{line.colour}">{escape(line.label)}</span>' for line in panel.lines]
-    lines = [{"signal": line.signal, "factor": line.factor, "colour": line.colour} for line in panel.lines]
-    lines += [{**lines[number], "factor": -line.factor} for number, line in enumerate(panel.lines) if line.mirrored]
     with ui.element("section").classes("plot"):
-        ui.html(f"<b>{escape(panel.title)}</b>{''.join(legend)}", sanitize=False, tag="header")
+        head = ui.html("", sanitize=False, tag="header")
         chart = ui.echart(options(panel))
-    return {"id": chart.id, "lines": lines}
+    legend = f'<span class="legend" id="legend-{chart.id}"></span>'
+    menu = MENU.format(id=f"signals-{chart.id}", words="+")
+    head.set_content(f'<b id="title-{chart.id}">{escape(panel.title)}</b>{legend}{menu}')
+    return {"id": chart.id, "title": panel.title, "unit": panel.unit, "signals": panel.signals}
 
 
 def _columns(values: NDArray[np.float64]) -> NDArray[np.float32]:

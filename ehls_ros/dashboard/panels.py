@@ -1,9 +1,13 @@
-"""What the page plots: the signals of each panel and their units."""
+"""What the page can plot: the signals, the units they may be shown in, and the plots it starts with."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
-ELEMENTS = 4
-"""Friction elements plotted; of a model with more, only the first ones."""
+from ehls_ros.trajectory import SIGNALS as DECLARED
+
+ELEMENTS = 8
+"""Friction elements that can be plotted; of a model with more, only the first ones."""
 
 RESPONSE = "response_us"
 """Time from sending a snapshot to sending its valve command [us]; computed from the time stamps."""
@@ -11,25 +15,64 @@ RESPONSE = "response_us"
 FORCE_REFERENCE = "force_reference_n"
 """Force minus the controller's reported error, which saves subscribing to the reference."""
 
-SPAN = 10.0
-"""Time shown [s]."""
+SPANS = (5.0, 10.0, 30.0, 60.0)
+"""Times that can be shown [s]; the second is the first choice."""
+
+UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {
+        "N": {"N": 1.0, "kN": 1e-3},
+        "Pa": {"MPa": 1e-6, "bar": 1e-5},
+        "m": {"mm": 1e3, "m": 1.0},
+        "m/s": {"mm/s": 1e3, "m/s": 1.0},
+    }
+)
+"""Units that can be chosen by the signals' own unit, and the factor to each."""
+
+MIRRORED = "force_bound_n"
+"""A bound, which is drawn on both sides of zero."""
+
+_SHORT = {
+    "force_n": "force",
+    FORCE_REFERENCE: "reference",
+    "force_error_n": "error",
+    MIRRORED: "bound",
+    "supply_pressure_pa": "supply",
+    "load_pressure_pa": "load pressure",
+    "valve_command_m": "command",
+    "spool_m": "spool",
+    "friction_gms_n": "all elements",
+    "friction_viscous_n": "viscous",
+    "position_reference_m": "reference",
+    "position_m": "position",
+    "velocity_m_s": "velocity",
+    "alpha": "α̂",
+    "beta": "β̂",
+    "delta_n": "D̂",
+    "e3_pa": "e3",
+    "s_pa_s": "s",
+    "oil_temperature_k": "oil",
+}
+"""Signals that can be plotted, and their names in a legend, where there is little room."""
+
+_BENEATH = {FORCE_REFERENCE, MIRRORED, "supply_pressure_pa", "valve_command_m", "friction_viscous_n", "position_reference_m"}
+"""References and the like: grey and wider, so that they show beneath the line that covers them."""
 
 
-class Line(NamedTuple):
-    """One line.
+class Signal(NamedTuple):
+    """A signal that can be plotted.
 
     Attributes:
-        signal: name in the window.
-        label: in the legend.
-        colour: number in the stylesheet; 0 is grey, for references.
-        factor: conversion from the signal's unit to the panel's.
-        mirrored: whether the negative signal is drawn too, as for a bound.
+        short: its name in a legend.
+        label: its name in full.
+        unit: its own unit.
+        beneath: whether it is drawn grey, beneath the others.
+        mirrored: whether its negative is drawn too.
     """
 
-    signal: str
+    short: str
     label: str
-    colour: int = 1
-    factor: float = 1.0
+    unit: str
+    beneath: bool = False
     mirrored: bool = False
 
 
@@ -38,70 +81,65 @@ class Panel(NamedTuple):
 
     Attributes:
         title: heading.
-        unit: unit of the vertical axis.
-        lines: in drawing order.
+        unit: unit it is shown in unless another is chosen.
+        signals: names in :data:`SIGNALS`.
         logarithmic: whether the vertical axis is logarithmic.
     """
 
     title: str
     unit: str
-    lines: tuple[Line, ...]
+    signals: tuple[str, ...]
     logarithmic: bool = False
 
 
-PANELS = (
-    Panel("Force", "kN", (Line(FORCE_REFERENCE, "reference", 0, 1e-3), Line("force_n", "force", 1, 1e-3))),
-    Panel("Force error", "N", (Line("force_bound_n", "bound", 0, mirrored=True), Line("force_error_n", "error"))),
-    Panel(
-        "Pressure",
-        "MPa",
-        (Line("supply_pressure_pa", "supply", 0, 1e-6), Line("load_pressure_pa", "load pressure", 1, 1e-6)),
-    ),
-    Panel("Spool", "mm", (Line("valve_command_m", "command", 0, 1e3), Line("spool_m", "spool", 1, 1e3))),
-    Panel(
-        "Friction elements",
-        "N",
-        (
-            Line("friction_viscous_n", "viscous", 0),
-            *(Line(f"friction_elements_n[{i}]", f"{i + 1}", i + 1) for i in range(ELEMENTS)),
-        ),
-    ),
-    Panel("Piston", "mm", (Line("position_reference_m", "reference", 0, 1e3), Line("position_m", "position", 1, 1e3))),
-    Panel("Friction scales", "ratio", (Line("alpha", "α̂"), Line("beta", "β̂", 2))),
-    Panel("Remaining disturbance", "N", (Line("delta_n", "D̂"),)),
-    Panel("Loop: snapshot to command", "µs", (Line(RESPONSE, "response"),), logarithmic=True),
-)
+def _signals() -> dict[str, Signal]:
+    known = {
+        name: Signal(short, DECLARED[name].label, DECLARED[name].unit, name in _BENEATH, name == MIRRORED)
+        for name, short in _SHORT.items()
+    }
+    elements = {element(i): Signal(f"{i + 1}", f"force of friction element {i + 1}", "N") for i in range(ELEMENTS)}
+    return known | elements | {RESPONSE: Signal("response", "time from snapshot to command", "µs")}
 
-SIGNALS = tuple(line.signal for panel in PANELS for line in panel.lines)
+
+def element(number: int) -> str:
+    """Return the name of a friction element's force."""
+    return f"friction_elements_n[{number}]"
+
+
+SIGNALS = MappingProxyType(_signals())
+"""All signals of the page by name."""
+
+PANELS = (
+    Panel("Force", "kN", (FORCE_REFERENCE, "force_n")),
+    Panel("Force error", "N", (MIRRORED, "force_error_n")),
+    Panel("Pressure", "MPa", ("supply_pressure_pa", "load_pressure_pa")),
+    Panel("Spool", "mm", ("valve_command_m", "spool_m")),
+    Panel("Friction elements", "N", ("friction_viscous_n", *(element(i) for i in range(ELEMENTS)))),
+    Panel("Piston", "mm", ("position_reference_m", "position_m")),
+    Panel("Friction scales", "1", ("alpha", "beta")),
+    Panel("Remaining disturbance", "N", ("delta_n",)),
+    Panel("Loop: snapshot to command", "µs", (RESPONSE,), logarithmic=True),
+)
 
 
 def options(panel: Panel) -> dict[str, Any]:
-    """Return the ECharts options of an empty panel; the browser adds colours and data."""
-    lines = [(line.label, line.colour) for line in panel.lines]
-    lines += [(f"-{line.label}", line.colour) for line in panel.lines if line.mirrored]
+    """Return the ECharts options of an empty panel; the browser adds lines, colours and data."""
     return {
         "animation": False,
         "grid": {"left": 58, "right": 12, "top": 10, "bottom": 24},
         "tooltip": {"trigger": "axis", "confine": True, "transitionDuration": 0, "order": "seriesAsc"},
         "xAxis": {
             "type": "value",
-            "min": -SPAN,
             "max": 0.0,
-            "interval": 2.0,
+            "splitNumber": 5,
             "axisLine": {"onZero": False},
             "axisLabel": {"formatter": "{value} s"},
         },
         "yAxis": {
             "type": "log" if panel.logarithmic else "value",
             "scale": True,
-            "name": panel.unit,
             "nameLocation": "middle",
             "nameGap": 42,
             "splitNumber": 4,
         },
-        "series": [
-            # References are wider, so that they show beneath the line that covers them.
-            {"type": "line", "name": label, "showSymbol": False, "lineStyle": {"width": 1 if colour else 3}}
-            for label, colour in lines
-        ],
     }

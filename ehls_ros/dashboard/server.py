@@ -16,7 +16,7 @@ from starlette.responses import PlainTextResponse
 
 from ehls_ros.dashboard.access import AWAY, TOKEN, WRITES, Access, AccessMiddleware
 from ehls_ros.dashboard.connections import Connections
-from ehls_ros.dashboard.graph import Graph
+from ehls_ros.dashboard.graph import Graph, Timing
 from ehls_ros.dashboard.messages import LARGEST
 from ehls_ros.dashboard.page import Page
 from ehls_ros.errors import BadInput
@@ -46,13 +46,14 @@ def listening(host: str, port: int) -> socket.socket:
         raise BadInput(place, "command line", "--port 0, for any free port") from None
 
 
-def serve(graph: Graph, opened: socket.socket, spec: Path | None, up: Callable[[str], None]) -> None:
+def serve(graph: Graph, opened: socket.socket, spec: Path | None, timing: Timing, up: Callable[[str], None]) -> None:
     """Serve the page until SIGINT or SIGTERM.
 
     Args:
         graph: the graph it shows.
         opened: listening socket, which is closed at the end.
         spec: experiment file preselected for Start.
+        timing: preselected for Start.
         up: called with the page's address, including the token, once it can be opened.
     """
     host, port = opened.getsockname()[:2]
@@ -74,7 +75,7 @@ def serve(graph: Graph, opened: socket.socket, spec: Path | None, up: Callable[[
         client, writes = ui.context.client, getattr(request.state, WRITES)
         access.give(client.id, writes=writes)
         client.on_delete(lambda: access.end(client.id))
-        Page(graph, spec, writes=writes)
+        Page(graph, spec, timing, writes=writes)
 
     _quieten()
     ui.run_with(app, tailwind=False, show_welcome_message=False, binding_refresh_interval=None, reconnect_timeout=AWAY)

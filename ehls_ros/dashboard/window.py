@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 INTERVAL = 0.02
 """Length of an interval [s]: 20 cycles at 1 kHz; a plot 300 pixels wide resolves no more of ten seconds."""
 
-INTERVALS = 600
-"""Intervals kept: 12 s; the page shows the last 10 s."""
+INTERVALS = 3100
+"""Intervals kept: 62 s; the page shows up to the last 60 s."""
 
 OPEN = 6
 """Newest intervals held back, as some topics may still add samples: topics are read one after another."""

@@ -10,16 +10,17 @@ from typing import Any
 
 from lifecycle_msgs.msg import Transition
 
-from ehls_ros.dashboard.graph import Answer, Beginning, Health
+from ehls_ros.dashboard.graph import Answer, Beginning, Health, Snapshot, Timing
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, load_spec
-from ehls_ros.nodes.control import NAMESPACE, REALTIME
+from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE, REALTIME
 from ehls_ros.nodes.dashboard_link import Link
 from ehls_ros.nodes.graph import (
     PLANTS,
     REALTIME_PRIORITY,
     RECORDER,
+    REFERENCE,
     SIMULATED,
     UP_TIME,
     Running,
@@ -31,6 +32,9 @@ from ehls_ros.nodes.graph import (
 )
 
 STORAGE = "mcap"
+
+START_TIME = 1.0
+"""Time in which the reference of a graph started here is led in from where the rig is [s]."""
 
 STARTING, COMPILING, READY, RUNNING, ENDED = "starting", "compiling", "ready", "running", "ended"
 """Stages of a node: its process starts, it configures itself, it waits for the others, it runs, it has died."""
@@ -47,6 +51,7 @@ class DashboardGraph(Link):
         self._recorder = _Started()
         self._unwanted = threading.Event()
         self._began: float | None = None
+        self._timing = LOCKSTEP
         self._reached: dict[str, str] = {}
         self._failure = ""
 
@@ -61,6 +66,19 @@ class DashboardGraph(Link):
     def started_here(self) -> bool:
         """Return whether nodes started here are running."""
         return bool(self._nodes.running)
+
+    def snapshot(self) -> Snapshot:
+        """Return the present state of everything the page shows beside the signals."""
+        return Snapshot(
+            rate=self.rate(),
+            period=self.period,
+            health=self.health(),
+            beginning=self.beginning(),
+            complaint=self.complaint(),
+            activity=self.activity(),
+            started_here=self.started_here(),
+            recording=self.recording(),
+        )
 
     def recording(self) -> bool:
         """Return whether a recording started here is running."""
@@ -89,8 +107,8 @@ class DashboardGraph(Link):
             health._replace(level=0, message=COMPILING) if health.node in busy else health for health in super().health()
         )
 
-    def start(self, spec: Spec, name: str) -> Answer:
-        """Start the nodes of a spec in real time, with no last cycle; returns once they run."""
+    def start(self, spec: Spec, name: str, timing: Timing) -> Answer:
+        """Start the nodes of a spec, with no last cycle; returns once they run."""
         with self._changing:
             if self.started_here() or self.rate():
                 return Answer(done=False, message="a graph is already running: stop it first")
@@ -99,9 +117,11 @@ class DashboardGraph(Link):
                 folder.logs.mkdir()
             except (BadInput, OSError) as error:
                 return Answer(done=False, message=str(error))
-            parameters = node_parameters(spec, SIMULATED, folder, REALTIME, STORAGE)
+            self._timing = REALTIME if timing is Timing.REALTIME else LOCKSTEP
+            parameters = node_parameters(spec, SIMULATED, folder, self._timing, STORAGE)
             del parameters[RECORDER]
-            parameters[SIMULATED.node]["cycles"] = 0
+            parameters[SIMULATED.node] |= {"cycles": 0, "speed": 1.0 if timing is Timing.LOCKSTEP else 0.0}
+            parameters[REFERENCE]["start_time"] = START_TIME
             self._unwanted.clear()
             self._reached, self._failure = {}, ""
             self._began = time.monotonic()
@@ -138,12 +158,13 @@ class DashboardGraph(Link):
                 self._end_recording()
                 return Answer(done=True, message=self._recorder.says)
             try:
-                spec, name = self._spec_of_graph()
+                spec, name, timing = self._spec_of_graph()
                 folder = _folder(spec, f"{name}-recording")
                 folder.logs.mkdir()
             except (BadInput, OSError) as error:
                 return Answer(done=False, message=str(error))
-            chosen = {"spec": str(folder.spec.resolve()), "timing": REALTIME, "priority": REALTIME_PRIORITY}
+            chosen: dict[str, Any] = {"spec": str(folder.spec.resolve()), "timing": timing}
+            chosen |= {"priority": REALTIME_PRIORITY} if timing == REALTIME else {}
             bag = {"bag": str(folder.bag.resolve()), "storage": STORAGE}
             self._recorder.begin({RECORDER: {**chosen, **bag}}, folder, self.namespace)
             self._recorder.says = f"Recording to {folder.bag}."
@@ -171,7 +192,7 @@ class DashboardGraph(Link):
             refusals = [refusal for refusal in configured if refusal]
         if refusals:
             return self._why(refusals[0])
-        share_processors(running, REALTIME)
+        share_processors(running, self._timing)
         for node in running:
             if refusal := self._lead(node, Transition.TRANSITION_ACTIVATE, RUNNING, deadline):
                 return self._why(refusal)
@@ -199,8 +220,8 @@ class DashboardGraph(Link):
             return ENDED
         return self._reached.get(node.name) or (COMPILING if self.is_up(node.name) else STARTING)
 
-    def _spec_of_graph(self) -> tuple[Spec, str]:
-        """Return the spec the graph's plant was started with, and its name.
+    def _spec_of_graph(self) -> tuple[Spec, str, str]:
+        """Return the spec the graph's plant was started with, its name, and the timing.
 
         Raises:
             BadInput: there is no plant node.
@@ -209,7 +230,7 @@ class DashboardGraph(Link):
             if plant in self.tunable_nodes():
                 path = Path(self.text_parameter(plant, "spec"))
                 name = self._nodes.folder.path.name if self.started_here() else path.stem
-                return load_spec(path), name
+                return load_spec(path), name, self.text_parameter(plant, "timing")
         raise BadInput("there is no plant node", "graph", f"one of {', '.join(PLANTS.values())}")
 
 

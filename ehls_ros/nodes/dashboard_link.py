@@ -71,6 +71,9 @@ GONE = 1.0
 SILENCE, FORGOTTEN and GONE are counted in passes of the reading thread, so that a stalled dashboard does not time nodes out.
 """
 
+INSISTS = 2.0
+"""Time for which a reset or enabling that is refused is asked for again [s]: the ramp to null takes its time."""
+
 REPORTS = 16
 """Queue depth for diagnostics; other publishers' messages may be large."""
 
@@ -86,8 +89,11 @@ TUNABLES = 200
 OWN = frozenset(node_names())
 """Names that include all of this project's nodes, which are always shown."""
 
+LATE = 1
+"""Level of a silent node in a running graph: the machine may be busy."""
+
 SILENT = 3
-"""Level of a silent node, above those of diagnostics."""
+"""Level of a silent node otherwise, above those of diagnostics."""
 
 KEPT = 8192
 """Snapshots whose sending time is kept until their command arrives."""
@@ -159,7 +165,7 @@ class Link:
             raise BadInput(f"'{namespace}' is not a valid ROS namespace", "--namespace", expected) from error
         self.where = f"/{self.namespace} in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}"
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        self.window = Window(SIGNALS)
+        self.window = Window(tuple(SIGNALS))
         # A receiver thread preempted while it holds a lock would make the sending nodes wait.
         with preferring_what_starts(REALTIME_PRIORITY):
             self._node = rclpy.create_node("dashboard", namespace=f"/{self.namespace}")
@@ -176,6 +182,7 @@ class Link:
         self._force = np.full(KEPT, np.nan)
         self._arrivals: list[tuple[float, int]] = []
         self._passes = self._last_arrival = 0
+        self.period = 0.0
         self._closing = threading.Event()
         self._executor = EventsExecutor()
         self._executor.add_node(self._node)
@@ -216,13 +223,15 @@ class Link:
         return sum(count for _, count in arrivals[1:]) / (end - begin)
 
     def health(self) -> tuple[Health, ...]:
-        """Return the nodes' diagnostics, sorted by name."""
-        now = time.monotonic()
+        """Return the nodes' diagnostics, sorted by name; while cycles arrive, a node without any is late rather than gone."""
+        now, level = time.monotonic(), LATE if self.rate() else SILENT
         with self._lock:
             self._heard = {name: heard for name, heard in self._heard.items() if self._passed(heard.at_pass) < FORGOTTEN}
             heard = sorted(self._heard.items())
         return tuple(
-            health._replace(level=SILENT, message=f"silent for {now - when:.0f} s") if self._passed(at) > SILENCE else health
+            health._replace(level=level, message=f"no diagnostics for {now - when:.0f} s")
+            if self._passed(at) > SILENCE
+            else health
             for _, (when, at, health) in heard
         )
 
@@ -231,6 +240,8 @@ class Link:
         with self._lock:
             self._forgotten |= dict.fromkeys(nodes, time.time_ns())
             self._heard = {name: heard for name, heard in self._heard.items() if name not in nodes}
+            if any(plant in nodes for plant in PLANTS.values()):
+                self._arrivals = []
 
     def tunable_nodes(self) -> tuple[str, ...]:
         """Return the nodes with live parameters, the controller first."""
@@ -282,6 +293,17 @@ class Link:
     def enable(self) -> Answer:
         """Let commands through again."""
         return self._request(SetBool, "enable", SetBool.Request(data=True))
+
+    def reset_and_enable(self) -> Answer:
+        """Reset the gate's latched trips and let commands through again; what is refused for the moment is asked again."""
+        answer = Answer(done=False, message="")
+        for request in (self.reset_trips, self.enable):
+            deadline = time.monotonic() + INSISTS
+            while not (answer := request()).done and time.monotonic() < deadline and not self._closing.wait(2.0 * REST):
+                pass
+            if not answer.done:
+                return answer
+        return answer
 
     def is_up(self, node: str) -> bool:
         """Return whether a lifecycle node is ready for requests."""
@@ -436,9 +458,11 @@ class Link:
             recent = [arrival for arrival in self._arrivals if now - arrival[0] < GONE]
             self._arrivals = recent if len(recent) > 1 else self._arrivals[-2:]
             self._last_arrival = self._passes
+        apart = cycle[-1] - cycle[0]
+        if apart > 0:
+            self.period = 1e-9 * float(stamp_ns[-1] - stamp_ns[0]) / float(apart)
         if cycle[-1] < self._newest or self._origin_ns is None:
             # The graph restarted: its time is zero at cycle 0.
-            apart = cycle[-1] - cycle[0]
             if apart <= 0:
                 return
             self._origin_ns = int(stamp_ns[0] - cycle[0] * (stamp_ns[-1] - stamp_ns[0]) // apart)

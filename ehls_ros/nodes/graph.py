@@ -42,6 +42,8 @@ PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
 
 RECORDER = "recorder_node"
 
+REFERENCE = "reference_node"
+
 DISTURBANCE = "disturbance_node"
 
 UP_TIME = 600.0
@@ -63,7 +65,7 @@ SHUTDOWN_TIME = 60.0
 ENABLE_TIME = 60.0
 """Longest wait for the gate of a rig to open [s]."""
 
-BACKGROUND = (RECORDER, "reference_node", DISTURBANCE)
+BACKGROUND = (RECORDER, REFERENCE, DISTURBANCE)
 """Nodes whose output no cycle waits for; they run at lower priority."""
 
 REALTIME_PRIORITY = 10
@@ -111,7 +113,7 @@ def nodes_of(spec: Spec, plant: Plant) -> list[str]:
     """Return the executables an experiment needs, in order of activation; the plant comes last."""
     friction = ["friction_estimator_node"] if CONTROLLERS.load(spec.controller.name).FRICTION else []
     disturbance = [DISTURBANCE] if plant.kind == "sim" else []
-    return [RECORDER, "reference_node", *disturbance, *friction, f"{spec.controller.name}_node", plant.node]
+    return [RECORDER, REFERENCE, *disturbance, *friction, f"{spec.controller.name}_node", plant.node]
 
 
 def expected_topics(spec: Spec, plant: Plant) -> list[str]:

@@ -235,8 +235,9 @@ class PlantNode(ControlNode):
         self.report()
 
     def unheard(self, silence: float) -> None:
-        """Tell the gate how long an emergency stop could not have been received."""
-        self.gate.hear(silence)
+        """Tell the gate how long an emergency stop could not have been received; in lockstep the rig's time may stand still."""
+        if not self.lockstep:
+            self.gate.hear(silence)
 
     def _beat(self) -> None:
         """Publish diagnostics as soon as the gate's state has changed: a trip must not be missed between two reports."""

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Collection, Mapping
 from types import MappingProxyType
-from typing import Any, NoReturn
+from typing import Annotated, Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -14,9 +14,26 @@ from ehls_ros.hardware.gate_parameters import SIMULATED
 from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.hardware.simulated_clock import SimulatedClock
 from ehls_ros.nodes.control import ERROR, WAIT, WARN, run_node
+from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.plant import PlantNode
 from ehls_ros.nodes.transport import Inbox, Waiter
 from ehls_ros.physics.rig import SENSED
+from ehls_ros.schema import quantity
+
+BURST = 0.005
+"""Simulated time that a lockstep run may be ahead of its speed [s]: waking up in every cycle would cost a slow machine time."""
+
+LATE = 0.1
+"""Simulated time by which a lockstep run may be behind its speed and still catch up [s]."""
+
+
+class Parameters(NamedTuple):
+    """What the simulated rig has in addition to every plant's."""
+
+    speed: Annotated[
+        float,
+        quantity("1", "in lockstep, largest speed relative to the wall clock; 0: as fast as the machine goes", minimum=0.0),
+    ] = 0.0
 
 
 class PlantSimNode(PlantNode):
@@ -28,6 +45,8 @@ class PlantSimNode(PlantNode):
     def __init__(self) -> None:
         """Declare the parameters."""
         super().__init__("plant_sim_node")
+        declare(self, Parameters, live=False)
+        self.speed = float(self.get_parameter("speed").value)
 
     def measured(self) -> Collection[str]:
         """Return all signals."""
@@ -57,6 +76,7 @@ class PlantSimNode(PlantNode):
         """Publish the first snapshot."""
         self.begin_stamps(self.cycle)
         self.time = SimulatedClock(self.period, time.perf_counter())
+        self.on_schedule = time.perf_counter()
         self.gate.begin()
         self._tell_driving()
         self._snapshot()
@@ -73,6 +93,10 @@ class PlantSimNode(PlantNode):
             self._once_realtime()
 
     def _once_lockstep(self) -> None:
+        ahead = self.on_schedule - time.perf_counter()
+        if ahead > BURST:
+            time.sleep(min(ahead, WAIT))
+            return
         complete = self.answered == self.cycle
         (self.anything if complete else self.answer).wait(WAIT)
         self._take()
@@ -82,18 +106,25 @@ class PlantSimNode(PlantNode):
             self.ask_again(self.cycle)
 
     def _once_realtime(self) -> None:
+        complete = self._is_complete()
         present = not self.time.waiting or self.commands.handle.get_publisher_count() > 0
-        remaining = self.time.remaining(time.perf_counter(), answered=self.answered == self.cycle, present=present)
+        remaining = self.time.remaining(time.perf_counter(), answered=complete, present=present)
         if remaining > 0.0:
-            self.answer.wait(min(remaining, WAIT))
+            (self.answer if complete or self.answered != self.cycle else self.anything).wait(min(remaining, WAIT))
             self._take()
             return
         self._take()
-        changed = self.time.end(time.perf_counter(), answered=self.answered == self.cycle, expected=self.answered >= 0)
+        changed = self.time.end(time.perf_counter(), answered=self._is_complete(), expected=self.answered >= 0)
         self.missed = self.time.missed
         self._advance()
         if changed:
             self.report_change()
+
+    def _is_complete(self) -> bool:
+        """Return whether the cycle has its command, and its disturbance if there is any: a held one would push the rig away."""
+        if self.answered != self.cycle:
+            return False
+        return self.cycle in self.disturbances or self.disturbance.handle.get_publisher_count() == 0
 
     def _take(self) -> None:
         if self.cycle not in self.disturbances:
@@ -109,6 +140,8 @@ class PlantSimNode(PlantNode):
         self.dense += self.simulator.advance(self._gated(), *row)
         self.tell_telemetry()
         self.cycle += 1
+        if self.speed > 0.0:
+            self.on_schedule = max(self.on_schedule, time.perf_counter() - LATE) + self.period / self.speed
         if self.cycles and self.cycle >= self.cycles:
             self.end_cycles()
             return

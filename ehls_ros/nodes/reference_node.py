@@ -1,32 +1,90 @@
 """`reference_node`: the reference force or position and its derivatives, whichever the spec's controller follows."""
 
-from typing import Any, NoReturn
+import math
+from typing import Annotated, Any, NamedTuple, NoReturn
 
+from ehls_msgs.msg import LoaderState
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.references._blend import eased_in
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.nodes.ahead import AheadNode
-from ehls_ros.nodes.control import run_node
-from ehls_ros.nodes.transport import Outbox, message_class
+from ehls_ros.nodes.control import WAIT, run_node
+from ehls_ros.nodes.parameters import declare
+from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, message_class
+from ehls_ros.physics import sensors
 from ehls_ros.recording.topics import REFERENCE_TOPICS
+from ehls_ros.schema import quantity
+
+MEASURED = {"force": sensors.FORCE, "position": sensors.POSITION}
+"""Reading of what a controller follows."""
+
+
+class Parameters(NamedTuple):
+    """How the reference begins."""
+
+    start_time: Annotated[
+        float,
+        quantity("s", "time in which the reference is led in from where the rig is; 0: it begins at once", minimum=0.0),
+    ] = 0.0
 
 
 class ReferenceNode(AheadNode):
     """Publishes the spec's reference."""
 
     def __init__(self) -> None:
-        """Name the node."""
+        """Declare the parameters."""
         super().__init__("reference_node")
+        declare(self, Parameters, live=False)
+        self.start_time = float(self.get_parameter("start_time").value)
+        self.follows = CONTROLLERS.load(self.spec.controller.name).FOLLOWS
 
     def open_outbox(self) -> Outbox:
         """Open the topic."""
         self.signal = sampled(self.spec.reference, self.spec.settings.control_period)
-        topic = REFERENCE_TOPICS[CONTROLLERS.load(self.spec.controller.name).FOLLOWS]
+        self.began, self.rest = 0, math.nan
+        self.states = Inbox(self, LoaderState, "loader_state") if self.start_time > 0.0 else None
+        topic = REFERENCE_TOPICS[self.follows]
         return Outbox(self, message_class(topic.type), topic.name)
+
+    def release(self) -> None:
+        """Close the topics."""
+        if self.states is not None:
+            self.states.destroy()
+        super().release()
+
+    def start(self) -> None:
+        """Publish the rows needed before the first snapshot, unless that snapshot says where they begin."""
+        if self.states is None:
+            super().start()
+
+    def once(self) -> None:
+        """Find out where the rig is, then publish ahead of the newest cycle."""
+        if self.states is None:
+            super().once()
+        elif (state := self._newest_of(self.states)) is not None:
+            self.next = self.began = state[1]
+            self.rest = state[2 + MEASURED[self.follows]]
+            self.states.destroy()
+            self.states = None
+            self.start()
+
+    @staticmethod
+    def _newest_of(states: Inbox) -> tuple[Any, ...] | None:
+        """Wait for a snapshot and return the newest; None if there is none."""
+        waiter, newest = Waiter([states]), None
+        waiter.wait(WAIT)
+        waiter.destroy()
+        while (state := states.take()) is not None:
+            newest = state
+        return newest
 
     def row(self, cycle: int, state: tuple[Any, ...] | None) -> list[float]:
         """Return the reference and its first and second derivative."""
         row: list[float] = self.signal.row(cycle).tolist()
-        return row
+        since = (cycle - self.began) * self.spec.settings.control_period
+        if math.isnan(self.rest) or not 0.0 <= since < self.start_time:
+            return row
+        return eased_in(row, self.rest, since, self.start_time)
 
 
 def main() -> NoReturn:

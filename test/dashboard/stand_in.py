@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ehls_ros.dashboard.graph import Answer, Health, Tunable, Value
+from ehls_ros.dashboard.graph import Answer, Health, Snapshot, Timing, Tunable, Value
 from ehls_ros.dashboard.panels import SIGNALS
 from ehls_ros.dashboard.server import listening, serve
 from ehls_ros.dashboard.window import Window
@@ -23,21 +23,19 @@ class StandIn:
     """A graph that only prints the requests it gets."""
 
     def __init__(self) -> None:
-        self.window = Window(SIGNALS)
+        self.window = Window(tuple(SIGNALS))
         self.where = "made up"
         cycle = np.arange(CYCLES)
         self.window.add(1e-3 * cycle, dict.fromkeys(SIGNALS, np.sin(1e-3 * cycle)))
-        self._health = (Health("fasmc_node", 0, "running", {}),)
+        # A closed gate, so that there is a button that opens it: those that are not shown do nothing.
+        self._health = (Health("plant_sim_node", 0, "disabled", {"state": "disabled"}),)
 
     def listen(self) -> None:
         for line in sys.stdin:
             self._health = tuple(Health(*node) for node in json.loads(line))
 
-    def rate(self) -> float:
-        return 1000.0
-
-    def health(self) -> tuple[Health, ...]:
-        return self._health
+    def snapshot(self) -> Snapshot:
+        return Snapshot(rate=1000.0, period=1e-3, health=self._health, started_here=True)
 
     def tunable_nodes(self) -> tuple[str, ...]:
         return ("fasmc_node",)
@@ -60,7 +58,10 @@ class StandIn:
     def enable(self) -> Answer:
         return self._request("enable")
 
-    def start(self, spec: Any, name: str) -> Answer:
+    def reset_and_enable(self) -> Answer:
+        return self._request("reset and enable")
+
+    def start(self, spec: Any, name: str, timing: Timing) -> Answer:
         return self._request("start")
 
     def stop(self) -> Answer:
@@ -68,21 +69,6 @@ class StandIn:
 
     def record(self, *, on: bool) -> Answer:
         return self._request("record")
-
-    def beginning(self) -> None:
-        return None
-
-    def complaint(self) -> str:
-        return ""
-
-    def activity(self) -> str:
-        return ""
-
-    def started_here(self) -> bool:
-        return True
-
-    def recording(self) -> bool:
-        return False
 
     def give_up(self) -> None:
         pass
@@ -96,4 +82,4 @@ if __name__ == "__main__":
     graph = StandIn()
     threading.Thread(target=graph.listen, daemon=True).start()
     with listening(sys.argv[1], 0) as opened:
-        serve(graph, opened, None, lambda address: print(address, flush=True))
+        serve(graph, opened, None, Timing.LOCKSTEP, lambda address: print(address, flush=True))

@@ -128,8 +128,8 @@ def test_on_this_machine_sockets_without_a_page_last_for_seconds_and_an_open_pag
         until(lambda: shown.held() <= PER_PEER + 1, "one address holds more than its share of connections")
         until(lambda: shown.held() == 1, "sockets without a page are never closed")
         until(lambda: all(one.state is State.CLOSED for one in flood), "sockets without a page are never closed")
-        opened.send(event("event", got.click("reset trips")))
-        until(lambda: "reset trips" in shown.requests(), "the open page was cut off")
+        opened.send(event("event", got.click("enable")))
+        until(lambda: "enable" in shown.requests(), "the open page was cut off")
 
 
 def test_a_page_has_two_sockets_at_most(shown, here):

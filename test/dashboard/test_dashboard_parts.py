@@ -42,13 +42,13 @@ def test_an_interval_keeps_the_extreme_samples_in_whatever_portions_they_arrive(
 def test_parts_follow_without_a_gap_and_a_late_reader_gets_what_is_kept():
     window = Window(["force"])
     following, era, taken = 0, -1, []
-    for first in range(0, 30_000, 250):
+    for first in range(0, 80_000, 250):
         filled(window, first, 250)
         part = window.part(following, era)
         assert part.first == following
         following, era = part.following, part.era
         taken.append(part.low)
-    assert sum(map(len, taken)) == following == round(30_000 * PERIOD / INTERVAL) - OPEN
+    assert sum(map(len, taken)) == following == round(80_000 * PERIOD / INTERVAL) - OPEN
     late = window.part(0, era)
     assert late.following == following
     assert len(late.low) == INTERVALS - OPEN

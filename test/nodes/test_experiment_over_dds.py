@@ -1,7 +1,9 @@
 """Complete experiments over DDS, one process per node."""
 
+import dataclasses
 import functools
 import json
+import re
 import subprocess
 from pathlib import Path
 
@@ -9,16 +11,19 @@ import numpy as np
 import pytest
 import yaml
 from ehls_command import ehls, trajectory_of
+from layouts import series
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
 from replayed import DEFAULT_PROFILE, Replay, stored_profile
+from rosbags.rosbag2 import Reader
 
 from ehls_msgs.msg import FrictionEstimate, ValveCommand
 from ehls_ros.cli.main import main
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.recording.bag_reader import read_bag
+from ehls_ros.recording.typestore import typestore
 
 
 def assert_same(one, other, relative):
@@ -125,6 +130,34 @@ def test_the_run_folder_holds_what_the_contract_says(over_dds):
     assert recorded.metadata["rig"]["plant"]["moving_mass"] == 70.0
     assert recorded.metadata["spec"]["controller"]["k"] == 12.0
     assert recorded.metadata["versions"]["ehls_ros"]
+
+
+def numbers(name: str, value) -> dict[str, float]:
+    """Return the numbers in a message by the names PlotJuggler gives them; diagnostics are texts, some of them numbers."""
+    if hasattr(value, "hardware_id"):
+        texts = {f"{value.hardware_id}/{value.name}/{pair.key}": pair.value for pair in value.values}
+        return {f"/diagnostics/{key}": float(text) for key, text in texts.items() if re.fullmatch(r"[-+.e\d]+", text)}
+    if isinstance(value, bool | int | float | np.generic):
+        return {name: float(value)}
+    parts = {}
+    if isinstance(value, list | np.ndarray):
+        parts = {f"{name}[{i}]": part for i, part in enumerate(value)}
+    elif dataclasses.is_dataclass(value):
+        parts = {f"{name}/{field.name}": getattr(value, field.name) for field in dataclasses.fields(value)}
+    return {key: number for child, part in parts.items() for key, number in numbers(child, part).items()}
+
+
+def test_every_series_of_the_layouts_is_a_number_in_the_bag_of_a_whole_graph(over_dds):
+    _, done = over_dds("fasmc")
+    bag = Path(json.loads(done.stdout.splitlines()[-1])["bag"])
+    found = {}
+    with Reader(bag) as reader:
+        # The last message: a figure of the diagnostics may not be known at first.
+        for connection, _, raw in reader.messages():
+            found |= numbers(connection.topic, typestore().deserialize_cdr(raw, connection.msgtype))
+    missing = {name for name in series() if not np.isfinite(found.get(name, np.nan))}
+    # A run follows either a force or a position.
+    assert missing == {"/ehls/position_reference/position"}
 
 
 @pytest.mark.parametrize("profile", [stored_profile, lambda _: DEFAULT_PROFILE], ids=["stored", "default"])

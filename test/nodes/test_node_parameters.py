@@ -14,7 +14,9 @@ from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.parameter import get_parameter_value, parameter_value_to_python
 
+from ehls_ros.cli.main import main
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.nodes import parameter_requests
 from ehls_ros.schema import declarations
 
 RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
@@ -32,6 +34,37 @@ def test_descriptors_carry_unit_range_and_help(graph, participant, spec_file):
         assert f"[{declared.unit}]" in descriptor.description
         assert descriptor.floating_point_range[0].to_value == declared.maximum
         assert not descriptor.read_only
+
+
+def test_the_command_does_as_ros2_param_does(graph, participant, spec_file, capsys, monkeypatch):
+    graph.start("fasmc_node", spec=spec_file())
+    participant.call(ListParameters, "fasmc_node/list_parameters", ListParameters.Request())
+
+    def asked(*words):
+        code = main(["param", *words])
+        return code, "".join(capsys.readouterr())
+
+    code, listed = asked("list", "fasmc_node")
+    assert code == 0
+    assert {"  k", "  use_sim_time"} <= set(listed.splitlines())
+    assert asked("get", "/ehls/fasmc_node", "k") == (0, "Double value is: 12.0\n")
+    assert asked("set", "fasmc_node", "k", "14") == (0, "Set parameter successful\n")
+    assert asked("get", "fasmc_node", "k", "--json") == (0, '{"k": 14.0}\n')
+    assert yaml.safe_load(asked("dump", "fasmc_node")[1])["/ehls/fasmc_node"]["ros__parameters"]["k"] == 14.0
+    described = asked("describe", "fasmc_node", "k")[1].splitlines()
+    assert described[:2] == ["Parameter name: k", "  Type: double"]
+    assert described[3:] == ["  Constraints:", "    Min value: 0.1", "    Max value: 1000.0"]
+    # The node has been found; one that is absent need not be waited for.
+    monkeypatch.setattr(parameter_requests, "FOUND", 1.0)
+    for code, words, complaints in (
+        (1, ("set", "fasmc_node", "k", "1e9"), ("Setting parameter failed: ", "1000")),
+        (2, ("get", "fasmc_node", "kk"), ("/ehls/fasmc_node", "no parameter 'kk'")),
+        (2, ("get", "sic_node", "k"), ("no node of the name 'sic_node'", "/ehls/fasmc_node")),
+        (2, ("set", "fasmc_node", "k"), ("ehls param set NODE NAME VALUE",)),
+    ):
+        refused, complaint = asked(*words)
+        assert refused == code
+        assert all(part in complaint for part in complaints), complaint
 
 
 @pytest.mark.parametrize(

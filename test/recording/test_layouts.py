@@ -1,21 +1,23 @@
-"""Every path in the layouts for Foxglove and PlotJuggler is a field of a published message."""
+"""The layouts hold what Foxglove, Lichtblick and PlotJuggler read, and every path in them is a field of a published message.
 
+test/nodes/test_experiment_over_dds.py compares the paths with a bag of the whole graph.
+"""
+
+import dataclasses
 import json
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
+from layouts import LAYOUTS, ROOT, curves, panels
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.nodes.frames import BASE
-from ehls_ros.recording.topics import TOPICS
+from ehls_ros.recording.topics import CYCLE_TOPICS, TOPICS
 from ehls_ros.trajectory import SIGNALS
 
-ROOT = Path(__file__).resolve().parents[2]
-LAYOUTS = ROOT / "config" / "layouts"
 FIELD = re.compile(r"^(?P<type>\w+(?P<many>\[\])?)\s+(?P<name>\w+)", re.MULTILINE)
 WANTED = {
     "force_n",
@@ -29,6 +31,10 @@ WANTED = {
     "alpha",
     "beta",
     "delta_n",
+    "position_m",
+    "velocity_m_s",
+    "disturbance_force_n",
+    "oil_temperature_k",
 }
 """Signals that the layouts must show."""
 
@@ -62,17 +68,6 @@ def signal_at(path: str, namespace: str, separator: str) -> str:
     return signal
 
 
-def panels() -> dict[str, Any]:
-    return dict(json.loads((LAYOUTS / "foxglove.json").read_text(encoding="utf-8"))["configById"])
-
-
-def curves() -> list[str]:
-    """Return the sources of PlotJuggler's curves; for an equation the curve it is computed from."""
-    root = ET.parse(LAYOUTS / "plotjuggler.xml").getroot()
-    sources = {snippet.attrib["name"]: snippet.findtext("linked_source") for snippet in root.iter("snippet")}
-    return [sources.get(curve.attrib["name"]) or curve.attrib["name"] for curve in root.iter("curve")]
-
-
 def test_every_path_of_the_foxglove_layout_is_a_field():
     shown = set()
     for panel in panels().values():
@@ -83,6 +78,65 @@ def test_every_path_of_the_foxglove_layout_is_a_field():
             if path.startswith("/ehls/"):
                 shown.add(signal)
     assert shown >= WANTED
+
+
+TITLE = "foxglovePanelTitle"
+LICHTBLICK_TITLE = "lichtblickPanelTitle"
+"""Keys of a panel's heading in the two programs; a plain `title` is read by neither."""
+
+
+def keys_of(kind: Any) -> set[str]:
+    """Return the keys that a class of Foxglove's own layout library writes."""
+    required = {field.name: None for field in dataclasses.fields(kind) if field.default is dataclasses.MISSING}
+    return set(kind(**required)._to_dict())
+
+
+def test_every_key_of_the_foxglove_layout_is_one_that_foxglove_knows():
+    known = pytest.importorskip("foxglove.layouts", reason="needs the extra `foxglove`")
+    kinds = {"Plot": known.PlotConfig, "DiagnosticSummary": known.DiagnosticsSummaryConfig, "3D": known.ThreeDeeConfig}
+    for name, panel in panels().items():
+        assert panel.keys() - {TITLE, LICHTBLICK_TITLE} <= keys_of(kinds[name.partition("!")[0]]), name
+        assert all(path.keys() <= keys_of(known.PlotSeries) for path in panel.get("paths", [])), name
+    rig = panels()["3D!rig"]
+    assert rig["cameraState"].keys() <= keys_of(known.ThreeDeeCameraState)
+    assert all(layer.keys() <= keys_of(known.BaseRendererUrdfLayerSettings) for layer in rig["layers"].values())
+
+
+LICHTBLICK = {
+    "Plot": {
+        "paths", "minXValue", "maxXValue", "minYValue", "maxYValue", "showLegend", "legendDisplay", "showPlotValuesInLegend",
+        "showXAxisLabels", "showYAxisLabels", "isSynced", "xAxisVal", "xAxisPath", "xAxisLabel", "yAxisLabel",
+        "followingViewWidth", "sidebarDimension",
+    },
+    "DiagnosticSummary": {
+        "minLevel", "pinnedIds", "topicToRender", "hardwareIdFilter", "sortByLevel", "secondsUntilStale",
+    },
+    "3D": {"cameraState", "followTf", "followMode", "scene", "publish", "transforms", "topics", "layers", "imageMode"},
+}  # fmt: skip
+"""Keys of a panel's configuration in Lichtblick 1.28, the free successor of Foxglove Studio: PlotConfig in
+panels/Plot/utils/config.ts, DiagnosticSummaryConfig in panels/DiagnosticSummary/types.ts, RendererConfig in
+panels/ThreeDeeRender/IRenderer.ts."""
+
+
+def test_every_key_of_the_foxglove_layout_is_one_that_lichtblick_knows():
+    for name, panel in panels().items():
+        assert panel.keys() - {TITLE, LICHTBLICK_TITLE} <= LICHTBLICK[name.partition("!")[0]], name
+    layout = json.loads((LAYOUTS / "foxglove.json").read_text(encoding="utf-8"))
+    assert layout.keys() <= {"configById", "layout", "globalVariables", "playbackConfig", "userNodes", "version"}
+
+
+def test_panels_are_headed_with_their_unit_in_both_programs():
+    for panel in panels().values():
+        assert panel[TITLE] == panel[LICHTBLICK_TITLE]
+        if "yAxisLabel" in panel:
+            assert panel[TITLE].endswith(f"[{panel['yAxisLabel']}]")
+
+
+def test_every_topic_of_the_cycles_is_in_both_layouts():
+    cycles = {topic.name for topic in CYCLE_TOPICS}
+    paths = {path["value"] for panel in panels().values() for path in panel.get("paths", [])}
+    assert cycles <= {path.split("/")[2].partition(".")[0] for path in paths if path.startswith("/ehls/")}
+    assert cycles <= {curve.split("/")[2] for curve in curves() if curve.startswith("/ehls/")}
 
 
 def test_the_foxglove_layout_shows_diagnostics_and_every_panel_it_describes():
@@ -104,6 +158,42 @@ def test_the_foxglove_layout_draws_the_rig_in_its_own_frames():
     rig = panels()["3D!rig"]
     assert rig["followTf"] == BASE
     assert [(layer["sourceType"], layer["topic"]) for layer in rig["layers"].values()] == [("topic", "/ehls/robot_description")]
+
+
+PLOTJUGGLER = {
+    "root": set(),
+    "tabbed_widget": {"name", "parent"},
+    "Tab": {"tab_name", "containers"},
+    "Container": set(),
+    "DockSplitter": {"orientation", "count", "sizes"},
+    "DockArea": {"name"},
+    "plot": {"mode", "style", "flip_x", "flip_y"},
+    "limitY": {"min", "max"},
+    "curve": {"name", "color"},
+    "currentTabIndex": {"index"},
+    "use_relative_time_offset": {"enabled"},
+    "customMathEquations": set(),
+    "snippet": {"name", "language"},
+    "global": set(),
+    "function": set(),
+    "linked_source": set(),
+}
+"""Elements and attributes that PlotJuggler 3.16 reads: xmlLoadState in mainwindow.cpp, tabbedplotwidget.cpp, plot_docker.cpp,
+and plotwidget.cpp, GetSnippetFromXML in custom_function.cpp."""
+
+
+def test_every_element_of_the_plotjuggler_layout_is_one_that_plotjuggler_knows():
+    root = ET.parse(LAYOUTS / "plotjuggler.xml").getroot()
+    for element in root.iter():
+        assert set(element.attrib) <= PLOTJUGGLER[element.tag], element.tag
+    assert [widget.attrib for widget in root.iter("tabbed_widget")] == [{"name": "Main Window", "parent": "main_window"}]
+    for splitter in root.iter("DockSplitter"):
+        # It splits as often as the count says, and reads as many sizes and children.
+        assert {len(splitter), len(splitter.attrib["sizes"].split(";"))} == {int(splitter.attrib["count"])}
+        assert splitter.attrib["orientation"] in {"-", "|"}
+    for plot in root.iter("plot"):
+        assert (plot.attrib["mode"], plot.attrib["style"]) == ("TimeSeries", "Lines")
+    assert all(re.fullmatch(r".+ \[.+\]", area.attrib["name"]) for area in root.iter("DockArea")), "a plot without unit"
 
 
 def test_every_curve_of_the_plotjuggler_layout_is_a_field():

@@ -18,6 +18,13 @@ def arguments(parser: ArgumentParser) -> None:
         type=Path,
         help="experiment file to start, in a domain of its own unless ROS_DOMAIN_ID is set (default: join a running graph)",
     )
+    parser.add_argument(
+        "--timing",
+        choices=("lockstep", "fastest", "realtime"),
+        default="lockstep",
+        help="lockstep: every cycle waits for its answers, at most as fast as real time, on any machine; fastest: the same, as"
+        " fast as this machine; realtime: by the wall clock, late answers count as late (default: lockstep)",
+    )
     parser.add_argument("--namespace", default="ehls", help="namespace of the rig (default: ehls)")
     parser.add_argument(
         "--host", default="127.0.0.1", help="address to serve on; from other machines, reading needs the token too"
@@ -29,6 +36,7 @@ def run(options: Namespace) -> int:
     """Serve until Ctrl-C; then stop everything started from the page."""
     spec = load_spec(options.spec) if options.spec is not None else None
     try:
+        from ehls_ros.dashboard.graph import Timing
         from ehls_ros.dashboard.server import listening, serve
     except ImportError as error:
         raise BadInput(
@@ -39,6 +47,7 @@ def run(options: Namespace) -> int:
         from ehls_ros.nodes.graph import graph_environment
     except ImportError as error:
         raise BadInput(f"ROS 2 cannot be imported ({error})", "this Python", "ROS 2 Jazzy sourced, or `make setup`") from None
+    timing = Timing[options.timing.upper()]
     with listening(options.host, options.port) as opened:
         if spec is not None:
             environment = graph_environment()
@@ -47,12 +56,14 @@ def run(options: Namespace) -> int:
 
         def start() -> None:
             if spec is not None:
-                _tell(graph.start(spec, options.spec.stem).message)
+                _tell(graph.start(spec, options.spec.stem, timing).message)
 
         starting = threading.Thread(target=start)
         starting.start()
         try:
-            serve(graph, opened, options.spec and options.spec.resolve(), lambda address: _say_where(address, graph.where))
+            serve(
+                graph, opened, options.spec and options.spec.resolve(), timing, lambda address: _say_where(address, graph.where)
+            )
         finally:
             graph.give_up()
             starting.join()

@@ -1,5 +1,7 @@
 """A way from one value to another without a jump up to the second derivative."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ehls_ros.arrays import Array
@@ -19,3 +21,21 @@ def quintic(since: Array, duration: float) -> tuple[Array, Array, Array]:
     left = 1.0 - x
     value = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
     return value, 30.0 * (x * left) ** 2 / duration, 60.0 * x * left * (1.0 - 2.0 * x) / duration**2
+
+
+def eased_in(row: Sequence[float], start: float, since: float, duration: float) -> list[float]:
+    """Return a reference's row, led in from rest at a value without a jump up to the second derivative.
+
+    Args:
+        row: value of the reference, first and second derivative.
+        start: value at the beginning, in the reference's unit.
+        since: time since the beginning [s].
+        duration: time until the reference is reached [s].
+    """
+    weight, rate, bend = (float(part[0]) for part in quintic(np.array([since]), duration))
+    apart, speed, acceleration = row[0] - start, row[1], row[2]
+    return [
+        start + weight * apart,
+        weight * speed + rate * apart,
+        weight * acceleration + 2.0 * rate * speed + bend * apart,
+    ]

@@ -1,0 +1,167 @@
+"""What the page says of the graph: one sentence, one level and one remedy, all from the same snapshot.
+
+Diagnostics come once a second and on change, cycles a thousand times. Shown side by side they would contradict each other for
+a moment; so what is graver is said, and nothing else.
+"""
+
+import re
+from enum import Enum
+from types import MappingProxyType
+from typing import NamedTuple
+
+from ehls_ros.dashboard.graph import Health, Snapshot
+from ehls_ros.dashboard.panels import UNITS
+from ehls_ros.hardware.gate_parameters import REACTIONS
+from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
+from ehls_ros.schema import declarations
+
+GATE = "state"
+"""Diagnostics key by which the node with the safety gate is known."""
+
+STOP = "stop"
+"""Diagnostics key that names the emergency stop while one is engaged."""
+
+CAUSE = "cause_1"
+"""Diagnostics key of what tripped the gate first."""
+
+TOO_SLOW = "too slow"
+"""Part of a node's message when this machine cannot keep its cycle time."""
+
+GONE = "No more snapshots: the graph was stopped, or the plant node has died."
+
+SAME = 0.1
+"""Distance from real time that is not mentioned."""
+
+GOOD, WARNING, BAD = range(3)
+"""Levels, as in :class:`Health`."""
+
+
+class Remedy(Enum):
+    """The button that leads on; its value is its label."""
+
+    ACKNOWLEDGE = "Acknowledge stop"
+    RESET = "Reset and enable"
+    ENABLE = "Enable"
+
+
+class Status(NamedTuple):
+    """What the page says.
+
+    Attributes:
+        text: state of the graph, in a few words.
+        level: 0 good, 1 warning, 2 bad.
+        trouble: what is wrong, why and what to press; empty if nothing is.
+        remedy: the button to press; None: there is none.
+    """
+
+    text: str
+    level: int
+    trouble: str = ""
+    remedy: Remedy | None = None
+
+
+def status_of(snapshot: Snapshot, *, was_there: bool) -> Status:
+    """Return what to say.
+
+    Args:
+        snapshot: of the graph.
+        was_there: whether this page has seen a running graph before.
+    """
+    return _running(snapshot) if snapshot.rate else _absent(snapshot, was_there=was_there)
+
+
+def _absent(snapshot: Snapshot, *, was_there: bool) -> Status:
+    """Return what to say while no cycles arrive."""
+    if snapshot.beginning:
+        return Status(f"starting, {snapshot.beginning.seconds:.0f} s", WARNING, snapshot.complaint)
+    if was_there:
+        return Status("graph gone", BAD, snapshot.complaint or GONE)
+    return Status("no graph", BAD if snapshot.complaint else WARNING, snapshot.complaint)
+
+
+def _running(snapshot: Snapshot) -> Status:
+    """Return what to say while cycles arrive."""
+    gate = next((node for node in snapshot.health if GATE in node.figures), None)
+    speed = f"{snapshot.rate:.0f} cycles/s{_pace(snapshot)}"
+    if gate is not None and gate.figures.get(CAUSE):
+        tripped = "stopped" if gate.figures.get(STOP) else "tripped"
+        return Status(f"{tripped}, valve closed, {speed}", BAD, *_trip(gate, snapshot))
+    if snapshot.complaint:
+        return Status(f"a node died, {speed}", BAD, snapshot.complaint)
+    slow = next((f"{node.node}: {node.message}" for node in snapshot.health if TOO_SLOW in node.message), "")
+    worst = max(snapshot.health, key=lambda node: node.level, default=None)
+    wrong = f"{worst.node}: {worst.message}" if worst is not None and worst.level else ""
+    # The cause before its consequence.
+    trouble = ". ".join(dict.fromkeys(filter(None, (slow, wrong))))
+    if gate is not None and gate.figures[GATE] == "disabled":
+        return Status(f"valve closed, {speed}", WARNING, trouble or "The safety gate is closed.", Remedy.ENABLE)
+    level = min(worst.level, BAD) if worst is not None else GOOD
+    return Status(f"{TOO_SLOW if slow else 'running'}, {speed}", level, trouble)
+
+
+def _pace(snapshot: Snapshot) -> str:
+    """Return how fast the rig's time passes, if not as the wall clock's."""
+    pace = snapshot.rate * snapshot.period
+    return f", {pace:.2g} times real time" if snapshot.period and abs(pace - 1.0) > SAME else ""
+
+
+def _trip(gate: Health, snapshot: Snapshot) -> tuple[str, Remedy]:
+    """Return what happened, why and what to press."""
+    happened = explained(gate.figures[CAUSE])
+    if gate.figures.get(STOP):
+        remedy, then = Remedy.ACKNOWLEDGE, f", then {Remedy.RESET.value}"
+    else:
+        remedy, then = Remedy.RESET, ""
+    anew = " If it trips again: stop and start under Experiment." if snapshot.started_here else ""
+    return f"{happened} The valve is closed. To go on: {remedy.value}{then}.{anew}", remedy
+
+
+_CAUSE = re.compile(
+    r"(?P<name>[\w ]+?)(?: of (?P<subject>[\w/]+))?(?:: (?P<value>\S+)(?: (?P<unit>\S+))?, limit (?P<limit>\S+)(?: \S+)?)?"
+    r" at (?P<time>\S+) s, \w+"
+)
+"""A cause as :class:`ehls_ros.hardware.safety_gate.Cause` words it, with time and reaction."""
+
+_SEVERAL = {"force_mismatch": "sensor_mismatch", "position_mismatch": "sensor_mismatch", "supply_mismatch": "sensor_mismatch"}
+"""Detectors that share one declaration."""
+
+_OWN = MappingProxyType(
+    {
+        "emergency stop": "emergency stop requested",
+        "left active": "the plant node ended its loop while commands reached the valve",
+        "gap": "the plant's loop paused",
+        "services_silent": "the plant node could not have heard an emergency stop",
+        "device_null": "the device itself keeps the valve closed",
+    }
+)
+"""Causes that have no parameter, and so no declaration."""
+
+
+def explained(cause: str) -> str:
+    """Return a trip's cause as a sentence, with value and limit in one unit; a cause worded otherwise is returned as it is.
+
+    Args:
+        cause: as the gate's diagnostics word it.
+    """
+    match = _CAUSE.fullmatch(cause)
+    if match is None:
+        return f"Tripped by {cause}."
+    words = _declared().get(match["name"]) or _OWN.get(match["name"]) or match["name"].replace("_", " ")
+    subject = f" ({match['subject']})" if match["subject"] else ""
+    figures = ""
+    if match["value"]:
+        unit, factor = next(iter(UNITS.get(match["unit"] or "", {match["unit"] or "": 1.0}).items()))
+        value, limit = (f"{factor * float(match[which]):.4g} {unit}".rstrip() for which in ("value", "limit"))
+        figures = f": {value}, allowed {limit}"
+    return f"Tripped: {words}{subject}{figures}, at {float(match['time']):.3f} s."
+
+
+def _declared() -> dict[str, str]:
+    """Return what each detector looks for, from the declaration of its reaction."""
+    suffix = re.compile(rf"(;[^;]*)?: ({'|'.join(REACTIONS)}).*")
+    found = {
+        declared.name.removeprefix("on_"): suffix.sub("", declared.description)
+        for declared in declarations(GateParameters)
+        if declared.name.startswith("on_")
+    }
+    return found | {name: found[shared] for name, shared in _SEVERAL.items()}

@@ -1,0 +1,203 @@
+"""Requests to the parameter services of running nodes, as `ros2 param` makes them."""
+
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import rclpy
+from rcl_interfaces.msg import ParameterType
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.signals import SignalHandlerOptions
+
+from ehls_ros.errors import BadInput, WorkFailed
+
+FOUND = 5.0
+"""Longest wait for the discovery of a node [s]."""
+
+SETTLED = 1.5
+"""Time without a new node after which all are taken to be found [s]."""
+
+ANSWERED = 30.0
+"""Longest wait for an answer [s]; on a busy machine, real-time nodes leave other threads little time."""
+
+LOOK = 0.1
+"""Time between two looks at the graph [s]."""
+
+WORDS: Mapping[int, tuple[str, str]] = {
+    ParameterType.PARAMETER_NOT_SET: ("not set", "Parameter not set."),
+    ParameterType.PARAMETER_BOOL: ("boolean", "Boolean value is:"),
+    ParameterType.PARAMETER_INTEGER: ("integer", "Integer value is:"),
+    ParameterType.PARAMETER_DOUBLE: ("double", "Double value is:"),
+    ParameterType.PARAMETER_STRING: ("string", "String value is:"),
+    ParameterType.PARAMETER_BYTE_ARRAY: ("byte array", "Byte values are:"),
+    ParameterType.PARAMETER_BOOL_ARRAY: ("boolean array", "Boolean values are:"),
+    ParameterType.PARAMETER_INTEGER_ARRAY: ("integer array", "Integer values are:"),
+    ParameterType.PARAMETER_DOUBLE_ARRAY: ("double array", "Double values are:"),
+    ParameterType.PARAMETER_STRING_ARRAY: ("string array", "String values are:"),
+}
+"""Name of each type, and the words before a value, as `ros2 param` prints them."""
+
+
+class Value(NamedTuple):
+    """A parameter's value, and the words before it."""
+
+    words: str
+    value: Any
+
+
+class Described(NamedTuple):
+    """A parameter's description.
+
+    Attributes:
+        name: its name.
+        type: name of its type.
+        description: help; empty if there is none.
+        read_only: whether it is fixed while the node runs.
+        range: smallest and largest value; None: no limits.
+        constraints: further constraints, in words.
+    """
+
+    name: str
+    type: str
+    description: str
+    read_only: bool
+    range: tuple[float, float] | None
+    constraints: str
+
+
+class Requests:
+    """Asks the nodes of this process's ROS domain."""
+
+    def __init__(self, node: Node, executor: Executor) -> None:
+        """Ask as a node, with an executor for its context that nothing else uses."""
+        self._node = node
+        self._executor = executor
+
+    def nodes(self) -> list[str]:
+        """Return the full names of all nodes, once no new ones are found."""
+        found: list[str] = []
+        since = time.monotonic()
+        while time.monotonic() - since < SETTLED:
+            time.sleep(LOOK)
+            if (names := self._present()) != found:
+                found, since = names, time.monotonic()
+        return found
+
+    def resolve(self, name: str) -> str:
+        """Return the full name of a node, given that or its last part.
+
+        Raises:
+            BadInput: there is no such node, or several.
+        """
+        deadline = time.monotonic() + FOUND
+        while not (matching := [full for full in self._present() if full == name or full.endswith(f"/{name.strip('/')}")]):
+            if time.monotonic() > deadline:
+                running = ", ".join(self._present()) or "none"
+                where = f"ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}"
+                raise BadInput(f"no node of the name '{name}'", where, f"one of those that run: {running}")
+            time.sleep(LOOK)
+        if len(matching) > 1 and name not in matching:
+            raise BadInput(f"several nodes are named '{name}'", "command line", f"one of {', '.join(matching)}")
+        return name if name in matching else matching[0]
+
+    def names(self, node: str) -> list[str]:
+        """Return the names of a node's parameters."""
+        return sorted(self._ask(node, lambda client: client.list_parameters()).result.names)
+
+    def get(self, node: str, names: Sequence[str]) -> dict[str, Value]:
+        """Return values by name.
+
+        Raises:
+            BadInput: the node has no parameter of that name.
+        """
+        self._check(node, names)
+        got = self._ask(node, lambda client: client.get_parameters(list(names)))
+        return {
+            name: Value(WORDS[value.type][1], _plain(parameter_value_to_python(value)))
+            for name, value in zip(names, got.values, strict=True)
+        }
+
+    def describe(self, node: str, names: Sequence[str]) -> list[Described]:
+        """Return descriptions.
+
+        Raises:
+            BadInput: the node has no parameter of that name.
+        """
+        self._check(node, names)
+        return [
+            _described(each) for each in self._ask(node, lambda client: client.describe_parameters(list(names))).descriptors
+        ]
+
+    def set(self, node: str, name: str, text: str) -> str:
+        """Set a parameter to a value given as in YAML; return what the node adds to its consent.
+
+        Raises:
+            BadInput: the node has no parameter of that name.
+            WorkFailed: the node refuses the value.
+        """
+        self._check(node, [name])
+        wanted = Parameter(name, value=parameter_value_to_python(get_parameter_value(text)))
+        [result] = self._ask(node, lambda client: client.set_parameters([wanted])).results
+        if not result.successful:
+            raise WorkFailed(f"Setting parameter failed: {result.reason or 'the node gives no reason'}")
+        return str(result.reason)
+
+    def _present(self) -> list[str]:
+        present = self._node.get_node_names_and_namespaces()
+        own = self._node.get_fully_qualified_name()
+        # Names that begin with an underscore are hidden, as those of this command and of ros2 are.
+        full = {f"{namespace.rstrip('/')}/{name}" for name, namespace in present if not name.startswith("_")}
+        return sorted(full - {own})
+
+    def _check(self, node: str, names: Sequence[str]) -> None:
+        known = self.names(node)
+        for name in names:
+            if name not in known:
+                raise BadInput(f"no parameter '{name}'", node, f"one of those that `ehls param list {node}` prints")
+
+    def _ask(self, node: str, request: Callable[[AsyncParameterClient], Any]) -> Any:
+        client = AsyncParameterClient(self._node, node)
+        if not client.wait_for_services(FOUND):
+            raise WorkFailed(f"{node} offers no parameter services")
+        future = request(client)
+        rclpy.spin_until_future_complete(self._node, future, self._executor, ANSWERED)
+        if not future.done():
+            raise WorkFailed(f"{node} has not answered for {ANSWERED:g} s")
+        return future.result()
+
+
+@contextmanager
+def requests() -> Iterator[Requests]:
+    """Join the graph for as long as requests are made."""
+    context = rclpy.Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node = Node(f"_ehls_param_{os.getpid()}", context=context, start_parameter_services=False)
+    executor = SingleThreadedExecutor(context=context)
+    try:
+        yield Requests(node, executor)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
+
+
+def _plain(value: Any) -> Any:
+    """Return lists instead of arrays, for printing."""
+    return list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
+
+
+def _described(descriptor: Any) -> Described:
+    ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
+    return Described(
+        name=descriptor.name,
+        type=WORDS[descriptor.type][0],
+        description=descriptor.description,
+        read_only=descriptor.read_only,
+        range=(ranges[0].from_value, ranges[0].to_value) if ranges else None,
+        constraints=descriptor.additional_constraints,
+    )
