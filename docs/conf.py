@@ -14,15 +14,28 @@ project = "ehls_ros"
 copyright = "ehls_ros maintainers"  # noqa: A001 - Sphinx's name for it
 version = release = __version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "reference_pages", "source_links"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+    "sphinx_design",
+    "mathml",
+    "reference_pages",
+    "source_links",
+]
 exclude_patterns = ["pictures"]
 
-myst_enable_extensions = ["dollarmath"]
+myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 myst_url_schemes = ["http", "https", "source"]
 
 autodoc_typehints = "description"
 autodoc_member_order = "bysource"
+
+copybutton_selector = "div:not(.highlight-text) > div.highlight > pre"  # output is not for copying
+copybutton_prompt_text = r"\$ |>>> |\.\.\. "
+copybutton_prompt_is_regexp = True
 
 html_theme = "furo"
 html_title = f"ehls_ros {__version__}"

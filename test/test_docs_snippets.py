@@ -1,6 +1,7 @@
 """Every command and snippet of README.md and docs/ runs, or at least parses, or says why it does neither."""
 
 import importlib
+import io
 import os
 import shutil
 import subprocess
@@ -8,6 +9,7 @@ import sys
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -27,9 +29,6 @@ from ehls_ros.recording.columns import read_columns
 from ehls_ros.schema import declarations
 
 EVERYTHING = os.environ.get("EHLS_DOCS") == "all"
-SHORT = "0.5"
-"""Plant time of an experiment where its full length is not asked for [s]."""
-
 _counts: Counter[str] = Counter()
 _skipped: list[str] = []
 
@@ -68,9 +67,17 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def test_snippets_of_a_page(page: str, folder: Path, parameters_of: ParametersOf, monkeypatch: pytest.MonkeyPatch) -> None:
     names: dict[str, Any] = {}
     made: list[str] = []
+    printed = ""
     for block in blocks(page):
         try:
-            done = handle(block, folder, parameters_of, made, names, monkeypatch)
+            if block.mark == "output":
+                if printed:
+                    docs_snippets.check_output(block, printed)
+                done = "run" if printed else "parsed"
+            else:
+                with redirect_stdout(io.StringIO()) as out:
+                    done = handle(block, folder, parameters_of, made, names, monkeypatch)
+                printed = out.getvalue() if done == "run" else ""
         except Unknown as error:
             pytest.fail(f"{block}: {error}", pytrace=False)
         _counts[done] += 1
@@ -177,10 +184,8 @@ def shell(block: Block, parameters_of: ParametersOf, made: list[str]) -> str:
 
 
 def run(command: Command) -> None:
-    """Run an `ehls` command: an experiment for a short time, a campaign, which starts workers, in a process of its own."""
-    words = [*command.words[1:]]
-    if words[0] == "experiment":
-        words += ["--duration", SHORT]
+    """Run an `ehls` command; a campaign, which starts workers, in a process of its own."""
+    words = command.words[1:]
     if words[0] == "campaign" and "--spec" not in words:
         subprocess.run([sys.executable, "-m", "ehls_ros.cli.main", *words], check=True, capture_output=True)
     else:
