@@ -38,6 +38,7 @@ copybutton_prompt_text = r"\$ |>>> |\.\.\. "
 copybutton_prompt_is_regexp = True
 
 html_theme = "furo"
+html_theme_options = {"dark_css_variables": {"sd-color-card-border": "#4a4e54"}}
 html_title = f"ehls_ros {__version__}"
 html_math_renderer = "mathml"
 html_copy_source = False

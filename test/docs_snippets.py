@@ -4,7 +4,7 @@ An HTML comment before a block says what is done with it beyond the rule that a 
 
 * ``file: NAME``    it is the content of a file that later blocks of the page use;
 * ``output: WHAT``  it is what the last command or Python block before it prints, with … for what differs from run to run;
-* ``ros: WHY``      commands are run by ``test_how_to.py`` where ROS 2 is, and else parsed;
+* ``ros: WHY``      commands are run by ``test_docs_how_to.py`` where ROS 2 is, and else parsed;
 * ``slow: WHY``     commands are parsed, and run only where everything is (``EHLS_DOCS=all``, as `make docs` has it);
 * ``parsed: WHY``   commands are parsed by the real parsers and never run;
 * ``not run: WHY``  nothing can be checked.
@@ -12,7 +12,7 @@ An HTML comment before a block says what is done with it beyond the rule that a 
 Blocks in the language ``text`` are no snippets: output, drawings and other programs' files.
 
 A page with the file of a family's member, and in TOML the entry point through which a package offers it, is followed from
-top to bottom by ``test_how_to.py``; ``test_docs_snippets.py`` only parses its blocks.
+top to bottom by ``test_docs_how_to.py``; ``test_docs_snippets.py`` only parses its blocks.
 """
 
 import ast

@@ -16,9 +16,11 @@ from ehls_ros.cli.main import main
 try:
     import ehls_msgs.msg._loader_state  # noqa: F401 - tells whether the messages are built, where the folder is on the path
 except ImportError:
-    MARKS = {"", "slow"}
+    MARKS = {""}
 else:
-    MARKS = {"", "slow", "ros"}
+    MARKS = {"", "ros"}
+if os.environ.get("EHLS_DOCS") == "all":
+    MARKS.add("slow")
 
 
 def follow(page: str) -> None:

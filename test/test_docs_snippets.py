@@ -82,7 +82,7 @@ def test_snippets_of_a_page(page: str, folder: Path, parameters_of: ParametersOf
             pytest.fail(f"{block}: {error}", pytrace=False)
         _counts[done] += 1
         if done in {"parsed", "not run"}:
-            _skipped.append(f"  {done}: {block}: {block.note or 'test_how_to.py runs it'}")
+            _skipped.append(f"  {done}: {block}: {block.note or 'test_docs_how_to.py runs it'}")
 
 
 def handle(
@@ -125,7 +125,7 @@ def is_member(block: Block) -> bool:
 
 
 def runs(block: Block) -> bool:
-    """Tell whether a block is run here; test_how_to.py runs those of a page that adds a member."""
+    """Tell whether a block is run here; test_docs_how_to.py runs those of a page that adds a member."""
     if members(block.page):
         return False
     return block.mark == "" or (block.mark == "slow" and EVERYTHING)

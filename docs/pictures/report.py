@@ -18,7 +18,7 @@ from headless_browser import browser  # noqa: E402 - found by the lines above
 
 SPEC = ROOT / "config" / "experiments" / "sine_fd2.yaml"
 KEPT = ("max_error_n", "rms_error_n", "convergence_s", "cycles")
-WIDTH, HEIGHT = 1024, 1130
+WIDTH, HEIGHT = 1024, 1090
 
 
 def take() -> None:

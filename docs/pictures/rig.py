@@ -54,7 +54,13 @@ def ground(x: float, y: float, width: float) -> list[str]:
 
 def load() -> list[str]:
     """Return the moving mass and what acts on it."""
-    spring = [(70.0, 128.0), (70.0, 140.0), *((70.0 + (-1) ** k * 8.0, 146.0 + 8.0 * k) for k in range(6)), (70.0, 194.0), (70.0, 206.0)]
+    spring = [
+        (70.0, 128.0),
+        (70.0, 140.0),
+        *((70.0 + (-1) ** k * 8.0, 146.0 + 8.0 * k) for k in range(6)),
+        (70.0, 194.0),
+        (70.0, 206.0),
+    ]
     return [
         path("arrow", (160, 22), (160, 66)),
         words(170, 30, "f_d  disturbance, down"),
@@ -125,7 +131,7 @@ def sketch() -> str:
     inside = "\n".join(filter(None, [*cylinder(), *load(), *valve()]))
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" height="{HEIGHT}">\n'
-        f"<style>{STYLE}</style>\n<defs>{HEAD}<path class=\"head\" d=\"M0 0 L8 4 L0 8 z\"/></marker></defs>\n"
+        f'<style>{STYLE}</style>\n<defs>{HEAD}<path class="head" d="M0 0 L8 4 L0 8 z"/></marker></defs>\n'
         f'<rect width="100%" height="100%" class="paper"/>\n{inside}\n</svg>\n'
     )
 

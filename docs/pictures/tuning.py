@@ -24,9 +24,11 @@ SETTLED = 3.0
 """Start of the settled part of a run [s]."""
 
 COLOURS = ("#1b6ca8", "#222222", "#c8553d")
-WIDTH, HEIGHT = 760, 300
-PANEL_WIDTH, PANEL_HEIGHT, TOP = 290, 200, 40
-LEFTS = (66, 446)
+WIDTH, HEIGHT = 380, 580
+"""One panel above the other: a telephone shows them in full size."""
+
+PANEL_WIDTH, PANEL_HEIGHT, LEFT = 290, 200, 66
+TOPS = (40, 330)
 FAR_ABOVE = 1e4
 """Upper limit of the error axis; larger errors are drawn there [N]."""
 
@@ -96,29 +98,29 @@ def draw(case: Case) -> str:
     errors = np.array([settled_error(trajectory) for trajectory in swept])
     bounds = np.array([trajectory["force_bound_n"][-1] for trajectory in swept])
 
-    left = [(f"{case.name} = {value:g}", trajectory.time_s, trajectory["force_error_n"]) for value, trajectory in runs]
-    shown = [error[(time >= case.start) & (time <= case.end)] for _, time, error in left]
+    above = [(f"{case.name} = {value:g}", trajectory.time_s, trajectory["force_error_n"]) for value, trajectory in runs]
+    shown = [error[(time >= case.start) & (time <= case.end)] for _, time, error in above]
     rise = case.start == 0.0
     largest = 1.1 * max(float(np.abs(error).max()) for error in shown)
     low, high = (-10.0, 1.0) if rise else (-largest, largest)
-    x = Axis(case.start, case.end, LEFTS[0], LEFTS[0] + PANEL_WIDTH)
-    y = Axis(low, high, TOP + PANEL_HEIGHT, TOP)
+    x = Axis(case.start, case.end, LEFT, LEFT + PANEL_WIDTH)
+    y = Axis(low, high, TOPS[0] + PANEL_HEIGHT, TOPS[0])
     parts = frame(x, y, "time [s]", "force error [kN]" if rise else "force error [N]")
-    for (label, time, error), colour, row in zip(left, COLOURS, range(3), strict=True):
+    for (label, time, error), colour, row in zip(above, COLOURS, range(3), strict=True):
         part = (time >= case.start) & (time <= case.end)
         parts.append(line(x.place(time[part][::4]), y.place(error[part][::4] * (1e-3 if rise else 1.0)), colour))
-        parts.append(words(LEFTS[0] + 96 * row, TOP - 12, label, colour))
+        parts.append(words(LEFT + 96 * row, TOPS[0] - 12, label, colour))
 
-    x = Axis(*case.sweep, LEFTS[1], LEFTS[1] + PANEL_WIDTH, logarithmic=True)
-    y = Axis(1.0, FAR_ABOVE, TOP + PANEL_HEIGHT, TOP, logarithmic=True)
+    x = Axis(*case.sweep, LEFT, LEFT + PANEL_WIDTH, logarithmic=True)
+    y = Axis(1.0, FAR_ABOVE, TOPS[1] + PANEL_HEIGHT, TOPS[1], logarithmic=True)
     parts += frame(x, y, f"{case.name} [{unit}]", "largest settled error [N]")
     there = np.isfinite(bounds)
     parts.append(line(x.place(values[there]), y.place(bounds[there]), "#888888", dashed=True))
     parts.append(line(x.place(values), y.place(errors), COLOURS[1]))
     at = y.place(np.array([settled_error(trajectory) for _, trajectory in runs]))
     parts += [dot(*place, colour) for *place, colour in zip(x.place(np.array(case.shown)), at, COLOURS, strict=True)]
-    parts.append(words(LEFTS[1], TOP - 12, "simulated", COLOURS[1]))
-    parts.append(words(LEFTS[1] + 84, TOP - 12, "bound (44)", "#888888"))
+    parts.append(words(LEFT, TOPS[1] - 12, "simulated", COLOURS[1]))
+    parts.append(words(LEFT + 84, TOPS[1] - 12, "bound (44)", "#888888"))
     return svg(parts)
 
 

@@ -43,7 +43,9 @@ HOOK_ARGUMENTS = ["value", "t", "y", "w", "z", "p", "plant"]
 @pytest.fixture(scope="session")
 def uncompiled(request, tmp_path_factory):
     """What each effect under test changes, run without compiling."""
-    names = {item.callspec.params["name"] for item in request.session.items if "uncompiled" in getattr(item, "fixturenames", ())}
+    names = {
+        item.callspec.params["name"] for item in request.session.items if "uncompiled" in getattr(item, "fixturenames", ())
+    }
     script = Path(__file__).with_name("effects_uncompiled.py")
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "EHLS_CACHE_DIR": str(tmp_path_factory.mktemp("kernels"))}
     done = subprocess.run(
