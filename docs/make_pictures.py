@@ -1,7 +1,7 @@
 """Make the documentation's pictures anew, all or those named: `.venv/bin/python docs/make_pictures.py [rig] [report] …`.
 
-Each script in docs/pictures makes its own, from runs it makes for them. test/test_docs_pictures.py compares their numbers with the
-text and with a run.
+Each script in docs/pictures makes its own, from runs it makes for them. test/test_docs_pictures.py compares their numbers with
+the text and with a run.
 """
 
 import subprocess

@@ -216,7 +216,12 @@ def check_pip(words: list[str]) -> None:
 
 
 def check_python(words: list[str]) -> None:
-    """Look for the script, and for its options in its text."""
+    """Look for the script or the file of tests, and for a script's options in its text."""
+    if words[:2] == ["-m", "pytest"]:
+        words = [word for word in words[2:] if word.startswith("test/")]
+        if missing := [word for word in words if not (ROOT / word).exists()]:
+            raise Unknown(f"{', '.join(missing)} is not there")
+        return
     script = ROOT / words[0]
     if not script.is_file():
         raise Unknown(f"{words[0]} is not there")

@@ -206,6 +206,7 @@ def run(command: Command) -> None:
         "pip install ehls_ros[no_such]",
         "python benchmarks/no_such.py",
         "python benchmarks/fuzz.py --no-such-option",
+        "python -m pytest test/no_such.py",
         "ros2 run ehls_ros no_node",
         "ros2 run ehls_ros fasmc_node --ros-args -p kk:=1.0",
         "ros2 param set /ehls/fasmc_node k -1.0",
@@ -221,3 +222,16 @@ def test_a_wrong_command_is_noticed(line: str, parameters_of: ParametersOf) -> N
     (command,) = commands(Block("page", 1, SHELL, line, "", ""))
     with pytest.raises(Unknown):
         docs_snippets.check(command, parameters_of, [])
+
+
+@pytest.mark.parametrize(
+    ("text", "fits"), [("a  1.0 N\nb … s", True), ("a 1.1 N", False), ("b 2 s\na 1.0 N", False), ("a …", True)]
+)
+def test_output_is_compared_line_by_line(text: str, fits: bool) -> None:
+    block = Block("page", 1, "text", text, "output", "")
+    try:
+        docs_snippets.check_output(block, "title\n  a 1.0 N\n  b 2 s\n")
+    except Unknown:
+        assert not fits
+    else:
+        assert fits
