@@ -20,6 +20,8 @@ extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+    "sphinx_design",
     "mathml",
     "notebooks",
     "reference_pages",
@@ -27,7 +29,7 @@ extensions = [
 ]
 exclude_patterns = ["pictures"]
 
-myst_enable_extensions = ["dollarmath"]
+myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 myst_url_schemes = ["http", "https", "source"]
 
@@ -44,7 +46,12 @@ autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"  # a record's fields are told once
 autodoc_member_order = "bysource"
 
+copybutton_selector = "div:not(.highlight-text) > div.highlight > pre"  # output is not for copying
+copybutton_prompt_text = r"\$ |>>> |\.\.\. "
+copybutton_prompt_is_regexp = True
+
 html_theme = "furo"
+html_theme_options = {"dark_css_variables": {"sd-color-card-border": "#4a4e54"}}
 html_title = f"ehls_ros {__version__}"
 html_math_renderer = "mathml"
 html_copy_source = False

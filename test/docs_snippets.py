@@ -3,6 +3,8 @@
 An HTML comment before a block says what is done with it beyond the rule that a block is run as it is:
 
 * ``file: NAME``    it is the content of a file that later blocks of the page use;
+* ``output: WHAT``  it is what the last command or Python block before it prints, with … for what differs from run to run;
+* ``ros: WHY``      commands are run by ``test_docs_how_to.py`` where ROS 2 is, and else parsed;
 * ``slow: WHY``     commands are parsed, and run only where everything is (``EHLS_DOCS=all``, as `make docs` has it);
 * ``parsed: WHY``   commands are parsed by the real parsers and never run;
 * ``not run: WHY``  nothing can be checked.
@@ -10,7 +12,7 @@ An HTML comment before a block says what is done with it beyond the rule that a 
 Blocks in the language ``text`` are no snippets: output, drawings and other programs' files.
 
 A page with the file of a family's member, and in TOML the entry point through which a package offers it, is followed from
-top to bottom by ``test_how_to.py``; ``test_docs_snippets.py`` only parses its blocks.
+top to bottom by ``test_docs_how_to.py``; ``test_docs_snippets.py`` only parses its blocks.
 """
 
 import ast
@@ -30,7 +32,7 @@ from ehls_ros.schema import Declaration
 
 ROOT = Path(__file__).resolve().parent.parent
 GENERATED = ROOT / "docs" / "reference"
-MARK = re.compile(r"<!--\s*(?P<word>file|slow|parsed|not run):\s*(?P<rest>.*?)\s*-->", re.DOTALL)
+MARK = re.compile(r"<!--\s*(?P<word>file|output|ros|slow|parsed|not run):\s*(?P<rest>.*?)\s*-->", re.DOTALL)
 EHLS = ("ehls", ".venv/bin/ehls")
 PYTHON = ("python", ".venv/bin/python")
 SHELL = "sh"
@@ -74,7 +76,7 @@ def blocks(page: str) -> list[Block]:
             continue
         if token.type in {"fence", "code_block"}:
             language = token.info.strip() if token.type == "fence" else SHELL
-            if mark == "file" or not (language == "text" or language.startswith("{")):
+            if mark in {"file", "output"} or not (language == "text" or language.startswith("{")):
                 found.append(Block(page, (token.map or [0])[0] + 1, language, token.content, mark, note))
         mark, note = "", ""
     return found
@@ -105,6 +107,21 @@ def commands(block: Block) -> Iterator[Command]:
 
 class Unknown(Exception):
     """A command names something that is not there."""
+
+
+def check_output(block: Block, printed: str) -> None:
+    """Look for the lines of a block in what was printed, in their order; … stands for anything in a line.
+
+    Raises:
+        Unknown: a line was not printed.
+    """
+    at = 0
+    for line in filter(None, map(str.strip, block.text.splitlines())):
+        pattern = ".*?".join(r"\s+".join(map(re.escape, part.split())) for part in line.split("…"))
+        found = re.compile(pattern).search(printed, at)
+        if found is None:
+            raise Unknown(f"{line!r} is not what comes out: {printed}")
+        at = found.end()
 
 
 class ParametersOf:
@@ -199,7 +216,12 @@ def check_pip(words: list[str]) -> None:
 
 
 def check_python(words: list[str]) -> None:
-    """Look for the script, and for its options in its text."""
+    """Look for the script or the file of tests, and for a script's options in its text."""
+    if words[:2] == ["-m", "pytest"]:
+        words = [word for word in words[2:] if word.startswith("test/")]
+        if missing := [word for word in words if not (ROOT / word).exists()]:
+            raise Unknown(f"{', '.join(missing)} is not there")
+        return
     script = ROOT / words[0]
     if not script.is_file():
         raise Unknown(f"{words[0]} is not there")

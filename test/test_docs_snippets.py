@@ -1,6 +1,7 @@
 """Every command and snippet of README.md and docs/ runs, or at least parses, or says why it does neither."""
 
 import importlib
+import io
 import os
 import shutil
 import subprocess
@@ -8,6 +9,7 @@ import sys
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -27,9 +29,6 @@ from ehls_ros.recording.columns import read_columns
 from ehls_ros.schema import declarations
 
 EVERYTHING = os.environ.get("EHLS_DOCS") == "all"
-SHORT = "0.5"
-"""Plant time of an experiment where its full length is not asked for [s]."""
-
 _counts: Counter[str] = Counter()
 _skipped: list[str] = []
 
@@ -68,14 +67,22 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def test_snippets_of_a_page(page: str, folder: Path, parameters_of: ParametersOf, monkeypatch: pytest.MonkeyPatch) -> None:
     names: dict[str, Any] = {}
     made: list[str] = []
+    printed = ""
     for block in blocks(page):
         try:
-            done = handle(block, folder, parameters_of, made, names, monkeypatch)
+            if block.mark == "output":
+                if printed:
+                    docs_snippets.check_output(block, printed)
+                done = "run" if printed else "parsed"
+            else:
+                with redirect_stdout(io.StringIO()) as out:
+                    done = handle(block, folder, parameters_of, made, names, monkeypatch)
+                printed = out.getvalue() if done == "run" else ""
         except Unknown as error:
             pytest.fail(f"{block}: {error}", pytrace=False)
         _counts[done] += 1
         if done in {"parsed", "not run"}:
-            _skipped.append(f"  {done}: {block}: {block.note or 'test_how_to.py runs it'}")
+            _skipped.append(f"  {done}: {block}: {block.note or 'test_docs_how_to.py runs it'}")
 
 
 def handle(
@@ -118,7 +125,7 @@ def is_member(block: Block) -> bool:
 
 
 def runs(block: Block) -> bool:
-    """Tell whether a block is run here; test_how_to.py runs those of a page that adds a member."""
+    """Tell whether a block is run here; test_docs_how_to.py runs those of a page that adds a member."""
     if members(block.page):
         return False
     return block.mark == "" or (block.mark == "slow" and EVERYTHING)
@@ -178,10 +185,8 @@ def shell(block: Block, parameters_of: ParametersOf, made: list[str]) -> str:
 
 
 def run(command: Command) -> None:
-    """Run an `ehls` command: an experiment for a short time, a campaign, which starts workers, in a process of its own."""
-    words = [*command.words[1:]]
-    if words[0] == "experiment":
-        words += ["--duration", SHORT]
+    """Run an `ehls` command; a campaign, which starts workers, in a process of its own."""
+    words = command.words[1:]
     if words[0] == "campaign" and "--spec" not in words:
         subprocess.run([sys.executable, "-m", "ehls_ros.cli.main", *words], check=True, capture_output=True)
     else:
@@ -202,6 +207,7 @@ def run(command: Command) -> None:
         "pip install ehls_ros[no_such]",
         "python benchmarks/no_such.py",
         "python benchmarks/fuzz.py --no-such-option",
+        "python -m pytest test/no_such.py",
         "ros2 run ehls_ros no_node",
         "ros2 run ehls_ros fasmc_node --ros-args -p kk:=1.0",
         "ros2 param set /ehls/fasmc_node k -1.0",
@@ -217,3 +223,16 @@ def test_a_wrong_command_is_noticed(line: str, parameters_of: ParametersOf) -> N
     (command,) = commands(Block("page", 1, SHELL, line, "", ""))
     with pytest.raises(Unknown):
         docs_snippets.check(command, parameters_of, [])
+
+
+@pytest.mark.parametrize(
+    ("text", "fits"), [("a  1.0 N\nb … s", True), ("a 1.1 N", False), ("b 2 s\na 1.0 N", False), ("a …", True)]
+)
+def test_output_is_compared_line_by_line(text: str, fits: bool) -> None:
+    block = Block("page", 1, "text", text, "output", "")
+    try:
+        docs_snippets.check_output(block, "title\n  a 1.0 N\n  b 2 s\n")
+    except Unknown:
+        assert not fits
+    else:
+        assert fits

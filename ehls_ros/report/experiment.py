@@ -145,7 +145,7 @@ def _facts(trajectory: Trajectory, metrics: Metrics | None) -> list[tuple[str, s
             ("Largest error, last half", _with_unit(metrics.max_error_n, "N")),
             ("RMS error, last half", _with_unit(metrics.rms_error_n, "N")),
             ("Outside bound (44), last half", "" if outside is None else f"{number(outside)} cycles"),
-            ("Convergence", _with_unit(metrics.convergence_s, "s") or ("not reached" if followed else "")),
+            ("Convergence", _with_unit(metrics.convergence_s, "s") or ("not converged" if followed else "")),
             ("Convergence band", f"±{band}" if band else ""),
             ("Cycles", number(metrics.cycles)),
             ("Missed cycles", number(metrics.missed_cycles)),

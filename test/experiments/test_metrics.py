@@ -48,6 +48,29 @@ def test_an_error_that_keeps_swinging_beyond_the_band_never_converges(swing):
     assert metrics.convergence_band_n == pytest.approx(100.0)
 
 
+@pytest.mark.parametrize("frequency", [0.0, 7.0])
+def test_an_error_that_decays_converges_once_its_last_peak_is_inside_the_band(frequency):
+    t = np.arange(8001) * 1e-3
+    error = 5e3 * np.exp(-2.0 * t) * np.cos(2.0 * np.pi * frequency * t)
+    enters = 0.5 * math.log(5e3 / 100.0)
+    between_peaks = 0.5 / frequency if frequency else 2e-3
+    assert enters - between_peaks < judged(error).convergence_s <= enters + 1e-3
+
+
+def test_a_steady_oscillation_inside_the_band_has_converged_beyond_it_not():
+    t = np.arange(8001) * 1e-3
+    assert judged(99.0 * np.sin(20.0 * t)).convergence_s == 0.0
+    assert judged(101.0 * np.sin(20.0 * t)).convergence_s is None
+
+
+def test_a_burst_in_the_second_half_undoes_convergence_one_in_the_first_half_delays_it():
+    t = np.arange(8001) * 1e-3
+    burst = np.where(t < 0.2, 300.0, 0.0)
+    assert judged(burst).convergence_s == pytest.approx(0.2)
+    assert judged(np.roll(burst, 3000)).convergence_s == pytest.approx(3.2)
+    assert judged(np.roll(burst, 6000)).convergence_s is None
+
+
 def test_an_error_that_leaves_the_band_now_and_then_never_converges():
     # Each second a blow of 10 ms; the last one is long over when the run ends.
     t = np.arange(10001)

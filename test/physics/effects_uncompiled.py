@@ -1,8 +1,9 @@
-"""Run every effect without compiling it, neutral and not, and print as JSON what differs from the rig without it.
+"""Run the effects named without compiling them, neutral and not, and print as JSON what differs from the rig without them.
 
 Uncompiled, because compiling one kernel takes longer than running all of them; started with ``NUMBA_DISABLE_JIT=1``.
 """
 
+import itertools
 import json
 import math
 import sys
@@ -39,11 +40,12 @@ def motion(rig: Rig, cycles: int) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def other_values(effect: Any) -> Iterator[dict[str, float]]:
-    """Yield settings ever further from the neutral one, all parameters moved at once."""
+    """Yield settings ever further from the neutral one, all parameters moved at once, each up or down."""
+    parameters = list(declarations(effect.Parameters))
     for part in (0.02, 0.2, 0.6, 1.0):
-        for upward in (True, False):
+        for directions in itertools.product((True, False), repeat=len(parameters)):
             setting = {}
-            for declared in declarations(effect.Parameters):
+            for declared, upward in zip(parameters, directions, strict=True):
                 bound = declared.maximum if upward else declared.minimum
                 if bound is None:
                     bound = declared.default + (1.0 if upward else -1.0)
@@ -51,11 +53,11 @@ def other_values(effect: Any) -> Iterator[dict[str, float]]:
             yield setting
 
 
-def main(rig_file: str) -> None:
+def main(rig_file: str, *names: str) -> None:
     data = yaml.safe_load(Path(rig_file).read_text(encoding="utf-8"))
     plain = motion(rig_from_mapping(data, rig_file), 200)
     found = {}
-    for name in EFFECTS.names():
+    for name in names:
         effect = EFFECTS.load(name)
         neutral = rig_from_mapping({**data, "effects": [{"name": name}]}, rig_file)
         changed_by = None
@@ -74,4 +76,4 @@ def main(rig_file: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

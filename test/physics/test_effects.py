@@ -41,12 +41,15 @@ HOOK_ARGUMENTS = ["value", "t", "y", "w", "z", "p", "plant"]
 
 
 @pytest.fixture(scope="session")
-def uncompiled(tmp_path_factory):
-    """What each effect changes, run without compiling."""
+def uncompiled(request, tmp_path_factory):
+    """What each effect under test changes, run without compiling."""
+    names = {
+        item.callspec.params["name"] for item in request.session.items if "uncompiled" in getattr(item, "fixturenames", ())
+    }
     script = Path(__file__).with_name("effects_uncompiled.py")
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "EHLS_CACHE_DIR": str(tmp_path_factory.mktemp("kernels"))}
     done = subprocess.run(
-        [sys.executable, str(script), str(PAPER_RIG)], env=environment, capture_output=True, text=True, check=False
+        [sys.executable, str(script), str(PAPER_RIG), *names], env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)

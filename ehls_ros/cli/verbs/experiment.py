@@ -117,10 +117,16 @@ def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, *, machine: boo
         print(f"  largest error in the last half  {position_error.max():10.3f} mm")
         print(f"  rms error in the last half      {math.sqrt((position_error**2).mean()):10.3f} mm")
     else:
-        converged = f"{metrics.convergence_s:.2f} s" if metrics.convergence_s is not None else "never"
+        match metrics.convergence_s:
+            case None:
+                convergence = "not converged"
+            case 0.0:
+                convergence = "from the start"
+            case seconds:
+                convergence = f"after {seconds:.2f} s"
         print(f"  largest error in the last half  {metrics.max_error_n:10.1f} N")
         print(f"  rms error in the last half      {metrics.rms_error_n:10.1f} N")
-        print(f"  converged after                 {converged:>12}")
+        print(f"  convergence                     {convergence:>12}")
         of_reference = f"{100.0 * CONVERGENCE_BAND:g} % of the largest reference"
         print(f"  convergence band                {metrics.convergence_band_n:10.1f} N, {of_reference}")
         if metrics.convergence_s is None:
