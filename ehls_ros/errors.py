@@ -1,5 +1,8 @@
 """The two reasons for work to end early: wrong input, or failure of the work itself."""
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 LONGEST = 1000
 """Most characters of each part of a message; longer ones are cut in the middle."""
 
@@ -26,6 +29,18 @@ class BadInput(ValueError):
     def __reduce__(self) -> tuple[type["BadInput"], tuple[str, str, str]]:
         """Support pickling, for worker processes."""
         return BadInput, (self.what, self.where, self.expected)
+
+
+def one_of(given: object, names: Iterable[str]) -> str:
+    """Return what would have been accepted in place of a wrong name, and which of it is spelt like it.
+
+    Args:
+        given: the wrong name.
+        names: the names that are accepted.
+    """
+    known = list(names)
+    alike = get_close_matches(str(given), known, n=1)
+    return f"one of {', '.join(known)}{f'; did you mean {alike[0]!r}?' if alike else ''}" if known else "no such key"
 
 
 def _readable(text: str) -> str:

@@ -436,11 +436,15 @@ def uv_program() -> Path:
     program = CACHE / f"uv-{fingerprint([LOCK])[:16]}"
     if not program.exists():
         if importlib.util.find_spec("pip") is None:
-            raise SetupError(f"{sys.executable} without pip, and no uv: install either, on Debian or Ubuntu `apt install python3-pip`")
+            raise SetupError(
+                f"{sys.executable} without pip, and no uv: install either, on Debian or Ubuntu `apt install python3-pip`"
+            )
         program.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="uv_", dir=program.parent) as folder:
             pinned = Path(folder, "uv.txt")
-            pinned.write_text(re.findall(r"^uv==(?:.*\\\n)+.*", LOCK.read_text(encoding="utf-8"), re.MULTILINE)[0], encoding="utf-8")
+            pinned.write_text(
+                re.findall(r"^uv==(?:.*\\\n)+.*", LOCK.read_text(encoding="utf-8"), re.MULTILINE)[0], encoding="utf-8"
+            )
             pip = [sys.executable, "-m", "pip", "install", "--disable-pip-version-check", "--no-input", "--progress-bar=off"]
             only = ["--require-hashes", "--only-binary=:all:", "--requirement", str(pinned), "--target", folder]
             run([*pip, *only], "fetching uv", child_environment())

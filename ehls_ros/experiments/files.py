@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, one_of
 
 PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -18,3 +18,33 @@ def config_folder() -> Path:
             if (folder / "rig_paper.yaml").is_file():
                 return folder
     raise BadInput("the installation has no config folder", str(PACKAGE), "share/ehls_ros/config as setup.py installs it")
+
+
+def configured_names(folder: str = "") -> list[str]:
+    """Return the names of the files that come with the package.
+
+    Args:
+        folder: where they are in the configuration folder: ``experiments``, ``campaigns``, or the empty text for rigs.
+    """
+    return sorted(file.stem for file in (config_folder() / folder).glob("*.yaml" if folder else "rig_*.yaml"))
+
+
+def configured(name: str | Path, folder: str = "", beside: Path = Path()) -> Path:
+    """Return a file, or the one of that name that comes with the package where there is none.
+
+    Args:
+        name: path of a file, or name of one that comes with the package, such as ``sine_fd2``.
+        folder: where those are in the configuration folder: ``experiments``, ``campaigns``, or the empty text for rigs.
+        beside: where a relative path starts.
+
+    Raises:
+        BadInput: there is no file of that name.
+    """
+    path, bare = beside / name, Path(name).name == str(name)
+    if path.exists() or not bare:
+        return path
+    names = configured_names(folder)
+    stem = str(name).removesuffix(".yaml")
+    if stem not in names:
+        raise BadInput(f"there is no file {str(path)!r}", folder or "rig", f"a file's path, or {one_of(stem, names)}")
+    return config_folder() / folder / f"{stem}.yaml"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ehls_ros.errors import BadInput
+from ehls_ros.extras import missing
 from ehls_ros.recording.columns import Column, Columns
 from ehls_ros.recording.contained import contained
 from ehls_ros.recording.reason import reason
@@ -53,7 +54,7 @@ def raw_parquet(path: Path) -> RawTable:
 def _check_installed(path: Path) -> None:
     # Not imported here: that takes as long as reading a file.
     if find_spec("pyarrow") is None or find_spec("pyarrow.parquet") is None:
-        raise BadInput("pyarrow is not installed", str(path), "pip install pyarrow, or the data as CSV")
+        raise missing("pyarrow is not installed", "files", str(path), "the data as CSV")
 
 
 def read_here(path: Path, columns: Columns) -> Trajectory:

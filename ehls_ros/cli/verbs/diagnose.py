@@ -16,6 +16,7 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
+from ehls_ros.cli.configured import Configured
 from ehls_ros.cli.folder import writable
 from ehls_ros.cli.progress import progress_bar
 from ehls_ros.diagnosis.diagnose import diagnose
@@ -55,7 +56,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="DATA",
         help="one recording: a bag, a run folder, a .csv, .mat or .parquet file, or the tables that the map lists",
     )
-    parser.add_argument("--rig", type=Path, required=True, help="rig file that the simulation runs with")
+    parser.add_argument("--rig", type=Path, action=Configured, required=True, help="rig file that the simulation runs with")
     parser.add_argument(
         "--baseline",
         type=Path,

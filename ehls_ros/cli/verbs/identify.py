@@ -11,6 +11,7 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
+from ehls_ros.cli.configured import Configured
 from ehls_ros.cli.folder import writable
 from ehls_ros.cli.progress import progress_bar
 from ehls_ros.errors import BadInput
@@ -42,6 +43,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--rig",
         type=Path,
+        action=Configured,
         required=True,
         help="rig file as known so far, where the search starts: friction model, piston area and volume are taken from it",
     )
