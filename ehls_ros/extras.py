@@ -24,22 +24,21 @@ def install_command(extra: str) -> str:
     return f"{shlex.quote(sys.executable)} -m pip install 'ehls_ros[{extra}]'"
 
 
-def library(module: str, extra: str, where: str, instead: str = "") -> Any:
+def library(module: str, extra: str, where: str) -> Any:
     """Import a module of such a library.
 
     Args:
         module: its dotted name.
         extra: the extra that brings it.
         where: what needs it, for the error.
-        instead: what does without it, for the error.
 
     Raises:
         BadInput: it cannot be imported.
     """
     try:
         return import_module(module)
-    except ImportError as error:
-        raise missing(f"{module.partition('.')[0]} cannot be imported ({error})", extra, where, instead) from None
+    except ImportError:
+        raise missing(f"{module.partition('.')[0]} is not installed", extra, where) from None
 
 
 def missing(what: str, extra: str, where: str, instead: str = "") -> BadInput:

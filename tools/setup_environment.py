@@ -388,13 +388,14 @@ def pack(folder: Path, name: str, tag: str, wheel: Path) -> None:
         f"{info}/WHEEL": f"Wheel-Version: 1.0\nGenerator: ehls_ros\nRoot-Is-Purelib: false\nTag: {tag}\n",
     }
     # cmake's own description of the Python package would be a second one beside the wheel's.
-    files = {path.relative_to(folder): path for path in files_below(folder) if ".egg-info" not in str(path)}
-    record = [*(f"{name}.data/data/{path},," for path in files), *(f"{text},," for text in texts), f"{info}/RECORD,,"]
+    built = [path for path in files_below(folder) if ".egg-info" not in str(path)]
+    files = {f"{name}.data/data/{path.relative_to(folder)}": path for path in built}
+    texts[f"{info}/RECORD"] = "".join(f"{path},,\n" for path in (*files, *texts, f"{info}/RECORD"))
     fresh = wheel.with_suffix(f".{os.getpid()}")
     with zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED) as archive:
         for path, file in files.items():
-            archive.write(file, f"{name}.data/data/{path}")
-        for path, text in {**texts, f"{info}/RECORD": "\n".join([*record, ""])}.items():
+            archive.write(file, path)
+        for path, text in texts.items():
             archive.writestr(path, text)
     fresh.replace(wheel)
 
@@ -436,15 +437,13 @@ def uv_program() -> Path:
     program = CACHE / f"uv-{fingerprint([LOCK])[:16]}"
     if not program.exists():
         if importlib.util.find_spec("pip") is None:
-            raise SetupError(
-                f"{sys.executable} without pip, and no uv: install either, on Debian or Ubuntu `apt install python3-pip`"
-            )
+            advice = "install either, on Debian or Ubuntu `apt install python3-pip`"
+            raise SetupError(f"{sys.executable} is without pip, and there is no uv: {advice}")
         program.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="uv_", dir=program.parent) as folder:
             pinned = Path(folder, "uv.txt")
-            pinned.write_text(
-                re.findall(r"^uv==(?:.*\\\n)+.*", LOCK.read_text(encoding="utf-8"), re.MULTILINE)[0], encoding="utf-8"
-            )
+            (block,) = re.findall(r"^uv==(?:.*\\\n)+.*", LOCK.read_text(encoding="utf-8"), re.MULTILINE)
+            pinned.write_text(block, encoding="utf-8")
             pip = [sys.executable, "-m", "pip", "install", "--disable-pip-version-check", "--no-input", "--progress-bar=off"]
             only = ["--require-hashes", "--only-binary=:all:", "--requirement", str(pinned), "--target", folder]
             run([*pip, *only], "fetching uv", child_environment())

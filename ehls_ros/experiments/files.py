@@ -33,18 +33,17 @@ def configured(name: str | Path, folder: str = "", beside: Path = Path()) -> Pat
     """Return a file, or the one of that name that comes with the package where there is none.
 
     Args:
-        name: path of a file, or name of one that comes with the package, such as ``sine_fd2``.
+        name: path of a file, or name without ``.yaml`` of one that comes with the package, such as ``sine_fd2``.
         folder: where those are in the configuration folder: ``experiments``, ``campaigns``, or the empty text for rigs.
         beside: where a relative path starts.
 
     Raises:
         BadInput: there is no file of that name.
     """
-    path, bare = beside / name, Path(name).name == str(name)
-    if path.exists() or not bare:
+    path = beside / name
+    if path.exists() or path.suffix or Path(name).name != str(name):
         return path
     names = configured_names(folder)
-    stem = str(name).removesuffix(".yaml")
-    if stem not in names:
-        raise BadInput(f"there is no file {str(path)!r}", folder or "rig", f"a file's path, or {one_of(stem, names)}")
-    return config_folder() / folder / f"{stem}.yaml"
+    if str(name) not in names:
+        raise BadInput(f"there is no file {str(path)!r}", folder or "rig", f"a file's path, or {one_of(name, names)}")
+    return config_folder() / folder / f"{name}.yaml"
