@@ -13,6 +13,7 @@ from types import ModuleType
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
+NO_NETWORK = "packages could not be downloaded, is there a network? (UV_DEFAULT_INDEX and PIP_INDEX_URL name a mirror) "
 
 
 @pytest.fixture
@@ -172,8 +173,7 @@ def test_exports_of_the_wheels_point_to_this_environment(setup: ModuleType, monk
         (["Collecting x", "ERROR: hashes do not match", "done"], "ERROR: hashes do not match"),
         (
             ["WARNING: Max retries exceeded", "ERROR: No matching distribution found for x==1"],
-            "packages could not be downloaded, is there a network? (UV_DEFAULT_INDEX and PIP_INDEX_URL name a mirror) "
-            "ERROR: No matching distribution found for x==1",
+            NO_NETWORK + "ERROR: No matching distribution found for x==1",
         ),
         ([], "no output"),
     ],
