@@ -289,7 +289,7 @@ def metadata(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 def test_the_offline_half_needs_no_ros(metadata: dict[str, Any]) -> None:
     names = requirement_names(metadata["install_requires"])
-    assert names == {"numpy", "scipy", "numba", "pandas", "pint", "pyyaml", "rosbags", "plotly", "rich", "shtab"}
+    assert names == {"numpy", "scipy", "numba", "pandas", "pyyaml", "rosbags", "plotly", "rich", "shtab"}
     assert all(name.startswith("ros-") for name in requirement_names(metadata["extras_require"]["ros"]))
 
 
