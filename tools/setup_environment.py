@@ -322,8 +322,9 @@ def message_wheel(python: str, ros: str) -> Path:
     Raises:
         SetupError: the build failed.
     """
-    recipe = inspect.getsource(build_messages) + inspect.getsource(pack) + fingerprint([*files_below(MESSAGES), LOCK])
-    digest = hashlib.sha256(recipe.encode()).hexdigest()[:16]
+    recipe = [inspect.getsource(build_messages), inspect.getsource(pack), fingerprint(files_below(MESSAGES))]
+    built_with = re.findall(r"^(?:ros-|numpy)\S*", LOCK.read_text(encoding="utf-8"), re.MULTILINE)
+    digest = hashlib.sha256("\n".join([*recipe, *built_with]).encode()).hexdigest()[:16]
     tag = f"cp{python.replace('.', '')}"
     name = f"ehls_msgs-0.1.0+{ros or 'wheels'}.{digest}"
     wheel = CACHE / "messages" / f"{name}-{tag}-{tag}-linux_{platform.machine()}.whl"
