@@ -13,9 +13,10 @@ endif
 help:  ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 20
 
-setup:  ## make .venv/ with everything in it, or bring it up to date
+SETUP = $(PYTHON) tools/setup_environment.py $(if $(filter file,$(origin PYTHON)),,--python-was-chosen)
+setup:  ## make .venv/ for the commands, or bring it up to date; WITH="dashboard files" adds what these need
 	@command -v $(PYTHON) >/dev/null || { echo "setup: no $(PYTHON) found: set PYTHON to CPython 3.11, 3.12 or 3.13" >&2; exit 1; }
-	@$(PYTHON) tools/setup_environment.py $(if $(filter file,$(origin PYTHON)),,--python-was-chosen)
+	@$(SETUP) $(WITH)
 
 demo: setup  ## run one experiment over DDS; bag, metrics and report go to runs/demo/
 	.venv/bin/ehls experiment config/experiments/sine_fd2.yaml --out runs/demo --overwrite
@@ -23,6 +24,7 @@ demo: setup  ## run one experiment over DDS; bag, metrics and report go to runs/
 # Plug-ins by name only: a sourced ROS brings some that do not work with this pytest. The limit ends tests that hang; no test
 # comes near it on a slow machine, such as `python3 tools/held_back.py 0.33 make test` makes of any.
 TIMEOUT := 1800
+test: WITH += test
 test: setup  ## run the tests; PYTEST_ARGS='-k name' picks some
 	PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/python -m pytest -p xdist -p timeout -n 2 --dist loadfile --timeout $(TIMEOUT) \
 		$(PYTEST_ARGS)
@@ -33,12 +35,14 @@ test-noble:  ## run them with the versions of Ubuntu 24.04 in .venv-noble/; PYTH
 		--timeout $(TIMEOUT) $(PYTEST_ARGS)
 
 # EHLS_DOCS=all: the snippets that take long as well.
+docs: WITH += docs
 docs: setup  ## build the documentation into build/docs/ and run its snippets
 	.venv/bin/python -m sphinx --builder html --fail-on-warning --keep-going --fresh-env --quiet \
 		--doctree-dir build/doctrees docs build/docs
 	EHLS_DOCS=all PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/python -m pytest -p timeout --timeout $(TIMEOUT) test/test_docs_*.py
 	@echo build/docs/index.html
 
+lint: WITH += lint
 lint: setup  ## check style, types and import contracts
 	.venv/bin/ruff check
 	.venv/bin/ruff format --check
@@ -48,15 +52,14 @@ lint: setup  ## check style, types and import contracts
 # What holds for every supported machine is left out of the locks.
 EVERYWHERE := python_full_version < '3.14' and platform_machine == 'x86_64' and platform_python_implementation == 'CPython' and \
 	sys_platform == 'linux'
-LOCK := uv pip compile --quiet --universal --python-version 3.11 --fork-strategy fewest --generate-hashes --no-annotate \
+LOCK := uv pip compile --quiet --upgrade --universal --fork-strategy fewest --generate-hashes --no-annotate \
 	--custom-compile-command "make lock"
-lock:  ## pin requirements/*.in anew (needs uv)
+FOR_NOBLE := noble ros colcon installer
+FOR_ALL := base campaign docs foxglove installer lint nidaqmx optimisers peers
+lock:  ## pin the dependency groups of pyproject.toml anew (needs uv)
 	@command -v uv >/dev/null || { echo "lock: no uv found: https://docs.astral.sh/uv" >&2; exit 1; }
-	$(LOCK) --upgrade requirements/base.in -o requirements/base.txt
-	$(LOCK) --upgrade requirements/ros.in requirements/ros_build.in -c requirements/base.txt -o requirements/ros.txt
-	$(LOCK) --upgrade requirements/dev.in -c requirements/base.txt -c requirements/ros.txt -o requirements/dev.txt
-	$(LOCK:3.11=3.12) --upgrade requirements/noble.in -o requirements/noble.txt
-	$(LOCK:3.11=3.12) --upgrade requirements/ros.in requirements/ros_build.in -c requirements/noble.txt -o requirements/noble_ros.txt
+	$(LOCK) --python-version 3.11 $(addprefix --group ,$(FOR_ALL)) -o requirements/lock.txt
+	$(LOCK) --python-version 3.12 $(addprefix --group ,$(FOR_NOBLE)) -o requirements/noble.txt
 	sed -i "s/ ; $(EVERYWHERE)//" requirements/*.txt
 
 clean:  ## remove .venv/ and everything built, but no recordings

@@ -2,6 +2,7 @@
 
 import os
 import sys
+import tomllib
 from pathlib import Path
 
 from setuptools import find_packages, setup
@@ -9,13 +10,14 @@ from setuptools import find_packages, setup
 PACKAGE = "ehls_ros"
 ROOT = Path(__file__).resolve().parent
 NODES = [path.stem for path in (ROOT / PACKAGE / "nodes").glob("*_node.py")]
+EXTRAS = ("campaign", "dashboard", "files", "foxglove", "nidaqmx", "optimisers", "peers", "ros")
 CONTROLLERS = [path.stem for path in (ROOT / PACKAGE / "control" / "controllers").glob("[!_]*.py") if path.stem != "base"]
 
 
-def requirements(name: str) -> list[str]:
-    """Return the requirements of ``requirements/<name>.in``, without comments."""
-    lines = (ROOT / "requirements" / f"{name}.in").read_text(encoding="utf-8").splitlines()
-    return [requirement for line in lines if (requirement := line.partition("#")[0].strip())]
+def dependency_groups() -> dict[str, list[str]]:
+    """Return the dependency groups of pyproject.toml that ask for packages, and for no other group."""
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["dependency-groups"]
+    return {name: group for name, group in groups.items() if all(isinstance(entry, str) for entry in group)}
 
 
 def installed_tree(top: str) -> list[tuple[str, list[str]]]:
@@ -43,6 +45,7 @@ def refuse_without_messages() -> None:
 if "AMENT_PREFIX_PATH" in os.environ and not {"develop", "install"}.isdisjoint(sys.argv):
     refuse_without_messages()
 
+GROUPS = dependency_groups()
 setup(
     name=PACKAGE,
     version="0.1.0",
@@ -59,18 +62,10 @@ setup(
         *installed_tree("launch"),
     ],
     python_requires=">=3.11",
-    install_requires=requirements("base"),
+    install_requires=GROUPS["base"],
     extras_require={
-        "ros": requirements("ros"),
-        "dev": requirements("dev"),
+        **{name: GROUPS[name] for name in EXTRAS},
         "test": ["pytest>=7.4"],  # from which colcon knows what runs the tests
-        "dashboard": ["nicegui>=3.18"],
-        "foxglove": ["foxglove-sdk>=0.30"],
-        "parquet": ["pyarrow>=15"],
-        "campaign": ["pyarrow>=15", "distributed>=2024.5", "joblib>=1.4"],
-        "optimisers": ["pymoo>=0.6.2", "pyswarms>=1.3"],
-        "peers": ["pysindy==2.1.0"],
-        "nidaqmx": ["nidaqmx>=1"],
     },
     entry_points={
         "console_scripts": [

@@ -3,7 +3,7 @@
 All get the same compiled objective on the same data: the paper's 40 velocities, six repeats, its friction with the noise and
 resolution of its force sensor. Runs are interleaved seed by seed, so that other load on the machine affects all alike. A run
 that uses up its evaluations has failed. Libraries are listed with their default settings and with the best of several tried,
-our swarm also with the usual constants and without crossover and mutation. `pip install 'ehls_ros[optimisers]'` installs the
+our swarm also with the usual constants and without crossover and mutation. `make setup WITH=optimisers` installs the
 libraries that do not come with ehls_ros.
 """
 

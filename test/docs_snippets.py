@@ -171,8 +171,6 @@ def check(command: Command, parameters_of: ParametersOf, made: Sequence[str]) ->
         return check_ehls(rest, made)
     if program == "make":
         check_make(rest)
-    elif program == "pip":
-        check_pip(rest)
     elif program in PYTHON:
         check_python(rest)
     elif program == "ros2":
@@ -198,21 +196,14 @@ def check_ehls(words: list[str], made: Sequence[str]) -> Namespace:
 
 
 def check_make(words: list[str]) -> None:
-    """Look for the targets."""
+    """Look for the targets, and for the groups to install."""
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     if missing := {word for word in words if "=" not in word} - targets:
         raise Unknown(f"make has no target {', '.join(missing)}")
-
-
-def check_pip(words: list[str]) -> None:
-    """Look for the extras of this project that are installed."""
-    setup = (ROOT / "setup.py").read_text(encoding="utf-8")
-    match words:
-        case ["install", wanted] if found := re.fullmatch(r"ehls_ros\[(\w+)\]", wanted):
-            if f'"{found[1]}": ' not in setup:
-                raise Unknown(f"there is no extra {found[1]}")
-        case _:
-            raise Unknown(f"nobody knows how to check pip {' '.join(words)}")
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["dependency-groups"]
+    wanted = {group for word in words if word.startswith("WITH=") for group in word.removeprefix("WITH=").split()}
+    if missing := wanted - groups.keys():
+        raise Unknown(f"there is no group {', '.join(missing)}")
 
 
 def check_python(words: list[str]) -> None:

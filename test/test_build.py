@@ -22,7 +22,6 @@ from ehls_ros.nodes import node_names
 
 ROOT = Path(__file__).resolve().parent.parent
 LOCKS = sorted((ROOT / "requirements").glob("*.txt"))
-NOBLE = ("noble.txt", "noble_ros.txt")
 CORE = ("physics", "control", "identification", "diagnosis")
 
 
@@ -246,10 +245,6 @@ def requirement_names(lines: list[str]) -> set[str]:
     return {re.sub(r"[-_.]+", "-", re.split(r"[\s\[=<>!~;]", line)[0]).lower() for line in stripped if line}
 
 
-def test_there_are_three_locks_and_two_with_the_versions_of_noble() -> None:
-    assert [lock.name for lock in LOCKS] == ["base.txt", "dev.txt", *NOBLE, "ros.txt"]
-
-
 @pytest.mark.parametrize("lock", LOCKS, ids=lambda lock: lock.stem)
 def test_everything_locked_is_pinned_and_hashed(lock: Path) -> None:
     for requirement in requirement_blocks(lock):
@@ -263,16 +258,19 @@ def test_the_lock_names_no_host_and_no_path(lock: Path) -> None:
     assert not re.search(r"://|--find-links|--(extra-)?index-url|--trusted-host|(^|\s)-[a-z]\b| @ |/\w+/", text)
 
 
-@pytest.mark.parametrize("of_noble", [False, True])
-def test_the_locks_agree_with_each_other_and_hold_all_that_is_asked_for(*, of_noble: bool) -> None:
-    pinned: dict[str, str] = {}
-    for lock in LOCKS:
-        for requirement in requirement_blocks(lock) if (lock.name in NOBLE) is of_noble else []:
-            name, version = requirement.split()[0].split("==")
-            assert pinned.setdefault(name, version) == version, f"{name} in {lock.name}"
-    for source in ("noble", "ros", "ros_build") if of_noble else ("base", "dev", "ros", "ros_build"):
-        asked = (ROOT / "requirements" / f"{source}.in").read_text(encoding="utf-8")
-        assert requirement_names(asked.splitlines()) <= pinned.keys()
+def asked_for(group: str) -> set[str]:
+    """Return the names of the packages that a dependency group of pyproject.toml asks for."""
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["dependency-groups"]
+    return requirement_names([entry for entry in groups[group] if isinstance(entry, str)])
+
+
+@pytest.mark.parametrize(("lock", "word"), [("lock.txt", "FOR_ALL"), ("noble.txt", "FOR_NOBLE")])
+def test_a_lock_holds_each_package_once_and_all_that_is_asked_for(lock: str, word: str) -> None:
+    names = [requirement.split("==")[0] for requirement in requirement_blocks(ROOT / "requirements" / lock)]
+    assert len(names) == len(set(names))
+    (groups,) = re.findall(rf"^{word} := (.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    for group in groups.split():
+        assert asked_for(group) <= set(names)
 
 
 # --- metadata ---------------------------------------------------------------------------------------------------------
@@ -291,7 +289,7 @@ def metadata(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 def test_the_offline_half_needs_no_ros(metadata: dict[str, Any]) -> None:
     names = requirement_names(metadata["install_requires"])
-    assert names == {"numpy", "scipy", "numba", "pyyaml", "rosbags", "plotly", "rich", "shtab"}
+    assert names == {"numpy", "scipy", "numba", "pandas", "pyyaml", "rosbags", "plotly", "rich", "shtab"}
     assert all(name.startswith("ros-") for name in requirement_names(metadata["extras_require"]["ros"]))
 
 

@@ -204,7 +204,7 @@ def run(command: Command) -> None:
         "ehls experiment config/experiments/no_such.yaml",
         "ehls experiment not_on_the_page.yaml",
         "make nothing",
-        "pip install ehls_ros[no_such]",
+        "make setup WITH=no_such",
         "python benchmarks/no_such.py",
         "python benchmarks/fuzz.py --no-such-option",
         "python -m pytest test/no_such.py",

@@ -6,12 +6,14 @@ import os
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
+NO_NETWORK = "packages could not be downloaded, is there a network? (UV_DEFAULT_INDEX and PIP_INDEX_URL name a mirror) "
 
 
 @pytest.fixture
@@ -20,6 +22,7 @@ def checkout(tmp_path: Path) -> Path:
     shutil.copytree(ROOT / "tools", tmp_path / "tools")
     shutil.copytree(ROOT / "requirements", tmp_path / "requirements")
     shutil.copytree(ROOT / "ehls_msgs", tmp_path / "ehls_msgs")
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
     return tmp_path
 
 
@@ -57,15 +60,19 @@ def pretend_environment(checkout: Path, **made_for: str) -> None:
     """Leave what a finished setup leaves, as far as setup looks at it."""
     (checkout / ".venv" / "bin").mkdir(parents=True)
     (checkout / ".venv" / "bin" / "python").touch()
-    stamps = {"environment": {"python": "3.12", "folder": str(checkout), "ros": ""} | made_for}
-    (checkout / ".venv" / "setup_stamps.json").write_text(json.dumps(stamps), encoding="utf-8")
+    made = {"python": "3.12", "folder": str(checkout), "ros": "", "groups": []} | made_for
+    (checkout / ".venv" / "setup.json").write_text(json.dumps(made), encoding="utf-8")
 
 
-def test_a_missing_compiler_is_named(checkout: Path) -> None:
-    assert complaint(checkout, PATH=str(checkout)).startswith("setup: no C compiler (cc, gcc, clang): install one")
-    assert complaint(checkout, CXX="no-such-compiler -O2").startswith(
-        "setup: no C++ compiler (CXX=no-such-compiler): install one"
-    )
+def test_a_missing_compiler_is_named(setup: ModuleType, monkeypatch: pytest.MonkeyPatch, checkout: Path) -> None:
+    monkeypatch.setenv("PATH", str(checkout))
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(setup.SetupError, match=r"^no C compiler \(cc, gcc, clang\): install one"):
+        setup.check_compilers("")
+    monkeypatch.setenv("CC", sys.executable)
+    monkeypatch.setenv("CXX", "no-such-compiler -O2")
+    with pytest.raises(setup.SetupError, match=r"^no C\+\+ compiler \(CXX=no-such-compiler\): install one"):
+        setup.check_compilers("")
 
 
 def test_an_unsupported_python_is_named(setup: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,28 +95,49 @@ def test_an_environment_made_with_another_ros_is_kept(checkout: Path) -> None:
 def test_an_environment_is_made_anew_only_when_it_has_to_be(checkout: Path, setup: ModuleType) -> None:
     assert setup.needs_remaking({}, "", python_was_chosen=False)
     pretend_environment(checkout, python="3.0")
-    made = setup.read_stamps()["environment"]
+    made = setup.read_made()
     assert not setup.needs_remaking(made, "", python_was_chosen=False)
     assert setup.needs_remaking(made, "", python_was_chosen=True)
     assert setup.needs_remaking(made | {"folder": "/elsewhere"}, "", python_was_chosen=False)
 
 
-def test_each_step_depends_on_its_own_files(checkout: Path, setup: ModuleType) -> None:
-    def changed_by(name: str) -> set[str]:
-        before = {step.name: step.fingerprint for step in setup.steps("")}
-        with (checkout / name).open("a", encoding="utf-8") as file:
-            file.write("# changed\n")
-        return {step.name for step in setup.steps("") if step.fingerprint != before[step.name]}
+def test_messages_built_once_are_used_again_until_they_change(
+    setup: ModuleType, checkout: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    built: list[Path] = []
 
-    assert changed_by("requirements/dev.txt") == {"packages"}
-    assert changed_by("requirements/ros.txt") == {"packages", "messages"}
-    assert changed_by("ehls_msgs/msg/Disturbance.msg") == {"messages"}
-    assert changed_by("requirements/base.in") == {"project"}
-    assert changed_by("tools/setup_environment.py") == {"packages", "messages", "project"}
+    def build(folder: Path, ros: str) -> Path:
+        built.append(folder)
+        (folder / "share").mkdir()
+        (folder / "share" / "package.xml").write_text("it", encoding="utf-8")
+        return folder
+
+    monkeypatch.setattr(setup, "CACHE", tmp_path / "cache")
+    monkeypatch.setattr(setup, "build_messages", build)
+    monkeypatch.setattr(setup, "check_compilers", lambda ros: None)
+    setup.VENV.mkdir()
+    first = setup.message_wheel("3.12", "")
+    assert zipfile.ZipFile(first).read(f"{first.name.partition('-cp')[0]}.data/data/share/package.xml") == b"it"
+    assert setup.message_wheel("3.12", "") == first
+    assert len(built) == 1
+    with (checkout / "ehls_msgs" / "msg" / "Disturbance.msg").open("a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    wheels = {first, setup.message_wheel("3.12", ""), setup.message_wheel("3.11", ""), setup.message_wheel("3.12", "jazzy")}
+    assert len(wheels) == 4
+
+
+def test_large_files_that_are_alike_are_kept_once(setup: ModuleType, tmp_path: Path) -> None:
+    contents = {"a": b"1" * setup.LARGE * 2, "b": b"1" * setup.LARGE * 2, "c": b"2" * setup.LARGE * 2, "d": b"", "e": b""}
+    for name, content in contents.items():
+        (tmp_path / "lib" / name).parent.mkdir(exist_ok=True)
+        (tmp_path / "lib" / name).write_bytes(content)
+    setup.keep_one_copy(tmp_path / "lib")
+    assert {name: (tmp_path / "lib" / name).read_bytes() for name in contents} == contents
+    assert [(tmp_path / "lib" / name).stat().st_nlink for name in contents] == [2, 2, 1, 1, 1]
 
 
 def test_half_installed_packages_are_removed(setup: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(setup, "python_paths", lambda: {"purelib": str(tmp_path / "packages")})
+    monkeypatch.setattr(setup, "python_paths", lambda python: {"purelib": str(tmp_path / "packages")})
     for name in ("whole-1.dist-info/METADATA", "whole-1.dist-info/INSTALLER", "half-1.dist-info/METADATA"):
         path = tmp_path / "packages" / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -119,15 +147,20 @@ def test_half_installed_packages_are_removed(setup: ModuleType, monkeypatch: pyt
 
 
 def test_exports_of_the_wheels_point_to_this_environment(setup: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(setup, "python_paths", lambda: {"include": "/usr/include/python3.12", "purelib": "/here/packages"})
+    monkeypatch.setattr(
+        setup, "python_paths", lambda python: {"include": "/usr/include/python3.12", "purelib": "/here/packages"}
+    )
     export = setup.VENV / "share/std_msgs/cmake/export_std_msgs__rosidl_generator_pyExport.cmake"
     export.parent.mkdir(parents=True)
     built_at = "/opt/python/cp312-cp312"
     headers = f"{built_at}/include/python3.12;{built_at}/lib/python3.12/site-packages/numpy/_core/include"
     export.write_text(f'INTERFACE_INCLUDE_DIRECTORIES "{headers}"', encoding="utf-8")
-    setup.point_exports_here()
+    cached = export.with_name("cached")
+    os.link(export, cached)
+    setup.point_exports_here(setup.VENV, setup.PYTHON)
     wanted = 'INTERFACE_INCLUDE_DIRECTORIES "/usr/include/python3.12;/here/packages/numpy/_core/include"'
     assert export.read_text(encoding="utf-8") == wanted
+    assert built_at in cached.read_text(encoding="utf-8")  # uv's own copy, for other environments
 
 
 @pytest.mark.parametrize(
@@ -140,7 +173,7 @@ def test_exports_of_the_wheels_point_to_this_environment(setup: ModuleType, monk
         (["Collecting x", "ERROR: hashes do not match", "done"], "ERROR: hashes do not match"),
         (
             ["WARNING: Max retries exceeded", "ERROR: No matching distribution found for x==1"],
-            "packages could not be downloaded, is there a network? ERROR: No matching distribution found for x==1",
+            NO_NETWORK + "ERROR: No matching distribution found for x==1",
         ),
         ([], "no output"),
     ],

@@ -1,10 +1,10 @@
-"""Make ``.venv/``: the locked packages, the messages of ehls_msgs and the project itself, editable.
+"""Make ``.venv/``: the locked packages of the groups asked for, the messages of ehls_msgs, and the project itself, editable.
 
 With ``EHLS_VERSIONS=noble`` it is ``.venv-noble/``, with the versions of Ubuntu 24.04 and without what that has not.
 
-``make setup`` runs it. Each of its four steps leaves a stamp of its inputs, so that a second run repeats only what has changed,
-and a run after an interruption continues with the interrupted step. A sourced ROS 2 installation is used; otherwise ROS is
-installed as locked wheels.
+``make setup`` runs it. uv installs what `pyproject.toml` lists in its dependency groups, in the versions and with the hashes of
+the lock; it repeats nothing that is there, and continues after an interruption. A sourced ROS 2 installation is used; otherwise
+ROS is installed as locked wheels.
 
 Uses only the standard library, and nothing newer than Python 3.8 before the version is checked.
 """
@@ -14,8 +14,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import fcntl
+import filecmp
 import hashlib
 import importlib.util
+import inspect
 import json
 import os
 import platform
@@ -25,9 +27,11 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tempfile
 import time
+import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -36,35 +40,26 @@ ROOT = Path(__file__).resolve().parent.parent
 NOBLE = os.environ.get("EHLS_VERSIONS") == "noble"
 VENV = ROOT / (".venv-noble" if NOBLE else ".venv")
 PYTHON = VENV / "bin" / "python"
-STAMPS = VENV / "setup_stamps.json"
+MADE = VENV / "setup.json"
 LOG = VENV / "setup.log"
-MANIFEST = VENV / "ehls_msgs_manifest.txt"
-REQUIREMENTS = ROOT / "requirements"
-PACKAGES, WHEELS = (["noble.txt"], "noble_ros.txt") if NOBLE else (["base.txt", "dev.txt"], "ros.txt")
-"""The locks; the one of the ROS wheels is left out where a ROS installation is sourced."""
+LOCK = ROOT / "requirements" / ("noble.txt" if NOBLE else "lock.txt")
 MESSAGES = ROOT / "ehls_msgs"
+CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ehls_ros"
 
 OLDEST, NEWEST = ((3, 12), (3, 12)) if NOBLE else ((3, 11), (3, 13))
 GLIBC = (2, 28)
 # The ROS wheels restart Python with a library path unless this is set; inherited from another environment, it does harm.
 WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 NO_INDEX = re.compile(
-    r"Max retries|NewConnectionError|NameResolutionError|name resolution|Connection refused|timed out|ProxyError|"
-    r"Network is unreachable|No matching distribution"
+    r"Max retries|NewConnectionError|name resolution|lookup address|Connection refused|timed out|[Pp]roxy|"
+    r"Network is unreachable|No matching distribution|error sending request|[Ff]ailed to fetch"
 )
+LARGE = 2**16
+"""From this size on, files that several packages bring alike are kept once [B]."""
 
 
 class SetupError(Exception):
     """Setup cannot go on; one line says what is wrong and what helps."""
-
-
-class Step(NamedTuple):
-    """A step: its name, the fingerprint of its inputs, its progress message and its function."""
-
-    name: str
-    fingerprint: str
-    says: str
-    does: Any
 
 
 def main() -> int:
@@ -73,7 +68,8 @@ def main() -> int:
     Returns:
         Exit code: 0 done, 1 failed with one line on stderr, 130 interrupted.
     """
-    parser = argparse.ArgumentParser(description="Make .venv/ with everything the project needs.")
+    parser = argparse.ArgumentParser(description="Make .venv/ with what the demo needs, and with the groups asked for.")
+    parser.add_argument("groups", nargs="*", help="further dependency groups of pyproject.toml, such as dashboard or test")
     parser.add_argument(
         "--python-was-chosen",
         action="store_true",
@@ -82,12 +78,12 @@ def main() -> int:
     arguments = parser.parse_args()
     try:
         with one_setup_at_a_time():
-            set_up(python_was_chosen=arguments.python_was_chosen)
+            set_up(arguments.groups, python_was_chosen=arguments.python_was_chosen)
     except SetupError as error:
         print(f"setup: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("\nsetup: interrupted; `make setup` continues from here", file=sys.stderr)
+        print("\nsetup: interrupted; the same command continues from here", file=sys.stderr)
         return 130
     return 0
 
@@ -107,10 +103,11 @@ def one_setup_at_a_time() -> Iterator[None]:
         os.close(folder)
 
 
-def set_up(*, python_was_chosen: bool) -> None:
-    """Do the steps whose stamps are missing or out of date.
+def set_up(asked: Iterable[str], *, python_was_chosen: bool) -> None:
+    """Make the environment if it is missing, and install what is missing in it.
 
     Args:
+        asked: dependency groups to add to those that are installed.
         python_was_chosen: whether the caller chose the running version of Python.
 
     Raises:
@@ -118,56 +115,26 @@ def set_up(*, python_was_chosen: bool) -> None:
     """
     started = time.monotonic()
     ros = sourced_ros()
-    stamps = read_stamps()
-    remade = needs_remaking(stamps.get("environment", {}), ros, python_was_chosen=python_was_chosen)
-    if remade:
+    made = read_made()
+    if needs_remaking(made, ros, python_was_chosen=python_was_chosen):
         check_python(ros)
-        stamps = {}
-    pending = [step for step in steps(ros) if stamps.get(step.name) != step.fingerprint]
-    if not remade and not pending:
+        print(f"making {VENV.name} with Python {platform.python_version()}", flush=True)
+        made = {"python": python_version(), "folder": str(ROOT), "ros": ros, "groups": made.get("groups", [])}
+        make_environment(ros)
+        replace(MADE, json.dumps(made))
+    groups = sorted({*made["groups"], *asked})
+    inputs = [Path(__file__).resolve(), LOCK, *(ROOT / name for name in ("pyproject.toml", "setup.py", "setup.cfg"))]
+    state = fingerprint([*inputs, *files_below(MESSAGES)])
+    if made.get("state") == state and made["groups"] == groups:
         print(f"{VENV.name} is up to date")
         return
-    check_compilers(ros)
-    total = len(pending) + remade
-    if remade:
-        print(f"[1/{total}] making {VENV.name} with Python {platform.python_version()}", flush=True)
-        make_environment(ros)
-        stamps["environment"] = {"python": python_version(), "folder": str(ROOT), "ros": ros}
-        write_stamps(stamps)
-    for number, step in enumerate(pending, start=1 + remade):
-        print(f"[{number}/{total}] {step.says}", flush=True)
-        step.does(ros)
-        stamps[step.name] = step.fingerprint
-        write_stamps(stamps)
+    print(" ".join(["installing packages as locked", *(["for", ", ".join(groups)] if groups else [])]), flush=True)
+    install_packages(groups, ros)
+    wheel = message_wheel(made["python"], ros)
+    uv("pip", "install", "--python", str(PYTHON), "--no-deps", "--no-index", str(wheel), doing="installing ehls_msgs")
+    check_messages()
+    replace(MADE, json.dumps({**made, "groups": groups, "state": state}))
     print(f"{VENV.name} is ready after {time.monotonic() - started:.0f} s: {VENV.name}/bin/ehls --help")
-
-
-def steps(ros: str) -> list[Step]:
-    """Return the steps that follow the making of the environment.
-
-    Args:
-        ros: name of the sourced ROS 2 distribution, or empty.
-    """
-    locks = [REQUIREMENTS / name for name in (PACKAGES if ros else [*PACKAGES, WHEELS])]
-    packages = len({name for lock in locks for name in re.findall(r"^\S+==", lock.read_text(encoding="utf-8"), re.MULTILINE)})
-    project = [ROOT / name for name in ("setup.py", "setup.cfg", "pyproject.toml", "MANIFEST.in")]
-    project += REQUIREMENTS.glob("*.in")
-    this = Path(__file__).resolve()
-    return [
-        Step(
-            "packages",
-            fingerprint([this, *locks]),
-            f"installing {packages} packages as locked (the first time a minute or two, up to 250 MB to download)",
-            install_packages,
-        ),
-        Step(
-            "messages",
-            fingerprint([this, *files_below(MESSAGES), *(lock for lock in locks if lock.name != "dev.txt")]),
-            "building the messages of ehls_msgs (about 15 s)",
-            build_messages,
-        ),
-        Step("project", fingerprint([this, *project]), "installing ehls_ros, editable", install_project),
-    ]
 
 
 def sourced_ros() -> str:
@@ -180,7 +147,7 @@ def python_version() -> str:
     return f"{sys.version_info[0]}.{sys.version_info[1]}"
 
 
-def needs_remaking(made: dict[str, str], ros: str, *, python_was_chosen: bool) -> bool:
+def needs_remaking(made: dict[str, Any], ros: str, *, python_was_chosen: bool) -> bool:
     """Return whether the environment must be rebuilt.
 
     Args:
@@ -197,7 +164,7 @@ def needs_remaking(made: dict[str, str], ros: str, *, python_was_chosen: bool) -
         past = f"with ROS 2 {made['ros']} sourced" if made["ros"] else "without a sourced ROS 2"
         now = f"ROS 2 {ros} is sourced" if ros else "none is sourced"
         raise SetupError(f".venv was made {past}, and now {now}: use such a shell again, or start over with `make clean setup`")
-    return python_was_chosen and made["python"] != python_version()
+    return bool(python_was_chosen and made["python"] != python_version())
 
 
 def check_python(ros: str) -> None:
@@ -219,10 +186,6 @@ def check_python(ros: str) -> None:
         raise SetupError(
             "the ROS 2 wheels are for x86-64 Linux with glibc 2.28 or newer: elsewhere, source a ROS 2 Jazzy installation first"
         )
-    if importlib.util.find_spec("ensurepip") is None:
-        raise SetupError(f"{here} without the module ensurepip: install it, on Debian or Ubuntu python{python_version()}-venv")
-    if not Path(sysconfig.get_path("include"), "Python.h").exists():
-        raise SetupError(f"{here} without Python.h: install it, on Debian or Ubuntu python{python_version()}-dev")
 
 
 def glibc_version() -> tuple[int, ...]:
@@ -238,13 +201,15 @@ def check_compilers(ros: str) -> None:
         ros: name of the sourced ROS 2 distribution, or empty.
 
     Raises:
-        SetupError: a compiler is missing, or cmake if it is not in the lock.
+        SetupError: a compiler or Python's headers are missing, or cmake if it is not in the lock.
     """
     for language, variable, usual in (("C", "CC", ("cc", "gcc", "clang")), ("C++", "CXX", ("c++", "g++", "clang++"))):
         chosen = shlex.split(os.environ.get(variable, ""))[:1]
         if not any(shutil.which(name) for name in chosen or usual):
             looked_for = f"{variable}={chosen[0]}" if chosen else ", ".join(usual)
             raise SetupError(f"no {language} compiler ({looked_for}): install one, on Debian or Ubuntu `apt install g++`")
+    if not Path(sysconfig.get_path("include"), "Python.h").exists():
+        raise SetupError(f"{sys.executable} without Python.h: install it, on Debian or Ubuntu python{python_version()}-dev")
     if ros and not shutil.which("cmake"):
         raise SetupError("no cmake: install it, on Debian or Ubuntu `apt install cmake`")
 
@@ -255,96 +220,34 @@ def make_environment(ros: str) -> None:
     Args:
         ros: name of the sourced ROS 2 distribution, or empty.
     """
-    options = ["--clear", "--prompt", "ehls_ros", *(["--system-site-packages"] if ros else [])]
-    run([sys.executable, "-m", "venv", *options, str(VENV)], "making .venv")
+    shutil.rmtree(VENV, ignore_errors=True)
+    options = ["--prompt", "ehls_ros", *(["--system-site-packages"] if ros else [])]
+    uv("venv", "--python", sys.executable, *options, str(VENV), doing="making .venv")
     if ros:
-        packages = Path(python_paths()["purelib"])
+        packages = Path(python_paths(PYTHON)["purelib"])
         shutil.copy(ROOT / "tools" / "venv_library_path.py", packages / "ehls_ros_library_path.py")
         (packages / "ehls_ros_library_path.pth").write_text("import ehls_ros_library_path\n", encoding="utf-8")
 
 
-def install_packages(ros: str) -> None:
-    """Install the locked packages.
+def install_packages(groups: Iterable[str], ros: str) -> None:
+    """Install the locked packages of some groups, and the project.
 
     Args:
+        groups: dependency groups besides those that everything needs.
         ros: name of the sourced ROS 2 distribution, or empty.
     """
     remove_half_installed()
-    pip("--require-hashes", "--only-binary=:all:", *(f"--requirement={REQUIREMENTS / name}" for name in PACKAGES))
-    if not ros:
-        # One of them exists as source only; building it with the locked setuptools keeps everything hashed.
-        pip("--require-hashes", "--no-build-isolation", "--requirement", str(REQUIREMENTS / WHEELS))
-        point_exports_here()
-
-
-def remove_half_installed() -> None:
-    """Remove packages left incomplete by an interruption: pip writes INSTALLER last."""
-    for description in Path(python_paths()["purelib"]).glob("*.dist-info"):
-        if not (description / "INSTALLER").exists():
-            shutil.rmtree(description)
-
-
-def point_exports_here() -> None:
-    """Replace the build machine's paths in the cmake exports of the ROS wheels by this environment's."""
-    paths = python_paths()
-    of_numpy_1 = "numpy/core/include"
-    headers = of_numpy_1 if Path(paths["purelib"], of_numpy_1).exists() else "numpy/_core/include"
-    build_machine = re.compile(r"/opt/python/[^/;\"]+/(include|lib)/python3\.\d+(/site-packages)?")
-    for export in VENV.glob("share/*/cmake/*rosidl_generator_py*.cmake"):
-        text = export.read_text(encoding="utf-8")
-        here = build_machine.sub(lambda match: paths["include" if match[1] == "include" else "purelib"], text)
-        here = here.replace("numpy/_core/include", headers)
-        if here != text:
-            export.write_text(here, encoding="utf-8")
-
-
-def build_messages(ros: str) -> None:
-    """Build ehls_msgs into the environment, replacing an earlier build.
-
-    Args:
-        ros: name of the sourced ROS 2 distribution, or empty.
-
-    Raises:
-        SetupError: the build failed, or its result cannot be imported.
-    """
-    if MANIFEST.exists():
-        for name in MANIFEST.read_text(encoding="utf-8").splitlines():
-            Path(name).unlink(missing_ok=True)
-    build = VENV / "ehls_msgs_build"
-    shutil.rmtree(build, ignore_errors=True)
-    environment = child_environment()
-    for variable in ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH"):
-        others = os.environ.get(variable, "") if ros else ""
-        environment[variable] = os.pathsep.join(filter(None, [str(VENV), others]))
-    configuration = {
-        "CMAKE_BUILD_TYPE": "Release",
-        "CMAKE_INSTALL_PREFIX": str(VENV),
-        "Python3_EXECUTABLE": str(PYTHON),
-        "BUILD_TESTING": "OFF",
-    }
-    definitions = [f"-D{name}={value}" for name, value in configuration.items()]
-    doing = "building ehls_msgs"
-    run(["cmake", "-S", str(MESSAGES), "-B", str(build), *definitions], doing, environment)
-    run(["cmake", "--build", str(build), "--target", "install", "--parallel", str(os.cpu_count() or 1)], doing, environment)
-    shutil.copy(build / "install_manifest.txt", MANIFEST)
-    shutil.rmtree(build)
-    message = min(path.stem for path in MESSAGES.glob("msg/*.msg"))
-    load = f"from ehls_msgs.msg import {message}; type({message}).__import_type_support__()"
-    run([str(PYTHON), "-c", load], "importing the messages just built", child_environment())
-
-
-def install_project(ros: str) -> None:
-    """Install ehls_ros in editable mode.
-
-    Args:
-        ros: name of the sourced ROS 2 distribution, or empty.
-    """
-    pip("--no-deps", "--no-build-isolation", "--editable", str(ROOT))
+    wanted = ["noble"] if NOBLE else ["base", *groups]
+    locked(PYTHON, [*wanted, *([] if ros else ["ros"]), *(["colcon"] if NOBLE and not ros else [])])
+    point_exports_here(VENV, PYTHON)
+    keep_one_copy(VENV)
+    build = ("--build-constraints", str(LOCK))
+    uv("pip", "install", "--python", str(PYTHON), "--no-deps", *build, "--editable", str(ROOT), doing="installing ehls_ros")
     # An editable installation leaves out the data_files of setup.py.
     index = VENV / "share" / "ament_index" / "resource_index" / "packages"
     share = VENV / "share" / "ehls_ros"
     index.mkdir(parents=True, exist_ok=True)
-    share.mkdir(exist_ok=True)
+    share.mkdir(parents=True, exist_ok=True)
     for link, source in (
         (index / "ehls_ros", ROOT / "resource" / "ehls_ros"),
         (share / "package.xml", ROOT / "package.xml"),
@@ -355,32 +258,212 @@ def install_project(ros: str) -> None:
         link.symlink_to(source)
 
 
-def pip(*arguments: str) -> None:
-    """Run ``pip install`` of the environment.
+def locked(python: Path, groups: Iterable[str]) -> None:
+    """Install dependency groups as locked; the hash of each package is checked against the lock.
 
     Args:
-        arguments: what follows ``pip install``.
+        python: interpreter of the environment.
+        groups: the dependency groups.
+    """
+    named = [word for group in groups for word in ("--group", f"{ROOT / 'pyproject.toml'}:{group}")]
+    constraints = ("--constraints", str(LOCK), "--build-constraints", str(LOCK))
+    uv("pip", "install", "--python", str(python), *constraints, *named, doing="installing packages")
+
+
+def remove_half_installed() -> None:
+    """Remove packages left incomplete by an interruption: INSTALLER is none of their own files, and written late."""
+    for description in Path(python_paths(PYTHON)["purelib"]).glob("*.dist-info"):
+        if not (description / "INSTALLER").exists():
+            shutil.rmtree(description)
+
+
+def point_exports_here(prefix: Path, python: Path) -> None:
+    """Replace the build machine's paths in the cmake exports of the ROS wheels by an environment's own.
+
+    Args:
+        prefix: folder of the environment.
+        python: its interpreter.
+    """
+    paths = python_paths(python)
+    of_numpy_1 = "numpy/core/include"
+    headers = of_numpy_1 if Path(paths["purelib"], of_numpy_1).exists() else "numpy/_core/include"
+    build_machine = re.compile(r"/opt/python/[^/;\"]+/(include|lib)/python3\.\d+(/site-packages)?")
+    for export in prefix.glob("share/*/cmake/*rosidl_generator_py*.cmake"):
+        text = export.read_text(encoding="utf-8")
+        here = build_machine.sub(lambda match: paths["include" if match[1] == "include" else "purelib"], text)
+        here = here.replace("numpy/_core/include", headers)
+        if here != text:
+            replace(export, here)
+
+
+def keep_one_copy(prefix: Path) -> None:
+    """Keep large files that are there several times over once: wheels hold links as copies, and libraries of their own.
+
+    Args:
+        prefix: folder of the environment.
+    """
+    first: dict[int, Path] = {}
+    for file in sorted(file for file in files_below(prefix) if not file.is_symlink()):
+        size = file.stat().st_size
+        same = first.setdefault(size, file) if size > LARGE else file
+        if not same.samefile(file) and filecmp.cmp(same, file, shallow=False):
+            fresh = file.with_name(f"{file.name}.new")
+            os.link(same, fresh)
+            fresh.replace(file)
+
+
+def message_wheel(python: str, ros: str) -> Path:
+    """Return ehls_msgs as a wheel: kept from an earlier build of the same sources with the same packages, or built now.
+
+    Args:
+        python: version of Python, such as ``3.12``.
+        ros: name of the sourced ROS 2 distribution, or empty.
+
+    Raises:
+        SetupError: the build failed.
+    """
+    recipe = [inspect.getsource(build_messages), inspect.getsource(pack), fingerprint(files_below(MESSAGES))]
+    built_with = re.findall(r"^(?:ros-|numpy)\S*", LOCK.read_text(encoding="utf-8"), re.MULTILINE)
+    digest = hashlib.sha256("\n".join([*recipe, *built_with]).encode()).hexdigest()[:16]
+    tag = f"cp{python.replace('.', '')}"
+    name = f"ehls_msgs-0.1.0+{ros or 'wheels'}.{digest}"
+    wheel = CACHE / "messages" / f"{name}-{tag}-{tag}-linux_{platform.machine()}.whl"
+    if not wheel.exists():
+        check_compilers(ros)
+        print("building the messages of ehls_msgs (about 15 s; once for all checkouts)", flush=True)
+        wheel.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix="ehls_msgs_", dir=VENV) as folder:
+            built = build_messages(Path(folder), ros)
+            pack(built, name, f"{tag}-{tag}-linux_{platform.machine()}", wheel)
+    return wheel
+
+
+def build_messages(folder: Path, ros: str) -> Path:
+    """Build ehls_msgs, with packages of its own that go with the folder.
+
+    Args:
+        folder: an empty folder.
+        ros: name of the sourced ROS 2 distribution, or empty.
+
+    Returns:
+        The folder it is installed in.
+    """
+    environment = child_environment()
+    python, tools = PYTHON, VENV
+    if not ros:
+        tools = folder / "tools"
+        python = tools / "bin" / "python"
+        uv("venv", "--python", str(PYTHON), str(tools), doing="making an environment to build in")
+        locked(python, ["messages"])
+        point_exports_here(tools, python)
+        environment["PATH"] = os.pathsep.join([str(python.parent), environment["PATH"]])
+    for variable in ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH"):
+        others = os.environ.get(variable, "") if ros else ""
+        environment[variable] = os.pathsep.join(filter(None, [str(tools), others]))
+    configuration = {
+        "CMAKE_BUILD_TYPE": "Release",
+        "CMAKE_INSTALL_PREFIX": str(folder / "installed"),
+        "Python3_EXECUTABLE": str(python),
+        "BUILD_TESTING": "OFF",
+    }
+    definitions = [f"-D{name}={value}" for name, value in configuration.items()]
+    doing, build = "building ehls_msgs", str(folder / "build")
+    run(["cmake", "-S", str(MESSAGES), "-B", build, *definitions], doing, environment)
+    run(["cmake", "--build", build, "--target", "install", "--parallel", str(os.cpu_count() or 1)], doing, environment)
+    return folder / "installed"
+
+
+def pack(folder: Path, name: str, tag: str, wheel: Path) -> None:
+    """Write what cmake has installed as a wheel, whose files go where they are below the environment's folder.
+
+    Args:
+        folder: what cmake has installed.
+        name: name and version, as in the wheel's own name.
+        tag: versions of Python and machine that it is for.
+        wheel: file to write.
+    """
+    project, version = name.split("-")
+    info = f"{name}.dist-info"
+    texts = {
+        f"{info}/METADATA": f"Metadata-Version: 2.1\nName: {project}\nVersion: {version}\n",
+        f"{info}/WHEEL": f"Wheel-Version: 1.0\nGenerator: ehls_ros\nRoot-Is-Purelib: false\nTag: {tag}\n",
+    }
+    # cmake's own description of the Python package would be a second one beside the wheel's.
+    built = [path for path in files_below(folder) if ".egg-info" not in str(path)]
+    files = {f"{name}.data/data/{path.relative_to(folder)}": path for path in built}
+    texts[f"{info}/RECORD"] = "".join(f"{path},,\n" for path in (*files, *texts, f"{info}/RECORD"))
+    fresh = wheel.with_suffix(f".{os.getpid()}")
+    with zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path, file in files.items():
+            archive.write(file, path)
+        for path, text in texts.items():
+            archive.writestr(path, text)
+    fresh.replace(wheel)
+
+
+def check_messages() -> None:
+    """Check that the messages can be imported.
+
+    Raises:
+        SetupError: they cannot.
+    """
+    message = min(path.stem for path in MESSAGES.glob("msg/*.msg"))
+    load = f"from ehls_msgs.msg import {message}; type({message}).__import_type_support__()"
+    run([str(PYTHON), "-c", load], "importing the messages", child_environment())
+
+
+def uv(*arguments: str, doing: str) -> None:
+    """Run uv.
+
+    Args:
+        arguments: its command line.
+        doing: description, for the error message.
 
     Raises:
         SetupError: it failed.
     """
-    options = ["--disable-pip-version-check", "--no-input", "--progress-bar=off", "--no-warn-script-location"]
-    run([str(PYTHON), "-m", "pip", "install", *options, *arguments], "installing packages", child_environment())
+    environment = child_environment() | {"UV_PYTHON_DOWNLOADS": "never", "UV_NO_PROGRESS": "1"}
+    environment.pop("VIRTUAL_ENV", None)
+    run([str(uv_program()), *arguments], doing, environment)
 
 
-def run(command: list[str], doing: str, environment: dict[str, str] | None = None) -> None:
+def uv_program() -> Path:
+    """Return uv: the user's, or the locked one, which is fetched once with pip and kept in the cache.
+
+    Raises:
+        SetupError: there is no pip to fetch it with, or it could not be fetched.
+    """
+    if found := shutil.which("uv"):
+        return Path(found)
+    program = CACHE / f"uv-{fingerprint([LOCK])[:16]}"
+    if not program.exists():
+        if importlib.util.find_spec("pip") is None:
+            advice = "install either, on Debian or Ubuntu `apt install python3-pip`"
+            raise SetupError(f"{sys.executable} is without pip, and there is no uv: {advice}")
+        program.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix="uv_", dir=program.parent) as folder:
+            pinned = Path(folder, "uv.txt")
+            (block,) = re.findall(r"^uv==(?:.*\\\n)+.*", LOCK.read_text(encoding="utf-8"), re.MULTILINE)
+            pinned.write_text(block, encoding="utf-8")
+            pip = [sys.executable, "-m", "pip", "install", "--disable-pip-version-check", "--no-input", "--progress-bar=off"]
+            only = ["--require-hashes", "--only-binary=:all:", "--requirement", str(pinned), "--target", folder]
+            run([*pip, *only], "fetching uv", child_environment())
+            Path(folder, "bin", "uv").replace(program)
+    return program
+
+
+def run(command: list[str], doing: str, environment: dict[str, str]) -> None:
     """Run a command; its output goes to the log and, line by line, to the last line of a terminal.
 
     Args:
         command: program and arguments.
         doing: description, for the error message.
-        environment: environment variables; by default those of this process.
+        environment: environment variables.
 
     Raises:
         SetupError: it failed.
     """
     output = []
-    environment = child_environment() if environment is None else environment
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=environment, text=True
     ) as process:
@@ -393,11 +476,12 @@ def run(command: list[str], doing: str, environment: dict[str, str] | None = Non
             raise
         finally:
             show("")
-    if VENV.is_dir():
-        with LOG.open("a", encoding="utf-8") as log:
-            log.writelines([f"$ {shlex.join(command)}\n", *output])
+    log = LOG if VENV.is_dir() else Path(os.devnull)
+    with log.open("a", encoding="utf-8") as file:
+        file.writelines([f"$ {shlex.join(command)}\n", *output])
     if process.returncode:
-        raise SetupError(f"{doing} failed: {reason(output)} (full output in {LOG.relative_to(ROOT)})")
+        where = f" (full output in {LOG.relative_to(ROOT)})" if log == LOG else ""
+        raise SetupError(f"{doing} failed: {reason(output)}{where}")
 
 
 def show(line: str) -> None:
@@ -414,7 +498,9 @@ def reason(output: list[str]) -> str:
         if line.startswith("CMake Error"):
             return " ".join(lines[number : number + 2])
     errors = [line for line in lines if re.search(r"\berror\b", line, re.IGNORECASE)]
-    network = "packages could not be downloaded, is there a network? " if any(map(NO_INDEX.search, lines)) else ""
+    network = ""
+    if any(map(NO_INDEX.search, lines)):
+        network = "packages could not be downloaded, is there a network? (UV_DEFAULT_INDEX and PIP_INDEX_URL name a mirror) "
     return network + (errors or lines)[-1]
 
 
@@ -427,10 +513,10 @@ def child_environment() -> dict[str, str]:
     return environment
 
 
-def python_paths() -> dict[str, str]:
-    """Return the installation paths of the environment's Python, as sysconfig names them."""
+def python_paths(python: Path) -> dict[str, str]:
+    """Return the installation paths of an environment's Python, as sysconfig names them."""
     code = "import json, sysconfig; print(json.dumps(sysconfig.get_paths()))"
-    shown = subprocess.run([PYTHON, "-c", code], check=True, capture_output=True, text=True, env=child_environment())
+    shown = subprocess.run([python, "-c", code], check=True, capture_output=True, text=True, env=child_environment())
     paths: dict[str, str] = json.loads(shown.stdout)
     return paths
 
@@ -449,20 +535,20 @@ def fingerprint(paths: Iterable[Path]) -> str:
     return digest.hexdigest()
 
 
-def read_stamps() -> dict[str, Any]:
-    """Return the stamps of the finished steps; empty if there are no valid ones."""
+def read_made() -> dict[str, Any]:
+    """Return what the environment was made for; empty if there is no valid record of it."""
     try:
-        stamps = json.loads(STAMPS.read_text(encoding="utf-8"))
+        made = json.loads(MADE.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return stamps if isinstance(stamps, dict) else {}
+    return made if isinstance(made, dict) else {}
 
 
-def write_stamps(stamps: dict[str, Any]) -> None:
-    """Replace the stamps atomically, so that an interruption leaves the old or the new ones."""
-    fresh = STAMPS.with_suffix(".new")
-    fresh.write_text(json.dumps(stamps, indent=1), encoding="utf-8")
-    fresh.replace(STAMPS)
+def replace(file: Path, text: str) -> None:
+    """Replace a file by one with this text, in one step: the old one may be a link into a cache, and must stay as it is."""
+    fresh = file.with_name(f"{file.name}.new")
+    fresh.write_text(text, encoding="utf-8")
+    fresh.replace(file)
 
 
 if __name__ == "__main__":

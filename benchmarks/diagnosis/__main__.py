@@ -8,7 +8,7 @@
     python -m benchmarks.diagnosis --tune                        # the peers' thresholds, on seeds of their own
 
 The cases come from truth_generator, which shares no code with ehls_ros. Each case is written as a line of JSON when it is done;
-an interrupted run is resumed. `pip install 'ehls_ros[peers]'` installs pysindy, a peer that ehls_ros does not need.
+an interrupted run is resumed. `make setup WITH=peers` installs pysindy, a peer that ehls_ros does not need.
 """
 
 import os

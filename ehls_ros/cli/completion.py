@@ -6,9 +6,17 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from ehls_ros.cli.configured import Configured
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.files import configured_names
 
 SHELLS = ("bash", "zsh")
+
+FILES_AND_NAMES = {
+    "bash": "{name}() {{ _shtab_compgen_files $1; compgen -W '{names}' -- $1; }}",
+    "zsh": "{name}() {{ _alternative 'files:file:_files' 'names:name:({names})' }}",
+}
+"""Functions of the shells for arguments that are a path, or the name of a file that comes with the package."""
 
 
 class PrintCompletion(argparse.Action):
@@ -20,10 +28,16 @@ class PrintCompletion(argparse.Action):
             shtab: Any = import_module("shtab")
         except ImportError:
             raise BadInput("shtab is not installed", "this Python", "pip install shtab, or apt install python3-shtab") from None
+        shell = str(values[1])
+        functions = {}
         for action in _actions(parser):
-            if action.type is Path:
-                setattr(action, "complete", shtab.FILE)  # noqa: B010 - shtab's attribute, unknown to argparse
-        print(shtab.complete(parser, shell=str(values[1])))
+            if isinstance(action, Configured):
+                name = f"_ehls_{action.folder or 'rigs'}"
+                functions[name] = FILES_AND_NAMES[shell].format(name=name, names=" ".join(configured_names(action.folder)))
+                setattr(action, "complete", {shell: name})  # noqa: B010 - shtab's attribute, unknown to argparse
+            elif action.type is Path:
+                setattr(action, "complete", shtab.FILE)  # noqa: B010 - the same
+        print(shtab.complete(parser, shell=shell, preamble={shell: "\n".join(functions.values())}))
         parser.exit()
 
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, one_of
 
 PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -20,22 +20,30 @@ def config_folder() -> Path:
     raise BadInput("the installation has no config folder", str(PACKAGE), "share/ehls_ros/config as setup.py installs it")
 
 
-def configured(name: str | Path, folder: str = "") -> Path:
-    """Return a file, or the one that comes with the package where only its name is given.
+def configured_names(folder: str = "") -> list[str]:
+    """Return the names of the files that come with the package.
+
+    Args:
+        folder: where they are in the configuration folder: ``experiments``, ``campaigns``, or the empty text for rigs.
+    """
+    return sorted(file.stem for file in (config_folder() / folder).glob("*.yaml" if folder else "rig_*.yaml"))
+
+
+def configured(name: str | Path, folder: str = "", beside: Path = Path()) -> Path:
+    """Return a file, or the one of that name that comes with the package where there is none.
 
     Args:
         name: path of a file, or name without ``.yaml`` of one that comes with the package, such as ``sine_fd2``.
         folder: where those are in the configuration folder: ``experiments``, ``campaigns``, or the empty text for rigs.
+        beside: where a relative path starts.
 
     Raises:
-        BadInput: no file of that name comes with the package.
+        BadInput: there is no file of that name.
     """
-    path = Path(name)
-    if path.exists() or path.suffix or path.name != str(name):
+    path = beside / name
+    if path.exists() or path.suffix or Path(name).name != str(name):
         return path
-    own = config_folder() / folder
-    found = own / f"{name}.yaml"
-    if not found.is_file():
-        names = ", ".join(sorted(file.stem for file in own.glob("*.yaml")))
-        raise BadInput(f"there is no file {str(name)!r}", folder or "rigs", f"a file's path, or a name of {names}")
-    return found
+    names = configured_names(folder)
+    if str(name) not in names:
+        raise BadInput(f"there is no file {str(path)!r}", folder or "rig", f"a file's path, or {one_of(name, names)}")
+    return config_folder() / folder / f"{name}.yaml"

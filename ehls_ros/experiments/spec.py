@@ -15,7 +15,7 @@ from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput, one_of
-from ehls_ros.experiments.files import config_folder
+from ehls_ros.experiments.files import configured
 from ehls_ros.physics.plausibility import WARNING_FACTOR, check_ranges, check_rig, check_signal, check_step
 from ehls_ros.physics.rig import Rig, check_known, effects_from_list, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP
@@ -122,8 +122,7 @@ def chosen_spec(spec: str, rig: str) -> Spec:
     Raises:
         BadInput: a file or one of its keys is wrong.
     """
-    path = Path(spec) if spec else config_folder() / "experiments" / "sine_fd2.yaml"
-    return load_spec(path, Path(rig) if rig else None)
+    return load_spec(configured(spec or "sine_fd2", "experiments"), configured(rig) if rig else None)
 
 
 def check_law(spec: Spec, law: str, where: str) -> None:
@@ -228,9 +227,9 @@ def check_spec(spec: Spec, where: str) -> None:
 
 def _rig(data: Any, where: str, folder: Path) -> Rig:
     """Read a rig that is to be simulated, which takes all of it."""
-    named = isinstance(data, str)
-    rig = load_rig(folder / data) if named else rig_from_mapping(data, where)
-    check_known(rig, str(folder / data) if named else where)
+    file = configured(data, beside=folder) if isinstance(data, str) else None
+    rig = rig_from_mapping(data, where) if file is None else load_rig(file)
+    check_known(rig, where if file is None else str(file))
     return rig
 
 

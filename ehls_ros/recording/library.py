@@ -1,10 +1,9 @@
 """Libraries for formats that not everybody has."""
 
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from ehls_ros.errors import BadInput
+from ehls_ros.extras import missing
 
 
 def check_library(module: str, package: str, path: Path) -> None:
@@ -23,5 +22,4 @@ def check_library(module: str, package: str, path: Path) -> None:
     except (ImportError, ValueError):
         found = False
     if not found:
-        expected = f"it installed (`{sys.executable} -m pip install {package}`), or the data as CSV"
-        raise BadInput(f"{package} is not installed, which reads this format", str(path), expected)
+        raise missing(f"{package} is not installed, which reads this format", "files", str(path), "the data as CSV")

@@ -18,6 +18,7 @@ from ehls_ros.experiments.campaign.store import opened, read_results
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.spec import spec_from_mapping
+from ehls_ros.extras import install_command
 
 pyarrow_parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow, of the extra campaign, is not installed")
 
@@ -179,7 +180,7 @@ def test_a_damaged_part_is_named(tmp_path):
 def test_a_missing_package_names_its_extra(tmp_path, capsys, monkeypatch, module, options):
     monkeypatch.setitem(sys.modules, module, None)
     assert main(["campaign", str(write(tmp_path)), "--out", str(tmp_path / "out"), *options]) == 2
-    assert "ehls_ros[campaign]" in capsys.readouterr().err
+    assert install_command("campaign") in capsys.readouterr().err
 
 
 def test_the_command_leaves_table_report_and_campaign(tmp_path, capsys):

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ from residual_problems import bowl, bowl_problem, holed_problem, rosenbrock_prob
 from static_data import paper_problem
 
 from ehls_ros.errors import BadInput
+from ehls_ros.extras import install_command
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.optimisers._random import index, latin_hypercube, uniform
 from ehls_ros.identification.optimisers.base import Problem, Result
@@ -192,7 +194,7 @@ def test_a_missing_library_says_what_to_install(name, library, monkeypatch):
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, library, None)
     optimiser = OPTIMISERS.load(name)
-    with pytest.raises(BadInput, match=rf"{library} is not installed; expected pip install 'ehls_ros\[optimisers\]'"):
+    with pytest.raises(BadInput, match=f"{library} is not installed; expected `{re.escape(install_command('optimisers'))}`"):
         optimiser.minimise(bowl_problem((1.0, 2.0)), optimiser.Parameters(), 1)
 
 

@@ -10,6 +10,7 @@ from recorded_runs import folder_for_nobody, make_trajectory, storage_file
 from scipy.io import savemat
 
 from ehls_ros.errors import BadInput
+from ehls_ros.extras import install_command
 from ehls_ros.recording.bag_writer import write_trajectory
 from ehls_ros.recording.columns import Column, ColumnMap
 from ehls_ros.recording.csv_file import write_csv
@@ -146,7 +147,7 @@ def test_a_library_that_is_missing_is_named_with_its_command(
     with pytest.raises(BadInput) as caught:
         load(tmp_path / f"data{suffix}")
     assert f"{package} is not installed" in str(caught.value)
-    assert f"`{sys.executable} -m pip install {package}`" in str(caught.value)
+    assert f"`{install_command('files')}`, or the data as CSV" in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["nothing", "nothing.csv", "nothing.mcap", "nothing.mat"])

@@ -26,6 +26,7 @@ from websockets.sync.client import connect
 from ehls_ros.cli.main import main
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.spec import load_spec
+from ehls_ros.extras import install_command
 from ehls_ros.recording.bag_writer import write_trajectory
 from ehls_ros.recording.topics import CYCLE_TOPICS
 from ehls_ros.report.foxglove import TICK, play
@@ -221,7 +222,7 @@ def complaint(capsys, *arguments: object) -> str:
 def test_without_the_extra_it_says_which(monkeypatch, spec, capsys):
     monkeypatch.setitem(sys.modules, "foxglove", None)
     monkeypatch.delitem(sys.modules, "ehls_ros.report.foxglove")
-    assert "pip install 'ehls_ros[foxglove]'" in complaint(capsys, "--simulate", spec)
+    assert install_command("foxglove") in complaint(capsys, "--simulate", spec)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import yaml
 
+from ehls_ros.cli.configured import Configured
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.campaign.backends import dask, local
 from ehls_ros.experiments.campaign.conduct import Outcome, conduct
@@ -25,7 +26,9 @@ HELP = "Run a sweep or a Monte Carlo study of experiments: one table of metrics 
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("campaign", type=Path, help="campaign file (YAML), such as config/campaigns/k_and_h.yaml")
+    parser.add_argument(
+        "campaign", type=Path, action=Configured, folder="campaigns", help="campaign file (YAML), or a name such as k_and_h"
+    )
     parser.add_argument("--out", type=Path, help="folder of the results (default: runs/<campaign>)")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--jobs", type=int, help="number of processes (default: one per processor)")

@@ -5,8 +5,10 @@ import threading
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from ehls_ros.cli.configured import Configured
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import load_spec
+from ehls_ros.extras import missing
 
 HELP = "Show a running graph live in the browser: signals, parameters, start and stop, recording, emergency stop."
 
@@ -16,6 +18,8 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--spec",
         type=Path,
+        action=Configured,
+        folder="experiments",
         help="experiment file to start, in a domain of its own unless ROS_DOMAIN_ID is set (default: join a running graph)",
     )
     parser.add_argument(
@@ -39,9 +43,7 @@ def run(options: Namespace) -> int:
         from ehls_ros.dashboard.graph import Timing
         from ehls_ros.dashboard.server import listening, serve
     except ImportError as error:
-        raise BadInput(
-            f"the page's libraries are missing ({error})", "this Python", "pip install 'ehls_ros[dashboard]'"
-        ) from None
+        raise missing(f"the page's libraries are missing ({error})", "dashboard", "this Python") from None
     try:
         from ehls_ros.nodes.dashboard_graph import DashboardGraph
         from ehls_ros.nodes.graph import graph_environment

@@ -13,6 +13,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from ehls_ros.cli.configured import Configured
 from ehls_ros.cli.folder import writable
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.diagnosis.result import Cause, Diagnosis
@@ -48,7 +49,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="DATA",
         help="one recording: a bag, a run folder, a table (text, Excel, MAT, TDMS, Parquet), or the tables of the map",
     )
-    parser.add_argument("--rig", type=Path, required=True, help="rig file that the simulation runs with")
+    parser.add_argument("--rig", type=Path, action=Configured, required=True, help="rig file that the simulation runs with")
     parser.add_argument(
         "--baseline",
         type=Path,

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from ehls_ros.cli.configured import Configured
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import Implausible, run_as_far_as_it_goes
@@ -28,7 +29,9 @@ HELP = "Run an experiment over DDS, record a bag, print metrics and write a repo
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("spec", type=Path, help="experiment file (YAML), such as config/experiments/sine_fd2.yaml")
+    parser.add_argument(
+        "spec", type=Path, action=Configured, folder="experiments", help="experiment file (YAML), or a name such as sine_fd2"
+    )
     parser.add_argument("--out", type=Path, help="run folder (default: runs/<spec>-<time>)")
     parser.add_argument("--overwrite", action="store_true", help="replace a run that --out already holds")
     parser.add_argument("--in-process", action="store_true", help="without ROS: the same loop in one process")

@@ -8,10 +8,12 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ehls_ros.cli.configured import Configured
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import run_in_stretches
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import load_spec
+from ehls_ros.extras import missing
 from ehls_ros.recording.columns import read_columns
 from ehls_ros.recording.load import load
 from ehls_ros.recording.topics import NAMESPACE, Topic
@@ -31,7 +33,14 @@ def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("data", type=Path, nargs="?", help="bag folder, .mcap, .db3, .csv or the folder of a run; on /ehls/...")
     parser.add_argument("--columns", type=Path, help="YAML file that maps the data's column names and units")
-    parser.add_argument("--simulate", type=Path, metavar="SPEC", help="experiment file to simulate as it plays; on /sim/...")
+    parser.add_argument(
+        "--simulate",
+        type=Path,
+        action=Configured,
+        folder="experiments",
+        metavar="SPEC",
+        help="experiment file to simulate as it plays; on /sim/...",
+    )
     parser.add_argument("--rate", type=float, default=1.0, help="playback speed: seconds of data per second (default: 1)")
     parser.add_argument("--host", default="127.0.0.1", help="address to serve on (default: 127.0.0.1, this machine only)")
     parser.add_argument("--port", type=int, default=8765, help="port to serve on; 0: any free port (default: 8765)")
@@ -43,7 +52,7 @@ def run(options: Namespace) -> int:
     try:
         from ehls_ros.report.foxglove import FoxgloveServer, serve
     except ImportError as error:
-        raise BadInput(f"foxglove-sdk is missing ({error})", "this Python", "pip install 'ehls_ros[foxglove]'") from None
+        raise missing(f"foxglove-sdk is missing ({error})", "foxglove", "this Python") from None
     sources, topics = _sources(options)
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

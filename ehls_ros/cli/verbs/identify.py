@@ -10,6 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from ehls_ros.cli.configured import Configured
 from ehls_ros.cli.folder import writable
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
@@ -42,6 +43,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--rig",
         type=Path,
+        action=Configured,
         required=True,
         help="rig file as known so far, where the search starts: friction model, piston area and volume are taken from it",
     )

@@ -10,6 +10,7 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
+from ehls_ros.cli.configured import Configured
 from ehls_ros.cli.folder import writable
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.errors import BadInput, WorkFailed
@@ -42,8 +43,16 @@ PRIORITY = 40
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--rig", type=Path, help="rig file in place of the spec's (default: rig_paper_measured.yaml)")
-    parser.add_argument("--spec", type=Path, help="experiment file: its rig, disturbance, period, initial position, oil, seed")
+    parser.add_argument(
+        "--rig", type=Path, action=Configured, help="rig file in place of the spec's (default: rig_paper_measured.yaml)"
+    )
+    parser.add_argument(
+        "--spec",
+        type=Path,
+        action=Configured,
+        folder="experiments",
+        help="experiment file: its rig, disturbance, period, initial position, oil, seed",
+    )
     parser.add_argument("--bridge", type=Path, help="bridge file with the udp backend (default: bridge_udp.yaml)")
     parser.add_argument("--port", type=int, help="UDP port to listen on in place of the bridge file's; 0: any free port")
     parser.add_argument("--duration", type=float, help="plant time to run in s (default: until stopped)")

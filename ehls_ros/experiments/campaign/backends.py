@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.campaign.work import Row, code_version, run_chunk
+from ehls_ros.extras import library, missing
 from ehls_ros.recording.reason import reason
 
 CONNECTING_S, JOINING_S = 10.0, 60.0
@@ -94,7 +95,7 @@ def _joblib() -> Any:
         if tuple(map(int, joblib.__version__.split(".")[:2])) >= OLDEST_JOBLIB:
             return joblib
         found = f"joblib is {joblib.__version__}, which returns nothing before all is done"
-    raise BadInput(found, "campaign", "pip install 'ehls_ros[campaign]'")
+    raise missing(found, "campaign", "campaign")
 
 
 def _leave_interrupts_to_the_parent() -> None:
@@ -117,10 +118,7 @@ def dask(address: str) -> Iterator[Backend]:
         BadInput: ``distributed`` is not installed, or there is no such scheduler.
         WorkFailed: no worker joins, the cluster is lost, or its workers have other code.
     """
-    try:
-        distributed: Any = import_module("distributed")
-    except ImportError:
-        raise BadInput("distributed is not installed", "--dask", "pip install 'ehls_ros[campaign]'") from None
+    distributed = library("distributed", "campaign", "--dask")
     try:
         client = distributed.Client(address, timeout=CONNECTING_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:

@@ -18,6 +18,7 @@ import numpy as np
 
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.experiments.campaign.variation import Distribution, Values, label, variation
+from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.spec import SECTIONS, Spec, spec_from_mapping, spec_to_mapping
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import declarations, parse, quantity, text
@@ -205,7 +206,7 @@ _Group = list[dict[str, _Change]]
 
 def _base(data: Any, where: str, folder: Path) -> dict[str, Any]:
     if isinstance(data, str):
-        path = folder / data
+        path = configured(data, "experiments", folder)
         spec = spec_from_mapping(read_yaml(path, "base"), str(path), path.parent)
     elif isinstance(data, Mapping):
         spec = spec_from_mapping(data, f"{where}: base", folder)

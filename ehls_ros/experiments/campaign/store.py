@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.campaign.plan import Column, Run
 from ehls_ros.experiments.campaign.work import METRICS, Row
+from ehls_ros.extras import library
 from ehls_ros.recording.reason import reason
 
 COUNTS = ("cycles", "missed_cycles")
@@ -73,10 +74,7 @@ def opened(path: Path) -> Iterator[Folder]:
 
 
 def _parquet() -> Any:
-    try:
-        return import_module("pyarrow.parquet")
-    except ImportError:
-        raise BadInput("pyarrow is not installed", "campaign", "pip install 'ehls_ros[campaign]'") from None
+    return library("pyarrow.parquet", "campaign", "campaign")
 
 
 def _schema() -> Any:

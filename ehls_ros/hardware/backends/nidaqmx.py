@@ -1,4 +1,4 @@
-"""National Instruments cards through NI-DAQmx and its Python package `nidaqmx` (``pip install ehls_ros[nidaqmx]``).
+"""National Instruments cards through NI-DAQmx and its Python package `nidaqmx` (the extra ``nidaqmx``).
 
 Never exercised on hardware: tested against a stand-in with the package's functions. The card's clock times the samples; the
 output is written immediately, on this computer's timing. A card keeps its last voltage when this process dies: if the device
@@ -7,12 +7,12 @@ has a watchdog for analog outputs, set it up in NI-DAQmx.
 
 import time
 from collections.abc import Mapping
-from importlib import import_module
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.extras import library
 from ehls_ros.hardware.backends.base import Reading, Wiring, permitted
 from ehls_ros.schema import quantity, text
 
@@ -37,14 +37,9 @@ def load_package() -> Any:
     Raises:
         BadInput: it is not installed.
     """
-    try:
-        package = import_module("nidaqmx")
-        for part in ("constants", "errors", "stream_readers"):
-            import_module(f"nidaqmx.{part}")
-    except ImportError as error:
-        expected = "the extra of that name: pip install ehls_ros[nidaqmx]"
-        raise BadInput(f"package nidaqmx cannot be imported ({error})", "backend: nidaqmx", expected) from None
-    return package
+    for part in ("constants", "errors", "stream_readers"):
+        library(f"nidaqmx.{part}", "nidaqmx", "backend: nidaqmx")
+    return library("nidaqmx", "nidaqmx", "backend: nidaqmx")
 
 
 class NidaqmxDevice:

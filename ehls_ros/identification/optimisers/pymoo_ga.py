@@ -3,8 +3,8 @@
 import math
 from typing import Annotated, NamedTuple
 
+from ehls_ros.extras import library
 from ehls_ros.identification.objective import Counted
-from ehls_ros.identification.optimisers._libraries import library
 from ehls_ros.identification.optimisers._pymoo import search
 from ehls_ros.identification.optimisers.base import Problem, Result
 from ehls_ros.schema import quantity
@@ -21,6 +21,6 @@ class Parameters(NamedTuple):
 
 def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.inf) -> Result:
     """Search; an iteration is a generation."""
-    genetic = library("pymoo.algorithms.soo.nonconvex.ga", problem.name).GA(pop_size=p.population)
+    genetic = library("pymoo.algorithms.soo.nonconvex.ga", "optimisers", problem.name).GA(pop_size=p.population)
     counted = Counted(problem, seed, p.evaluations, target, tolerance=p.tolerance, patience=p.patience)
     return search(counted, genetic, seed, problem.name)

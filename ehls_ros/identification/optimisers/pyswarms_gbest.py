@@ -17,8 +17,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from ehls_ros.extras import library
 from ehls_ros.identification.objective import Counted, Enough
-from ehls_ros.identification.optimisers._libraries import library
 from ehls_ros.identification.optimisers.base import Problem, Result
 from ehls_ros.schema import quantity
 
@@ -42,7 +42,7 @@ def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.i
     """Search; an iteration is one move of the swarm."""
     counted = Counted(problem, seed, p.evaluations, target, tolerance=p.tolerance, patience=p.patience)
     with _logging_left_alone(), _seeded(seed), suppress(Enough):
-        swarm = library("pyswarms.single.global_best", problem.name).GlobalBestPSO(
+        swarm = library("pyswarms.single.global_best", "optimisers", problem.name).GlobalBestPSO(
             n_particles=p.particles,
             dimensions=counted.size,
             options={"w": p.inertia, "c1": p.cognitive, "c2": p.social},
