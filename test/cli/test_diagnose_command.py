@@ -64,6 +64,27 @@ def again(diagnosed, recording, tmp_path, monkeypatch):
     return run
 
 
+def test_a_foreign_file_is_diagnosed_by_the_map_proposed_for_it(diagnosed, recording, tmp_path, monkeypatch):
+    whole, file, columns = load(recording), tmp_path / "Prüfstand.csv", tmp_path / "map.yaml"
+    names = {
+        "time_s": ("Zeit", "s", 1.0),
+        "position_m": ("Weg", "mm", 1e3),
+        "load_pressure_pa": ("Lastdruck", "bar", 1e-5),
+        "valve_command_m": ("Stellsignal", "V", 1e3),
+    }
+    heads = [";".join(column) for column in zip(*((name, unit) for name, unit, _ in names.values()), strict=True)]
+    values = [factor * (whole.time_s if name == "time_s" else whole[name]) for name, (_, _, factor) in names.items()]
+    rows = [";".join(f"{value:.6f}".replace(".", ",") for value in row) for row in zip(*values, strict=True)]
+    file.write_text("\n".join(["Bemerkung;kühl", *heads, *rows]), encoding="latin-1")
+    seen = []
+    monkeypatch.setattr(verb, "diagnose", lambda trajectory, *a, **k: seen.append(trajectory) or diagnosed[1])
+    assert main(["columns", str(file), "--valve", "10 V = 10 mm", "--out", str(columns)]) == 0
+    assert main(["diagnose", str(file), "--columns", str(columns), "--rig", str(RIG), "--out", str(tmp_path / "out")]) == 0
+    assert set(seen[0].signals) == names.keys() - {"time_s"}
+    for name, read in seen[0].signals.items():
+        np.testing.assert_allclose(read, whole[name], atol=1e-6 / names[name][2])
+
+
 def test_diagnosis_json_keeps_the_contract(diagnosed):
     result = json.loads((diagnosed[0] / "diagnosis.json").read_text())
     assert set(result) >= CONTRACT
