@@ -24,6 +24,7 @@ from ehls_ros.experiments.campaign.plan import plan_from_mapping
 from ehls_ros.experiments.spec import spec_from_mapping
 from ehls_ros.families import Family
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
+from ehls_ros.physics.data_sheet import sheet_from_mapping
 from ehls_ros.physics.rig import rig_from_mapping
 from ehls_ros.recording.columns import read_columns
 from ehls_ros.schema import declarations
@@ -164,6 +165,8 @@ def load_yaml(block: Block, folder: Path) -> None:
         bridge_from_mapping(data, where)
     elif keys <= set(example):
         rig_from_mapping({**example, **data}, where)
+    elif "bore" in keys:
+        sheet_from_mapping(data, where)
     elif "controller" in keys:
         spec_from_mapping(data, where, folder)
     else:

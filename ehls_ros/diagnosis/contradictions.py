@@ -201,8 +201,13 @@ def _ratios(rig: Rig, seen: Seen) -> Iterator[Ratio]:
 
 def _of_both(rig: Rig, seen: Seen) -> Iterator[Ratio]:
     """Yield what rig file and recording say together."""
+    long = all(len(values) >= rules.SIZE_FEWEST for values in seen.signals.values())
     with np.errstate(all="ignore"):
-        for ratio in (*_of_sizes(rig, seen), *_of_slopes(rig, seen), *_of_forces(rig, seen)):
+        for ratio in (
+            *_of_sizes(rig, seen),
+            *(_of_slopes(rig, seen) if long else ()),
+            *(_of_forces(rig, seen) if long else ()),
+        ):
             if math.isfinite(ratio.value):
                 yield ratio
 
@@ -264,7 +269,7 @@ def _of_slopes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
 def _slope(what: str, measured: Array, modelled: Array, within: float = rules.SIZE_FACTOR) -> Iterator[Ratio]:
     """Yield the slope of a measurement over a model where they go together."""
     good = np.isfinite(measured) & np.isfinite(modelled)
-    if np.count_nonzero(good) < rules.SIZE_FEWEST:
+    if not np.any(good):
         return
     y, x = (values[good] - np.mean(values[good]) for values in (measured, modelled))
     product, of_x, of_y = float(x @ y), float(x @ x), float(y @ y)

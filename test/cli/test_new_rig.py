@@ -23,7 +23,7 @@ def answers(tmp_path):
 
 
 def test_a_rig_from_a_file_of_answers(answers, tmp_path, capsys):
-    assert main(["new-rig", str(tmp_path / "rig.yaml"), "--from", str(answers), "--json"]) == 0
+    assert main(["new-rig", "--out", str(tmp_path / "rig.yaml"), "--from", str(answers), "--json"]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])["values"]
     rig = load_rig(tmp_path / "rig.yaml")
     assert rig.plant.supply_pressure == told["plant.supply_pressure"]["value"] == 21e6
@@ -45,22 +45,22 @@ def test_the_template_has_every_question_and_needs_seven(capsys):
 def test_a_file_that_is_there_stays(answers, tmp_path, capsys):
     rig = tmp_path / "rig.yaml"
     rig.write_text("mine", encoding="utf-8")
-    assert main(["new-rig", str(rig), "--from", str(answers)]) == 2
+    assert main(["new-rig", "--out", str(rig), "--from", str(answers)]) == 2
     assert "--overwrite" in capsys.readouterr().err
     assert rig.read_text(encoding="utf-8") == "mine"
-    assert main(["new-rig", str(rig), "--from", str(answers), "--overwrite"]) == 0
+    assert main(["new-rig", "--out", str(rig), "--from", str(answers), "--overwrite"]) == 0
 
 
 def test_answers_that_make_no_rig_write_none(answers, tmp_path, capsys):
     answers.write_text(ANSWERS.replace("63", "30"), encoding="utf-8")
-    assert main(["new-rig", str(tmp_path / "rig.yaml"), "--from", str(answers)]) == 2
+    assert main(["new-rig", "--out", str(tmp_path / "rig.yaml"), "--from", str(answers)]) == 2
     assert "swapped" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["answers.yaml"]
 
 
 def dialogue(rig, answers):
     """Answer the questions of a terminal, each when it is asked; return exit code and what the terminal showed."""
-    command = [sys.executable, "-m", "ehls_ros.cli.main", "new-rig", str(rig)]
+    command = [sys.executable, "-m", "ehls_ros.cli.main", "new-rig", "--out", str(rig)]
     process, terminal = pty.fork()
     if process == 0:
         os.execv(command[0], command)

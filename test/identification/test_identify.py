@@ -185,7 +185,7 @@ def refusal(recordings: dict[str, Trajectory], rig: Rig) -> str:
 def test_one_direction_is_refused(recordings, guess):
     velocity = np.maximum(sweep(PAPER_VELOCITIES[12:]), 0.0)
     message = refusal(
-        {"forth": recorded(velocity, guess, 6)}, guess._replace(limits=guess.limits._replace(position=(-50.0, 50.0)))
+        {"forth": recorded(velocity, guess, 6)}, guess._replace(limits=guess.limits._replace(position=(-25.0, 25.0)))
     )
     assert "position_m slides forwards only" in message
     assert "forth" in message

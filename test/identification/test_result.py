@@ -50,6 +50,7 @@ def test_the_json_has_the_promised_keys():
         "correlations": {"names": ["level", "gravity"], "matrix": [[1.0, 0.25], [0.25, 1.0]]},
         "not_identifiable": ["viscous_damping"],
         "remarks": ["A sentence."],
+        "missing": [],
         "elements": 0,
         "criteria": {"1": 3.0, "2": 1.0},
         "method": "pso",

@@ -30,7 +30,7 @@ TERMINAL = "the terminal"
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("rig", type=Path, nargs="?", help="rig file to write")
+    parser.add_argument("--out", type=Path, default=Path("my_rig.yaml"), help="rig file to write (%(default)s)")
     parser.add_argument("--from", dest="answers", type=Path, metavar="ANSWERS", help="YAML file with the answers")
     parser.add_argument("--template", action="store_true", help="print a file of answers to fill in, and write nothing")
     parser.add_argument("--overwrite", action="store_true", help="replace a file that is there already")
@@ -42,10 +42,8 @@ def run(options: Namespace) -> int:
     if options.template:
         print(template(), end="")
         return 0
-    if options.rig is None:
-        raise BadInput("no rig file is named", "command line", "ehls new-rig my_rig.yaml")
-    if options.rig.exists() and not options.overwrite:
-        raise BadInput("the file is there already", str(options.rig), "another name, or --overwrite")
+    if options.out.exists() and not options.overwrite:
+        raise BadInput("the file is there already", str(options.out), "another name, or --overwrite")
     console = Console(stderr=True)
     given = _asked(console) if options.answers is None else read_yaml(options.answers, "file of answers")
     where = TERMINAL if options.answers is None else str(options.answers)
@@ -55,10 +53,10 @@ def run(options: Namespace) -> int:
     check_rig(rig, where)
     check_step(rig, DEFAULT_STEP, where)
     source = "answers on the terminal" if options.answers is None else options.answers.name
-    _write(options.rig, f"# Made by `ehls new-rig` from {source}.\n{rig_text(content, _told(values))}")
-    _print(values, options.rig)
+    _write(options.out, f"# Made by `ehls new-rig` from {source}.\n{rig_text(content, _told(values))}")
+    _print(values, options.out)
     if options.json:
-        print(json.dumps({"rig": str(options.rig), "values": _document(values, content)}))
+        print(json.dumps({"rig": str(options.out), "values": _document(values, content)}))
     return 0
 
 
@@ -152,6 +150,7 @@ def _write(path: Path, text: str) -> None:
     """Write a file, all of it or nothing."""
     scratch = path.with_name(f".{path.name}.new")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         scratch.write_text(text, encoding="utf-8")
         scratch.replace(path)
     except OSError as error:
