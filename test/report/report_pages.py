@@ -9,7 +9,7 @@ import time
 import numpy as np
 
 
-def panels(text):
+def figures(text):
     """Title, traces and layout of every figure; a number JSON does not know is an error, as in a browser."""
 
     def refuse(constant):
@@ -17,7 +17,12 @@ def panels(text):
 
     pattern = r'<h2>(.*?)</h2>.*?<script type="application/json">(.*?)</script>'
     found = [(title, json.loads(described, parse_constant=refuse)) for title, described in re.findall(pattern, text, re.DOTALL)]
-    return {title: (figure["data"], figure["layout"]) for title, figure in found}
+    return [(title, figure["data"], figure["layout"]) for title, figure in found]
+
+
+def panels(text):
+    """Traces and layout of every figure by its title."""
+    return {title: (traces, layout) for title, traces, layout in figures(text)}
 
 
 def numbers(array):
@@ -34,7 +39,7 @@ def drawn_axes(layout):
 
 def check(text):
     """What must hold of every figure of every report."""
-    for title, (traces, layout) in panels(text).items():
+    for title, traces, layout in figures(text):
         for name, axis in drawn_axes(layout).items():
             counts = "ticktext" in axis
             assert bool(re.search(r"\[[^\]]+\]$", axis["title"]["text"])) != counts, f"{title}: {name} has no unit"

@@ -1,4 +1,4 @@
-"""No report is wider than a phone or a small screen, and nothing in its figures covers anything else, in Chromium."""
+"""All reports together: each axis says its unit; in Chromium, nothing is wider than the screen or covers anything."""
 
 import found_friction
 import pytest
@@ -8,6 +8,7 @@ import test_experiment_report as experiment
 import test_reproduction_report as reproduction
 import test_rig_identification_report as rig
 from headless_browser import CHROMIUM, browser
+from report_pages import check, figures
 
 from ehls_ros.experiments.campaign.results import results_of
 from ehls_ros.recording.events import Event
@@ -18,8 +19,6 @@ from ehls_ros.report.experiment import write_experiment_report
 from ehls_ros.report.identification import write_identification_report
 from ehls_ros.report.reproduction import write_reproduction_report
 from ehls_ros.report.rig_identification import write_rig_report
-
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 
 RESULTS = campaign.table(40, **{campaign.K: [1.0 + run for run in range(40)], campaign.WORD: ["sine", "constant"] * 20})
 COLUMNS = (
@@ -73,7 +72,7 @@ WIDER = """
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory):
+def reports(tmp_path_factory):
     """All reports below each other, as one page: a browser takes its time to read plotly.js."""
     path, below, write_page = tmp_path_factory.mktemp("reports") / "reports.html", [], page.write_page
     with pytest.MonkeyPatch.context() as patch:
@@ -81,10 +80,22 @@ def shown(tmp_path_factory):
         for kind, write in REPORTS.items():
             write(path.with_name(kind))
     write_page(path, "All reports", "", below)
+    return path
+
+
+def test_every_axis_of_every_report_says_its_unit(reports):
+    text = reports.read_text(encoding="utf-8")
+    assert len(figures(text)) > 40
+    check(text)
+
+
+@pytest.fixture(scope="module")
+def shown(reports, tmp_path_factory):
     with browser(tmp_path_factory.mktemp("profile")) as running, running.tab("about:blank") as opened:
-        yield opened, path.as_uri()
+        yield opened, reports.as_uri()
 
 
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 @pytest.mark.parametrize("width", [390, 1366])
 def test_nothing_is_wider_than_the_screen_or_covers_anything(shown, width):
     tab, address = shown
