@@ -32,7 +32,7 @@ from ehls_ros.errors import WorkFailed
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.hardware.realtime import preferring_what_starts
-from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE, REALTIME
+from ehls_ros.nodes.control import CLOCK_TOPIC, LOCKSTEP, NAMESPACE, REALTIME
 from ehls_ros.recording.bag_reader import is_closed
 from ehls_ros.recording.topics import CYCLE_TOPICS, FRICTION_ESTIMATE, REFERENCE_TOPICS
 from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
@@ -254,6 +254,8 @@ def node_processes(
             file = logs / f"{name}.yaml"
             file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(parameters[name])}}), encoding="utf-8")
             arguments = ["--ros-args", "-r", f"__ns:=/{namespace}", "--params-file", str(file)]
+            # In lockstep, each rig has a time of its own.
+            arguments += ["-r", f"{CLOCK_TOPIC}:=/{namespace}{CLOCK_TOPIC}"] if namespace != NAMESPACE else []
             command = [sys.executable, "-m", f"ehls_ros.nodes.{name}", *arguments]
             log = logs / f"{name}.log"
             with log.open("wb") as output:
