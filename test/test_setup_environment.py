@@ -180,3 +180,16 @@ def test_exports_of_the_wheels_point_to_this_environment(setup: ModuleType, monk
 )
 def test_a_failure_is_told_in_one_line(setup: ModuleType, output: list[str], wanted: str) -> None:
     assert setup.reason(output) == wanted
+
+
+def test_uv_looks_where_pip_is_told_to(setup: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    file = tmp_path / "pip.conf"
+    file.write_text(
+        "[global]\nindex-url = https://file.invalid/simple\nextra-index-url =\n  https://a.invalid\n  https://b.invalid\n"
+    )
+    monkeypatch.setenv("PIP_CONFIG_FILE", str(file))
+    monkeypatch.setenv("PIP_INDEX_URL", "https://mirror.invalid/simple")
+    monkeypatch.delenv("PIP_EXTRA_INDEX_URL", raising=False)
+    settings = setup.settings_of_pip()
+    assert settings["UV_DEFAULT_INDEX"] == "https://mirror.invalid/simple"
+    assert settings["UV_INDEX"] == "https://a.invalid https://b.invalid"

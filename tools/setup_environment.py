@@ -12,9 +12,11 @@ Uses only the standard library, and nothing newer than Python 3.8 before the ver
 from __future__ import annotations
 
 import argparse
+import ast
 import contextlib
 import fcntl
 import filecmp
+import functools
 import hashlib
 import importlib.util
 import inspect
@@ -422,9 +424,32 @@ def uv(*arguments: str, doing: str) -> None:
     Raises:
         SetupError: it failed.
     """
-    environment = child_environment() | {"UV_PYTHON_DOWNLOADS": "never", "UV_NO_PROGRESS": "1"}
+    environment = settings_of_pip() | child_environment() | {"UV_PYTHON_DOWNLOADS": "never", "UV_NO_PROGRESS": "1"}
     environment.pop("VIRTUAL_ENV", None)
     run([str(uv_program()), *arguments], doing, environment)
+
+
+@functools.cache
+def settings_of_pip() -> dict[str, str]:
+    """Return where pip is told to find packages, as uv's variables: uv reads none of pip's files and variables.
+
+    With several indexes, pip takes the best version of them all.
+    """
+    names = {
+        "index-url": "UV_DEFAULT_INDEX",
+        "extra-index-url": "UV_INDEX",
+        "find-links": "UV_FIND_LINKS",
+        "trusted-host": "UV_INSECURE_HOST",
+        "cert": "SSL_CERT_FILE",
+    }
+    listing = [sys.executable, "-m", "pip", "--disable-pip-version-check", "config", "list"]
+    listed = subprocess.run(listing, capture_output=True, text=True, check=False, env=child_environment()).stdout
+    settings = {"UV_INDEX_STRATEGY": "unsafe-best-match"}
+    for line in reversed(listed.splitlines()):  # variables come first, and count most
+        key, _, value = line.partition("=")
+        if variable := names.get(key.rpartition(".")[2]):
+            settings[variable] = " ".join(ast.literal_eval(value).split())
+    return settings
 
 
 def uv_program() -> Path:
