@@ -15,7 +15,7 @@ class ChannelFit(NamedTuple):
     Attributes:
         before: of the given rig.
         after: of the fitted rig.
-        noise: that the sensors' noise alone gives.
+        noise: that noise alone gives, the rms of the noise floor.
     """
 
     before: float

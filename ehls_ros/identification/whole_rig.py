@@ -282,7 +282,7 @@ def _block_diagonal(parts: Sequence[Array]) -> Array:
 
 def _channels(stack: Stack, before: Rig, after: Rig) -> dict[Channel, ChannelFit]:
     rigs = [[r.values for r in stack.residuals(rig)] for rig in (before, after)]
-    noise = [e.noise for e in stack.evidences]
+    noise: list[Mapping[Channel, Array]] = [{c: np.ones(len(f)) for c, f in e.floor.items()} for e in stack.evidences]
     return {c: ChannelFit(*(_nrmse(stack, values, c) for values in (*rigs, noise))) for c in stack.channels}
 
 
