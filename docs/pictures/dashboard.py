@@ -15,7 +15,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-sys.path.insert(0, str(ROOT / "test" / "dashboard"))
+sys.path[:0] = [str(ROOT / "test" / "dashboard"), str(ROOT / "test")]
 
 from headless_browser import Tab, browser  # noqa: E402 - found by the line above
 
