@@ -9,12 +9,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-import yaml
-
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.metrics import Metrics
 from ehls_ros.experiments.spec import Spec, spec_to_mapping
+from ehls_ros.experiments.yaml_files import spec_text
 from ehls_ros.recording.reason import reason
 
 HOLDS = ("spec.yaml", "bag", "metrics.json", "report.html", "logs")
@@ -94,8 +93,7 @@ class RunFolder(NamedTuple):
 
     def write_spec(self, spec: Spec) -> None:
         """Keep the spec."""
-        plain = json.loads(json.dumps(spec_to_mapping(spec)))
-        self.spec.write_text(yaml.safe_dump(plain, sort_keys=False), encoding="utf-8")
+        self.spec.write_text(spec_text(spec_to_mapping(spec)), encoding="utf-8")
 
     def write_metrics(self, metrics: Metrics) -> None:
         """Keep the metrics."""

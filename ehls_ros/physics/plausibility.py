@@ -17,6 +17,7 @@ from ehls_ros.physics.composition import effects_in_kernel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Limits
 from ehls_ros.physics.rig import SENSED, Rig, check_friction_effects
+from ehls_ros.physics.units import UNITS
 from ehls_ros.schema import declarations
 
 WARNING_FACTOR = 1.05
@@ -27,20 +28,6 @@ ABORT_FACTOR = 10.0
 
 MAX_STEP_RATE = 2.0
 """Largest product of integration step and natural rate; the Runge-Kutta scheme is stable up to 2.8."""
-
-UNITS: dict[str, tuple[tuple[str, float], ...]] = {
-    "Pa": (("bar", 1e5), ("MPa", 1e6)),
-    "kg/m^3": (("g/cm^3", 1e3),),
-    "m": (("mm", 1e-3),),
-    "m^2": (("cm^2", 1e-4), ("mm^2", 1e-6)),
-    "m^3": (("l", 1e-3), ("cm^3", 1e-6)),
-    "kg": (("t", 1e3), ("g", 1e-3)),
-    "N": (("kN", 1e3),),
-    "m/s": (("mm/s", 1e-3),),
-    "N/m": (("N/mm", 1e3),),
-    "rad/s": (("kHz", 2e3 * math.pi),),
-}
-"""Units that may have been used by mistake, and their size in the SI unit."""
 
 RANGES: dict[tuple[str, str], tuple[float, float]] = {
     ("plant", "supply_pressure"): (1e5, 2e8),
@@ -224,7 +211,7 @@ def _likely(value: float, unit: str, low: float, high: float) -> str:
     """Return which other unit may have been meant; empty if none fits."""
     meant = [
         f"{value:g} {name} is {value * factor:g} {unit}"
-        for name, factor in UNITS.get(unit, ())
+        for name, factor in UNITS.get(unit, {}).items()
         if low <= value * factor <= high
     ]
     return f"; {', '.join(meant)}" if meant else ""

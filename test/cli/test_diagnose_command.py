@@ -280,7 +280,7 @@ def test_a_wrong_unit_is_named(recording, tmp_path, capsys):
     columns.write_text("position_m: {name: position_m, scale: 1000.0}\n")
     line = complaint(capsys, recording, "--rig", RIG, "--columns", columns, "--out", tmp_path / "out")
     assert "position_m" in line
-    assert "SI units" in line
+    assert "if its column is in mm" in line
 
 
 def test_times_that_do_not_grow_are_named(recording, tmp_path, capsys):

@@ -6,8 +6,6 @@ import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-import yaml
-
 from ehls_ros.cli.configured import Configured
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.campaign.backends import dask, local
@@ -17,6 +15,7 @@ from ehls_ros.experiments.campaign.results import CampaignResults, Summary, quan
 from ehls_ros.experiments.campaign.store import Folder, opened, read_results
 from ehls_ros.experiments.campaign.work import code_version
 from ehls_ros.experiments.json_document import json_document
+from ehls_ros.experiments.yaml_files import spec_text
 from ehls_ros.progress import progress_bar
 from ehls_ros.report.campaign import write_campaign_report
 from ehls_ros.report.campaign_findings import verdict_sentence
@@ -43,7 +42,7 @@ def run(options: Namespace) -> int:
         raise BadInput(f"--jobs is {options.jobs}", "command line", "1 or more")
     plan = load_plan(options.campaign)
     if options.spec is not None:
-        print(yaml.safe_dump(json.loads(plan.run(options.spec).spec), sort_keys=False, allow_unicode=True), end="")
+        print(spec_text(json.loads(plan.run(options.spec).spec)), end="")
         return 0
     place = dask(options.dask) if options.dask else local(options.jobs or len(os.sched_getaffinity(0)))
     with opened(options.out or Path("runs") / options.campaign.stem) as folder:
