@@ -1,4 +1,4 @@
-"""Take the pictures of the dashboard in a headless browser: one starts a graph, the others join a graph in lockstep.
+"""Take the pictures of the dashboard in a headless browser, while it starts a graph and then with it.
 
 `.venv/bin/python docs/pictures/dashboard.py` writes dashboard_starting.png, dashboard.png, dashboard_dark.png and
 dashboard_experiment.png here.
@@ -20,9 +20,6 @@ sys.path.insert(0, str(ROOT / "test"))
 from headless_browser import Tab, browser  # noqa: E402 - found by the line above
 
 SPEC = ROOT / "config" / "experiments" / "sine_fd2.yaml"
-DURATION = 1000.0
-"""Plant time of the graph, which is stopped once the pictures are taken [s]."""
-
 
 EHLS = (sys.executable, "-m", "ehls_ros.cli.main")
 
@@ -32,20 +29,19 @@ def main() -> None:
     sys.path.insert(0, str(ROOT))
     from ehls_ros.nodes.graph import graph_environment  # noqa: PLC0415 - found by the line above
 
-    environment = graph_environment()
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
         # An empty cache: everything has to be compiled.
-        with shown(Path(folder), environment | {"EHLS_CACHE_DIR": f"{folder}/kernels"}, "--spec", str(SPEC)) as tab:
-            tab.until("document.querySelector('[data-name=beginning]').innerText.includes('ready')", 180.0)
-            save(tab, "dashboard_starting")
-        experiment = [*EHLS, "experiment", str(SPEC), "--duration", str(DURATION), "--out", f"{folder}/run"]
-        graph = subprocess.Popen(experiment, env=environment, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        try:
-            with shown(Path(folder), environment) as tab:
-                take(tab)
-        finally:
-            graph.send_signal(signal.SIGINT)
-            graph.wait(60.0)
+        environment = graph_environment() | {"EHLS_CACHE_DIR": str(folder / "kernels")}
+        take(folder, environment)
+
+
+def take(folder: Path, environment: Mapping[str, str]) -> None:
+    """Take the pictures of a graph while it starts, and once ten seconds of data have arrived."""
+    with shown(folder, environment, "--spec", str(SPEC)) as tab:
+        tab.until("document.querySelector('[data-name=beginning]').innerText.includes('ready')", 180.0)
+        save(tab, "dashboard_starting")
+        take_running(tab)
 
 
 @contextmanager
@@ -68,8 +64,8 @@ def shown(folder: Path, environment: Mapping[str, str], *arguments: str) -> Iter
         server.wait(60.0)
 
 
-def take(tab: Tab) -> None:
-    """Take the pictures once ten seconds of data have arrived."""
+def take_running(tab: Tab) -> None:
+    """Take the pictures of a running graph."""
     tab.until(
         "typeof ehlsLive !== 'undefined' && ehlsLive.last() > 800 && !!document.querySelector('[data-name=value-k]')", 180.0
     )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ehls_ros.control.references import REFERENCES, velocity_sweep
+from ehls_ros.control.references._blend import eased_in
 from ehls_ros.control.references.base import SampledReference
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
@@ -369,3 +370,17 @@ def test_a_bare_name_is_the_member_with_its_defaults(rig_mapping, name):
 def test_every_member_samples_as_the_family_says():
     for name in REFERENCES.names():
         assert list(inspect.signature(REFERENCES.load(name).sample).parameters) == ["t", "p"], name
+
+
+def test_a_reference_is_led_in_from_rest_without_a_jump_up_to_its_second_derivative():
+    duration, start, step = 1.0, -3.0, 1e-4
+
+    def at(time):
+        row = (5.0 + 2.0 * np.sin(4.0 * time), 8.0 * np.cos(4.0 * time), -32.0 * np.sin(4.0 * time))
+        return np.array(eased_in(row, start, time, duration)), row
+
+    np.testing.assert_allclose(at(0.0)[0], (start, 0.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(*at(duration))
+    for time in (0.1, 0.5, 0.9):
+        before, here, after = (at(time + shift)[0] for shift in (-step, 0.0, step))
+        np.testing.assert_allclose((after - before)[:2] / (2.0 * step), here[1:], rtol=1e-5)
