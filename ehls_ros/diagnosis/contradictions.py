@@ -98,13 +98,14 @@ class Reading(NamedTuple):
     meant: str
 
 
-def check_suits(trajectory: Trajectory, rig: Rig, name: str) -> tuple[str, ...]:
+def check_suits(trajectory: Trajectory, rig: Rig, name: str, *, fitted: bool = False) -> tuple[str, ...]:
     """Check that a rig file and a recording can be of one rig.
 
     Args:
         trajectory: the recording, any subset of the data contract's signals.
         rig: the rig; what is unknown of it is not compared.
         name: what the recording is called.
+        fitted: the rig is no file's but a fit's, whose values need not make sense alone: what is not told may be anything.
 
     Returns:
         What is doubtful, one sentence each.
@@ -113,7 +114,7 @@ def check_suits(trajectory: Trajectory, rig: Rig, name: str) -> tuple[str, ...]:
         BadInput: they contradict each other; it names the value or signal that another unit, sign or column puts right.
     """
     seen = _seen(trajectory)
-    wrong = [ratio for ratio in _ratios(rig, seen) if ratio.impossible]
+    wrong = [ratio for ratio in (_of_both if fitted else _ratios)(rig, seen) if ratio.impossible]
     if not wrong:
         return tuple(
             f"{ratio}: are rig file and recording of one rig, in SI units?" for ratio in _of_both(rig, seen) if ratio.doubtful
@@ -226,12 +227,12 @@ def _of_sizes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
     room = limits.position[1] - limits.position[0]
     inf = math.inf
     for signal, known, what, low, high, usual in (
-        ("load_pressure_pa", plant.supply_pressure, "supply_pressure", 1e-4, 3.0, 0.3),
+        ("load_pressure_pa", plant.supply_pressure, "supply_pressure", -inf, 3.0, 0.3),
         ("supply_pressure_pa", plant.supply_pressure, "supply_pressure", 0.1, 10.0, 1.0),
         ("force_n", largest_force(rig), "supply_pressure times piston_area", -inf, rules.SIZE_FACTOR, 0.3),
         ("velocity_m_s", limits.velocity, "limits.velocity", -inf, rules.SIZE_FACTOR, 0.1),
-        ("spool_m", limits.spool * max(1.0, plant.valve_gain), "limits.spool", 1e-5, rules.SIZE_FACTOR, 0.3),
-        ("valve_command_m", limits.spool, "limits.spool", 1e-5, rules.SIZE_FACTOR, 0.3),
+        ("spool_m", limits.spool * max(1.0, plant.valve_gain), "limits.spool", -inf, rules.SIZE_FACTOR, 0.3),
+        ("valve_command_m", limits.spool, "limits.spool", -inf, rules.SIZE_FACTOR, 0.3),
     ):
         if reach.get(signal, 0.0) > 0.0:
             unit = MEASURED[signal].unit
@@ -300,14 +301,12 @@ def _of_forces(rig: Rig, seen: Seen) -> Iterator[Ratio]:
 
 
 def _seen(trajectory: Trajectory) -> Seen:
+    if len(trajectory) < 2 or not np.all(np.diff(trajectory.time_s) > 0.0):
+        return Seen({}, {}, rules.SIZE_BLOCK)  # who reads it says so
     time = trajectory.time_s - trajectory.time_s[0]
     signals = {s: np.asarray(trajectory[s], dtype=np.float64) for s in MEASURED if s in trajectory and s != "oil_temperature_k"}
     signals = {s: values for s, values in signals.items() if np.any(np.isfinite(values)) and np.nanmax(np.abs(values)) > 0.0}
-    period = max(
-        rules.SIZE_BLOCK,
-        float(time[-1]) / rules.SIZE_BLOCKS,
-        float(np.median(np.diff(time))) if len(time) > 1 else rules.SIZE_BLOCK,
-    )
+    period = max(rules.SIZE_BLOCK, float(time[-1]) / rules.SIZE_BLOCKS, float(np.median(np.diff(time))))
     index = (time / period).astype(np.intp)
     return Seen(
         signals={s: _means(values, index) for s, values in signals.items()},

@@ -108,7 +108,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     period = float(np.median(steps))
     preparation = trajectory.preparation
     preparation.check_area(rig.plant.piston_area, name)
-    remarks = [*preparation.remarks, *check_suits(trajectory, rig, name)]
+    remarks = [*preparation.remarks, *check_suits(trajectory, rig, name, fitted=True)]
     chosen = _stretches(time, remarks)
     # Each sample belongs to the nearest grid point.
     starts = np.flatnonzero(np.concatenate([[True], np.diff(chosen) > 1]))

@@ -119,6 +119,23 @@ def test_faulty_rigs_are_rigs(rig_file, recorded, name):
     assert check_suits(trajectory(given), rig_from_mapping(rig_file, "rig.yaml"), NAME) == ()
 
 
+@pytest.mark.parametrize("times", [[], [0.0], [0.0, 2.0, 1.0], [0.0, np.nan, 1.0]])
+def test_times_that_make_no_recording_are_left_to_who_reads_them(rig_file, times):
+    given = Trajectory(np.array(times), {"position_m": np.arange(float(len(times)))})
+    assert check_suits(given, rig_from_mapping(rig_file, "rig.yaml"), NAME) == ()
+
+
+def test_a_rig_at_rest_is_a_rig(rig_file, recorded):
+    given = recorded({}, "rest", seed=207, duration=5.0).columns
+    assert check_suits(trajectory(given), rig_from_mapping(rig_file, "rig.yaml"), NAME) == ()
+
+
+def test_a_fitted_value_that_the_data_do_not_tell_is_no_contradiction(rig_file, columns):
+    fitted = changed(rig_file, "plant", "moving_mass", 0.02)
+    assert check_suits(trajectory(columns), fitted, NAME, fitted=True) == ()
+    assert "if 0.02 t was meant" in refusal(columns, fitted).expected
+
+
 @pytest.mark.parametrize("path", sorted(ROOT.glob("examples/*/*.csv")), ids=lambda path: path.stem)
 def test_rigs_of_others_are_rigs(path):
     rig = load_rig(path.parent / "rig.yaml")
