@@ -13,10 +13,10 @@ endif
 help:  ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 20
 
-SETUP = $(PYTHON) tools/setup_environment.py $(if $(filter file,$(origin PYTHON)),,--python-was-chosen)
+SETUP = command -v $(PYTHON) >/dev/null || { echo "setup: no $(PYTHON) found: set PYTHON to CPython 3.11, 3.12 or 3.13" >&2; exit 1; }; \
+	$(PYTHON) tools/setup_environment.py $(if $(filter file,$(origin PYTHON)),,--python-was-chosen) $(WITH)
 setup:  ## make .venv/ for the commands, or bring it up to date; WITH="dashboard files" adds what these need
-	@command -v $(PYTHON) >/dev/null || { echo "setup: no $(PYTHON) found: set PYTHON to CPython 3.11, 3.12 or 3.13" >&2; exit 1; }
-	@$(SETUP) $(WITH)
+	@$(SETUP)
 
 demo: setup  ## run one experiment over DDS; bag, metrics and report go to runs/demo/
 	.venv/bin/ehls experiment config/experiments/sine_fd2.yaml --out runs/demo --overwrite
@@ -24,8 +24,8 @@ demo: setup  ## run one experiment over DDS; bag, metrics and report go to runs/
 # Plug-ins by name only: a sourced ROS brings some that do not work with this pytest. The limit ends tests that hang; no test
 # comes near it on a slow machine, such as `python3 tools/held_back.py 0.33 make test` makes of any.
 TIMEOUT := 1800
-test: WITH += test
-test: setup  ## run the tests; PYTEST_ARGS='-k name' picks some
+test:  ## run the tests; PYTEST_ARGS='-k name' picks some
+	@$(SETUP) test
 	PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/python -m pytest -p xdist -p timeout -n 2 --dist loadfile --timeout $(TIMEOUT) \
 		$(PYTEST_ARGS)
 
@@ -35,15 +35,15 @@ test-noble:  ## run them with the versions of Ubuntu 24.04 in .venv-noble/; PYTH
 		--timeout $(TIMEOUT) $(PYTEST_ARGS)
 
 # EHLS_DOCS=all: the snippets that take long as well.
-docs: WITH += docs
-docs: setup  ## build the documentation into build/docs/ and run its snippets
+docs:  ## build the documentation into build/docs/ and run its snippets
+	@$(SETUP) docs
 	.venv/bin/python -m sphinx --builder html --fail-on-warning --keep-going --fresh-env --quiet \
 		--doctree-dir build/doctrees docs build/docs
 	EHLS_DOCS=all PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/python -m pytest -p timeout --timeout $(TIMEOUT) test/test_docs_*.py
 	@echo build/docs/index.html
 
-lint: WITH += lint
-lint: setup  ## check style, types and import contracts
+lint:  ## check style, types and import contracts
+	@$(SETUP) lint
 	.venv/bin/ruff check
 	.venv/bin/ruff format --check
 	.venv/bin/mypy
