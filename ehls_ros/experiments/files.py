@@ -1,5 +1,6 @@
 """Location of the files that come with the package, in a checkout and in an installation."""
 
+import os
 from pathlib import Path
 
 from ehls_ros.errors import BadInput, one_of
@@ -41,7 +42,7 @@ def configured(name: str | Path, folder: str = "", beside: Path = Path()) -> Pat
         BadInput: there is no file of that name.
     """
     path = beside / name
-    if path.exists() or path.suffix or Path(name).name != str(name):
+    if path.suffix or Path(name).name != str(name) or os.path.exists(path):  # noqa: PTH110 - Path's raises for a long name
         return path
     names = configured_names(folder)
     if str(name) not in names:
