@@ -9,7 +9,7 @@ from ehls_ros.report.diagnosis_residuals import over_signal, over_time, remainin
 from ehls_ros.report.diagnosis_shares import share_bars
 from ehls_ros.report.diagnosis_units import likely, percent, quantity
 from ehls_ros.report.diagnosis_views import view_of_cause, views_of_rest
-from ehls_ros.report.page import Entry, Row, listed, number
+from ehls_ros.report.page import Entry, Row, listed
 
 RIVALS = 4
 """Largest number of rivals listed for a cause."""
@@ -47,16 +47,7 @@ def shares(found: Diagnosis) -> list[str]:
     bars = share_bars(found)
     blocks = [] if bars is None else [page.figures([bars]), page.paragraph(findings.gain_sentence(found))]
     if found.causes:
-        header = [
-            "cause",
-            "stage",
-            "probability",
-            "share",
-            "parameter",
-            "value ± standard error",
-            "in SI units",
-            "significance",
-        ]
+        header = ["cause", "stage", "probability", "share", "parameter", "value ± standard error", "in SI units"]
         blocks.append(page.table(header, [row for cause in found.causes for row in _parameters(cause)]))
     return blocks
 
@@ -80,7 +71,6 @@ def causes(found: Diagnosis) -> list[str]:
 
 def _parameters(cause: Cause) -> list[Row]:
     rows: list[Row] = []
-    sure = "" if cause.sigmas <= 0.0 else f"{number(min(cause.sigmas, 1e6), 2)} standard errors from neutral"
     for index, (name, found) in enumerate(cause.parameters.items()):
         first = index == 0
         rows.append(
@@ -92,12 +82,11 @@ def _parameters(cause: Cause) -> list[Row]:
                 Entry(name, findings.parameter_meaning(cause.name, name)),
                 findings.fitted(cause.name, name, found),
                 f"{found.value:.5g} ± {found.std:.2g} {'' if found.unit == '1' else found.unit}".rstrip(),
-                sure if first else "",
             ]
         )
     for name, fixed in cause.fixed.items():
         parameter = Entry(name, findings.parameter_meaning(cause.name, name))
-        rows.append(["", "", "", "", parameter, "fixed", f"{fixed:g}", ""])
+        rows.append(["", "", "", "", parameter, "fixed", f"{fixed:g}"])
     return rows
 
 
