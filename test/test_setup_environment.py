@@ -13,7 +13,7 @@ from types import ModuleType
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-NO_NETWORK = "packages could not be downloaded, is there a network? (UV_DEFAULT_INDEX and PIP_INDEX_URL name a mirror) "
+NO_NETWORK = "packages could not be downloaded, is there a network? (PIP_INDEX_URL names a mirror) "
 
 
 @pytest.fixture

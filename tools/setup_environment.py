@@ -525,7 +525,7 @@ def reason(output: list[str]) -> str:
     errors = [line for line in lines if re.search(r"\berror\b", line, re.IGNORECASE)]
     network = ""
     if any(map(NO_INDEX.search, lines)):
-        network = "packages could not be downloaded, is there a network? (UV_DEFAULT_INDEX and PIP_INDEX_URL name a mirror) "
+        network = "packages could not be downloaded, is there a network? (PIP_INDEX_URL names a mirror) "
     return network + (errors or lines)[-1]
 
 

@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ehls_ros.errors import BadInput
-from ehls_ros.report.page import LeftOut, Panel
+from ehls_ros.report.page import PLOTLY, LeftOut, Panel
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -24,7 +24,7 @@ def figure(panel: Panel | LeftOut) -> "Figure":
     try:
         plotly: Any = import_module("plotly.graph_objects")
     except ImportError:
-        raise BadInput("plotly is not installed", panel.title, "pip install plotly") from None
+        raise BadInput("plotly is not installed", panel.title, PLOTLY) from None
     layout = panel.layout | {"height": panel.height, "modebar": {"remove": list(UNUSED)}}
     drawn: Figure = plotly.Figure({"data": list(panel.traces), "layout": layout}, skip_invalid=True)
     return drawn

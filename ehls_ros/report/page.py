@@ -20,7 +20,7 @@ from ehls_ros.report.plot import FONT, Layout, Trace
 
 MISSING_NUMBER = "–"
 
-PLOTLY = "they need plotly: pip install plotly (Ubuntu's python3-plotly comes without what draws)"
+PLOTLY = "pip install plotly (Ubuntu's python3-plotly comes without what draws)"
 """What brings the figures."""
 
 Configuration = Mapping[str, object]
@@ -310,8 +310,8 @@ def write_page(path: Path, title: str, subtitle: str, blocks: Iterable[str]) -> 
     """
     plotly = plotly_js()
     if plotly is None:
-        logging.getLogger(__name__).warning("%s has no figures: %s", path, PLOTLY)
-        script = f'<style>.figure::after {{ content: "{PLOTLY}" }}</style>'
+        logging.getLogger(__name__).warning("%s has no figures, which need plotly: %s", path, PLOTLY)
+        script = f'<style>.figure::after {{ content: "needs plotly: {PLOTLY}" }}</style>'
     else:
         script = f"<script>{plotly}</script>\n<script>{_beside('page.js')}</script>"
     path.write_text(
