@@ -15,9 +15,8 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.errors import BadInput
-from ehls_ros.physics.plausibility import RANGES, RELATIONS, largest_force
+from ehls_ros.physics.plausibility import RANGES, RELATIONS, largest_force, mistaken_for
 from ehls_ros.physics.rig import Rig
-from ehls_ros.physics.units import UNITS
 from ehls_ros.schema import notes
 from ehls_ros.trajectory import MEASURED, Trajectory
 
@@ -164,7 +163,7 @@ def _readings(rig: Rig, seen: Seen) -> Iterator[Reading]:
         values = getattr(rig, section)
         for key, note in notes(type(values)).items():
             value = getattr(values, key)
-            for unit, size in UNITS.get(note.unit, {}).items():
+            for unit, size in mistaken_for(note.unit).items():
                 scaled = tuple(size * v for v in value) if isinstance(value, tuple) else size * value
                 other = rig._replace(**{section: values._replace(**{key: scaled})})
                 said = f"{section}.{key} of the rig file is {_told(value, note.unit)}: {unit}?"
@@ -172,7 +171,7 @@ def _readings(rig: Rig, seen: Seen) -> Iterator[Reading]:
     for signal in seen.signals:
         unit = MEASURED[signal].unit
         said = f"{signal} reaches {seen.reach[signal]:.3g} {unit}"
-        for other_unit, size in UNITS.get(unit, {}).items():
+        for other_unit, size in mistaken_for(unit).items():
             reached = seen.reach[signal]
             meant = f"{reached * size:.3g} {unit}, if its column is in {other_unit} (see --columns)"
             yield Reading(rig, seen.times(signal, size), f"{said}: {other_unit}?", meant)
