@@ -29,7 +29,7 @@ SETTLING = 0.3
 """Assumed time in which sliding friction settles to the Stribeck curve [s]."""
 
 LEAKING = 0.02
-"""Assumed leakage at supply pressure, as a fraction of the rated flow; servo valves leak as much at null."""
+"""Assumed leakage at supply pressure, as a fraction of the rated flow."""
 
 
 Figure = float | None

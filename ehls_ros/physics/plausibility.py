@@ -52,12 +52,11 @@ RANGES: dict[tuple[str, str], tuple[float, float]] = {
 }
 """Ranges that include all hydraulic rigs with a margin; zero is included if the equations allow it."""
 
-
 MISTAKEN = (
     "bar", "MPa", "kPa", "psi", "mm", "cm", "in", "cm^2", "mm^2", "l", "cm^3", "l/min", "mm/s",
     "t", "g", "g/cm^3", "kN", "N/mm", "kN/m", "N s/mm", "Hz", "kHz",
 )  # fmt: skip
-"""Units that a value is often given in although its SI unit is asked for; of those that fit, the first is taken."""
+"""Units that a value is often given in although its SI unit is asked for; of equally likely ones the first is named."""
 
 
 def mistaken_for(unit: str) -> Mapping[str, float]:
