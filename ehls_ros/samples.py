@@ -1,8 +1,8 @@
 """Noise and outliers of a sampled signal."""
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from ehls_ros.arrays import Array
 
@@ -36,17 +36,17 @@ def inliers(values: Array) -> Mask:
     """Return which samples are finite and agree with their neighbours on both sides or, in fast motion, on one side."""
     finite = np.isfinite(values)
     gapless = filled(values)
-    off = np.abs(gapless - median_filter(gapless, NEIGHBOURS, mode="nearest"))
+    off = np.abs(gapless - scipy.ndimage.median_filter(gapless, NEIGHBOURS, mode="nearest"))
     steps = np.abs(np.diff(gapless))
     usual = max(GAUSS * float(np.median(off)), float(np.median(steps)), 1e-12 * float(np.max(np.abs(gapless))))
     # If the signal hardly moves relative to its resolution, the median is zero; use the non-zero deviations.
     moved = off[off > 0.0]
     if moved.size:
         usual = max(usual, float(np.quantile(moved, 0.25)))
-    smooth = median_filter(gapless, SIDE, mode="nearest")
+    smooth = scipy.ndimage.median_filter(gapless, SIDE, mode="nearest")
     before, after = _sides(smooth)
     one_sided = np.minimum(np.abs(gapless - before), np.abs(gapless - after))
-    nearby = np.maximum(*_sides(median_filter(np.abs(np.diff(smooth, prepend=smooth[:1])), SIDE, mode="nearest")))
+    nearby = np.maximum(*_sides(scipy.ndimage.median_filter(np.abs(np.diff(smooth, prepend=smooth[:1])), SIDE, mode="nearest")))
     good: Mask = finite & ((off <= OUTLIER * usual) | (one_sided <= OUTLIER * np.maximum(usual, nearby)))
     return good
 

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -86,6 +87,21 @@ def test_a_run_that_ends_early_is_a_result_with_the_reason():
 def test_a_mistake_is_said_with_its_place(call, said):
     with pytest.raises(ehls.BadInput, match=said):
         call()
+
+
+@pytest.mark.parametrize(
+    "work", [ehls.diagnose, ehls.identify, partial(ehls.identify, whole_rig=True)], ids=["diagnose", "friction", "whole rig"]
+)
+def test_a_rig_in_another_unit_is_named_before_anything_is_fitted(work, tmp_path):
+    time = np.arange(0.0, 5.0, 0.01)
+    moving = np.sin(time)
+    table = np.stack([time, 0.1 * moving, 2e6 * moving, np.full_like(time, 7e6)], axis=1)
+    signals = "time_s,position_m,load_pressure_pa,supply_pressure_pa"
+    np.savetxt(tmp_path / "recorded.csv", table, delimiter=",", header=signals, comments="")
+    known = ehls.rig("rig_paper")
+    wrong = known._replace(plant=known.plant._replace(supply_pressure=70.0))
+    with pytest.raises(ehls.BadInput, match=r"recorded\.csv: plant\.supply_pressure .* is 70 Pa: bar\?.*70 bar was meant"):
+        work(tmp_path / "recorded.csv", wrong, progress=False)
 
 
 def test_a_file_of_ones_own_is_read_by_a_mapping_or_its_file(own_file, run, tmp_path):

@@ -7,18 +7,16 @@ what resolves the contradictions best is named. No key is special.
 
 import math
 from collections.abc import Iterator, Mapping
-from itertools import combinations
+from itertools import accumulate, combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.errors import BadInput
-from ehls_ros.physics.plausibility import RANGES, RELATIONS, largest_force
+from ehls_ros.physics.plausibility import RANGES, RELATIONS, largest_force, mistaken_for
 from ehls_ros.physics.rig import Rig
-from ehls_ros.physics.units import UNITS
 from ehls_ros.schema import notes
 from ehls_ros.trajectory import MEASURED, Trajectory
 
@@ -165,7 +163,7 @@ def _readings(rig: Rig, seen: Seen) -> Iterator[Reading]:
         values = getattr(rig, section)
         for key, note in notes(type(values)).items():
             value = getattr(values, key)
-            for unit, size in UNITS.get(note.unit, {}).items():
+            for unit, size in mistaken_for(note.unit).items():
                 scaled = tuple(size * v for v in value) if isinstance(value, tuple) else size * value
                 other = rig._replace(**{section: values._replace(**{key: scaled})})
                 said = f"{section}.{key} of the rig file is {_told(value, note.unit)}: {unit}?"
@@ -173,7 +171,7 @@ def _readings(rig: Rig, seen: Seen) -> Iterator[Reading]:
     for signal in seen.signals:
         unit = MEASURED[signal].unit
         said = f"{signal} reaches {seen.reach[signal]:.3g} {unit}"
-        for other_unit, size in UNITS.get(unit, {}).items():
+        for other_unit, size in mistaken_for(unit).items():
             reached = seen.reach[signal]
             meant = f"{reached * size:.3g} {unit}, if its column is in {other_unit} (see --columns)"
             yield Reading(rig, seen.times(signal, size), f"{said}: {other_unit}?", meant)
@@ -254,7 +252,7 @@ def _of_slopes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
         yield from _slope("velocity_m_s over the rate of position_m", velocity, rate)
     if command is not None:
         lag = math.exp(-plant.valve_bandwidth * seen.period)
-        filtered = lfilter([1.0 - lag], [1.0, -lag], plant.valve_gain * command)
+        filtered = plant.valve_gain * _lagged(command, lag)
         if spool is not None:
             yield from _slope("spool_m over valve_gain times valve_command_m", spool, filtered)
         spool = filtered if spool is None else spool
@@ -265,6 +263,12 @@ def _of_slopes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
         stored = plant.total_volume / (4.0 * plant.bulk_modulus) * np.gradient(pressure, seen.period)
         used = plant.piston_area * moves + stored + plant.leakage_coefficient * pressure
         yield from _slope("the flow that moves the piston over the valve's by the orifice law", used, flow, rules.SIZE_FLOW)
+
+
+def _lagged(values: Array, kept: float) -> Array:
+    """Return values behind a first-order lag that keeps a fraction of its state; scipy's filters take half a second to load."""
+    states = accumulate(values.tolist(), lambda state, value: kept * state + (1.0 - kept) * value, initial=0.0)
+    return np.array(list(states)[1:])
 
 
 def _slope(what: str, measured: Array, modelled: Array, within: float = rules.SIZE_FACTOR) -> Iterator[Ratio]:

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
@@ -275,8 +275,10 @@ def _posterior(columns: Array, y: Array, variance: Array, fitted: Mask) -> tuple
     for _ in range(rules.ROBUST_STEPS):
         w = weights((y - columns @ mean) / np.sqrt(variance)) / variance
         normal = columns.T @ (columns * w[:, None]) + np.eye(columns.shape[1])
-        mean[chosen] = cho_solve(cho_factor(normal[np.ix_(chosen, chosen)]), (columns.T @ (w * y))[chosen])
-    return mean, cho_solve(cho_factor(normal), np.eye(columns.shape[1]))
+        mean[chosen] = scipy.linalg.cho_solve(
+            scipy.linalg.cho_factor(normal[np.ix_(chosen, chosen)]), (columns.T @ (w * y))[chosen]
+        )
+    return mean, scipy.linalg.cho_solve(scipy.linalg.cho_factor(normal), np.eye(columns.shape[1]))
 
 
 def _held_out(columns: Array, y: Array, variance: Array, fold: NDArray[np.intp]) -> Array:
@@ -287,8 +289,8 @@ def _held_out(columns: Array, y: Array, variance: Array, fold: NDArray[np.intp])
     for f in np.unique(fold):
         inside = fold == f
         part = columns[inside] / variance[inside, None]
-        rest = cho_factor(whole - columns[inside].T @ part)
-        left[inside] -= columns[inside] @ cho_solve(rest, moment - part.T @ y[inside])
+        rest = scipy.linalg.cho_factor(whole - columns[inside].T @ part)
+        left[inside] -= columns[inside] @ scipy.linalg.cho_solve(rest, moment - part.T @ y[inside])
     return left
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
@@ -117,10 +117,10 @@ def scatter(
     for c in channels:
         variance = squares[c] / rules.REALISATIONS
         typical = float(np.median(variance))
-        local = uniform_filter1d(variance, rules.VARIANCE_WINDOWS, mode="nearest")
+        local = scipy.ndimage.uniform_filter1d(variance, rules.VARIANCE_WINDOWS, mode="nearest")
         # Where a wider local fit of the motion gives another residual, the fit is uncertain by the difference.
-        unresolved = uniform_filter1d((smeared[c] - raw[c]) ** 2, rules.FIT_ERROR_WINDOWS, mode="nearest")
-        unresolved += uniform_filter1d((led[c] - raw[c]) ** 2, rules.LEAD_WINDOWS, mode="nearest")
+        unresolved = scipy.ndimage.uniform_filter1d((smeared[c] - raw[c]) ** 2, rules.FIT_ERROR_WINDOWS, mode="nearest")
+        unresolved += scipy.ndimage.uniform_filter1d((led[c] - raw[c]) ** 2, rules.LEAD_WINDOWS, mode="nearest")
         out[c] = np.sqrt(np.maximum(local, rules.LEAST_VARIANCE * typical) + unresolved)
     return out
 

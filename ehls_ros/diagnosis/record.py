@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, median_filter
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
@@ -201,7 +201,9 @@ def _not_spikes(values: Array) -> Mask:
     before, after = np.concatenate([whole[:1], whole[:-1]]), np.concatenate([whole[1:], whole[-1:]])
     off = _stands_off(whole)
     alone = (whole - before) * (whole - after) > 0.0
-    around = median_filter(np.abs(whole - before), rules.SPIKE_NEIGHBOURS, mode="nearest") + np.abs(after - before)
+    around = scipy.ndimage.median_filter(np.abs(whole - before), rules.SPIKE_NEIGHBOURS, mode="nearest") + np.abs(
+        after - before
+    )
     jumps = (off > rules.SPIKE * around) & (off > rules.LEAST_SPIKE * np.max(np.abs(whole)))
     good: Mask = np.isfinite(values) & ~(alone & jumps)
     return good
@@ -229,7 +231,7 @@ def _answered(command: Array, spool: Array, rig: Rig, period: float) -> Mask:
     turns = np.abs(np.diff(moves, prepend=moves[:1]))
     window = max(3, round(rules.ANSWERED_WITHIN / period))
     # The strongest in the window that begins at each sample.
-    strongest = maximum_filter1d(turns, window, origin=-(window // 2), mode="nearest")
+    strongest = scipy.ndimage.maximum_filter1d(turns, window, origin=-(window // 2), mode="nearest")
     follows = abs(rig.plant.valve_gain) * (1.0 - math.exp(-rig.plant.valve_bandwidth * period))
     answered: Mask = np.isfinite(command) & (strongest > rules.ANSWERED * follows * _stands_off(filled(command)))
     return answered

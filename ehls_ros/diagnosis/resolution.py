@@ -4,7 +4,7 @@ import math
 from collections.abc import Collection
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
+import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
@@ -92,5 +92,5 @@ def _bends(record: Record, signal: str) -> Array:
     # The second difference of white noise has six times its variance.
     noise = math.sqrt(6.0 * record.period / period) * record.noise[signal]
     bend = np.where(bend > rules.CLEAR_BEND * noise, np.sqrt(np.maximum(bend**2 - noise**2, 0.0)), 0.0)
-    worst: Array = maximum_filter1d(bend, 2 * stride + 1, mode="nearest") / (8.0 * size * rules.TOLERANCE)
+    worst: Array = scipy.ndimage.maximum_filter1d(bend, 2 * stride + 1, mode="nearest") / (8.0 * size * rules.TOLERANCE)
     return worst

@@ -17,9 +17,7 @@ from collections.abc import Container, Mapping
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
-from scipy.ndimage import shift
-from scipy.signal import savgol_coeffs, savgol_filter
+import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
@@ -381,7 +379,7 @@ class Comparison:
                 values = values + self.local_fit(values, 1) / bandwidth
             if delay > 0.0:
                 # A spline of high order: straight lines would average noise away, and any delay would seem to help.
-                values = shift(values, -delay / self.record.period, order=5, mode="nearest")
+                values = scipy.ndimage.shift(values, -delay / self.record.period, order=5, mode="nearest")
             return values
 
         corrected: Array = self._keep(f"corrected {sensor}", (gain, bias, bandwidth, delay), compute)
@@ -396,7 +394,7 @@ class Comparison:
     def local_fit(self, values: Array, derivative: int) -> Array:
         """Return a signal or its derivative from a local cubic fit, shape (n,)."""
         samples = self.setup.fit
-        row = savgol_coeffs(samples, 3 if derivative else 2, deriv=derivative, delta=self.record.period, use="dot")
+        row = scipy.signal.savgol_coeffs(samples, 3 if derivative else 2, deriv=derivative, delta=self.record.period, use="dot")
         return np.convolve(np.pad(values, samples // 2, mode="edge"), row[::-1], mode="valid")
 
     def motion(self, rig: EffectiveRig) -> Motion:
@@ -457,9 +455,9 @@ class Comparison:
         good, time = self.record.good, self.record.time
         # Across a gap of one sensor the other tells the motion.
         velocity = np.where(good[VELOCITY], velocity, self.local_fit(position, 1))
-        left = position - cumulative_trapezoid(velocity, dx=period, initial=0.0)
+        left = position - scipy.integrate.cumulative_trapezoid(velocity, dx=period, initial=0.0)
         left = np.interp(time, time[good[POSITION]], left[good[POSITION]])
-        kept: Array = velocity + savgol_filter(left, window, 1, deriv=1, delta=period)
+        kept: Array = velocity + scipy.signal.savgol_filter(left, window, 1, deriv=1, delta=period)
         return kept
 
     def _keep(self, what: str, key: Any, compute: Any) -> Any:
@@ -523,10 +521,10 @@ def setup(record: Record, rig: Rig) -> Setup:
     fit = max(2 * round(2 * moved) + 1, 2 * round(rules.VELOCITY_FIT / period / 2) + 1)
     measured = False
     if VELOCITY in record and POSITION in record:
-        slope = savgol_coeffs(fit, 3, deriv=1, delta=period)
-        measured = record.noise[VELOCITY] * float(np.linalg.norm(savgol_coeffs(fit, 2))) < record.noise[POSITION] * float(
-            np.linalg.norm(slope)
-        )
+        slope = scipy.signal.savgol_coeffs(fit, 3, deriv=1, delta=period)
+        measured = record.noise[VELOCITY] * float(np.linalg.norm(scipy.signal.savgol_coeffs(fit, 2))) < record.noise[
+            POSITION
+        ] * float(np.linalg.norm(slope))
     found = Setup(smooth_window(samples, period), average, tuple(channels), measured, fit, presliding_travel(rig))
     if "force" in channels and np.mean(_friction_known(Comparison(record, found))) < rules.LEAST_SEEN:
         channels.remove("force")
@@ -562,11 +560,11 @@ def _friction_known(comparison: Comparison) -> Mask:
     if record.sampled(POSITION, VELOCITY) <= rules.SLOWEST_TURN:
         return np.ones(len(record.time), dtype=np.bool_)
     if used.velocity_measured or POSITION not in record:
-        velocity, row = comparison.local_fit(record.values(VELOCITY), 0), savgol_coeffs(used.fit, 2)
+        velocity, row = comparison.local_fit(record.values(VELOCITY), 0), scipy.signal.savgol_coeffs(used.fit, 2)
         noise = record.noise[VELOCITY] * float(np.linalg.norm(row))
     else:
         velocity = comparison.local_fit(record.values(POSITION), 1)
-        row = savgol_coeffs(used.fit, 3, deriv=1, delta=record.period)
+        row = scipy.signal.savgol_coeffs(used.fit, 3, deriv=1, delta=record.period)
         noise = record.noise[POSITION] * float(np.linalg.norm(row))
     position = comparison.local_fit(record.values(POSITION), 0) if POSITION in record else np.cumsum(velocity) * record.period
     return friction_known(record, position, velocity, used.presliding, noise)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
@@ -240,7 +240,7 @@ def _best_fit(recorded: Recorded, start: Start) -> JointFit:
     problem = Problem(recorded, start, z, [max(m.force_noise, 1e-9) for m in recorded.motions])
     low, high = map(problem.free, coordinates.bounds(z, max(m.period for m in recorded.motions)))
     own = np.clip(problem.free(z), low, high)
-    unit = qmc.Sobol(len(own), scramble=False).random(SAMPLES)
+    unit = scipy.stats.qmc.Sobol(len(own), scramble=False).random(SAMPLES)
     bottom, top = np.maximum(low, own - WIDTH), np.minimum(high, own + WIDTH)
     trials = [own, *(bottom + unit * (top - bottom))]
     # Absolute values: the best start is not the one that happens to suit a few stray blocks.

@@ -10,8 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.optimize import least_squares
+import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.identification.balance import Recorded, linear_columns
@@ -167,7 +166,7 @@ class Problem:
 
     def linear(self, free: Array) -> Array:
         """Return the best linear coefficients."""
-        solution: Array = solve_triangular(self._r, self._q.T @ self.unexplained(free))
+        solution: Array = scipy.linalg.solve_triangular(self._r, self._q.T @ self.unexplained(free))
         return solution
 
     def jacobian(self, free: Array) -> Array:
@@ -224,7 +223,7 @@ def fit(recorded: Recorded, start: Start, *, turned: Turned | None = None, round
     began, converged = np.clip(problem.free(z), low, high), True
     for turn in range(rounds):
         problem = Problem(recorded, start, z, _inflated(deviations, inflation))
-        out = least_squares(
+        out = scipy.optimize.least_squares(
             problem.residuals,
             np.clip(problem.free(z), low, high),
             jac=problem.jacobian,

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.signal import savgol_coeffs
 
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
@@ -297,7 +297,7 @@ def _means(time: Array, values: Array, good: Mask, period: float, blocks: int) -
 def _local_fit(x: Array, there: Mask, period: float) -> tuple[Array, Array, Array, Mask]:
     """Return smoothed position, velocity, acceleration, and where a complete window lies in one stretch."""
     filled = np.interp(np.arange(len(x)), np.flatnonzero(there), x[there]) if np.any(there) else np.zeros(len(x))
-    rows = [savgol_coeffs(WINDOW, ORDER, deriv=d, delta=period, use="dot") for d in range(3)]
+    rows = [scipy.signal.savgol_coeffs(WINDOW, ORDER, deriv=d, delta=period, use="dot") for d in range(3)]
     half = WINDOW // 2
     padded = np.pad(filled, half, mode="edge")
     smooth, velocity, acceleration = (np.convolve(padded, row[::-1], mode="valid") for row in rows)
@@ -313,7 +313,7 @@ def _widened(mask: Mask, by: int) -> Mask:
 
 def slope_noise(block_noise: float, period: float) -> float:
     """Return the noise of the velocity [m/s] for that of a block's mean position [m]."""
-    return block_noise * float(np.sqrt(np.sum(savgol_coeffs(WINDOW, ORDER, deriv=1, delta=period) ** 2)))
+    return block_noise * float(np.sqrt(np.sum(scipy.signal.savgol_coeffs(WINDOW, ORDER, deriv=1, delta=period) ** 2)))
 
 
 def slides(motion: Motion, travel: float, time: float) -> Mask:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.identification.motion import Motion
@@ -131,7 +131,7 @@ def ramps(branch: Branch) -> tuple[Array, Array]:
     ends = np.geomspace(shortest, branch.way[-1], RAMPS)
     columns = np.minimum(branch.way[:, np.newaxis], ends)
     scale = np.linalg.norm(columns, axis=0)
-    stiffness, _ = nnls(columns / scale, np.nan_to_num(branch.force))
+    stiffness, _ = scipy.optimize.nnls(columns / scale, np.nan_to_num(branch.force))
     stiffness = stiffness / scale
     kept = stiffness * ends > 1e-3 * np.sum(stiffness * ends)
     return ends[kept], stiffness[kept]

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal, NamedTuple, get_type_hints
 
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.units import in_unit, size
 from ehls_ros.schema import Misfit, fitted, notes, parse, quantity, text
+from ehls_ros.units import in_unit, size
 
 DAMPING = 0.7
 """Damping ratio of a servo valve, by which its frequency at -90° becomes the bandwidth of a first-order lag [1]."""
@@ -29,7 +29,7 @@ SETTLING = 0.3
 """Assumed time in which sliding friction settles to the Stribeck curve [s]."""
 
 LEAKING = 0.02
-"""Assumed leakage at supply pressure, as a fraction of the rated flow; servo valves leak as much at null."""
+"""Assumed leakage at supply pressure, as a fraction of the rated flow."""
 
 
 Figure = float | None

@@ -6,7 +6,7 @@ too small for the integration step. :data:`RANGES`, :data:`RELATIONS` and :func:
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,8 +17,8 @@ from ehls_ros.physics.composition import effects_in_kernel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Limits
 from ehls_ros.physics.rig import SENSED, Rig, check_friction_effects
-from ehls_ros.physics.units import UNITS
 from ehls_ros.schema import declarations
+from ehls_ros.units import QUANTITIES, UNITS, size
 
 WARNING_FACTOR = 1.05
 """Multiple of a rig's limit above which a run is reported to exceed it. The paper's piston exceeds its stroke by 1.4 %."""
@@ -51,6 +51,18 @@ RANGES: dict[tuple[str, str], tuple[float, float]] = {
     ("limits", "velocity"): (1e-4, 100.0),
 }
 """Ranges that include all hydraulic rigs with a margin; zero is included if the equations allow it."""
+
+MISTAKEN = (
+    "bar", "MPa", "kPa", "psi", "mm", "cm", "in", "cm^2", "mm^2", "l", "cm^3", "l/min", "mm/s",
+    "t", "g", "g/cm^3", "kN", "N/mm", "kN/m", "N s/mm", "Hz", "kHz",
+)  # fmt: skip
+"""Units that a value is often given in although its SI unit is asked for; of equally likely ones the first is named."""
+
+
+def mistaken_for(unit: str) -> Mapping[str, float]:
+    """Return which of these units an SI unit is mistaken for, and their sizes in it."""
+    quantity = QUANTITIES.get(unit)
+    return {other: size(other) for other in MISTAKEN if UNITS[other].quantity == quantity}
 
 
 class Relation(NamedTuple):
@@ -211,7 +223,7 @@ def _likely(value: float, unit: str, low: float, high: float) -> str:
     """Return which other unit may have been meant; empty if none fits."""
     meant = [
         f"{value:g} {name} is {value * factor:g} {unit}"
-        for name, factor in UNITS.get(unit, {}).items()
+        for name, factor in mistaken_for(unit).items()
         if low <= value * factor <= high
     ]
     return f"; {', '.join(meant)}" if meant else ""

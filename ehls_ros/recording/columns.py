@@ -6,10 +6,11 @@ from typing import Annotated, Any, NamedTuple
 
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.recording.expression import expression
-from ehls_ros.recording.units import ELECTRICAL, UNITS, quantity_of, unit_of
+from ehls_ros.recording.units import ELECTRICAL, RECORDED, quantity_of, unit_of
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import parse, quantity, text
 from ehls_ros.trajectory import READABLE
+from ehls_ros.units import UNITS
 
 TIME = "time_s"
 
@@ -238,7 +239,7 @@ def _with_range(column: Column, entry: Mapping[str, object], where: str) -> Colu
         raise BadInput(f"{other} is given beside a range", where, "one of the two")
     spelling = unit_of(column.unit) if column.unit else ""
     if spelling is None:
-        raise BadInput(f"unit is {column.unit!r}", where, f"one of {', '.join(UNITS)}; or none")
+        raise BadInput(f"unit is {column.unit!r}", where, f"one of {', '.join(RECORDED)}; or none")
     return column._replace(unit=spelling)
 
 
@@ -246,7 +247,7 @@ def _with_unit(name: str, column: Column, entry: Mapping[str, object], where: st
     """Return the column with its unit in the known spelling, and refuse a unit of another quantity."""
     spelling = unit_of(column.unit)
     if spelling is None:
-        raise BadInput(f"unit is {column.unit!r}", where, f"one of {', '.join(UNITS)}; or scale, in SI units per unit")
+        raise BadInput(f"unit is {column.unit!r}", where, f"one of {', '.join(RECORDED)}; or scale, in SI units per unit")
     found, wanted = UNITS[spelling].quantity, quantity_of(name)
     if found in ELECTRICAL:
         if "gain" not in entry and "scale" not in entry and not column.fit_to:

@@ -5,8 +5,8 @@ from collections.abc import Callable, Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.integrate import cumulative_trapezoid
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.columns import FITTED, ColumnMap, Cylinder
@@ -232,7 +232,7 @@ def fitted_scale(counts: Signal, other: Signal, time: Signal, kind: str) -> Scal
 
 
 def _integral(values: Signal, time: Signal, edges: NDArray[np.intp]) -> Signal:
-    out: Signal = np.diff(np.concatenate([[0.0], cumulative_trapezoid(filled(values), time)])[edges])
+    out: Signal = np.diff(np.concatenate([[0.0], scipy.integrate.cumulative_trapezoid(filled(values), time)])[edges])
     return out
 
 

@@ -1,9 +1,8 @@
 """The times at which messages were sent evenly, from the scattered times at which they were received."""
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter, uniform_filter1d
-from scipy.signal import find_peaks
 
 Times = NDArray[np.float64]
 
@@ -35,15 +34,15 @@ def sent_evenly(received: Times) -> Times | None:
     period = float(np.median(received[2 * AROUND :] - received[: -2 * AROUND])) / (2 * AROUND)
     late = received - period * np.arange(len(received))
     # A message that is late delays no other for long; one that is lost brings all later ones forward.
-    usual = np.pad(median_filter(late, AROUND), AROUND // 2, mode="edge")
+    usual = np.pad(scipy.ndimage.median_filter(late, AROUND), AROUND // 2, mode="edge")
     change = (usual[AROUND:] - usual[:-AROUND]) / period
     steps, lost = np.diff(received, prepend=received[0]), np.zeros(len(received))
-    for place in find_peaks(change, height=LOST, distance=AROUND)[0]:
+    for place in scipy.signal.find_peaks(change, height=LOST, distance=AROUND)[0]:
         begin = max(0, place - AROUND // 2)
         lost[begin + np.argmax(steps[begin : place + AROUND // 2])] = np.round(change[place])
     number = np.arange(len(received)) + np.cumsum(lost)
     slope, start = np.polyfit(number, received - received[0], 1)
     even: Times = received[0] + start + slope * number
     window = max(1, round(SMOOTHED / period))
-    even = even + uniform_filter1d(received - even, min(window, len(received)), mode="nearest")
+    even = even + scipy.ndimage.uniform_filter1d(received - even, min(window, len(received)), mode="nearest")
     return even if float(np.std(received - even)) <= EVEN * period and bool(np.all(np.diff(even) > 0.0)) else None

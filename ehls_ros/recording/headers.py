@@ -10,8 +10,9 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 from ehls_ros.recording.columns import TIME, is_contract_name
-from ehls_ros.recording.units import ELECTRICAL, UNITS, quantity_of, unit_of
+from ehls_ros.recording.units import ELECTRICAL, quantity_of, unit_of
 from ehls_ros.trajectory import READABLE
+from ehls_ros.units import UNITS
 
 Sureness = Literal["contract", "stated", "unsure", "unknown"]
 
@@ -89,7 +90,7 @@ QUALIFIERS: Mapping[str, str] = {
 UNIT_LIKE_WORDS = ("min", "in", "h", "C", "K")
 """Suffixes that are words as often as units."""
 
-LOWER_CASE: Mapping[str, str] = {"n": "N", "kn": "kN", "pa": "Pa", "kpa": "kPa", "k": "K", "v": "V", "ma": "mA", "degc": "degC"}
+LOWER_CASE: Mapping[str, str] = {"n": "N", "kn": "kN", "pa": "Pa", "kpa": "kPa", "k": "K", "v": "V", "ma": "mA", "degc": "°C"}
 """Units as names in lower case write them."""
 
 TWO_UNITS = ("mpa", "mn")

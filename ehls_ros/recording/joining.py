@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.errors import BadInput
@@ -131,7 +131,7 @@ def _at(clock: _Clock, time: Signal, values: Signal, period: float, ratio: float
     elif faster:
         out = centred_mean(t, known, clock.time, clock.period)
     else:
-        out = CubicSpline(t, known)(clock.time)
+        out = scipy.interpolate.CubicSpline(t, known)(clock.time)
     after = np.clip(np.searchsorted(t, clock.time), 1, len(t) - 1)
     longest = max(LONGEST_GAP * period, clock.period) if faster else LONGEST_GAP * period
     unknown = (t[after] - t[after - 1] > longest) & (t[after] != clock.time) & (t[after - 1] != clock.time)

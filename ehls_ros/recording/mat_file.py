@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.io import loadmat
-from scipy.io.matlab import matfile_version
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.contained import contained
@@ -46,13 +45,13 @@ def read_here(path: Path, pick: Pick | None) -> RawTable:
     where = str(path)
     try:
         with path.open("rb") as stream:
-            newest = matfile_version(stream)[0] == 2
+            newest = scipy.io.matlab.matfile_version(stream)[0] == 2
             if newest:
                 check_library("h5py", "h5py", path)
                 with import_module("h5py").File(path, "r") as file:
                     return _table(dict(_datasets(file)), pick, where)
             stream.seek(0)
-            return _table(dict(_flatten(loadmat(stream, simplify_cells=True))), pick, where)
+            return _table(dict(_flatten(scipy.io.loadmat(stream, simplify_cells=True))), pick, where)
     except BadInput:
         raise
     except FileNotFoundError as error:

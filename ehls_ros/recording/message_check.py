@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from ehls_ros.recording.cdr import CdrError, Field, decode, flatten
 from ehls_ros.recording.topics import CYCLE_TOPICS, Topic
@@ -39,7 +39,7 @@ def timely(stamps_ns: Sequence[int]) -> NDArray[np.bool_]:
         Flags of shape (n,).
     """
     stamps = np.array(stamps_ns, np.float64)
-    around: NDArray[np.float64] = median_filter(stamps, NEIGHBOURS, mode="nearest")
+    around: NDArray[np.float64] = scipy.ndimage.median_filter(stamps, NEIGHBOURS, mode="nearest")
     return np.less_equal(np.abs(stamps - around), OUTLYING_NS)
 
 

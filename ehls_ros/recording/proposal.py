@@ -18,13 +18,14 @@ from ehls_ros.recording.conversion import given_by
 from ehls_ros.recording.headers import Recognised, recognised
 from ehls_ros.recording.load import is_table, raw
 from ehls_ros.recording.named_topics import Found, every_topic
-from ehls_ros.recording.units import ELECTRICAL, UNITS, unit_of
+from ehls_ros.recording.units import ELECTRICAL, unit_of
+from ehls_ros.units import UNITS
 
 UNITS_OF_FIELDS: Mapping[str, str] = {
     "sensor_msgs/msg/FluidPressure.fluid_pressure": "Pa",
     "sensor_msgs/msg/Temperature.temperature": "°C",
     **{f"force.{axis}": "N" for axis in "xyz"},
-    **{f"torque.{axis}": "Nm" for axis in "xyz"},
+    **{f"torque.{axis}": "N m" for axis in "xyz"},
 }
 """Units that ROS's own messages have by definition, by the end of type and field."""
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.signal import welch
+import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.free_run import FreeRun
@@ -206,7 +206,7 @@ def spectrum(time: Array, residual: Array) -> tuple[Array, Array]:
     index = np.minimum(index, 4 * len(time))
     even = np.zeros(int(index[-1]) + 1)
     even[index] = residual
-    frequency, density = welch(even, 1.0 / period, nperseg=min(512, len(even)), detrend=False)
+    frequency, density = scipy.signal.welch(even, 1.0 / period, nperseg=min(512, len(even)), detrend=False)
     share = len(time) / len(even)
     return frequency[1:], np.sqrt(density[1:] / share)
 

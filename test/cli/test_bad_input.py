@@ -162,3 +162,9 @@ def test_report_of_what_is_not_there(tmp_path, capsys):
     line = complaint(capsys, "report", tmp_path / "nothing")
     assert "nothing" in line
     assert "expected" in line
+
+
+def test_a_wrong_rig_file_is_named_before_slow_libraries_load():
+    slow = {"pandas", "plotly", "scipy.interpolate", "scipy.optimize", "scipy.signal", "scipy.stats"}
+    code = f"import sys, ehls_ros.cli.verbs.diagnose, ehls_ros.cli.verbs.identify; print({slow} & sys.modules.keys())"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "set()"

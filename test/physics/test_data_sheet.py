@@ -8,9 +8,9 @@ from ehls_ros.arrays import in_python
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.data_sheet import DataSheet, lag_bandwidth, mean_area, rig_values, sheet_from_mapping
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.units import in_unit
 from ehls_ros.physics.valve import load_flow
-from ehls_ros.schema import Misfit
+from ehls_ros.schema import Misfit, notes
+from ehls_ros.units import in_unit
 
 SHEET = {
     "bore": 63,
@@ -77,6 +77,11 @@ def test_each_value_says_where_it_came_from():
         (" 21MPa ", "bar", 210.0),
         ("2.5 in", "mm", 63.5),
         ("5e-4 m³", "cm^3", 500),
+        ("0.5 L", "cm^3", 500),
+        ("38 L/min", "l/min", 38.0),
+        ("210 bar(g)", "MPa", 21.0),
+        ("2 Ns/mm", "N s/m", 2000.0),
+        ("60 Hz", "rad/s", 376.99),
     ],
 )
 def test_figures_with_units(text, unit, value):
@@ -84,7 +89,7 @@ def test_figures_with_units(text, unit, value):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"), [("70 mm", "Pa, bar"), ("seventy", "a number"), ("7,5 bar", "bar"), ("5 bra", "'bar'?")]
+    ("text", "said"), [("70 mm", "MPa, bar"), ("seventy", "a number"), ("7,5 bar", "bar"), ("5 bra", "'bar'?")]
 )
 def test_what_is_no_figure_in_bar(text, said):
     with pytest.raises(Misfit, match=said):
@@ -113,3 +118,8 @@ def test_the_needed_answers_are_few():
     with pytest.raises(BadInput, match="key 'bore' is missing; expected a value for it"):
         sheet_from_mapping({}, "answers.yaml")
     assert set(SHEET) == set(DataSheet._fields) - set(DataSheet._field_defaults)
+
+
+def test_every_figure_may_have_another_unit():
+    units = {note.unit for note in notes(DataSheet).values() if note.unit}
+    assert [in_unit(f"2 {unit}", unit) for unit in units] == [2.0] * len(units)

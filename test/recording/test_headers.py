@@ -8,7 +8,8 @@ from ehls_ros.recording.columns import read_columns
 from ehls_ros.recording.headers import recognised
 from ehls_ros.recording.load import load
 from ehls_ros.recording.proposal import look, proposed_map
-from ehls_ros.recording.units import UNITS, unit_of
+from ehls_ros.recording.units import unit_of
+from ehls_ros.units import QUANTITIES, SPELLINGS, UNITS
 
 STATED = {
     "p_A [bar]": ("pressure_a_pa", "bar"),
@@ -38,11 +39,11 @@ STATED = {
     "T_oil [°C]": ("oil_temperature_k", "°C"),
     "Öltemperatur [°C]": ("oil_temperature_k", "°C"),
     "Winkel [°]": ("angle_rad", "°"),
-    "angle_deg": ("angle_rad", "deg"),
-    "Drehmoment [Nm]": ("torque_n_m", "Nm"),
+    "angle_deg": ("angle_rad", "°"),
+    "Drehmoment [Nm]": ("torque_n_m", "N m"),
     "n_drehzahl [rpm]": None,
     "log.motion.x_mm": ("position_m", "mm"),
-    "Drehzahl [1/min]": ("angular_velocity_rad_s", "1/min"),
+    "Drehzahl [1/min]": ("angular_velocity_rad_s", "rpm"),
 }
 """Headers that say both quantity and unit; None for one with a letter that is not known."""
 
@@ -115,6 +116,10 @@ def test_two_columns_that_say_the_same_are_both_left_open():
         ("bar(g)", "bar"),
         ("bar(a)", None),
         ("mm*s^-1", "mm/s"),
+        ("m/s²", "m/s^2"),
+        ("N/mm2", "N/mm^2"),
+        ("in-lbf", "in lbf"),
+        ("t", None),  # a time, not tonnes
     ],
 )
 def test_units_are_known_by_their_spelling(written: str, known: str | None):
@@ -122,10 +127,13 @@ def test_units_are_known_by_their_spelling(written: str, known: str | None):
 
 
 def test_units_have_their_sizes():
-    assert UNITS["in-lbf"].scale * 15000.0 == pytest.approx(1694.77, abs=0.01)
+    assert UNITS["in lbf"].scale * 15000.0 == pytest.approx(1694.77, abs=0.01)
     assert UNITS["rpm"].scale * 60.0 == pytest.approx(6.283185, rel=1e-6)
     assert UNITS["°F"].scale * 32.0 + UNITS["°F"].offset == pytest.approx(273.15)
     assert UNITS["psi"].scale == pytest.approx(6894.757, rel=1e-6)
+    assert all(UNITS[unit] == (quantity, 1.0, 0.0) for unit, quantity in QUANTITIES.items())
+    assert set(SPELLINGS.values()) <= UNITS.keys()
+    assert not SPELLINGS.keys() & UNITS.keys()
 
 
 def test_a_proposed_map_can_be_used_as_it_is(tmp_path: Path):

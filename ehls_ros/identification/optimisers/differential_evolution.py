@@ -4,7 +4,7 @@ import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from ehls_ros.identification.objective import Counted, Enough
 from ehls_ros.identification.optimisers.base import Problem, Result
@@ -26,7 +26,7 @@ def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.i
     """Search; an iteration is a generation."""
     counted = Counted(problem, seed, p.evaluations, target, tolerance=p.tolerance)
     try:
-        optimize.differential_evolution(
+        scipy.optimize.differential_evolution(
             lambda points: counted.costs(points.T),
             [(0.0, 1.0)] * counted.size,
             popsize=p.population,

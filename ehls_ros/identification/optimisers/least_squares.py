@@ -4,7 +4,7 @@ import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from ehls_ros.identification.objective import Counted, Enough
 from ehls_ros.identification.optimisers.base import Problem, Result
@@ -32,7 +32,7 @@ def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.i
         for k in np.argsort(costs)[: p.starts]:
             if not costs[k] < math.inf:
                 break
-            optimize.least_squares(
+            scipy.optimize.least_squares(
                 counted.residuals,
                 points[k],
                 jac=counted.jacobian,
