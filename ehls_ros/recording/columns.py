@@ -139,9 +139,9 @@ def columns_from_mapping(data: Any, path: Path) -> ColumnMap:
     Raises:
         BadInput: an entry is wrong.
     """
-    if not isinstance(data, Mapping):
+    if data is not None and not isinstance(data, Mapping):
         raise BadInput(f"it contains {data!r}", str(path), EXPECTED_MAP)
-    content = dict(data)
+    content = dict(data or {})  # a file may be of comments alone
     others = {key: content.pop(key, None) for key in (TABLES, BASE, CYLINDER, ROTARY)}
     columns = {str(name): _column(str(name), entry, path) for name, entry in content.items()}
     for name, column in columns.items():

@@ -57,7 +57,8 @@ def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
             lines = _Lines(stream, layout, deadline, where)
             # The first of two columns of one name; those who want it have been told by `pick`.
             places = sorted({names.index(name) for name in wanted})
-            values = _Columns(layout, places, pick is None, deadline, where).read(lines) if places else {}
+            columns = _Columns(layout, places, pick is None, deadline, where)
+            values = columns.read(lines) if places else {}
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", where, EXPECTED_FILE) from None
     said, header = layout.sentence(), layout.header
@@ -69,6 +70,7 @@ def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
         header.first + 1,
         {**header.units, **clocks},
         (said,) if said else (),
+        {names[place]: cell for place, cell in columns.wrong.items()},
     )
 
 
@@ -141,17 +143,25 @@ class _Columns:
         # Where every cell has to be a number, the first that is none will be named.
         kinds = {place: layout.header.kinds[place] for place in places}
         self.kinds = {place: "number" if kind == "text" and not lenient else kind for place, kind in kinds.items()}
+        self.wrong: dict[int, str] = {}
 
     def read(self, blocks: Iterable[_Block]) -> dict[int, NDArray[np.float64] | None]:
         """Return the columns by their places."""
         parts: dict[int, list[NDArray[Any]]] = {place: [] for place in self.kinds}
         rows = 0
         for block in blocks:
+            if rows == 0:
+                self._note_texts(block)
             rows += len(block.lines)
             check_length(rows, len(parts), self._where)
             for place, values in self._block(block).items():
                 parts[place].append(values)
         return {place: self._whole(self.kinds[place], pieces) for place, pieces in parts.items()}
+
+    def _note_texts(self, block: _Block) -> None:
+        cells = split(block.lines[0], self._layout.delimiter)
+        texts = {place: cells[place].strip() for place, kind in self.kinds.items() if kind == "text"}
+        self.wrong = {place: f"line {block.first} is {cell[:40]!r}" for place, cell in texts.items() if cell}
 
     def _whole(self, kind: Kind, pieces: list[NDArray[Any]]) -> NDArray[np.float64] | None:
         if kind == "text":
@@ -166,12 +176,14 @@ class _Columns:
                 return self._parsed(block.lines, places)
             except ValueError:
                 place, line = self._first_wrong(block.lines, places)
+            cell = split(block.lines[line], self._layout.delimiter)[place].strip()
             if not self._lenient:
-                cell = split(block.lines[line], self._layout.delimiter)[place].strip()
                 what = f"column '{self._layout.header.names[place]}' is {cell[:40]!r}"
-                expected = f"a number with a decimal {'comma' if self._layout.decimal == ',' else 'point'}"
+                sign = "comma" if self._layout.decimal == "," else "point"
+                expected = f"a number with a decimal {sign} and without separators of thousands, or an empty cell"
                 raise BadInput(what, f"{self._where}, line {block.first + line}", expected)
             self.kinds[place] = "text"
+            self.wrong[place] = f"line {block.first + line} is {cell[:40]!r}"
 
     def _first_wrong(self, lines: Sequence[str], places: Sequence[int]) -> tuple[int, int]:
         """Return place and index of line of the first cell that is no number, by halving."""

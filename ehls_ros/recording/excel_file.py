@@ -63,18 +63,21 @@ def read_here(path: Path, pick: Pick | None) -> RawTable:
         values.pop()
     wanted = [*header.names] if pick is None else pick(header.names)
     columns: dict[str, NDArray[np.float64] | None] = {}
+    texts: dict[str, str] = {}
     for column in wanted:
         place = header.names.index(column)
         cells = [row[place] for row in values]
         wrong = next((k for k, cell in enumerate(cells) if _seconds(cell) is None), None)
-        if wrong is not None and pick is not None:
-            what = f"column '{column}' is {_text(cells[wrong])[:40]!r}"
-            raise BadInput(what, f"{where}, row {header.first + wrong + 1}", "a number or a time")
+        if wrong is not None:
+            cell, row_name = repr(_text(cells[wrong])[:40]), f"row {header.first + wrong + 1}"
+            if pick is not None:
+                raise BadInput(f"column '{column}' is {cell}", f"{where}, {row_name}", "a number, a time or an empty cell")
+            texts[column] = f"{row_name} is {cell}"
         columns[column] = None if wrong is not None else _numbers(cells)
     clocks = {name: "s" for name, kind in zip(header.names, header.kinds, strict=True) if kind == "clock"}
     others = [other for other, _ in sheets if other != name]
     said = [f"read from sheet '{name}'; not from {', '.join(others)}"] if others else []
-    return RawTable(header.names, columns, "row", header.first + 1, {**header.units, **clocks}, tuple(said))
+    return RawTable(header.names, columns, "row", header.first + 1, {**header.units, **clocks}, tuple(said), texts)
 
 
 def _text(cell: object) -> str:

@@ -42,6 +42,7 @@ class Seen(NamedTuple):
         largest: greatest value.
         missing: fraction of values that are missing.
         entry: what the map says of it beside name and unit.
+        wrong: a cell that keeps it from being of numbers, where one is known.
     """
 
     header: Recognised
@@ -49,6 +50,7 @@ class Seen(NamedTuple):
     largest: float
     missing: float
     entry: str = ""
+    wrong: str = ""
 
     @property
     def numeric(self) -> bool:
@@ -145,13 +147,19 @@ def look(path: Path) -> list[Table]:
     if not table.names:
         raise BadInput("it has no column", str(path), "a header row of names and a row per sample")
     headers = recognised(table.names, table.units)
-    seen = tuple(_seen(header, table.values[header.column]) for header in headers)
+    seen = tuple(
+        _seen(header, table.values[header.column])._replace(wrong=table.wrong.get(header.column, "")) for header in headers
+    )
+    if not any(column.numeric for column in seen):
+        raise BadInput(f"no column has numbers (found: {', '.join(table.names)})", str(path), "a row of numbers per sample")
     sure = [h for h in headers if h.signal == TIME and h.sureness in ("contract", "stated")]
     times = _seconds(sure[0], table.values[sure[0].column]) if sure else None
     rows = max((len(values) for values in table.values.values() if values is not None), default=0)
     backwards = np.flatnonzero(np.diff(times) <= 0.0) if times is not None else np.empty(0)
     said = (
-        [f"{len(backwards)} times do not increase, the first in {table.place(int(backwards[0]) + 1)}"] if len(backwards) else []
+        [f"times that do not increase: {len(backwards)}, the first in {table.place(int(backwards[0]) + 1)}"]
+        if len(backwards)
+        else []
     )
     return [Table(path.name, seen, rows, *_rate(times), (*table.remarks, *said))]
 
@@ -229,12 +237,13 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
             lines.append(f"# --- {table.name}")
         lines += _lines(table, several, taken)
     headers = [column.header for table in tables for column in table.columns if column.numeric]
+    damaged = [c for table in tables for c in table.columns if not c.numeric and c.header.sureness in ("contract", "stated")]
     ready = [header for header in headers if header.sureness == "contract"]
     times = [header for header in headers if header.sureness == "stated" and header.signal == TIME]
     timed = [TIME] if several and (times or any(is_topic(table.name) for table in tables)) else []
     signals = frozenset({*taken, *timed, *(header.signal for header in ready)})
     certain = len(ready) + len(taken) + (len(times) if several else 0)
-    return Proposal("\n".join(lines) + "\n", signals, certain, len(headers) - certain)
+    return Proposal("\n".join(lines) + "\n", signals, certain, len(headers) - certain + len(damaged))
 
 
 def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
@@ -244,7 +253,7 @@ def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
             continue
         name = json.dumps(header.column, ensure_ascii=False)
         if not column.numeric:
-            yield f"# {name} is not a column of numbers"
+            yield f"# {name} is not a column of numbers{f': {column.wrong}' if column.wrong else ''}"
             continue
         of = f", table: {json.dumps(table.name, ensure_ascii=False)}" if several else ""
         span = f"{column.smallest:.4g} to {column.largest:.4g}"

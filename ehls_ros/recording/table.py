@@ -29,6 +29,7 @@ class RawTable(NamedTuple):
         first: number of the first row.
         units: by name, as written, where the file says them apart from the name.
         remarks: how the file was read, one sentence each.
+        wrong: by name, a cell that keeps a column from being of numbers, such as ``line 12 is 'abc'``.
     """
 
     names: tuple[str, ...]
@@ -37,6 +38,7 @@ class RawTable(NamedTuple):
     first: int = 1
     units: Mapping[str, str] = {}
     remarks: tuple[str, ...] = ()
+    wrong: Mapping[str, str] = {}
 
     def place(self, index: int) -> str:
         """Return the user's name for a row, such as ``line 12``."""
@@ -76,7 +78,9 @@ def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, 
         if count[source] > 1:
             raise BadInput(f"column '{source}' occurs more than once", where, "one column of that name")
     if TIME not in chosen:
-        raise BadInput(f"column {TIME} is missing (found: {found})", where, f"a column {TIME}, or {_how_to_map(where)}")
+        mapped = f"{TIME}: {{name: ...}} with the column of times in the map, or {TIME}: {{rate: ...}} in Hz"
+        expected = mapped if columns else f"a column {TIME}, or {_how_to_map(where)}"
+        raise BadInput(f"column {TIME} is missing (found: {found})", where, expected)
     if len(chosen) == 1:
         expected = f"a signal by its name in the data contract, or {_how_to_map(where)}"
         raise BadInput(f"no signal is among the columns {found}", where, expected)

@@ -47,7 +47,9 @@ class Layout(NamedTuple):
         names = "no line of names" if self.header.row is None else f"names in line {self.header.row + 1}"
         units = "" if self.header.units_row is None else f", units in line {self.header.units_row + 1}"
         point = "comma" if self.decimal == "," else "point"
-        said = f"{self.encoding}, {DELIMITERS[self.delimiter]} between cells, decimal {point}, {names}{units}"
+        said = (
+            f"{self.encoding.removesuffix('-sig')}, {DELIMITERS[self.delimiter]} between cells, decimal {point}, {names}{units}"
+        )
         return "" if said == PLAIN else f"read as {said}, values from line {self.header.first + 1}"
 
 
@@ -145,4 +147,5 @@ def _fit(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[bool, floa
     cells = [cell for row in rows if len(row) == width for cell in row if cell]
     told = sum(number(cell) or is_clock(cell) for cell in cells)
     share = told / max(1, len(cells)) * widths.count(width) / max(1, len(rows))
-    return width > 1, round(share, 3), width if told == 0 else 0
+    # Spaces are parts of names, too.
+    return width > 1, round(share, 3), width if told == 0 and delimiter != SPACES else 0

@@ -6,6 +6,7 @@ import pytest
 
 from ehls_ros.cli.main import main
 from ehls_ros.recording.columns import Column, read_columns
+from ehls_ros.recording.load import load
 
 DATA = "time [ms],Weg_mm,p [bar]\n0,1.0,5\n10,2.0,6\n20,3.5,7\n"
 
@@ -36,12 +37,29 @@ def test_the_map_is_written_with_the_valves_data_and_what_is_missing_is_said(
     assert [column.scale * current + column.offset for current in (4, 12, 20)] == pytest.approx([-1e-3, 0.0, 1e-3])
     for said in (
         "decimal comma, names in line 1, units in line 2",
-        "1 times do not increase, the first in line 4",
+        "times that do not increase: 1, the first in line 4",
         "columns that are certain: 3; that want a look: 1",
         "a diagnosis can judge: nothing yet",
         "not force_balance: it needs position_m",
     ):
         assert said in shown.err
+
+
+def test_a_cell_that_is_no_number_is_named_with_its_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    data, out = tmp_path / "data.csv", tmp_path / "map.yaml"
+    data.write_text("t [s];x [mm];F [N];state\n0,0;1,0;1.005,0;on\n0,1;2,0;1.006,0;on\n0,2;-;1.007,0;on\n0,3;3,0;1.008,0;on\n")
+    assert main(["columns", str(data), "--out", str(out)]) == 0
+    shown = capsys.readouterr().err
+    for place in ("line 4 is '-'", "line 2 is '1.005,0'", "columns that are certain: 1; that want a look: 2"):
+        assert place in shown
+    assert "# \"x [mm]\" is not a column of numbers: line 4 is '-'" in out.read_text()
+
+
+def test_a_file_that_needs_no_map_may_have_the_proposed_one(tmp_path: Path):
+    data, out = tmp_path / "data.csv", tmp_path / "map.yaml"
+    data.write_text("time_s,force_n\n0,1\n1,2\n")
+    assert main(["columns", str(data), "--out", str(out)]) == 0
+    assert load(data, read_columns(out))["force_n"].tolist() == [1.0, 2.0]
 
 
 @pytest.mark.parametrize("said", ["1 mm", "10 bar = 1 mm", "10 V = 1 kN", "4..4 mA = 1 mm", "1e V = 1 mm"])
@@ -67,6 +85,7 @@ def test_a_file_with_names_of_its_own_says_the_command(verb: str, tmp_path: Path
         ("bag.mcap", "", "truncated"),
         ("data.ods", "", "its format is unknown"),
         ("data.csv", None, "cannot be read"),
+        ("data.csv", "time [s],x [mm]\n", "no column has numbers (found: time [s], x [mm])"),
         ("data.mat", "no", "not a MAT file"),
     ],
 )

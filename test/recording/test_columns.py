@@ -41,8 +41,10 @@ def test_units_gains_tables_and_areas_are_read(tmp_path: Path):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", ": it contains None; expected a mapping like 'position_m: {name: x, scale: 0.001, offset: 0.0}'"),
-        ("- time_s", ": it contains ['time_s']; expected a mapping like"),
+        (
+            "- time_s",
+            ": it contains ['time_s']; expected a mapping like 'position_m: {name: x, scale: 0.001, offset: 0.0}'",
+        ),
         ("time_s: [", ":2: map of columns is not valid YAML ("),
         ("position_m: {name: x}\nposition_m: {name: y}", ":2: map of columns is not valid YAML (duplicate key 'position_m')"),
         ("position_mm: {name: x}", ": name 'position_mm' is unknown; expected one of time_s, valve_command_m,"),

@@ -41,7 +41,7 @@ LAYOUTS: dict[str, tuple[str, str, str]] = {
     "keys before the names": (
         "Prüfer;Frau Meier\nPrüfstand;3\nDatum;04.05.2026\n\nZeit [s];Weg [mm]\n0,00;-1,5\n0,01;0,25\n0,02;1234,5\n",
         "utf-8-sig",
-        "utf-8-sig, semicolons between cells, decimal comma, names in line 5, values from line 6",
+        "utf-8, semicolons between cells, decimal comma, names in line 5, values from line 6",
     ),
     "LabVIEW's keys, and tabs": (
         "Time\t12:03:04,125\n***End***\t\n\t\nTime [s]\tWeg [mm]\tComment\n0,00\t-1,5\t\n0,01\t0,25\t\n0,02\t1234,5\t\n",
@@ -80,6 +80,11 @@ LAYOUTS: dict[str, tuple[str, str, str]] = {
     ),
     "times of day": (
         "Uhrzeit;Weg [mm]\n12:03:04,125;-1,5\n12:03:04,135;0,25\n12:03:04,145;1234,5\n",
+        "utf-8",
+        "utf-8, semicolons between cells, decimal comma, names in line 1, values from line 2",
+    ),
+    "times of day over midnight": (
+        "Uhrzeit;Weg [mm]\n23:59:59,990;-1,5\n00:00:00,000;0,25\n00:00:00,010;1234,5\n",
         "utf-8",
         "utf-8, semicolons between cells, decimal comma, names in line 1, values from line 2",
     ),
@@ -206,5 +211,5 @@ def test_a_structure_of_mat_7_3_that_holds_itself_is_refused(tmp_path: Path):
 
 def test_a_wrong_cell_of_excel_is_named_by_its_row(tmp_path: Path):
     columns = ColumnMap({"time_s": Column("Zeit", unit="ms"), "force_n": Column("Notiz")})
-    with pytest.raises(BadInput, match="row 4: column 'Notiz' is 'a'; expected a number or a time"):
+    with pytest.raises(BadInput, match="row 4: column 'Notiz' is 'a'; expected a number, a time or an empty cell"):
         load(as_excel(tmp_path / "a.xlsx"), columns)

@@ -86,8 +86,9 @@ def _print(table: Table, console: Console) -> None:
         span = (f"{column.smallest:.5g}", f"{column.largest:.5g}") if column.numeric else ("–", "–")
         gaps = [f"{100 * column.missing:.2g} % missing"] if column.numeric and column.missing > 0.0 else []
         unit = header.unit or ("SI" if header.sureness == "contract" else "?")
-        left_open = "; ".join(filter(None, [header.open, *gaps])) if column.numeric else "not a column of numbers"
-        printed.add_row(escape(header.column), *span, unit, header.signal or "?", SAID[header.sureness], left_open)
+        sure = SAID[header.sureness] if column.numeric else "not of numbers"
+        left_open = "; ".join(filter(None, [header.open, *gaps])) if column.numeric else column.wrong
+        printed.add_row(escape(header.column), *span, unit, header.signal or "?", sure, escape(left_open))
     console.print(printed)
     for remark in table.remarks:
         console.print(f"{table.name}: {remark}", markup=False, highlight=False, soft_wrap=True)
