@@ -214,7 +214,8 @@ class DashboardGraph(Link):
         if self._unwanted.is_set():
             return "stopped before it was running"
         if twins := self.twins(node.name for node in self._nodes.running):
-            return f"{self.where} already has a running {', '.join(twins)}: stop that first, or set another ROS_DOMAIN_ID or --namespace"
+            elsewhere = "stop that first, or set another ROS_DOMAIN_ID or --namespace"
+            return f"{self.where} already has a running {', '.join(twins)}: {elsewhere}"
         return next(map(_last_words, self._nodes.dead()), refusal)
 
     def _doing(self, node: Running) -> str:
