@@ -122,8 +122,8 @@ def load(path: str | Path, columns: Columns | None = None) -> Recording:
     """Read data in any supported format.
 
     Args:
-        path: folder of a run or a rosbag2; a file ``.mcap``, ``.db3``, ``.csv``, ``.mat`` or ``.parquet``; or a folder with the
-            tables of one recording.
+        path: folder of a run or a rosbag2; a bag's, text, MAT, Excel, Parquet or TDMS file; or a folder with the tables of one
+            recording.
         columns: the data's own names and units, as a mapping such as ``{"position_m": {"name": "x", "unit": "mm"}}`` or the
             path of a YAML file with it. None: the names of the data contract.
 

@@ -92,7 +92,9 @@ const ehlsLive = (() => {
   function draw() {
     for (const chart of settings.charts) {
       const factor = unitOf(chart)[1];
-      chartOf(chart.id)?.setOption({ series: linesOf(chart).map((line) => ({ data: points(line, line.sign * factor) })) });
+      // By id: the chart keeps its series in the order in which their first data came.
+      const series = linesOf(chart).map((line) => ({ id: line.label, type: "line", data: points(line, line.sign * factor) }));
+      chartOf(chart.id)?.setOption({ series });
     }
   }
 
@@ -187,6 +189,7 @@ const ehlsLive = (() => {
           id: label,
           name: label,
           showSymbol: false,
+          z: index ? 3 : 2,
           data: [],
           lineStyle: { width: index ? 1 : 3 },
           itemStyle: { color: colour(`--line-${index}`) },

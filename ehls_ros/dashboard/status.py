@@ -29,6 +29,9 @@ TOO_SLOW = "too slow"
 
 GONE = "No more snapshots: the graph was stopped, or the plant node has died."
 
+LARGE = 1e4
+"""Values from which a larger unit is chosen."""
+
 SAME = 0.1
 """Distance from real time that is not mentioned."""
 
@@ -150,10 +153,16 @@ def explained(cause: str) -> str:
     subject = f" ({match['subject']})" if match["subject"] else ""
     figures = ""
     if match["value"]:
-        unit, factor = next(iter(UNITS.get(match["unit"] or "", {match["unit"] or "": 1.0}).items()))
+        unit, factor = _readable(match["unit"] or "", abs(float(match["limit"])))
         value, limit = (f"{factor * float(match[which]):.4g} {unit}".rstrip() for which in ("value", "limit"))
         figures = f": {value}, allowed {limit}"
     return f"Tripped: {words}{subject}{figures}, at {float(match['time']):.3f} s."
+
+
+def _readable(own: str, value: float) -> tuple[str, float]:
+    """Return the unit in which a value is shown, and the factor to it: the first in which it needs no power of ten."""
+    units = UNITS.get(own, {own: 1.0})
+    return next(((unit, factor) for unit, factor in units.items() if factor * value < LARGE), next(iter(units.items())))
 
 
 def _declared() -> dict[str, str]:

@@ -50,6 +50,9 @@ LOCKSTEP, REALTIME = TIMINGS = ("lockstep", "realtime")
 DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 """Environment variable that limits how far the middleware discovers other nodes."""
 
+PARENT = "EHLS_PARENT"
+"""Environment variable with the id of the process that started a node, which ends with it; unset: the node ends by itself."""
+
 CLOSING = 30.0
 """Longest time the middleware may take to close the node's topics and services [s]."""
 
@@ -118,6 +121,7 @@ class ControlNode(DeclaredParameters):
         if self.lockstep:
             # The plant's cycles are the only clock of such a graph.
             self.set_parameters([Parameter(USE_SIM_TIME, value=True)])
+        self._parent = int(os.environ.get(PARENT, "0"))
         self.configured = False
         self.not_permitted: tuple[str, ...] = ()
         self.courtesy: Courtesy | None = None
@@ -266,6 +270,9 @@ class ControlNode(DeclaredParameters):
         self._beaten = True
 
     def _look_around(self) -> None:
+        if self._parent and os.getppid() != self._parent:
+            self.get_logger().error("the process that started this node has ended, so the node ends")
+            signal.raise_signal(signal.SIGINT)
         self._mismatches.look()
         self.report()
 

@@ -213,6 +213,9 @@ class DashboardGraph(Link):
         """Return why the start failed: a node that died comes before those that waited for it."""
         if self._unwanted.is_set():
             return "stopped before it was running"
+        if twins := self.twins(node.name for node in self._nodes.running):
+            elsewhere = "stop that first, or set another ROS_DOMAIN_ID or --namespace"
+            return f"{self.where} already has a running {', '.join(twins)}: {elsewhere}"
         return next(map(_last_words, self._nodes.dead()), refusal)
 
     def _doing(self, node: Running) -> str:

@@ -5,7 +5,8 @@ import gc
 import os
 import threading
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -308,6 +309,12 @@ class Link:
     def is_up(self, node: str) -> bool:
         """Return whether a lifecycle node is ready for requests."""
         return bool(self._client(ChangeState, f"{node}/change_state").service_is_ready())
+
+    def twins(self, nodes: Iterable[str]) -> list[str]:
+        """Return those of the nodes whose name another node of the graph has too."""
+        names = [(f"/{self.namespace}", node) for node in nodes]
+        present = Counter((space, name) for name, space in self._node.get_node_names_and_namespaces())
+        return [name for space, name in names if present[space, name] > 1]
 
     def change_state(self, node: str, transition: int, patience: float, hopeless: Callable[[], bool]) -> Answer:
         """Request a lifecycle transition, until it is answered, ``patience`` [s] is over or ``hopeless`` holds.

@@ -32,7 +32,7 @@ from ehls_ros.errors import WorkFailed
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.hardware.realtime import preferring_what_starts
-from ehls_ros.nodes.control import CLOCK_TOPIC, LOCKSTEP, NAMESPACE, REALTIME
+from ehls_ros.nodes.control import CLOCK_TOPIC, LOCKSTEP, NAMESPACE, PARENT, REALTIME
 from ehls_ros.recording.bag_reader import is_closed
 from ehls_ros.recording.topics import CYCLE_TOPICS, FRICTION_ESTIMATE, REFERENCE_TOPICS
 from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
@@ -247,8 +247,9 @@ def node_processes(
     environment: Mapping[str, str],
     namespace: str = NAMESPACE,
 ) -> Iterator[list[Running]]:
-    """Start the nodes; on exit, stop them with SIGINT and kill those that stay."""
+    """Start the nodes; on exit, stop them with SIGINT and kill those that stay. If this process is killed, they end too."""
     running: list[Running] = []
+    environment = {**environment, PARENT: str(os.getpid())}
     try:
         for name in names:
             file = logs / f"{name}.yaml"

@@ -36,13 +36,20 @@ class Served:
 
     def __init__(self, process: subprocess.Popen[str], folder: Path | None) -> None:
         self.process, self.folder = process, folder
-        self.address = process.stdout.readline().strip()
-        assert self.address.startswith("http://"), self.address + process.stdout.read()
-        self.port = int(self.address.split(":")[2].split("/")[0])
-        self.server, _, self.token = self.address.partition("?token=")
         self.lines: list[str] = []
         self.reader = threading.Thread(target=lambda: self.lines.extend(process.stdout))
         self.reader.start()
+        # The middleware may complain before the server prints its address.
+        until(lambda: self._announced() or not self.reader.is_alive(), "the server printed no address")
+        announced = self._announced()
+        assert announced, self.said()
+        del self.lines[: self.lines.index(announced) + 1]
+        self.address = announced.strip()
+        self.port = int(self.address.split(":")[2].split("/")[0])
+        self.server, _, self.token = self.address.partition("?token=")
+
+    def _announced(self) -> str:
+        return next((line for line in self.lines if line.startswith("http://")), "")
 
     def requests(self) -> list[str]:
         """Return the requests that reached the stand-in graph."""

@@ -20,7 +20,7 @@ from patience import PATIENCE
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
-from served import answer, running
+from served import answer, running, served
 from websockets.sync.client import connect
 
 from ehls_ros.cli.main import main
@@ -102,6 +102,9 @@ def parameter(domain):
     executor.shutdown()
     node.destroy_node()
     rclpy.shutdown(context=context)
+
+
+AXES = "document.querySelectorAll('.plot .nicegui-echart')[{}].id"
 
 
 def goes_on(page):
@@ -225,11 +228,21 @@ def test_an_emergency_stop_says_what_to_press_and_the_buttons_lead_on(tab):
     assert not tab.evaluate(visible("reset and enable"))
 
 
+def test_a_line_keeps_its_signal_when_the_signals_data_come_one_after_the_other(chromium):
+    with served() as server, chromium.tab(server.address) as page:
+        page.until("ehlsLive?.shown('Force').length === 2")
+        page.evaluate("void window.socket.disconnect()")
+        series = f"getElement({AXES.format(0)}.slice(1)).chart.getOption().series.filter(Boolean)"
+        for lines, signals in enumerate((["position_m"], ["force_n"], ["force_reference_n", "force_n"])):
+            part = json.dumps({name: [{"force_n": 1e3, "force_reference_n": 2e3}.get(name, 0.0)] * 10 for name in signals})
+            more = f"ehlsLive.extend({{era: {-1 - lines}, first: ehlsLive.last(), low: {part}, high: {part}}})"
+            page.until(f"({more}, {series}.length === {lines} && {series}.every(one => one.data.length))")
+        drawn = dict(page.evaluate(f"{series}.map(one => [one.name, one.data[1]])"))
+        assert drawn == {"force": 1.0, "reference": 2.0}
+
+
 def chosen(page, name, value):
     page.evaluate(f"(s => {{ s.value = '{value}'; s.onchange(); }})(document.querySelector('select[name=\"{name}\"]'))")
-
-
-AXES = "document.querySelectorAll('.plot .nicegui-echart')[{}].id"
 
 
 def axis(page, number):

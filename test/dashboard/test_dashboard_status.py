@@ -45,6 +45,10 @@ def test_an_emergency_stop_is_acknowledged_first():
             "Tripped: load pressure beyond its limit: 6.5 MPa, allowed 6.3 MPa, at 1.000 s.",
         ),
         (
+            Cause("force", "cut", 1.0, -16440.0, 16380.0, "N"),
+            "Tripped: force beyond its limit: -16.44 kN, allowed 16.38 kN, at 1.000 s.",
+        ),
+        (
             Cause("sensor_jump", "ramp", 1.0, 2e5, 1e5, "Pa/s", "load_pressure_pa"),
             "Tripped: reading changes faster than the rig can (load_pressure_pa): 2e+05 Pa/s, allowed 1e+05 Pa/s, at 1.000 s.",
         ),

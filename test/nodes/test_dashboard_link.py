@@ -6,6 +6,7 @@ import pytest
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from ehls_ros.nodes.dashboard_link import Link
@@ -39,5 +40,17 @@ def test_late_messages_of_a_stopped_node_are_ignored(participant, monkeypatch):
         link.forget(["ended"])
         # A restarted node of that name is heard.
         participant.until(lambda: saying(report("ended"), "ended"))
+    finally:
+        link.close()
+
+
+def test_nodes_that_are_there_twice_are_found(participant):
+    link = Link("ehls")
+    try:
+        pair = [rclpy.create_node("fasmc_node", context=participant.context, namespace="ehls") for _ in range(2)]
+        other = rclpy.create_node("sic_node", context=participant.context, namespace="rig2")
+        participant.until(lambda: link.twins(["fasmc_node", "participant", "sic_node"]) == ["fasmc_node"])
+        for node in [*pair, other]:
+            node.destroy_node()
     finally:
         link.close()

@@ -1,4 +1,6 @@
-"""A node after the lifecycle's shutdown: finalized, silent, and not to be reactivated."""
+"""The end of a node: by the lifecycle's shutdown, after which it is silent for good, and with the process that started it."""
+
+import os
 
 import pytest
 
@@ -9,6 +11,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from patience import PATIENCE
 
 from ehls_msgs.msg import ControllerStatus
+from ehls_ros.nodes.control import PARENT
 
 TOPICS = {
     "fasmc_node": "valve_command",
@@ -38,3 +41,14 @@ def test_a_node_shut_down_while_active_stops_publishing(graph, participant, spec
     for name in TOPICS:
         assert graph.stop(name) == 0, graph.log(name)
         assert "Traceback" not in graph.log(name)
+
+
+def test_a_node_ends_with_the_process_that_started_it(graph, monkeypatch):
+    monkeypatch.setenv(PARENT, str(os.getpid()))
+    child = graph.start("reference_node")
+    monkeypatch.setenv(PARENT, str(child.pid))
+    orphan = graph.start("disturbance_node")
+    assert orphan.wait(PATIENCE) == 0
+    assert "the process that started this node has ended" in graph.log("disturbance_node")
+    assert graph.stop("reference_node") == 0
+    assert "has ended" not in graph.log("reference_node")
