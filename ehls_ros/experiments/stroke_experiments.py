@@ -15,7 +15,7 @@ OF_STROKE, LONGEST, REST, PERIODS = 0.8, 6.0, 0.5, 18
 """Fraction of the stroke that is used, longest time at one velocity and rest before each stroke [s], periods of the sine."""
 
 ACCELERATION = 0.25
-"""Of the strokes, as the paper's [m/s^2]."""
+"""Of the strokes, as the paper's, unless a fast stroke would then be over before its velocity is reached [m/s^2]."""
 
 
 class Asked(NamedTuple):
@@ -46,12 +46,14 @@ def stroke_experiments(missing: Missing, rig: Rig, path: Path, folder: Path) -> 
         return
     low, high = rig.limits.position
     if missing.velocities:
+        travel = OF_STROKE * (high - low)
+        half_of_it = 2.0 * max(missing.velocities) ** 2 / travel
         strokes: dict[str, Any] = {
             "velocities": missing.velocities,
             "repeats": 1,
-            "travel": OF_STROKE * (high - low),
+            "travel": travel,
             "longest": LONGEST,
-            "acceleration": ACCELERATION,
+            "acceleration": max(ACCELERATION, half_of_it),
             "rest": REST,
             "centre": 0.5 * (low + high),
         }

@@ -77,7 +77,7 @@ def test_a_foreign_file_is_diagnosed_by_the_map_proposed_for_it(diagnosed, recor
     rows = [";".join(f"{value:.6f}".replace(".", ",") for value in row) for row in zip(*values, strict=True)]
     file.write_text("\n".join(["Bemerkung;kühl", *heads, *rows]), encoding="latin-1")
     seen = []
-    monkeypatch.setattr(verb, "diagnose", lambda trajectory, *a, **k: seen.append(trajectory) or diagnosed[1])
+    monkeypatch.setattr(diagnosing, "diagnose", lambda trajectory, *a, **k: seen.append(trajectory) or diagnosed[1])
     assert main(["columns", str(file), "--valve", "10 V = 10 mm", "--out", str(columns)]) == 0
     assert main(["diagnose", str(file), "--columns", str(columns), "--rig", str(RIG), "--out", str(tmp_path / "out")]) == 0
     assert set(seen[0].signals) == names.keys() - {"time_s"}

@@ -54,8 +54,9 @@ def test_every_expected_experiment_is_there():
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_an_experiment_says_in_its_first_line_what_it_is(path):
-    first = path.read_text(encoding="utf-8").splitlines()[0]
+def test_an_experiment_says_first_what_it_is(path):
+    for_editors, first = path.read_text(encoding="utf-8").splitlines()[:2]
+    assert for_editors.startswith("# yaml-language-server: ")
     assert first.startswith("# ")
     assert first.endswith(".")
 

@@ -3,12 +3,14 @@
 import contextlib
 import enum
 import math
+import re
 import sys
 import types
 
 import pytest
 
 from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.extras import install_command
 from ehls_ros.hardware.backends import BACKENDS
 from ehls_ros.hardware.backends.base import Channel, Wiring
 
@@ -195,5 +197,5 @@ def test_unknown_terminals():
 
 def test_package_that_is_not_installed(monkeypatch):
     monkeypatch.setitem(sys.modules, "nidaqmx", None)
-    with pytest.raises(BadInput, match=r"ehls_ros\[nidaqmx\]"):
+    with pytest.raises(BadInput, match=re.escape(install_command("nidaqmx"))):
         NIDAQMX.open(NIDAQMX.Parameters(), WIRING, PERIOD)

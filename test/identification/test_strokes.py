@@ -75,6 +75,15 @@ def test_the_experiments_run_within_the_limits_of_the_rig(rig, tmp_path):
     assert spec.reference.parameters.offset == pytest.approx(0.15)
 
 
+def test_strokes_too_fast_for_their_length_speed_up_sooner(rig, tmp_path):
+    fast = NOTHING._replace(velocities=(0.1, 0.5))
+    asked = next(iter(stroke_experiments(fast, rig, tmp_path / "rig.yaml", tmp_path)))
+    (tmp_path / asked.file).write_text(asked.text, encoding="utf-8")
+    (tmp_path / "rig.yaml").write_text(rig_text(rig_to_mapping(rig)), encoding="utf-8")
+    reference = load_spec(tmp_path / asked.file).reference.parameters
+    assert 0.5**2 / reference.acceleration == pytest.approx(0.5 * reference.travel)
+
+
 def test_a_rig_that_is_not_known_is_asked_for_no_experiment(rig, tmp_path):
     content = rig_to_mapping(rig)
     del content["plant"]["valve_bandwidth"]

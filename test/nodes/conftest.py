@@ -52,13 +52,13 @@ class Graph:
         self.folder = folder
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
 
-    def start(self, name: str, *, remap: str = "", largest_file: int = -1, **parameters: Any) -> subprocess.Popen[bytes]:
+    def start(self, name: str, *, remap: str = "", **parameters: Any) -> subprocess.Popen[bytes]:
         arguments = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
         arguments += ["-r", remap] if remap else []
-        return self.run(name, ["-m", f"ehls_ros.nodes.{name}", "--ros-args", *arguments], largest_file)
+        return self.run(name, ["-m", f"ehls_ros.nodes.{name}", "--ros-args", *arguments])
 
-    def run(self, name: str, arguments: list[str], largest_file: int = -1) -> subprocess.Popen[bytes]:
-        """Start a Python process; files it writes may not grow beyond ``largest_file`` bytes."""
+    def run(self, name: str, arguments: list[str]) -> subprocess.Popen[bytes]:
+        """Start a Python process."""
         from ehls_ros.nodes.graph import graph_environment
 
         with (self.folder / f"{name}.log").open("ab") as log:
@@ -69,10 +69,12 @@ class Graph:
                 stdout=log,
                 stderr=subprocess.STDOUT,
             )
-        if largest_file >= 0:
-            resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (largest_file, largest_file))
         self.processes[name] = process
         return process
+
+    def limit_files(self, name: str, size: int) -> None:
+        """Let no file that a process writes grow beyond ``size`` bytes from now on."""
+        resource.prlimit(self.processes[name].pid, resource.RLIMIT_FSIZE, (size, size))
 
     def tell(self, name: str, line: str) -> None:
         """Write a line to a process's standard input."""

@@ -302,18 +302,20 @@ def test_a_killed_recorder_and_a_full_disk(trial, graph, tmp_path):
     died, full = tmp_path / "died", tmp_path / "full"
     running.rig.start(RECORDER, bag=died)
 
-    def flushed():
-        return read_note(died)["/ehls/loader_state"] if (died / NOTE).exists() else Flushed(0, 0)
+    def flushed(bag):
+        return read_note(bag).get("/ehls/loader_state", Flushed(0, 0)) if (bag / NOTE).exists() else Flushed(0, 0)
 
     # More than one flush, and more cycles than are compared below.
     for least in (0, 0, 600):
-        so_far = max(flushed().messages, least)
-        running.rig.participant.until(lambda so_far=so_far: flushed().messages > so_far)
-    last_ns = flushed().newest_ns
+        so_far = max(flushed(died).messages, least)
+        running.rig.participant.until(lambda so_far=so_far: flushed(died).messages > so_far)
+    last_ns = flushed(died).newest_ns
     killed_ns = time.time_ns()
     running.bears_it("recorder killed", lambda: graph.kill(RECORDER))
     # After a kill, the next recorder may discover a node only 3 s later, when Fast DDS announces it again.
-    running.rig.start(RECORDER, bag=full, largest_file=1_000_000)
+    running.rig.start(RECORDER, bag=full)
+    running.rig.participant.until(lambda: flushed(full).messages > 600)
+    graph.limit_files(RECORDER, max(file.stat().st_size for file in full.iterdir()))
     running.told("not recording")
     running.bears_it("disk full")
     running.finish()

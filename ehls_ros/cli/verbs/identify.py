@@ -102,9 +102,12 @@ def _friction(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespace
 
 def _offer(missing: Missing, rig: Rig, path: Path, folder: Path) -> None:
     """Write the experiments that deliver what is missing, and say how to run them."""
-    for asked in stroke_experiments(missing, rig, path.resolve(), folder.resolve()):
-        (folder / asked.file).write_text(asked.text, encoding="utf-8")
-        print(f"  missing strokes: ehls experiment {folder / asked.file}")
+    try:
+        for asked in stroke_experiments(missing, rig, path.resolve(), folder.resolve()):
+            (folder / asked.file).write_text(asked.text, encoding="utf-8")
+            print(f"  missing strokes: ehls experiment {folder / asked.file}")
+    except BadInput as error:
+        print(f"  missing strokes: no experiment delivers them on this rig ({error})")
 
 
 def _whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespace, folder: Path) -> dict[str, Any]:
