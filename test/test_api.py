@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 import yaml
+from pandas import DataFrame, Series
 from rich.console import Console
 
 import ehls_ros as ehls
@@ -79,6 +80,17 @@ def test_a_run_that_ends_early_is_a_result_with_the_reason():
         (lambda: ehls.simulate("sine_fd2", duration=-1.0), "simulate, from .*: duration is -1"),
         (lambda: ehls.simulate(rig="rig_paper"), "reference"),
         (lambda: ehls.rig("no_rig.yaml"), r"no_rig\.yaml"),
+        (lambda: ehls.rig(None), "rig: it is of the type NoneType; expected a rig, the path"),
+        (lambda: ehls.simulate(5), "spec: it is of the type int"),
+        (lambda: ehls.campaign(["sine_fd2"]), "plan: it is of the type list"),
+        (lambda: ehls.campaign({"base": "sine_fd2"}, jobs=0), "jobs: it is 0; expected 1 or more"),
+        (
+            lambda: ehls.diagnose(DataFrame(), "rig_paper"),
+            r"data: it is of the type DataFrame; .* Recording\(",
+        ),
+        (lambda: ehls.diagnose("x.csv", "rig_paper", threads=0), "threads: it is 0"),
+        (lambda: ehls.diagnose("x.csv", "rig_paper", seed=-1), "seed: it is -1; expected 0 or more"),
+        (lambda: ehls.identify("x.csv", "rig_paper", elements=0), "elements: it is 0"),
         (lambda: ehls.load("x.csv", {"position": {"name": "x"}}), "columns: name 'position' is unknown"),
         (lambda: ehls.identify([], "rig_paper", whole_rig=True, elements=3), "elements and whole_rig"),
         (lambda: ehls.campaign({"base": "sine_fd2", "vary": {"controler.k": [1.0]}}), r"controler\.k"),
@@ -123,6 +135,15 @@ def test_a_recording_becomes_a_table_and_a_file_and_comes_back(run, tmp_path):
         back = ehls.load(run.save(tmp_path / name))
         assert np.array_equal(back["force_n"], run["force_n"])
     assert "<title>" in run.report(tmp_path / "new" / "run.html").read_text(encoding="utf-8")
+
+
+def test_a_recording_is_made_of_lists_and_columns_of_tables():
+    recording = ehls.Recording([0.0, 0.1], {"force_n": Series([1.0, 2.0], index=[7, 8])})
+    assert (repr(recording), recording["force_n"][-1]) == ("<Recording recording: 0.1 s, 2 samples, 1 signals>", 2.0)
+    with pytest.raises(KeyError, match="did you mean 'force_n'"):
+        _ = recording["forc_n"]
+    with pytest.raises(ValueError, match=r"time_s is 0\.1 after 0\.1 in sample 3"):
+        ehls.Recording([0.0, 0.1, 0.1], {})
 
 
 def test_recordings_of_one_name_are_numbered(run):

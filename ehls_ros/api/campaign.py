@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from ehls_ros.api.arguments import check_kind, check_least
 from ehls_ros.api.figures import figure
 from ehls_ros.experiments.campaign.backends import local
 from ehls_ros.experiments.campaign.conduct import conduct
@@ -84,6 +85,8 @@ def campaign(
     Raises:
         BadInput: the plan is wrong, or pyarrow or joblib is not installed.
     """
+    check_kind(plan, (Mapping, str, Path), "plan", "a path, the name of a plan that comes with the package, or a mapping")
+    check_least(jobs, 1, "jobs")
     if isinstance(plan, Mapping):
         made = plan_from_mapping(_written_out(plan), "campaign", Path())
     else:

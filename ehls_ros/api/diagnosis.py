@@ -6,6 +6,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ehls_ros.api.arguments import check_least
 from ehls_ros.api.figures import figure
 from ehls_ros.api.files import written
 from ehls_ros.api.recordings import Columns, Data, as_recording, by_name
@@ -110,6 +111,8 @@ def diagnose(
     Raises:
         BadInput: the data or the rig cannot be read, or the data are not of such a rig.
     """
+    check_least(threads, 1, "threads")
+    check_least(seed, 0, "seed")
     model = rig_of(rig)
     with progress_bar("diagnosing", shown=progress) as bar:
         recording = as_recording(data, columns, USED)

@@ -1,9 +1,11 @@
 """A rig identified from recordings, as an object: the work of `ehls identify`."""
 
 from collections.abc import Iterable, Mapping
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, overload
 
+from ehls_ros.api.arguments import check_least
 from ehls_ros.api.figures import figure
 from ehls_ros.api.files import written
 from ehls_ros.api.recordings import Columns, Data, by_name
@@ -56,8 +58,12 @@ class FrictionResult(Identification):
         """
         return written(path, lambda file: write_identification_report(self, file, before=before))
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return _line(self)
+
     def _repr_html_(self) -> str:
-        return str(self.to_pandas().to_html(float_format="{:.5g}".format))
+        return _html(self)
 
 
 class RigResult(RigIdentification):
@@ -81,8 +87,22 @@ class RigResult(RigIdentification):
         """
         return written(path, lambda file: write_rig_report(self, file, before=before))
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return _line(self)
+
     def _repr_html_(self) -> str:
-        return str(self.to_pandas().to_html(float_format="{:.5g}".format))
+        return _html(self)
+
+
+def _line(found: FrictionResult | RigResult) -> str:
+    return f"<{type(found).__name__}: {len(found.estimates)} estimates, {len(found.not_identifiable)} not identifiable>"
+
+
+def _html(found: FrictionResult | RigResult) -> str:
+    lacking = [f"not identifiable: {', '.join(found.not_identifiable)}"] if found.not_identifiable else []
+    said = "".join(f"<li>{escape(remark)}</li>" for remark in (*lacking, *found.remarks))
+    return f"{found.to_pandas().to_html(float_format='{:.5g}'.format)}{f'<ul>{said}</ul>' if said else ''}"
 
 
 def _table(estimates: Mapping[str, Estimate]) -> "DataFrame":
@@ -146,6 +166,8 @@ def identify(
     Raises:
         BadInput: data or rig cannot be read, or the data cannot be used; the message names the signal.
     """
+    check_least(elements, 1, "elements")
+    check_least(seed, 0, "seed")
     known = rig_of(rig)
     if whole_rig and elements is not None:
         expected = "one of them: the whole rig keeps the rig file's number of friction elements"

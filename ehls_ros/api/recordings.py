@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ehls_ros.api.arguments import check_kind
 from ehls_ros.api.figures import figure
 from ehls_ros.api.files import written
+from ehls_ros.errors import one_of
 from ehls_ros.experiments.metrics import evaluate_controlled
 from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.recording import load as formats
@@ -30,6 +33,8 @@ Columns = ColumnMap | Mapping[str, Any] | str | Path
 Data = str | Path | Trajectory
 """A recording, or its path."""
 
+EXPECTED_DATA = "a path, or a recording; of arrays, Recording(time_s, {'force_n': ...})"
+
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Recording(Trajectory):
@@ -43,6 +48,31 @@ class Recording(Trajectory):
     """
 
     name: str = "recording"
+
+    def __post_init__(self) -> None:
+        """Take lists and columns of tables for arrays, and check the times.
+
+        Raises:
+            ValueError: time does not increase, or a signal has an unknown name or another length.
+        """
+        object.__setattr__(self, "time_s", np.asarray(self.time_s, dtype=np.float64))
+        signals = {name: np.asarray(values, dtype=np.float64) for name, values in self.signals.items()}
+        object.__setattr__(self, "signals", signals)
+        super().__post_init__()
+        wrong = np.flatnonzero(~(np.diff(self.time_s) > 0.0))
+        if wrong.size:
+            before, after = self.time_s[wrong[0] : wrong[0] + 2]
+            raise ValueError(f"time_s is {after} after {before} in sample {wrong[0] + 2}; expected times that increase, in s")
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """Return a signal, in SI units, shape (n,), or (n, elements) of the friction elements.
+
+        Raises:
+            KeyError: it was not recorded.
+        """
+        if name not in self.signals:
+            raise KeyError(f"there is no signal {name!r}; expected {one_of(name, self.signals)}")
+        return self.signals[name]
 
     def to_pandas(self) -> "DataFrame":
         """Return a table: one row per sample, indexed by ``time_s``, one column per signal in SI units."""
@@ -122,14 +152,18 @@ def load(path: str | Path, columns: Columns | None = None) -> Recording:
     """Read data in any supported format.
 
     Args:
-        path: folder of a run or a rosbag2; a bag's, text, MAT, Excel, Parquet or TDMS file; or a folder with the tables of one
-            recording.
+        path: folder of a run or a rosbag2; a file ``.mcap`` or ``.db3``; a table ``.csv``, ``.tsv``, ``.txt``, ``.dat``,
+            ``.asc``, ``.xlsx``, ``.xls``, ``.mat``, ``.tdms`` or ``.parquet``; or a folder with the tables of one recording.
         columns: the data's own names and units, as a mapping such as ``{"position_m": {"name": "x", "unit": "mm"}}`` or the
             path of a YAML file with it. None: the names of the data contract.
+
+    Returns:
+        The recording, in SI units; ``preparation.remarks`` says how it was read.
 
     Raises:
         BadInput: the data cannot be read; the message says where and what was expected.
     """
+    check_kind(path, (str, Path), "path", "a path")
     return read(path, columns, SIGNALS)
 
 
@@ -143,6 +177,7 @@ def column_map(columns: Columns | None) -> ColumnMap | None:
     """Return a map of columns however it was given."""
     if columns is None or isinstance(columns, ColumnMap):
         return columns
+    check_kind(columns, (Mapping, str, Path), "columns", "a path, or a mapping like {'position_m': {'name': 'x'}}")
     return columns_from_mapping(columns, Path("columns")) if isinstance(columns, Mapping) else read_columns(Path(columns))
 
 
@@ -152,6 +187,7 @@ def as_recording(data: Data, columns: Columns | None, wanted: Collection[str] = 
     Raises:
         BadInput: it cannot be read.
     """
+    check_kind(data, (str, Path, Trajectory), "data", EXPECTED_DATA)
     if not isinstance(data, Trajectory):
         return read(data, columns, wanted)
     return data if isinstance(data, Recording) else with_methods(Recording, data, str(data.metadata.get("title", "recording")))
@@ -159,6 +195,7 @@ def as_recording(data: Data, columns: Columns | None, wanted: Collection[str] = 
 
 def by_name(data: Data | Iterable[Data], columns: Columns | None, wanted: Collection[str] = SIGNALS) -> dict[str, Recording]:
     """Return one or several recordings by their names, numbered where two have the same."""
+    check_kind(data, (str, Path, Trajectory, Iterable), "data", EXPECTED_DATA)
     given = [data] if isinstance(data, str | Path | Trajectory) else list(data)
     found = [as_recording(one, columns, wanted) for one in given]
     names = [one.name for one in found]

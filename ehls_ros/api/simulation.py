@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from ehls_ros.api.arguments import check_kind
 from ehls_ros.api.files import written
 from ehls_ros.api.recordings import Recording, with_methods
 from ehls_ros.errors import BadInput
@@ -23,6 +24,9 @@ RigSource = Rig | Mapping[str, Any] | str | Path
 
 SpecSource = Spec | Mapping[str, Any] | str | Path
 """An experiment, likewise."""
+
+EXPECTED_RIG = "a rig, the path of its file, the name of one that comes with the package, or a mapping"
+EXPECTED_SPEC = "an experiment, the path of its file, the name of one that comes with the package, or a mapping"
 
 Part = Mapping[str, Any] | str
 """A member of a family: its name, or a mapping of ``name`` and parameters."""
@@ -53,6 +57,7 @@ def rig(source: RigSource) -> Rig:
     """
     if isinstance(source, Rig):
         return source
+    check_kind(source, (Mapping, str, Path), "rig", EXPECTED_RIG)
     return rig_from_mapping(source, "rig") if isinstance(source, Mapping) else load_rig(configured(source))
 
 
@@ -70,7 +75,7 @@ def simulate(
     *,
     rig: RigSource | None = None,
     controller_rig: RigSource | None = None,
-    effects: Sequence[Part | EffectUse] | None = None,
+    effects: Sequence[Mapping[str, Any] | EffectUse] | None = None,
     reference: Part | None = None,
     disturbance: Part | None = None,
     controller: Part | None = None,
@@ -144,6 +149,7 @@ def _content(source: SpecSource | None) -> tuple[dict[str, Any], str, Path]:
         return spec_to_mapping(source), source.settings.title, Path()
     if isinstance(source, Mapping):
         return dict(source), "simulate", Path()
+    check_kind(source, (str, Path), "spec", EXPECTED_SPEC)
     path = configured(source, "experiments")
     content = read_yaml(path, "spec")
     if not isinstance(content, Mapping):

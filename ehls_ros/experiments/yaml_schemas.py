@@ -54,18 +54,21 @@ def _rig() -> Schema:
     return mapping_of(
         {
             **sections,
-            "effects": {"anyOf": [{"type": "array", "items": _member_of(EFFECTS)}, {"type": "null"}]},
+            "effects": _effects(),
             "sensors": _by_signal(Sensor),
         },
         ("friction",),
     )
 
 
+def _effects() -> Schema:
+    return {"anyOf": [{"type": "array", "items": _member_of(EFFECTS)}, {"type": "null"}]}
+
+
 def _experiment() -> Schema:
     named = {key: _ref("signal") if family is SIGNALS else _use(family) for key, family in FAMILIES.items() if key != "signal"}
     rig = {"anyOf": [{"type": "string", "description": "rig file, from the folder of this one"}, _ref("rig"), {"type": "null"}]}
-    effects = {"anyOf": [{"type": "array", "items": _member_of(EFFECTS)}, {"type": "null"}]}
-    more: dict[str, Schema] = {"rig": rig, "controller_rig": rig, "effects": effects, **named}
+    more: dict[str, Schema] = {"rig": rig, "controller_rig": rig, "effects": _effects(), **named}
     return object_of(Settings, ("rig", "reference", "controller"), **more)
 
 

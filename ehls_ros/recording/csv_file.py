@@ -118,7 +118,7 @@ class _Lines:
             return
         cells = len(split(line, self._layout.delimiter)) if line.strip() else 0
         what, where = f"the row has {cells} cells", f"{self._where}, line {block.first + wrong}"
-        raise BadInput(what, where, f"{self._cells}, as in the header")
+        raise BadInput(what, where, f"{self._cells}, as in the header; or no such line")
 
     def _wrong(self, lines: Sequence[str]) -> int | None:
         """Return the index of the first line with another number of cells."""

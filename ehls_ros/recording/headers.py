@@ -299,5 +299,6 @@ def _plain(quantity: str) -> str:
 
 
 def _only_signal(quantity: str) -> str:
-    """Return a candidate for a unit alone."""
-    return next((name for name in (TIME, *READABLE) if quantity_of(name) == quantity), "")
+    """Return the signal of a quantity that has no other; the empty text where there are several."""
+    signals = [name for name in (TIME, *READABLE) if quantity_of(name) == quantity]
+    return signals[0] if len(signals) == 1 else ""

@@ -18,6 +18,7 @@ from ehls_ros.recording.conversion import given_by
 from ehls_ros.recording.headers import Recognised, recognised
 from ehls_ros.recording.load import is_table, raw
 from ehls_ros.recording.named_topics import Found, every_topic
+from ehls_ros.recording.table import RawTable
 from ehls_ros.recording.units import ELECTRICAL, unit_of
 from ehls_ros.units import UNITS
 
@@ -147,9 +148,7 @@ def look(path: Path) -> list[Table]:
     if not table.names:
         raise BadInput("it has no column", str(path), "a header row of names and a row per sample")
     headers = recognised(table.names, table.units)
-    seen = tuple(
-        _seen(header, table.values[header.column])._replace(wrong=table.wrong.get(header.column, "")) for header in headers
-    )
+    seen = tuple(_seen(header, table.values[header.column])._replace(wrong=_wrong(table, header.column)) for header in headers)
     if not any(column.numeric for column in seen):
         raise BadInput(f"no column has numbers (found: {', '.join(table.names)})", str(path), "a row of numbers per sample")
     sure = [h for h in headers if h.signal == TIME and h.sureness in ("contract", "stated")]
@@ -183,6 +182,10 @@ def _seen(header: Recognised, values: NDArray[np.float64] | None) -> Seen:
     finite = values[np.isfinite(values)] if values is not None else np.empty(0)
     smallest, largest = (float(np.min(finite)), float(np.max(finite))) if finite.size else (np.nan, np.nan)
     return Seen(header, smallest, largest, 1.0 - finite.size / max(1, values.size) if values is not None else 1.0)
+
+
+def _wrong(table: RawTable, name: str) -> str:
+    return table.wrong.get(name, "") if table.values[name] is None else "no cell has a value"
 
 
 def _seconds(header: Recognised, values: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
@@ -249,11 +252,11 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
 def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
     for column in table.columns:
         header = column.header
-        if header.sureness == "contract" or (several and header.signal == TIME and header.sureness == "stated"):
-            continue
         name = json.dumps(header.column, ensure_ascii=False)
         if not column.numeric:
             yield f"# {name} is not a column of numbers{f': {column.wrong}' if column.wrong else ''}"
+            continue
+        if header.sureness == "contract" or (several and header.signal == TIME and header.sureness == "stated"):
             continue
         of = f", table: {json.dumps(table.name, ensure_ascii=False)}" if several else ""
         span = f"{column.smallest:.4g} to {column.largest:.4g}"
@@ -269,7 +272,7 @@ def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
 def _entry(header: Recognised) -> str:
     name = json.dumps(header.column, ensure_ascii=False)
     if not header.unit:
-        return f"{{name: {name}, unit: ?}}" if header.sureness != "contract" else f"{{name: {name}}}"
+        return f'{{name: {name}, unit: "?"}}' if header.sureness != "contract" else f"{{name: {name}}}"
     known = header.sureness == "stated" or UNITS[header.unit].quantity not in ELECTRICAL
-    gain = "" if known else ", range: [?, ?], means: [?, ?]"
+    gain = "" if known else ', range: ["?", "?"], means: ["?", "?"]'
     return f"{{name: {name}, unit: {json.dumps(header.unit, ensure_ascii=False)}{gain}}}"

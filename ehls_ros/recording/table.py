@@ -4,6 +4,7 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,7 +75,8 @@ def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, 
     count = Counter(available)
     for name, source in ((name, source) for name, column in chosen.items() for source in column.sources):
         if source not in count:
-            raise BadInput(f"column '{source}' for {name} is missing (found: {found})", where, "a column of that name")
+            what = f"column '{source}' for {name} is missing (found: {found})"
+            raise BadInput(what, where, f"a column of that name{_alike(source, available)}")
         if count[source] > 1:
             raise BadInput(f"column '{source}' occurs more than once", where, "one column of that name")
     if TIME not in chosen:
@@ -85,6 +87,11 @@ def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, 
         expected = f"a signal by its name in the data contract, or {_how_to_map(where)}"
         raise BadInput(f"no signal is among the columns {found}", where, expected)
     return chosen
+
+
+def _alike(name: str, names: Sequence[str]) -> str:
+    alike = get_close_matches(name, names, n=1)
+    return f"; did you mean {alike[0]!r}?" if alike else ""
 
 
 def _how_to_map(where: str) -> str:
@@ -109,7 +116,8 @@ def check_length(rows: int, columns: int, where: str) -> None:
 
 def not_numeric(column: Column, name: str, where: str) -> BadInput:
     """Return the error for a column that is not numeric."""
-    return BadInput(f"column '{column.shown}' for {name} is not numeric", where, "a column of real numbers")
+    wanted_for = "" if column.shown == name else f" for {name}"
+    return BadInput(f"column '{column.shown}'{wanted_for} is not numeric", where, "a column of real numbers")
 
 
 def trajectory_of(table: RawTable, columns: Columns, where: str) -> Trajectory:

@@ -82,6 +82,7 @@ def test_the_report_is_there(folder):
     ("arguments", "said"),
     [
         (["--elements", "0"], "--elements is 0"),
+        (["--seed", "-1"], "--seed is -1"),
         (["--rig", "nowhere.yaml"], "nowhere.yaml"),
         (["--columns", "nowhere.yaml"], "nowhere.yaml"),
     ],

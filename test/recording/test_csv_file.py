@@ -153,8 +153,8 @@ def test_an_error_names_its_place(tmp_path: Path, text: str, complaint: str):
 
 
 def test_a_mapped_column_that_is_missing_is_named(tmp_path: Path):
-    with pytest.raises(BadInput, match=r"column 'qm' for position_m is missing \(found: time_s, x\); expected a column"):
-        read_csv(csv(tmp_path, "time_s,x\n0,1\n"), {"position_m": Column("qm")})
+    with pytest.raises(BadInput, match=r"'qm' for position_m is missing \(found: time_s, qmm\); .*; did you mean 'qmm'\?"):
+        read_csv(csv(tmp_path, "time_s,qmm\n0,1\n"), {"position_m": Column("qm")})
 
 
 @pytest.mark.parametrize("name", ["", "nothing.csv"])

@@ -94,8 +94,8 @@ def test_one_sample_of_matlab_is_one_sample(tmp_path: Path):
     [
         ({"force_n": [1, 2]}, ": column time_s is missing (found: force_n)"),
         ({"time_s": [0, 1], "force_n": [1, 2, 3]}, ": force_n has 3 values; expected 2, as time_s has"),
-        ({"time_s": [0, 1], "force_n": "ab"}, ": column 'force_n' for force_n is not numeric"),
-        ({"time_s": [0, 1], "force_n": [1j, 2]}, ": column 'force_n' for force_n is not numeric"),
+        ({"time_s": [0, 1], "force_n": "ab"}, ": column 'force_n' is not numeric"),
+        ({"time_s": [0, 1], "force_n": [1j, 2]}, ": column 'force_n' is not numeric"),
         ({"time_s": [0, 1], "force_n": np.ones((2, 2))}, ": column 'force_n' for force_n has the shape (2, 2)"),
         ({"time_s": [1, 0], "force_n": [1, 2]}, ", sample 2: time_s is 0.0 after 1.0"),
     ],

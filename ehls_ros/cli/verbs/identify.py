@@ -68,6 +68,8 @@ def run(options: Namespace) -> int:
     """Run it."""
     if options.elements is not None and not 1 <= options.elements <= 20:
         raise BadInput(f"--elements is {options.elements}", "command line", "1 to 20")
+    if options.seed < 0:
+        raise BadInput(f"--seed is {options.seed}", "command line", "0 or more")
     rig = load_rig(options.rig)
     columns = read_columns(options.columns) if options.columns else None
     folder = writable(options.out, RESULT)

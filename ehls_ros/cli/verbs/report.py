@@ -11,7 +11,7 @@ from ehls_ros.recording.events import read_events
 from ehls_ros.recording.load import holds_tables, load
 from ehls_ros.report.experiment import write_experiment_report
 
-HELP = "Write the HTML report of a bag, a CSV file or a run folder."
+HELP = "Write the HTML report of a bag, a run folder or a table."
 
 
 def arguments(parser: ArgumentParser) -> None:
