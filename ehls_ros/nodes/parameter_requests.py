@@ -99,7 +99,7 @@ class Requests:
             if time.monotonic() > deadline:
                 running = ", ".join(self._present()) or "none"
                 where = f"ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}"
-                raise BadInput(f"no node of the name '{name}'", where, f"one of those that run: {running}")
+                raise BadInput(f"no node is named '{name}'", where, f"one of those that run: {running}")
             time.sleep(LOOK)
         if len(matching) > 1 and name not in matching:
             raise BadInput(f"several nodes are named '{name}'", "command line", f"one of {', '.join(matching)}")

@@ -56,7 +56,7 @@ def test_the_command_does_as_ros2_param_does(graph, participant, spec_file, caps
     for code, words, complaints in (
         (1, ("set", "fasmc_node", "k", "1e9"), ("Setting parameter failed: ", "1000")),
         (2, ("get", "fasmc_node", "kk"), ("/ehls/fasmc_node", "no parameter 'kk'")),
-        (2, ("get", "sic_node", "k"), ("no node of the name 'sic_node'", "/ehls/fasmc_node")),
+        (2, ("get", "sic_node", "k"), ("no node is named 'sic_node'", "/ehls/fasmc_node")),
         (2, ("set", "fasmc_node", "k"), ("ehls param set NODE NAME VALUE",)),
     ):
         refused, complaint = asked(*words)
