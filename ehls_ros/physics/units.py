@@ -53,6 +53,8 @@ def in_unit(text: str, unit: str) -> float:
     found = WRITTEN.fullmatch(text)
     if found is None:
         raise Misfit(text, f"a number, in {unit} or with another unit after it")
+    if found[2].startswith(","):
+        raise Misfit(text, "a number with a decimal point and without separators of thousands")
     number, given = float(found[1]), found[2].replace("²", "^2").replace("³", "^3")
     si = si_unit(unit)
     known = (si, *UNITS.get(si, {}))
