@@ -204,6 +204,8 @@ def in_unit(text: str, unit: str) -> float:
     found = NUMBER.fullmatch(text)
     if found is None:
         raise Misfit(text, f"a number, in {unit} or with another unit after it")
+    if found[2].startswith(","):
+        raise Misfit(text, "a number with a decimal point and without separators of thousands")
     number, written, asked = float(found[1]), found[2], UNITS[unit]
     given = unit_of(written) if written else unit
     if given is None or UNITS[given].quantity != asked.quantity:

@@ -1,5 +1,8 @@
 """Arguments that no type checker has seen: refused in words, as scripts and notebooks need it."""
 
+from numbers import Integral
+from typing import Any
+
 from ehls_ros.errors import BadInput
 
 
@@ -19,11 +22,11 @@ def check_kind(value: object, kinds: type | tuple[type, ...], name: str, expecte
         raise BadInput(f"it is of the type {type(value).__name__}", name, expected)
 
 
-def check_least(value: int | None, least: int, name: str) -> None:
-    """Refuse a number that is too small; None stands for the usual one.
+def check_least(value: Any, least: int, name: str) -> None:
+    """Refuse what is no whole number of at least ``least``; None stands for the usual one.
 
     Raises:
-        BadInput: it is less than ``least``.
+        BadInput: it is less, or of another kind.
     """
-    if value is not None and value < least:
-        raise BadInput(f"it is {value}", name, f"{least} or more")
+    if value is not None and not (isinstance(value, Integral) and int(value) >= least):
+        raise BadInput(f"it is {value!r}", name, f"a whole number, {least} or more")

@@ -11,6 +11,7 @@ from ehls_ros.estimate import Estimate
 from ehls_ros.report.identification_findings import as_shown, written
 from ehls_ros.report.page import MISSING_NUMBER, number
 from ehls_ros.report.plot import Unit
+from ehls_ros.trajectory import READABLE
 
 _LENGTH = ((1e-3, Unit("µm", 1e6)), (1.0, Unit("mm", 1e3)), (math.inf, Unit("m")))
 _TIME = ((1.0, Unit("ms", 1e3)), (math.inf, Unit("s")))
@@ -136,7 +137,8 @@ def shown_signal(signal: str, values: Array, largest: float | None = None) -> Sh
         values: in SI, shape (n,).
         largest: magnitude that decides the unit, where several recordings share an axis; by default that of the values.
     """
-    name, unit = _QUANTITIES.get(signal, (signal.replace("_", " "), "1"))
+    declared = READABLE[signal].unit if signal in READABLE else "1"
+    name, unit = _QUANTITIES.get(signal, (signal.replace("_", " "), declared))
     if unit == "°C":
         return Shown(name, Unit("°C"), values - _KELVIN)
     finite = values[np.isfinite(values)]

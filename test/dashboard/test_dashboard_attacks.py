@@ -124,7 +124,10 @@ def test_on_this_machine_sockets_without_a_page_last_for_seconds_and_an_open_pag
     got = page(here, shown.token)
     with open_socket(here, got.number) as opened, contextlib.ExitStack() as stack:
         begin(opened)
-        flood = [stack.enter_context(open_socket(here, "")) for _ in range(MANY)]
+        flood = []
+        for _ in range(MANY):
+            with contextlib.suppress(OSError, websockets.exceptions.InvalidHandshake):  # closed before it was answered
+                flood.append(stack.enter_context(open_socket(here, "")))
         until(lambda: shown.held() <= PER_PEER + 1, "one address holds more than its share of connections")
         until(lambda: shown.held() == 1, "sockets without a page are never closed")
         until(lambda: all(one.state is State.CLOSED for one in flood), "sockets without a page are never closed")

@@ -89,7 +89,7 @@ def test_figures_with_units(text, unit, value):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"), [("70 mm", "MPa, bar"), ("seventy", "a number"), ("7,5 bar", "bar"), ("5 bra", "'bar'?")]
+    ("text", "said"), [("70 mm", "MPa, bar"), ("seventy", "a number"), ("7,5 bar", "decimal point"), ("5 bra", "'bar'?")]
 )
 def test_what_is_no_figure_in_bar(text, said):
     with pytest.raises(Misfit, match=said):

@@ -120,7 +120,7 @@ def test_a_foreign_recording_has_its_name_its_rate_and_its_statistics(written, w
     time_s = np.delete(0.002 * np.arange(1000), slice(300, 350))
     force = np.where(time_s > 1.0, 200.0, -100.0)
     force[:19] = np.nan
-    run = Trajectory(time_s, {"force_n": force, "position_m": 0.01 * time_s})
+    run = Trajectory(time_s, {"force_n": force, "position_m": 0.01 * time_s, "pressure_a_pa": 1e6 * time_s})
     html = written(lambda path: write_experiment_report(run, None, path, name="axis_7.csv"))
     assert "<h1>axis_7.csv</h1>" in html
     assert "1.998 s at 500.0 Hz, 950 samples with 1 gap between them, the longest 0.102 s." in html.replace("\u202f", "")
@@ -128,6 +128,7 @@ def test_a_foreign_recording_has_its_name_its_rate_and_its_statistics(written, w
     rms = np.sqrt(np.nanmean(force**2))
     assert cells["force_n"] == ["-100.0", "200.0", f"{np.nanmean(force):.2f}", f"{rms:.1f}", "N", "2.0 %"]
     assert cells["position_m"][:2] + cells["position_m"][4:] == ["0", "19.98", "mm", "0 %"]
+    assert cells["pressure_a_pa"][:2] + cells["pressure_a_pa"][4:] == ["0", "19.98", "bar", "0 %"]
     assert panels(html)["Force"][1]["yaxis"]["title"]["text"] == "force [N]"
 
 
