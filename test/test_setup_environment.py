@@ -8,7 +8,7 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
@@ -182,14 +182,16 @@ def test_a_failure_is_told_in_one_line(setup: ModuleType, output: list[str], wan
     assert setup.reason(output) == wanted
 
 
-def test_uv_looks_where_pip_is_told_to(setup: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    file = tmp_path / "pip.conf"
-    file.write_text(
-        "[global]\nindex-url = https://file.invalid/simple\nextra-index-url =\n  https://a.invalid\n  https://b.invalid\n"
-    )
-    monkeypatch.setenv("PIP_CONFIG_FILE", str(file))
-    monkeypatch.setenv("PIP_INDEX_URL", "https://mirror.invalid/simple")
-    monkeypatch.delenv("PIP_EXTRA_INDEX_URL", raising=False)
-    settings = setup.settings_of_pip()
-    assert settings["UV_DEFAULT_INDEX"] == "https://mirror.invalid/simple"
-    assert settings["UV_INDEX"] == "https://a.invalid https://b.invalid"
+def test_uv_looks_where_pip_is_told_to(setup: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    listed = """
+:env:.index-url='https://mirror.invalid/simple'
+global.extra-index-url='\\nhttps://a.invalid\\nhttps://b.invalid'
+global.index-url='https://file.invalid/simple'
+global.timeout='60'
+"""
+    monkeypatch.setattr(setup.subprocess, "run", lambda *_, **__: SimpleNamespace(stdout=listed.strip()))
+    assert setup.settings_of_pip() == {
+        "UV_INDEX_STRATEGY": "unsafe-best-match",
+        "UV_DEFAULT_INDEX": "https://mirror.invalid/simple",
+        "UV_INDEX": "https://a.invalid https://b.invalid",
+    }

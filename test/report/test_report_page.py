@@ -89,9 +89,9 @@ def test_without_plotly_a_page_says_so_in_place_of_its_figures(plotly, monkeypat
     monkeypatch.setitem(sys.modules, "plotly.offline", plotly)
     path = tmp_path / "report.html"
     page.write_page(path, "a run", "", [page.figures([page.Panel("Valve", [], {})])])
-    assert caplog.messages == [f"{path} has no figures: {page.PLOTLY}"]
+    assert caplog.messages == [f"{path} has no figures, which need plotly: {page.PLOTLY}"]
     text = path.read_text(encoding="utf-8")
-    assert f'content: "{page.PLOTLY}"' in text
+    assert f'content: "needs plotly: {page.PLOTLY}"' in text
     assert "Plotly" not in text
 
 
