@@ -66,12 +66,13 @@ def untried(evidence: Evidence, best: Fit, without: Fit) -> dict[str, tuple[str,
     worker = Worker(replace(evidence, record=completed))
     (_, left_out), (tried, _) = (candidates(r, evidence.rig, ()) for r in (record, completed))
     out = dict[str, tuple[str, ...]]()
+    change = best.residuals.joined(evidence.channels) - without.residuals.joined(evidence.channels)
     for candidate in tried:
         if candidate.name in left_out:
             fit = worker.linearise((candidate,), candidate.neutral)
-            change = best.residuals.joined(fit.channels) - without.residuals.joined(fit.channels)
-            left = change - fit.jacobian @ np.linalg.lstsq(fit.jacobian, change, rcond=None)[0]
-            if float(left @ left) <= (1.0 - rules.CLOSED) * float(change @ change):
+            within_reach = best.residuals.joined(fit.channels) - without.residuals.joined(fit.channels)
+            reached = fit.jacobian @ np.linalg.lstsq(fit.jacobian, within_reach, rcond=None)[0]
+            if float(reached @ reached) >= rules.CLOSED * float(change @ change):
                 out[candidate.name] = tuple(still)
     return out
 

@@ -63,5 +63,8 @@ def test_without_a_thermometer_friction_may_be_that_of_another_temperature(gathe
     assert untried(evidence, fitted(evidence, "viscous_shift", 300.0), nothing) == whole
     # No temperature makes friction differ by direction.
     assert untried(evidence, fitted(evidence, "viscous_asymmetry", 300.0), nothing) == {}
+    # Nor does it change the valve.
+    evidence = gathered([*FEW, "spool_m"])
+    assert untried(evidence, fitted(evidence, "valve_null_bias", 5e-5), nothing._replace(residuals=evidence.base)) == {}
     measured = gathered([*FEW, "oil_temperature_k"])
     assert untried(measured, fitted(measured, "coulomb_shift", 60.0), nothing) == {}
