@@ -153,6 +153,7 @@ def test_recordings_of_one_name_are_numbered(run):
 
 
 def test_signals_of_one_unit_share_a_row_whose_axis_has_the_unit(run):
+    pytest.importorskip("plotly.graph_objects")
     drawn = run.plot("force_n", "load_pressure_pa", "force_reference_n")
     assert [trace.yaxis for trace in drawn.data] == ["y", "y", "y2"]
     assert (drawn.layout.yaxis.title.text, drawn.layout.yaxis2.title.text) == ("force [N]", "pressure [bar]")
@@ -161,6 +162,8 @@ def test_signals_of_one_unit_share_a_row_whose_axis_has_the_unit(run):
 
 
 def test_a_campaign_is_a_table_with_a_row_for_a_run_that_fails(run):
+    pytest.importorskip("joblib")
+    pytest.importorskip("pyarrow")
     worn = run.spec._replace(rig=run.spec.rig.with_effects((EffectUse("viscous_asymmetry", Asymmetry(0.0)),)))
     found = ehls.campaign({"base": worn, "vary": {"rig.effects.0.asymmetry": [0.0, -1e6]}}, jobs=1)
     table = found.to_pandas()
@@ -170,6 +173,7 @@ def test_a_campaign_is_a_table_with_a_row_for_a_run_that_fails(run):
 
 
 def test_a_diagnosis_from_a_file_to_the_extended_rig(tmp_path, capsys):
+    pytest.importorskip("plotly.graph_objects")
     worn = {"name": "coulomb_shift", "offset": -150.0}
     reference = {"name": "irregular", "amplitude": 8.0e3, "seed": 1}
     recorded = ehls.simulate("sine_fd2", rig="rig_paper_measured", effects=[worn], reference=reference, duration=8.0)

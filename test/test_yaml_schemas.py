@@ -4,12 +4,13 @@ import copy
 import re
 from pathlib import Path
 
-import jsonschema
 import pytest
 
 from ehls_ros.cli.verbs.new_rig import template
 from ehls_ros.experiments.yaml_schemas import KINDS, schema_text
 from ehls_ros.recording.yaml_text import parse_yaml, read_yaml
+
+jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
 
 ROOT = Path(__file__).parent.parent
 SCHEMAS = ROOT / "config" / "schemas"

@@ -108,18 +108,24 @@ def test_matlab_variables_that_are_not_signals_are_bad_input(tmp_path: Path, var
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "complaint"),
+    ("name", "reader", "content", "complaint"),
     [
-        ("data.mat", b"nothing of the kind" * 20, "it is not a MAT file"),
-        ("data.mat", b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM", "it is not a MAT file"),
-        ("data.xlsx", b"PK nothing more", "it is not an Excel file"),
-        ("data.tdms", b"nothing of the kind", "it has no channel; expected a TDMS file"),
-        ("data.ods", b"", "its format is unknown; expected the folder of a rosbag2 or a file .mcap, .db3, .csv, .tsv, .txt"),
-        ("data", b"", "its format is unknown"),
-        ("data.mcap", b"", "the file is truncated or still being written"),
+        ("data.mat", "scipy", b"nothing of the kind" * 20, "it is not a MAT file"),
+        ("data.mat", "h5py", b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM", "it is not a MAT file"),
+        ("data.xlsx", "python_calamine", b"PK nothing more", "it is not an Excel file"),
+        ("data.tdms", "nptdms", b"nothing of the kind", "it has no channel; expected a TDMS file"),
+        (
+            "data.ods",
+            "pandas",
+            b"",
+            "its format is unknown; expected the folder of a rosbag2 or a file .mcap, .db3, .csv, .tsv",
+        ),
+        ("data", "pandas", b"", "its format is unknown"),
+        ("data.mcap", "rosbags", b"", "the file is truncated or still being written"),
     ],
 )
-def test_files_without_data_are_bad_input(tmp_path: Path, name: str, content: bytes, complaint: str):
+def test_files_without_data_are_bad_input(tmp_path: Path, name: str, reader: str, content: bytes, complaint: str):
+    pytest.importorskip(reader)
     (tmp_path / name).write_bytes(content)
     with pytest.raises(BadInput, match=complaint):
         load(tmp_path / name)

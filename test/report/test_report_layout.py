@@ -7,7 +7,6 @@ import test_diagnosis_report as diagnosis
 import test_experiment_report as experiment
 import test_reproduction_report as reproduction
 import test_rig_identification_report as rig
-from headless_browser import CHROMIUM, browser
 from report_pages import check, figures
 
 from ehls_ros.experiments.campaign.results import results_of
@@ -19,6 +18,10 @@ from ehls_ros.report.experiment import write_experiment_report
 from ehls_ros.report.identification import write_identification_report
 from ehls_ros.report.reproduction import write_reproduction_report
 from ehls_ros.report.rig_identification import write_rig_report
+
+pytest.importorskip("websockets", reason="needs websockets to drive a browser")
+
+from headless_browser import CHROMIUM, browser
 
 RESULTS = campaign.table(40, **{campaign.K: [1.0 + run for run in range(40)], campaign.WORD: ["sine", "constant"] * 20})
 COLUMNS = (
