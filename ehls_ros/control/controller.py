@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.control.companions.base import PLACE, Past, Upcoming
+from ehls_ros.control.company import Company
 from ehls_ros.control.composition import controller_kernel
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.controllers.base import STATUS_SIZE, Model
+from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, Model
 
 BUMP_TIME = 0.02
 """Time constant of the change of command from the old tuning to the new [s]."""
@@ -19,28 +21,34 @@ class Controller:
 
     Attributes:
         parameters: the tuning in force.
+        model: the rig as it knows it at present.
+        company: its companions.
         status: the law's status after its last step, by the indices of ``controllers.base``.
     """
 
-    def __init__(self, name: str, parameters: Any, model: Model) -> None:
+    def __init__(self, name: str, parameters: Any, model: Model, company: Company | None = None) -> None:
         """Prepare and compile (or load) the law.
 
         Args:
             name: file name of the controller.
             parameters: its tuning.
             model: the rig as it knows it.
+            company: what works beside it.
         """
         self._law = CONTROLLERS.load(name)
         self._step = controller_kernel(name).step
         self.parameters = parameters
         self.model = model
+        self.company = Company({}) if company is None else company
         self.uses_friction = self._law.FRICTION
         self.status = np.zeros(STATUS_SIZE)
         self._bump = 0.0
         self._previous: Any = None
         self._fade = math.exp(-model.period / BUMP_TIME)
+        self._row = np.full(ROW, np.nan)
+        self._beyond = np.full(PLACE, np.nan), np.full(FORESEEN, np.nan)
         self.reset()
-        self._step(np.zeros(7), np.zeros(3), np.zeros(2), parameters, model, self._memory, self.status)
+        self._step(np.zeros(7), np.zeros(ROW), np.zeros(2), parameters, model, self._memory, self.status)
         self.reset()
 
     def reset(self) -> None:
@@ -49,6 +57,7 @@ class Controller:
         self._bump = 0.0
         self._previous = None
         self.status[:] = 0.0
+        self.company.interrupt()
 
     def retune(self, parameters: Any) -> None:
         """Put another tuning in force from the next step on.
@@ -60,7 +69,16 @@ class Controller:
             self._previous = self.parameters
         self.parameters = parameters
 
-    def step(self, measured: Array, reference: Array, friction: Array, elapsed: int = 1) -> float:
+    def step(
+        self,
+        measured: Array,
+        reference: Array,
+        friction: Array,
+        elapsed: int = 1,
+        cycle: int = 0,
+        place: Array | None = None,
+        actuator: Array | None = None,
+    ) -> float:
         """Return the spool command [m] for one cycle.
 
         Args:
@@ -68,7 +86,32 @@ class Controller:
             reference: what the law follows and its first and second derivative, shape (3,).
             friction: force of the elements and viscous force, shape (2,) or longer.
             elapsed: cycles since the last step; more than 1 after unanswered cycles.
+            cycle: number of the cycle, for companions.
+            place: where the programme is, for companions, shape (PLACE,); None: nothing repeats.
+            actuator: command of the actuator under test and its two derivatives, shape (3,); None: not known.
         """
+        self._row[:FORESEEN], self._row[FORESEEN:] = reference, np.nan
+        if not self.company:
+            return self._step_alone(measured, self._row, friction, elapsed)
+        here = self._beyond[0] if place is None else place
+        known = self._beyond[1] if actuator is None else actuator
+        row = self._row[np.newaxis]
+        self.company.ahead(Upcoming(cycle, row, here[np.newaxis], known[np.newaxis]))
+        command = self._step_alone(measured, self._row, friction, elapsed)
+        past = Past(
+            cycle,
+            row,
+            reference[np.newaxis],
+            here[np.newaxis],
+            measured[np.newaxis],
+            np.array([command]),
+            self.status[np.newaxis],
+        )
+        self.model = self.company.done(past, self.model)
+        return command
+
+    def _step_alone(self, measured: Array, reference: Array, friction: Array, elapsed: int) -> float:
+        """Return the law's command [m] for a row of what it follows, without a bump after a change of tuning."""
         model = self.model if elapsed == 1 else self.model._replace(period=elapsed * self.model.period)
         old: float | None = None
         if self._previous is not None:

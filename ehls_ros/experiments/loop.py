@@ -16,8 +16,10 @@ from numpy.random import Generator
 
 from ehls_ros import __version__
 from ehls_ros.arrays import Array, kernel
+from ehls_ros.control.companions.base import Past, Upcoming
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.controllers.base import STATUS_SIZE, STATUS_TO_SI, Model, model_of
+from ehls_ros.control.controllers.base import FORESEEN, STATUS_SIZE, STATUS_TO_SI, Model, model_of
+from ehls_ros.control.controllers.base import ROW as FOLLOWED
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import ROW, Planned
 from ehls_ros.control.observers import OBSERVERS
@@ -25,7 +27,7 @@ from ehls_ros.control.observers.base import ELEMENTS, ObserverState
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.references.base import SampledReference
 from ehls_ros.errors import BadInput, WorkFailed
-from ehls_ros.experiments.spec import Spec, Use, check_spec, spec_to_mapping
+from ehls_ros.experiments.spec import Spec, Use, check_spec, company_of, spec_to_mapping
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.plant import TEMPERATURE
 from ehls_ros.physics.plausibility import implausible
@@ -66,7 +68,7 @@ class Given(NamedTuple):
 
     Attributes:
         noise: standard normal numbers, shape (n, signals).
-        reference: what the controller follows and its first and second derivative, shape (n, 3).
+        reference: what the law follows, shape (n, :data:`ehls_ros.control.controllers.base.ROW`).
         disturbance: force, its rate, displacement, velocity, shape (n, 4).
     """
 
@@ -201,6 +203,7 @@ class ClosedLoop:
 
     Attributes:
         columns: layout of the blocks' records.
+        company: the controller's companions.
         dense: integration steps so far in which events came too densely to be located.
     """
 
@@ -221,19 +224,22 @@ class ClosedLoop:
         self._plant = plant_of(spec)
         believed = spec.controller_rig
         law, observer = CONTROLLERS.load(spec.controller.name), OBSERVERS.load(spec.compensation.name)
+        model = model_of(believed, period)
+        self.company = company_of(spec, model, spec.settings.title)
         self._run_compiled = loop_kernel(spec).run
         self._control = Control(
             friction=believed.friction,
             compensation=spec.compensation.parameters,
             observed=observer.state(believed.friction_law, believed.friction),
             tuning=spec.controller.parameters,
-            model=model_of(believed, period),
+            model=model,
             memory=law.memory(spec.controller.parameters),
             status=np.zeros(STATUS_SIZE),
         )
         self.columns = Columns.of(self._control.observed.estimate.size)
         self.dense = 0
-        self._run(0, np.empty((0, self.columns.status.stop)), np.empty((0, 3)), np.empty((0, ROW)), np.random.default_rng())
+        nothing = np.empty((0, self.columns.status.stop))
+        self._run(0, nothing, np.empty((0, FOLLOWED)), np.empty((0, ROW)), np.random.default_rng())
 
     def blocks(self) -> Iterator[Block]:
         """Run the experiment.
@@ -246,26 +252,41 @@ class ClosedLoop:
         """
         spec = self._spec
         period, cycles = spec.settings.control_period, spec.cycles
-        reference = sampled(spec.reference, period)
+        reference, actuator = sampled(spec.reference, period), sampled(spec.disturbance.signal, period)
         kind = DISTURBANCES.load(spec.disturbance.name)
         disturbing = kind.build(spec.disturbance.parameters, sampled(spec.disturbance.signal, period), spec.rig, period)
         random = np.random.default_rng(spec.settings.seed)
         kept = np.empty((CHUNK, self.columns.status.stop))
         following = disturbing.first()
-        for first in range(0, cycles, CHUNK):
+        first = 0
+        while first < cycles:
             count = min(CHUNK, cycles - first)
-            record = kept[:count]
-            wanted = reference.rows(first, count)
+            place = reference.place(first, count)
+            count = self.company.room(first, place)
+            place, record, wanted = place[:count], kept[:count], reference.rows(first, count)
+            rows = np.full((count, FOLLOWED), np.nan)
+            rows[:, :FORESEEN] = wanted
+            self.company.ahead(Upcoming(first, rows, place, actuator.rows(first, count)))
             if not kind.REACTS:
                 disturbance = cast(Planned, disturbing).rows(first, count)
-                self._run(first, record, wanted, disturbance, random)
+                self._run(first, record, rows, disturbance, random)
             else:
                 # What feels the loader is known for one cycle at a time.
                 disturbance = np.empty((count, ROW))
                 for i in range(count):
                     disturbance[i], one = following, slice(i, i + 1)
-                    self._run(first + i, record[one], wanted[one], disturbance[one], random)
+                    self._run(first + i, record[one], rows[one], disturbance[one], random)
                     following = disturbing.following(first + i, record[i, POSITION], record[i, VELOCITY])
+            past = Past(
+                first,
+                rows,
+                wanted,
+                place,
+                record[:, self.columns.measured],
+                record[:, self.columns.command],
+                record[:, self.columns.status],
+            )
+            self._control = self._control._replace(model=self.company.done(past, self._control.model))
             # A sensor may hide what the rig itself comes to.
             lost = implausible(record[:, : self.columns.command + 1], spec.rig.limits)
             hidden = implausible(self._plant.state.truth[np.newaxis], spec.rig.limits)
@@ -277,6 +298,7 @@ class ClosedLoop:
                 raise Implausible(
                     f"the run ended at {(first + lost.row) * period:g} s of {spec.settings.duration:g} s: {lost.what}"
                 )
+            first += count
 
     def _run(self, first: int, record: Array, reference: Array, disturbance: Array, random: Generator) -> None:
         given = Given(random.standard_normal((len(record), len(SENSED))), reference, disturbance)

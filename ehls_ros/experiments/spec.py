@@ -2,14 +2,18 @@
 
 import csv
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from ehls_ros.control.companions import COMPANIONS
+from ehls_ros.control.companions.base import Setting
+from ehls_ros.control.company import Company
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.controllers.base import Model, model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.references import REFERENCES
@@ -17,7 +21,7 @@ from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.experiments.files import configured
 from ehls_ros.physics.plausibility import WARNING_FACTOR, check_ranges, check_rig, check_signal, check_step
-from ehls_ros.physics.rig import Rig, check_known, effects_from_list, rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.rig import EffectUse, Rig, check_known, effects_from_list, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP
 from ehls_ros.recording import limits
 from ehls_ros.recording.regular_file import read_text
@@ -61,6 +65,7 @@ class Spec(NamedTuple):
     Attributes:
         rig: the rig as it is.
         controller_rig: the rig as controller and friction observer believe it to be.
+        companions: what works beside the controller, in this order.
     """
 
     settings: Settings
@@ -70,6 +75,7 @@ class Spec(NamedTuple):
     disturbance: DisturbanceUse
     controller: Use
     compensation: Use
+    companions: tuple[Use, ...] = ()
 
     @property
     def cycles(self) -> int:
@@ -82,7 +88,18 @@ class Spec(NamedTuple):
         return self.rig.with_effects(kind.loader_effects(self.disturbance.parameters))
 
 
-SECTIONS = (*Settings._fields, "rig", "controller_rig", "effects", "reference", "disturbance", "controller", "compensation")
+SECTIONS = (
+    *Settings._fields,
+    "rig",
+    "controller_rig",
+    "effects",
+    "known_effects",
+    "reference",
+    "disturbance",
+    "controller",
+    "compensation",
+    "companions",
+)
 
 
 def load_rig(path: Path) -> Rig:
@@ -106,7 +123,7 @@ def load_spec(path: Path, rig: Path | None = None) -> Spec:
     """
     data = read_yaml(path, "spec")
     if rig is not None and isinstance(data, Mapping):
-        data = {**data, "rig": str(rig.resolve()), "controller_rig": None, "effects": None}
+        data = {**data, "rig": str(rig.resolve()), "controller_rig": None, "effects": None, "known_effects": None}
     spec = spec_from_mapping(data, str(path), path.parent)
     check_spec(spec, str(rig or path))
     return spec
@@ -169,16 +186,20 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
     believed = data.get("controller_rig")
     controller_rig = rig if believed is None else _rig(believed, f"{where}: controller_rig", folder)
     rig = rig.with_effects(effects_from_list(data.get("effects") or [], f"{where}: effects"))
+    disturbance = _disturbance(data.get("disturbance"), f"{where}: disturbance", folder)
+    acting = DISTURBANCES.load(disturbance.name).loader_effects(disturbance.parameters)
+    known = _known_effects(data.get("known_effects") or [], (*rig.effects, *acting), f"{where}: known_effects")
     spec = Spec(
         settings=settings,
         rig=rig,
-        controller_rig=controller_rig,
+        controller_rig=controller_rig.with_effects(known),
         reference=_use(REFERENCES, data.get("reference"), f"{where}: reference", folder),
-        disturbance=_disturbance(data.get("disturbance"), f"{where}: disturbance", folder),
+        disturbance=disturbance,
         controller=_use(CONTROLLERS, data.get("controller"), f"{where}: controller", folder),
         compensation=_use(
             OBSERVERS, data.get("compensation", default_observer(controller_rig)), f"{where}: compensation", folder
         ),
+        companions=_companions(data.get("companions") or [], f"{where}: companions", folder),
     )
     _sampled_once(spec.reference, f"{where}: reference")
     _sampled_once(spec.disturbance.signal, f"{where}: disturbance: signal")
@@ -208,6 +229,7 @@ def check_spec(spec: Spec, where: str) -> None:
         check_rig(getattr(spec, section), f"{where}: {section}")
     check_serves(OBSERVERS, spec.compensation.name, spec.controller_rig, f"{where}: compensation")
     check_serves(CONTROLLERS, spec.controller.name, spec.controller_rig, f"{where}: controller")
+    company_of(spec, model_of(spec.controller_rig, period), where)
     # What disturbs the rig may have a cylinder of its own.
     check_ranges(spec.disturbance.parameters, "plant", f"{where}: disturbance")
     steps = max(1, math.ceil(period / settings.integration_step - 1e-9))
@@ -219,7 +241,7 @@ def check_spec(spec: Spec, where: str) -> None:
     # Spread evenly, and synchronous with no frequency.
     times = settings.duration * (0.5 * (math.sqrt(5.0) - 1.0) * np.arange(SAMPLES, dtype=np.float64) % 1.0)
     follows = CONTROLLERS.load(spec.controller.name).FOLLOWS
-    disturbed = "position" if DISTURBANCES.load(spec.disturbance.name).REACTS else "force"
+    disturbed = signal_kind(spec.disturbance.name)
     for part, use, kind in (("reference", spec.reference, follows), ("disturbance", spec.disturbance.signal, disturbed)):
         rows = REFERENCES.load(use.name).sample(times, use.parameters)
         check_signal(rows, part, kind, rig, period, f"{where}: {part}")
@@ -253,6 +275,58 @@ def _disturbance(data: Any, where: str, folder: Path) -> DisturbanceUse:
     rest = {key: value for key, value in data.items() if key != "signal"}
     use = _use(DISTURBANCES, rest, where, folder)
     return DisturbanceUse(use.name, use.parameters, _use(REFERENCES, data.get("signal"), f"{where}: signal", folder))
+
+
+def _known_effects(data: Any, acting: Sequence[EffectUse], where: str) -> tuple[EffectUse, ...]:
+    """Return the effects that the controller knows of: by name as they act, or with parameters of their own."""
+    if not isinstance(data, list):
+        raise BadInput(
+            f"known_effects is {data!r}", where, "a list of effects, each a name or {name: <effect>, <parameter>: value}"
+        )
+    by_name = {use.name: use for use in acting}
+    for name in data:
+        if isinstance(name, str) and name not in by_name:
+            raise BadInput(f"{name!r} does not act on this rig", where, f"one of {', '.join(by_name) or 'none'}, or a mapping")
+    return tuple(
+        by_name[entry] if isinstance(entry, str) else effects_from_list([entry], f"{where}[{index}]")[0]
+        for index, entry in enumerate(data)
+    )
+
+
+def _companions(data: Any, where: str, folder: Path) -> tuple[Use, ...]:
+    if not isinstance(data, list):
+        raise BadInput(f"companions is {data!r}", where, f"a list of names or mappings, of {', '.join(COMPANIONS.names())}")
+    uses = tuple(_use(COMPANIONS, entry, f"{where}[{index}]", folder) for index, entry in enumerate(data))
+    if len({use.name for use in uses}) < len(uses):
+        raise BadInput(f"companions are {', '.join(use.name for use in uses)}", where, "each name once")
+    return uses
+
+
+def company_of(spec: Spec, model: Model, where: str, law: str | None = None, tuning: Any = None) -> Company:
+    """Return an experiment's companions, ready to work.
+
+    Args:
+        spec: the experiment.
+        model: what its controller knows of the rig.
+        where: the file, for errors.
+        law: name of a controller in place of the experiment's.
+        tuning: its parameters.
+
+    Raises:
+        BadInput: a companion cannot work with this controller or rig.
+    """
+    name = spec.controller.name if law is None else law
+    kind = CONTROLLERS.load(name)
+    if spec.companions and kind.FOLLOWS != "force":
+        raise BadInput(f"{name} follows a {kind.FOLLOWS}", f"{where}: companions", "none, or a controller that follows a force")
+    actuator = signal_kind(spec.disturbance.name)
+    setting = Setting(kind, spec.controller.parameters if tuning is None else tuning, model, actuator)
+    return Company({use.name: COMPANIONS.load(use.name).build(use.parameters, setting) for use in spec.companions})
+
+
+def signal_kind(disturbance: str) -> str:
+    """Return what the signal of a disturbance is: a ``"force"`` or the ``"position"`` of a servo."""
+    return "position" if DISTURBANCES.load(disturbance).REACTS else "force"
 
 
 def _sampled_once(use: Use, where: str) -> None:
@@ -307,4 +381,5 @@ def spec_to_mapping(spec: Spec) -> dict[str, Any]:
         "disturbance": {**disturbance, "signal": plain(spec.disturbance.signal)},
         "controller": plain(spec.controller),
         "compensation": plain(spec.compensation),
+        "companions": [plain(use) for use in spec.companions],
     }

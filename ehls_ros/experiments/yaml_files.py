@@ -6,6 +6,7 @@ from typing import Any
 
 import yaml
 
+from ehls_ros.control.companions import COMPANIONS
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS
@@ -26,6 +27,7 @@ FAMILIES: Mapping[str, Family[Any]] = {
     "disturbance": DISTURBANCES,
     "controller": CONTROLLERS,
     "compensation": OBSERVERS,
+    "companions": COMPANIONS,
 }
 """Sections of a spec that name a member of a family."""
 
@@ -52,7 +54,8 @@ def spec_text(spec: Mapping[str, Any]) -> str:
     remarks = dict[str, Any](_units(Settings))
     for key, value in spec.items():
         if key in FAMILIES:
-            remarks[key] = _of_use(FAMILIES[key], value)
+            several = isinstance(value, list)
+            remarks[key] = [_of_use(FAMILIES[key], use) for use in value] if several else _of_use(FAMILIES[key], value)
         elif key in ("rig", "controller_rig") and isinstance(value, Mapping):
             remarks[key] = _of_rig(value, {})
     return "\n".join(_lines(_plain(spec), remarks)) + "\n"

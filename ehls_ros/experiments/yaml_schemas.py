@@ -62,13 +62,25 @@ def _rig() -> Schema:
 
 
 def _effects() -> Schema:
-    return {"anyOf": [{"type": "array", "items": _member_of(EFFECTS)}, {"type": "null"}]}
+    return _several(_member_of(EFFECTS))
+
+
+def _several(item: Schema) -> Schema:
+    return {"anyOf": [{"type": "array", "items": item}, {"type": "null"}]}
 
 
 def _experiment() -> Schema:
-    named = {key: _ref("signal") if family is SIGNALS else _use(family) for key, family in FAMILIES.items() if key != "signal"}
+    single = {key: family for key, family in FAMILIES.items() if key not in ("signal", "companions")}
+    named = {key: _ref("signal") if family is SIGNALS else _use(family) for key, family in single.items()}
     rig = {"anyOf": [{"type": "string", "description": "rig file, from the folder of this one"}, _ref("rig"), {"type": "null"}]}
-    more: dict[str, Schema] = {"rig": rig, "controller_rig": rig, "effects": _effects(), **named}
+    more: dict[str, Schema] = {
+        "rig": rig,
+        "controller_rig": rig,
+        "effects": _effects(),
+        "known_effects": _several(_use(EFFECTS)),
+        **named,
+        "companions": _several(_use(FAMILIES["companions"])),
+    }
     return object_of(Settings, ("rig", "reference", "controller"), **more)
 
 

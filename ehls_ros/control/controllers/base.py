@@ -7,12 +7,15 @@ and serves no other; and a compiled
 
 ``step(m, r, f, p, model, memory, status) -> spool command [m]``
 
-with ``m`` the measurement in the order of :data:`ehls_ros.physics.rig.SENSED`, ``r`` the reference and its first
-and second derivative, [N, N/s, N/s^2] for a force and [m, m/s, m/s^2] for a position, ``f`` friction of the
-elements and viscous friction [N], ``p`` its parameters, ``model`` the :class:`Model`, ``memory`` updated in
+with ``m`` the measurement in the order of :data:`ehls_ros.physics.rig.SENSED`, ``r`` a row of :data:`ROW` numbers, ``f``
+friction of the elements and viscous friction [N], ``p`` its parameters, ``model`` the :class:`Model`, ``memory`` updated in
 place, and ``status`` filled in place by the indices below. It keeps the command within ``model.spool_limit``
 without winding up, and finite whatever the measurement; a measurement that is not finite leaves nothing in
 ``memory``.
+
+A row holds the reference and its first and second derivative, [N, N/s, N/s^2] for a force and [m, m/s, m/s^2] for a position,
+and from :data:`FORESEEN` on the external force that is foreseen, with its first and second derivative [N, N/s, N/s^2]; these
+are NaN where nothing is foreseen. A law that uses them says so with ``PREVIEW = True``.
 """
 
 import math
@@ -21,7 +24,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.parameters import Plant, Sensor
 from ehls_ros.physics.rig import Rig
 
 E3, S, ALPHA, BETA, DELTA, U1, U2, U3, FORCE_ERROR, FORCE_BOUND, SATURATED, STATUS_SIZE = range(12)
@@ -36,17 +39,54 @@ ELEMENTS_FORCE, VISCOUS_FORCE = 0, 1
 """Where a friction estimate holds its two forces."""
 
 
+FORESEEN = 3
+"""Where a row of what a law follows holds the foreseen external force and its two derivatives."""
+
+ROW = 6
+"""Numbers in a row of what a law follows."""
+
+
+class Noise(NamedTuple):
+    """Standard deviation of one reading of a sensor, rounding included; 0: a perfect sensor, or one not described.
+
+    Attributes:
+        position: [m].
+        load_pressure: [Pa].
+        spool_position: [m].
+        force: [N].
+    """
+
+    position: float = 0.0
+    load_pressure: float = 0.0
+    spool_position: float = 0.0
+    force: float = 0.0
+
+
 class Model(NamedTuple):
-    """What a controller knows of the rig; ``friction`` are the parameters of its friction model."""
+    """What a controller knows of the rig.
+
+    Attributes:
+        plant: its coefficients.
+        friction: parameters of its friction model.
+        period: of the cycles [s].
+        spool_limit: largest command [m].
+        noise: of its sensors.
+        command_delay: time a command takes to the valve [s].
+        coupling_stiffness, coupling_damping: of what holds the piston to the actuator under test [N/m, N s/m].
+    """
 
     plant: Plant
     friction: Any
     period: float
     spool_limit: float
+    noise: Noise = Noise()
+    command_delay: float = 0.0
+    coupling_stiffness: float = 0.0
+    coupling_damping: float = 0.0
 
 
 class ControllerLaw(Protocol):
-    """The attributes of one controller's file; ``FRICTION_MODEL`` may be absent."""
+    """The attributes of one controller's file; ``FRICTION_MODEL`` and ``PREVIEW`` may be absent."""
 
     Parameters: Any
     FOLLOWS: Literal["force", "position"]
@@ -61,8 +101,29 @@ class ControllerLaw(Protocol):
 
 
 def model_of(rig: Rig, period: float) -> Model:
-    """Return the rig as a controller may know it: its parameters, not its effects."""
-    return Model(rig.plant, rig.friction, period, rig.limits.spool)
+    """Return what a controller knows of the rig as it believes it to be.
+
+    Args:
+        rig: that rig. Of its effects a controller uses the command's delay and the coupling to the actuator under test.
+        period: of the cycles [s].
+    """
+    known = {use.name: use.parameters for use in rig.effects}
+    delay, coupling = known.get("command_delay"), known.get("coupling_stiffness")
+    return Model(
+        rig.plant,
+        rig.friction,
+        period,
+        rig.limits.spool,
+        Noise(*(_deviation(rig.sensors.get(signal, Sensor())) for signal in Noise._fields)),
+        0.0 if delay is None else delay.delay,
+        0.0 if coupling is None else coupling.stiffness,
+        0.0 if coupling is None else coupling.damping,
+    )
+
+
+def _deviation(sensor: Sensor) -> float:
+    """Return the standard deviation of a reading, that of its rounding included."""
+    return math.hypot(sensor.noise_std, sensor.resolution / math.sqrt(12.0))
 
 
 @kernel

@@ -3,7 +3,8 @@
 ``Parameters``, a named tuple declaring its parameters, and ``sample(t, p)``: value and first and second
 time derivative, all analytic, at times ``t`` [s] of shape (n,), as an array of shape (n, 3). The value is a
 force [N] for a controller that follows a force, and a position [m] for one that follows a position and for the
-position servo.
+position servo. A reference that repeats may also offer ``place(t, p)``: where in its programme it is, an array of shape
+(n, :data:`ehls_ros.control.companions.base.PLACE`).
 """
 
 from typing import Any, Protocol
@@ -11,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.control.companions.base import PLACE
 
 
 class ReferenceSignal(Protocol):
@@ -44,6 +46,14 @@ class SampledReference:
             self._first = first
         row: Array = self._rows[cycle - first]
         return row
+
+    def place(self, first: int, cycles: int) -> Array:
+        """Return where in its programme the reference is in some cycles on end, shape (cycles, PLACE); NaN: nothing repeats."""
+        where = getattr(self._signal, "place", None)
+        if where is None:
+            return np.full((cycles, PLACE), np.nan)
+        place: Array = where(np.arange(first, first + cycles, dtype=np.float64) * self._period, self._parameters)
+        return place
 
     def rows(self, first: int, cycles: int) -> Array:
         """Return some cycles on end, shape (cycles, 3), bit for bit what :meth:`row` gives."""

@@ -1,0 +1,113 @@
+"""What a companion's file provides: something that works beside any controller, on what is known ahead and on what happened.
+
+``Parameters``; ``ACTUATOR``, whether it uses the command of the actuator under test; and ``build(p, setting)``, a
+:class:`Companion`. It serves laws that follow a force. Before some cycles run, it may change the rows that the law will follow; after them, it sees what
+happened and may hand the law another :class:`~ehls_ros.control.controllers.base.Model`. A node calls it for every cycle, the
+loop in one process for many cycles at once: what it does depends on the numbers of the cycles alone, so both come to the
+same.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.controllers.base import ControllerLaw, Model
+
+BLOCK, REPETITIONS, PLACE = range(3)
+"""Where a place in a programme holds the number of the block, and the load cycles completed in it with the fraction of the
+present one, NaN where nothing repeats; and its length."""
+
+
+class Setting(NamedTuple):
+    """What a companion knows before the first cycle.
+
+    Attributes:
+        law: the file of the controller.
+        tuning: the controller's parameters.
+        model: what the controller knows of the rig.
+        actuator: what the actuator's command is, ``"force"`` [N] or ``"position"`` [m].
+    """
+
+    law: ControllerLaw
+    tuning: Any
+    model: Model
+    actuator: str
+
+
+class Upcoming(NamedTuple):
+    """Cycles that will run, a row each.
+
+    Attributes:
+        first: number of the first.
+        rows: what the law follows, shape (n, :data:`ehls_ros.control.controllers.base.ROW`); to be changed in place.
+        place: place in the programme, shape (n, :data:`PLACE`).
+        actuator: command of the actuator under test and its two derivatives, shape (n, 3); NaN where it is not known.
+    """
+
+    first: int
+    rows: Array
+    place: Array
+    actuator: Array
+
+
+class Past(NamedTuple):
+    """Cycles that have run, a row each.
+
+    Attributes:
+        first: number of the first.
+        rows: what the law followed, shape (n, ROW).
+        wanted: the reference before any companion changed it, shape (n, 3).
+        place: place in the programme, shape (n, :data:`PLACE`).
+        measured: readings in the order of ``SENSED``, shape (n, 7).
+        command: spool commands [m], shape (n,).
+        status: the law's, by the indices of :mod:`ehls_ros.control.controllers.base`, shape (n, STATUS_SIZE).
+    """
+
+    first: int
+    rows: Array
+    wanted: Array
+    place: Array
+    measured: Array
+    command: Array
+    status: Array
+
+
+class Companion(Protocol):
+    """A companion at work."""
+
+    def room(self, first: int, place: Array) -> int:
+        """Return how many of some cycles to come, one at least, may run before :meth:`done` is called.
+
+        Args:
+            first: number of the first.
+            place: place in the programme, shape (n, :data:`PLACE`).
+        """
+
+    def ahead(self, upcoming: Upcoming) -> None:
+        """Change the rows of the cycles that will run next; called once for each cycle, in order."""
+
+    def done(self, past: Past, model: Model) -> Model:
+        """Take in what happened in these cycles; return the model that the law uses from now on."""
+
+    def interrupt(self) -> None:
+        """The valve does not follow the controller, or the plant has started anew: what is half learnt does not count."""
+
+    def report(self) -> Mapping[str, float | str]:
+        """Return figures and sentences for diagnostics and run folders."""
+
+    def save(self) -> None:
+        """Store what is to outlive the run, where its parameters name a file."""
+
+
+class CompanionKind(Protocol):
+    """The attributes of one companion's file."""
+
+    Parameters: Any
+    ACTUATOR: bool
+
+    def build(self, p: Any, setting: Setting) -> Companion:
+        """Return the companion ready to work.
+
+        Raises:
+            BadInput: it cannot work with this controller or rig.
+        """
