@@ -33,7 +33,7 @@ def law_itself(law: ControllerLaw) -> ControllerLaw:
 
 def servo_kernel() -> ModuleType:
     """Return a module whose ``foresee`` is the compiled motion to come of a position servo and the loader."""
-    return compiled(servo_model.build, {"foresee": "rows, commands, both"}, {"servo": position_servo})
+    return compiled(servo_model.build, {"foresee": "rows, commands, both"}, {"law": position_servo})
 
 
 class Observer(NamedTuple):

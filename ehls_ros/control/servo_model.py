@@ -2,10 +2,11 @@
 
 Two pistons joined by the beam's spring and damper. The servo follows its command by its own position loop; the loader is
 taken to hold the force it is wanted to. Both move by the equations of :mod:`ehls_ros.control.state_estimator`, friction
-included, each against the other's motion at the beginning of the cycle, extrapolated by its velocity and acceleration.
+included. As in the node graph, they exchange their motion once a cycle: the servo feels a force held over the cycle, the
+loader a far end that goes on at its velocity.
 
-The model runs ahead to when a command sent now has acted for a cycle. What it hands to the law is the parabola through the force
-now, then, and half way.
+The model runs ahead to when a command sent now has acted for a cycle. What it hands to the law is the parabola through the
+force now, then, and half way.
 """
 
 import math
@@ -16,31 +17,22 @@ import numpy as np
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.controllers.base import FORESEEN, Model, saturate
-from ehls_ros.control.disturbances.position_servo import servo_command
 from ehls_ros.control.state_estimator import (
     EXTERNAL,
-    EXTERNAL_CURVATURE,
     EXTERNAL_RATE,
     FLOW_ERROR,
     MOST_ELEMENTS,
+    ROUNDING,
     STATES,
     Assumptions,
     move,
-    rates,
 )
 from ehls_ros.physics.plant import PL, V, X
 
 LENGTH = STATES + MOST_ELEMENTS
 
-ACCELERATION = 0
-"""Where :attr:`Piston.more` holds the acceleration [m/s^2]."""
-
-
 LEAST_AHEAD = 2
 """Fewest cycles ahead, for a parabola."""
-
-ROUNDING = 1e-9
-"""Fraction of a period that counts as none."""
 
 
 class Piston(NamedTuple):
@@ -48,16 +40,16 @@ class Piston(NamedTuple):
 
     Attributes:
         model: its rig.
+        surroundings: what holds it besides the external force.
         y: its state, as :class:`ehls_ros.control.state_estimator.State` has a mean.
         mode: modes of its friction elements.
-        more: its acceleration [m/s^2], shape (1,).
         work: scratch, shape (5, LENGTH).
     """
 
     model: Model
+    surroundings: Assumptions
     y: Array
     mode: Array
-    more: Array
     work: Array
 
 
@@ -67,7 +59,6 @@ class Pair(NamedTuple):
     Attributes:
         servo: the actuator under test.
         loader: the loading piston; the bulk modulus of its model is 0, so that its pressure changes as wanted only.
-        coupling: the beam.
         position_gain: of the servo's loop [1/s].
         started: 1 once both have a position, shape (1,).
         ahead: external force of the loader now and in the cycles to come [N], shape (cycles ahead + 1,).
@@ -75,21 +66,21 @@ class Pair(NamedTuple):
 
     servo: Piston
     loader: Piston
-    coupling: Assumptions
     position_gain: float
     started: Array
     ahead: Array
 
 
 class Motion(NamedTuple):
-    """The compiled model."""
+    """The compiled model: ``foresee(rows, commands, pair)`` writes the force foreseen into some rows on end."""
 
     foresee: Callable[..., None]
 
 
-def piston(model: Model) -> Piston:
-    """Return a piston at rest at 0."""
-    return Piston(model, np.zeros(LENGTH), np.zeros(MOST_ELEMENTS), np.zeros(1), np.zeros((5, LENGTH)))
+def piston(model: Model, stiffness: float, damping: float) -> Piston:
+    """Return a piston at rest at 0, held by a spring [N/m] and a damper [N s/m]."""
+    held = Assumptions(stiffness, damping, *([0.0] * (len(Assumptions._fields) - 2)))
+    return Piston(model, held, np.zeros(LENGTH), np.zeros(MOST_ELEMENTS), np.zeros((5, LENGTH)))
 
 
 def pair(servo: Model, loader: Model, position_gain: float) -> Pair:
@@ -100,48 +91,36 @@ def pair(servo: Model, loader: Model, position_gain: float) -> Pair:
         loader: the loader's rig, which knows the coupling.
         position_gain: of the servo's loop [1/s].
     """
-    rigid = loader._replace(plant=loader.plant._replace(bulk_modulus=0.0))
-    beam = Assumptions(loader.coupling_stiffness, loader.coupling_damping, *([0.0] * (len(Assumptions._fields) - 2)))
-    cycles = math.ceil(loader.command_delay / loader.period - ROUNDING) + 1
-    return Pair(piston(servo), piston(rigid), beam, position_gain, np.zeros(1), np.zeros(max(cycles, LEAST_AHEAD) + 1))
+    as_wanted = loader._replace(plant=loader.plant._replace(bulk_modulus=0.0))
+    loading = piston(as_wanted, loader.coupling_stiffness, loader.coupling_damping)
+    cycles = max(LEAST_AHEAD, math.ceil(loader.command_delay / loader.period - ROUNDING) + 1)
+    return Pair(piston(servo, 0.0, 0.0), loading, position_gain, np.zeros(1), np.zeros(cycles + 1))
 
 
-@kernel
-def pull(one: Piston, other: Piston, beam: Assumptions, supply: float) -> None:
-    """Let one piston feel the other, and find its acceleration."""
-    x, v, a = other.y[X], other.y[V], other.more[ACCELERATION]
-    one.y[EXTERNAL] = -(beam.coupling_stiffness * x + beam.coupling_damping * v)
-    one.y[EXTERNAL_RATE] = -(beam.coupling_stiffness * v + beam.coupling_damping * a)
-    one.y[EXTERNAL_CURVATURE] = -beam.coupling_stiffness * a
-    rates(one.y, one.mode, 0.0, supply, one.model, beam, one.work[0])
-    one.more[ACCELERATION] = one.work[0, V]
-
-
-def build(servo: Any) -> Motion:
+def build(law: Any) -> Motion:
     """Build the model.
 
     Args:
-        servo: module of the servo, whose loop gives its command.
+        law: module of the servo, which has the law of its loop.
     """
-    command_of = servo.servo_command
+    servo_command = law.servo_command
 
     @kernel
     def force_after(ahead: float, row: Array, command: Array, both: Pair) -> float:
-        servo, loader, beam = both.servo, both.loader, both.coupling
-        plant, period = servo.model.plant, servo.model.period
+        servo, loader, period = both.servo, both.loader, both.servo.model.period
+        plant, beam = servo.model.plant, loader.surroundings
+        x, v = servo.y[X], servo.y[V]
+        force = -(beam.coupling_stiffness * x + beam.coupling_damping * v)
+        loader.y[EXTERNAL], loader.y[EXTERNAL_RATE] = force, -beam.coupling_stiffness * v
+        servo.y[EXTERNAL] = beam.coupling_stiffness * (x - loader.y[X]) + beam.coupling_damping * (v - loader.y[V])
         area = loader.model.plant.piston_area
         loader.y[PL] = (row[0] + ahead * (row[1] + 0.5 * ahead * row[2])) / area
         loader.y[FLOW_ERROR] = (row[1] + ahead * row[2]) / area
-        pull(loader, servo, beam, plant.supply_pressure)
-        pull(servo, loader, beam, plant.supply_pressure)
-        pull(loader, servo, beam, plant.supply_pressure)
-        force = loader.y[EXTERNAL]
         wanted = command[0] + ahead * (command[1] + 0.5 * ahead * command[2])
         velocity = command[1] + ahead * command[2]
-        spool = saturate(
-            command_of(wanted, velocity, servo.y[X], servo.y[PL], both.position_gain, plant), servo.model.spool_limit
-        )
-        move(servo.y, servo.mode, spool, plant.supply_pressure, period, servo.model, beam, servo.work)
+        spool = servo_command(wanted, velocity, x, servo.y[PL], both.position_gain, plant)
+        limited = saturate(spool, servo.model.spool_limit)
+        move(servo.y, servo.mode, limited, plant.supply_pressure, period, servo.model, servo.surroundings, servo.work)
         move(loader.y, loader.mode, 0.0, plant.supply_pressure, period, loader.model, beam, loader.work)
         return force
 
