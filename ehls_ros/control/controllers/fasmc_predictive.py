@@ -76,9 +76,9 @@ class Parameters(NamedTuple):
     reversal_factor: Annotated[
         float, quantity("1", "factor of the noise after a reversal of the motion", minimum=1.0, maximum=1e3)
     ] = 5.0
-    reversal_travel: Annotated[
-        float, quantity("m", "travel after a reversal for which it holds", minimum=0.0, maximum=1.0)
-    ] = 1.7e-3
+    reversal_travel: Annotated[float, quantity("m", "travel after a reversal for which it holds", minimum=0.0, maximum=1.0)] = (
+        1.7e-3
+    )
     gain_noise: Annotated[float, quantity("1/s^1/2", "noise of the valve's gain", minimum=0.0, maximum=1e3)] = 0.05
     flow_noise: Annotated[float, quantity("Pa/s^3/2", "noise of the flow's error", minimum=0.0, maximum=1e12)] = 1e7
     offset_noise: Annotated[float, quantity("N/s^1/2", "noise of the load cell's offset", minimum=0.0, maximum=1e6)] = 30.0
