@@ -1,0 +1,271 @@
+"""The load cycles of a block: which are complete, settled and like the others, and what each of them measures."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+from ehls_ros.experiments.verification.blocks import Block
+from ehls_ros.experiments.verification.sine_fit import Complex, basis, fit_harmonics
+from ehls_ros.samples import Mask
+from ehls_ros.trajectory import Trajectory
+
+MOST_HARMONICS = 10
+"""Harmonics that a cycle is fitted with where it has samples enough."""
+
+FEWEST_SAMPLES = 16
+"""Samples that a cycle must have."""
+
+WIDEST_GAP = 0.05
+"""Largest part of a cycle without a sample, beyond the usual distance of two, with which it still counts as complete."""
+
+OTHER_LENGTH = 0.2
+"""Relative difference from the usual number of samples beyond which a cycle was held up, or is of another frequency."""
+
+UNLIKE = 0.01
+"""Difference of a cycle's reference from the usual one, as a fraction of its amplitude, beyond which it is another cycle."""
+
+SETTLED = 3.0
+"""Deviation from the later half's median cycle up to which a cycle has settled, in median deviations of that half."""
+
+FEW = 4
+"""Cycles of a stretch below which the settled ones cannot be told, and the first is left out."""
+
+
+@dataclass(frozen=True)
+class Cycles:
+    """What each complete cycle of a block measures. Arrays have one row per cycle, in order of time.
+
+    Attributes:
+        harmonics: number of harmonics fitted.
+        stretch: index of the stretch.
+        begin_s: time of the first sample [s].
+        first, stop: samples of the recording.
+        frequency: [Hz].
+        force_mean, reference_mean: constant parts of the fits [N].
+        force, reference: coefficients of the harmonics, shape (cycles, harmonics) [N].
+        position: coefficients of the measured position, likewise [m]; NaN where a cycle lacks it.
+        peak, valley: of the measured waveform [N].
+        reference_peak, reference_valley: of the reference [N].
+        missed_peak, missed_valley: mean residual of the fit around them [N].
+        variance: of a sample's residual of the force [N^2].
+        position_variance: of the position [m^2].
+        of_mean, of_harmonic, of_peak, of_valley: variance of these results per variance of a sample.
+        offered: cycles begun in the block, complete or not.
+    """
+
+    harmonics: int
+    stretch: Array
+    begin_s: Array
+    first: Array
+    stop: Array
+    frequency: Array
+    force_mean: Array
+    reference_mean: Array
+    force: Complex
+    reference: Complex
+    position: Complex
+    peak: Array
+    valley: Array
+    reference_peak: Array
+    reference_valley: Array
+    missed_peak: Array
+    missed_valley: Array
+    variance: Array
+    position_variance: Array
+    of_mean: Array
+    of_harmonic: Array
+    of_peak: Array
+    of_valley: Array
+    offered: int
+
+    def __len__(self) -> int:
+        """Return the number of cycles."""
+        return len(self.begin_s)
+
+    def only(self, kept: Mask) -> "Cycles":
+        """Return some of the cycles."""
+        chosen = {f.name: getattr(self, f.name)[kept] for f in fields(self) if f.name not in {"harmonics", "offered"}}
+        return replace(self, **chosen)
+
+
+def cycles_of(run: Trajectory, block: Block) -> Cycles | str:
+    """Return the complete cycles of a block, or the reason why it has none.
+
+    Args:
+        run: the recording, with ``force_n`` and ``force_reference_n``.
+        block: the block.
+    """
+    cut = [
+        (index, begin, stop)
+        for index, stretch in enumerate(block.stretches)
+        for begin, stop in _edges(stretch.position, stretch.samples.start)
+    ]
+    if not cut:
+        return "its reference does not repeat"
+    known = np.isfinite(run["force_n"]) & np.isfinite(run["force_reference_n"])
+    counts = np.array([stop - begin for _, begin, stop in cut])
+    usual = float(np.median(counts))
+    if usual < FEWEST_SAMPLES:
+        return f"a cycle has {usual:.0f} samples, and {FEWEST_SAMPLES} are needed"
+    harmonics = min(MOST_HARMONICS, (int(usual) // 2 - 1) // 2)
+    rows = [
+        _cycle(run, index, (begin, stop), place, kept, harmonics)
+        for index, begin, stop in cut
+        if abs(stop - begin - usual) <= OTHER_LENGTH * usual
+        for place, kept in [_complete(block, index, (begin, stop), known)]
+        if kept is not None
+    ]
+    if 2 * len(rows) < len(cut):
+        return f"{len(cut) - len(rows)} of its {len(cut)} cycles are incomplete, were held up, or differ in length"
+    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return Cycles(harmonics=harmonics, offered=len(cut), **columns)
+
+
+def _edges(position: Array, start: int) -> Iterator[tuple[int, int]]:
+    """Yield the first sample and the one after the last of every cycle between the ends of a stretch."""
+    known = np.flatnonzero(np.isfinite(position))
+    if len(known) < 2:
+        return
+    turn = np.floor(position[known] + 1e-9).astype(np.int64)
+    steps = np.flatnonzero(np.diff(turn)) + 1
+    # The first and last cycle are whole only where the stretch begins and ends at an edge.
+    spacing = float(np.median(np.diff(position[known])))
+    edges = steps.tolist()
+    if position[known[0]] - turn[0] <= 1.5 * spacing:
+        edges.insert(0, 0)
+    if turn[-1] + 1 - position[known[-1]] <= 1.5 * spacing:
+        edges.append(len(known))
+    for low, high in pairwise(edges):
+        yield start + int(known[low]), start + int(known[high - 1]) + 1
+
+
+def _complete(block: Block, index: int, ends: tuple[int, int], known: Mask) -> tuple[Array, Mask | None]:
+    """Return a cycle's positions and which of its samples are known; None for those of a cycle with a gap."""
+    begin, stop = ends
+    stretch = block.stretches[index]
+    place = stretch.position[begin - stretch.samples.start : stop - stretch.samples.start]
+    kept = known[begin:stop] & np.isfinite(place)
+    if int(kept.sum()) < FEWEST_SAMPLES:
+        return place, None
+    inside = place[kept] - np.floor(place[kept][0] + 1e-9)
+    spacing = 1.0 / len(place)
+    gap = float(np.max(np.diff(inside, prepend=0.0, append=1.0)))
+    return place, kept if gap <= WIDEST_GAP + 2.0 * spacing else None
+
+
+def _cycle(run: Trajectory, index: int, ends: tuple[int, int], place: Array, kept: Mask, harmonics: int) -> dict[str, object]:
+    """Measure one cycle."""
+    here = slice(*ends)
+    at = place[kept]
+    force, reference = run["force_n"][here][kept], run["force_reference_n"][here][kept]
+    # What the harmonics miss of the reference is known, and no error of the fit of the force.
+    fit = fit_harmonics(at, np.column_stack([force - reference, reference]), harmonics)
+    waveform = reference + fit.fitted[:, 0]
+    residual = force - waveform
+    top, bottom = int(np.argmax(waveform)), int(np.argmin(waveform))
+    around = max(1, round(0.25 * len(at) / harmonics))
+    spread = basis(at[[top, bottom]], harmonics)
+    leverage = np.einsum("ij,jk,ik->i", spread, fit.inverse, spread)
+    position, position_variance = _position(run, here, place, harmonics)
+    time = run.time_s[here][kept]
+    return {
+        "stretch": index,
+        "begin_s": time[0],
+        "first": ends[0],
+        "stop": ends[1],
+        "frequency": (at[-1] - at[0]) / (time[-1] - time[0]),
+        "force_mean": fit.mean.sum(),
+        "reference_mean": fit.mean[1],
+        "force": fit.coefficient.sum(axis=0),
+        "reference": fit.coefficient[1],
+        "position": position,
+        "peak": _extreme(at, waveform, top),
+        "valley": _extreme(at, waveform, bottom),
+        "reference_peak": _extreme(at, reference, int(np.argmax(reference))),
+        "reference_valley": _extreme(at, reference, int(np.argmin(reference))),
+        "missed_peak": residual[max(0, top - around) : top + around + 1].mean(),
+        "missed_valley": residual[max(0, bottom - around) : bottom + around + 1].mean(),
+        "variance": fit.variance[0],
+        "position_variance": position_variance,
+        "of_mean": fit.inverse[0, 0],
+        "of_harmonic": np.diag(fit.inverse)[1:].max(),
+        "of_peak": leverage[0],
+        "of_valley": leverage[1],
+    }
+
+
+def _position(run: Trajectory, here: slice, place: Array, harmonics: int) -> tuple[Complex, float]:
+    none = np.full(harmonics, np.nan + 0j), np.nan
+    if "position_m" not in run:
+        return none
+    values = run["position_m"][here]
+    kept = np.isfinite(values) & np.isfinite(place)
+    if 2 * int(kept.sum()) < len(values) or int(kept.sum()) < FEWEST_SAMPLES:
+        return none
+    fit = fit_harmonics(place[kept], values[kept][:, None], harmonics)
+    return fit.coefficient[0], float(fit.variance[0])
+
+
+def _extreme(at: Array, values: Array, index: int) -> float:
+    """Return the extreme of the parabola through the largest or smallest sample and its neighbours."""
+    if not 0 < index < len(values) - 1:
+        return float(values[index])
+    (a, b, c), (u, _, w) = values[index - 1 : index + 2], at[index - 1 : index + 2] - at[index]
+    if abs(u + w) > 0.5 * (w - u):  # a sample is missing beside it
+        return float(b)
+    slope, bend = (c - a) / (w - u), (a - 2.0 * b + c) / (0.25 * (w - u) ** 2)
+    return float(b - 0.5 * slope**2 / bend) if bend else float(b)
+
+
+# --- which of them count ------------------------------------------------------------------------
+
+
+def alike(cycles: Cycles) -> Mask:
+    """Return which cycles have the usual reference."""
+    usual = np.median(cycles.reference[:, 0].real) + 1j * np.median(cycles.reference[:, 0].imag)
+    tolerance = UNLIKE * abs(usual)
+    same: Mask = (np.abs(cycles.reference[:, 0] - usual) <= tolerance) & (
+        np.abs(cycles.reference_mean - np.median(cycles.reference_mean)) <= tolerance
+    )
+    return same
+
+
+def settled(cycles: Cycles, left_out: int | None = None) -> tuple[Mask, bool]:
+    """Return which cycles come after the transient at the start of their stretch.
+
+    Args:
+        cycles: the cycles of a block.
+        left_out: cycles to leave out at the start of each stretch; None: as many as differ from the later half's, half of them
+            at most.
+
+    Returns:
+        Which have settled, and whether the transients had ended by the middle of every stretch.
+    """
+    mask = np.ones(len(cycles), dtype=bool)
+    in_time = True
+    for index in np.unique(cycles.stretch):
+        rows = np.flatnonzero(cycles.stretch == index)
+        skipped = left_out
+        if skipped is None:
+            skipped = _transient(cycles, rows)
+            in_time = in_time and (len(rows) < FEW or skipped < len(rows) // 2)
+        mask[rows[:skipped]] = False
+    return mask, in_time
+
+
+def _transient(cycles: Cycles, rows: NDArray[np.intp]) -> int:
+    """Return how many cycles at the start of a stretch have not settled."""
+    if len(rows) < FEW:
+        return 1 if len(rows) > 1 else 0
+    half = len(rows) // 2
+    error = (cycles.force - cycles.reference)[rows, 0]
+    mean = (cycles.force_mean - cycles.reference_mean)[rows]
+    late = np.median(error[half:].real) + 1j * np.median(error[half:].imag)
+    off = np.hypot(np.abs(error - late), mean - np.median(mean[half:]))
+    size = abs(np.median(cycles.reference[rows, 0].real) + 1j * np.median(cycles.reference[rows, 0].imag))
+    inside = off <= max(SETTLED * float(np.median(off[half:])), 1e-9 * size)
+    return int(np.argmax(inside)) if inside[:half].any() else half
