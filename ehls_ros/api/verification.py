@@ -103,8 +103,8 @@ def verify(
         settling: cycles to leave out at the start of each stretch of a block; None: until the error is that of the later half.
 
     Returns:
-        The verification: ``blocks`` with peak, valley, mean, range, amplitude and phase, their errors and uncertainties, harmonic
-        distortion and repeatability. A block that does not repeat has its error over time alone, and says why.
+        The verification: ``blocks`` with peak, valley, mean, range, amplitude and phase, their errors and uncertainties,
+        harmonic distortion and repeatability. A block that does not repeat has its error over time alone, and says why.
 
     Raises:
         BadInput: the data or the rig cannot be read, force or reference is missing, or inertia is to be corrected without

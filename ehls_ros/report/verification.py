@@ -178,7 +178,7 @@ def _facts(block: JudgedBlock, one: Cyclic) -> list[tuple[str, str]]:
         ("Drift of peaks", _drift(repeated.peak_drift_n_per_cycle, repeated.peak_drift_expanded_n_per_cycle)),
         ("Drift of valleys", _drift(repeated.valley_drift_n_per_cycle, repeated.valley_drift_expanded_n_per_cycle)),
         ("Harmonic distortion", f"{number(thd.measured_percent)} ± {number(thd.expanded_percent, 2)} %"),
-        ("Of the reference", f"{number(thd.reference_percent if thd.reference_percent > 1e-6 else 0.0)} %"),
+        ("Distortion of the reference", f"{number(thd.reference_percent if thd.reference_percent > 1e-6 else 0.0)} %"),
         ("Delay", _in(1e3 * one.delay_s, "ms")),
     ]
 
@@ -201,7 +201,7 @@ def _said(one: Cyclic, missing: str) -> Iterator[str]:
         if count:
             yield f"{number(count)} {'cycle is' if count == 1 else 'cycles are'} left out {why}."
     if not one.settled:
-        yield "The force has not settled within the first half of a stretch: the cycles judged still change."
+        yield "The force has not settled: the cycles that are judged still change."
     if one.cycles_judged == 1:
         yield "One cycle tells nothing of repeatability: the uncertainty is that of the fit."
     if missing:
@@ -219,7 +219,8 @@ def _quantities(one: Cyclic) -> str:
         unit = SYMBOLS[q.unit]
         share = MISSING_NUMBER if q.relative_to is None else _error(q)
         error = f"{signed(q.error)} ± {number(q.uncertainty.expanded, 2)} {unit}"
-        rows.append([q.name, f"{number(q.reference, 5)} {unit}", f"{number(q.measured, 5)} {unit}", error, share])
+        rounded = 0.0 if abs(q.reference) < 1e-3 * q.uncertainty.expanded else q.reference
+        rows.append([q.name, f"{number(rounded, 5)} {unit}", f"{number(q.measured, 5)} {unit}", error, share])
     return page.table(header, rows)
 
 

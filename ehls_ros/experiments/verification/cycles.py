@@ -31,6 +31,9 @@ UNLIKE = 0.01
 SETTLED = 3.0
 """Deviation from the later half's median cycle up to which a cycle has settled, in median deviations of that half."""
 
+SMALL = 1e-4
+"""Deviation that has settled in any case, as a fraction of the reference's amplitude."""
+
 FEW = 4
 """Cycles of a stretch below which the settled ones cannot be told, and the first is left out."""
 
@@ -52,7 +55,7 @@ class Cycles:
         reference_peak, reference_valley: of the reference [N].
         missed_peak, missed_valley: mean residual of the fit around them [N].
         variance: of a sample's residual of the force [N^2].
-        position_variance: of the position [m^2].
+        position_variance: of the components of the position's fundamental [m^2], by the fit.
         of_mean, of_harmonic, of_peak, of_valley: variance of these results per variance of a sample.
         offered: cycles begun in the block, complete or not.
     """
@@ -206,8 +209,8 @@ def _position(run: Trajectory, here: slice, place: Array, harmonics: int) -> tup
     kept = np.isfinite(values) & np.isfinite(place)
     if 2 * int(kept.sum()) < len(values) or int(kept.sum()) < FEWEST_SAMPLES:
         return none
-    fit = fit_harmonics(place[kept], values[kept][:, None], harmonics)
-    return fit.coefficient[0], float(fit.variance[0])
+    fit = fit_harmonics(place[kept], values[kept][:, None], harmonics, drifting=True)
+    return fit.coefficient[0], float(fit.variance[0] * np.diag(fit.inverse)[1:3].max())
 
 
 def _extreme(at: Array, values: Array, index: int) -> float:
@@ -267,5 +270,5 @@ def _transient(cycles: Cycles, rows: NDArray[np.intp]) -> int:
     late = np.median(error[half:].real) + 1j * np.median(error[half:].imag)
     off = np.hypot(np.abs(error - late), mean - np.median(mean[half:]))
     size = abs(np.median(cycles.reference[rows, 0].real) + 1j * np.median(cycles.reference[rows, 0].imag))
-    inside = off <= max(SETTLED * float(np.median(off[half:])), 1e-9 * size)
+    inside = off <= max(SETTLED * float(np.median(off[half:])), SMALL * size)
     return int(np.argmax(inside)) if inside[:half].any() else half

@@ -32,7 +32,7 @@ def correct(cycles: Cycles, mass: float, resolution: float, amplitude: Quantity,
         return Refused("the position was not measured over whole cycles, and without it there is no acceleration")
     kept = cycles.only(measured)
     motion = complex(kept.position[:, 0].mean())
-    fit = math.sqrt(float(np.mean(kept.position_variance * kept.of_harmonic)) / len(kept))
+    fit = math.sqrt(float(np.mean(kept.position_variance)) / len(kept))
     scatter = of_mean(kept.position[:, 0], 2)
     motion_std = math.hypot(float(np.nanmax([fit, scatter, 0.0])), resolution)
     per_metre = mass * (2.0 * math.pi * float(kept.frequency.mean())) ** 2

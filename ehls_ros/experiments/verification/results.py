@@ -161,7 +161,7 @@ class Cyclic(NamedTuple):
         cycles_incomplete: left out for gaps, holds or another length.
         cycles_unlike: left out for another reference.
         passes: stretches of the recording in which the block ran.
-        settled: whether the transients ended in the first half of each stretch.
+        settled: whether the transients ended in the first half of each stretch, and peaks and valleys drift no further.
         peak, valley, mean, range, amplitude, phase: mean, amplitude and phase are those of the fitted sine.
         delay_s: phase error as a delay [s].
         sensor_phase_deg: part of the phase error that lag and delay of the rig file's force sensor make; NaN without a rig.

@@ -33,7 +33,7 @@ class Harmonics(NamedTuple):
         coefficient: coefficients of the harmonics, shape (signals, harmonics).
         fitted: the fitted signals, shape (n, signals).
         variance: variance of each signal's residual, shape (signals,); NaN without degrees of freedom.
-        inverse: inverse of the normal equations' matrix in the order of :func:`basis`, shape (terms, terms).
+        inverse: inverse of the normal equations' matrix in the order of :func:`basis`, the drift last, shape (terms, terms).
     """
 
     mean: Array
@@ -61,15 +61,18 @@ def basis(position: Array, harmonics: int) -> Array:
     return columns
 
 
-def fit_harmonics(position: Array, signals: Array, harmonics: int) -> Harmonics:
+def fit_harmonics(position: Array, signals: Array, harmonics: int, *, drifting: bool = False) -> Harmonics:
     """Fit mean and harmonics of a known frequency by linear least squares.
 
     Args:
         position: place in the cycle, shape (n,) [cycles], over at least one cycle.
         signals: shape (n, signals), finite.
         harmonics: number of harmonics; 1 is the three-parameter fit of IEEE Std 1057.
+        drifting: fit a straight line as well, which would count as harmonics otherwise.
     """
     columns = basis(position, harmonics)
+    if drifting:
+        columns = np.column_stack([columns, position - position.mean()])
     inverse = scipy.linalg.pinvh(columns.T @ columns)
     solution = inverse @ (columns.T @ signals)
     fitted = columns @ solution
@@ -77,7 +80,7 @@ def fit_harmonics(position: Array, signals: Array, harmonics: int) -> Harmonics:
     squares = ((signals - fitted) ** 2).sum(axis=0)
     return Harmonics(
         mean=solution[0],
-        coefficient=(solution[1::2] - 1j * solution[2::2]).T,
+        coefficient=(solution[1 : 2 * harmonics : 2] - 1j * solution[2 : 2 * harmonics + 1 : 2]).T,
         fitted=fitted,
         variance=squares / freedom if freedom > 0 else np.full(signals.shape[1], np.nan),
         inverse=inverse,

@@ -1,7 +1,8 @@
 """Dynamic force verification of a recording.
 
 In substance after ASTM E467 and ISO 4965: end levels, span, amplitude and phase of a cyclic force against what is asked for,
-with the errors relative to the span, the repeatability over cycles, and the inertia of what moves between load cell and specimen.
+with the errors relative to the span, the repeatability over cycles, and the inertia of what moves between load cell and
+specimen.
 Those compare an independent dynamometer in place of the specimen; here the rig's own force signal is compared with its command.
 """
 
@@ -34,6 +35,9 @@ from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
+
+STEADY = 1e-3
+"""Drift over the judged cycles, as a fraction of the range, beyond which a force that clearly drifts has not settled."""
 
 MOST_UNLIKE = 0.2
 """Part of the cycles with another reference from which on a block is not judged by its cycles."""
@@ -175,7 +179,7 @@ def _over_cycles(run: Trajectory, every: Cycles, judged: Mask, told: tuple[int, 
     amplitude, phase = _fundamental(cycles, known)
     harmonics, distortion = _harmonics(cycles, known)
     position = rig.sensors.get("position", Sensor()) if rig is not None else Sensor()
-    mass = given.inertia_mass
+    mass, repeated = given.inertia_mass, _repeatability(cycles)
     return Cyclic(
         frequency_hz=frequency,
         cycles_judged=len(cycles),
@@ -183,7 +187,7 @@ def _over_cycles(run: Trajectory, every: Cycles, judged: Mask, told: tuple[int, 
         cycles_incomplete=every.offered - len(every),
         cycles_unlike=len(every) - usual,
         passes=len(np.unique(every.stretch)),
-        settled=in_time,
+        settled=in_time and _steady(cycles, repeated),
         peak=_end_level(cycles, "peak", known),
         valley=_end_level(cycles, "valley", known),
         mean=_mean(cycles, known),
@@ -194,7 +198,7 @@ def _over_cycles(run: Trajectory, every: Cycles, judged: Mask, told: tuple[int, 
         sensor_phase_deg=math.nan if rig is None else _sensor_phase(sensor, frequency),
         distortion=distortion,
         harmonics=harmonics,
-        repeatability=_repeatability(cycles),
+        repeatability=repeated,
         inertia=None if mass is None else correct(cycles, mass, of_resolution(position.resolution), amplitude, phase),
         trend=Trend(
             np.arange(1.0, len(every) + 1.0), judged, every.peak, every.valley, every.reference_peak, every.reference_valley
@@ -338,6 +342,18 @@ def _repeatability(cycles: Cycles) -> Repeatability:
     spread = [float(np.std(values, ddof=1)) if several else math.nan for values in (peak, valley, peak - valley)]
     of_peak, of_valley, of_range = spread
     return Repeatability(of_peak, of_valley, of_range, *_drift(peak), *_drift(valley))
+
+
+def _steady(cycles: Cycles, found: Repeatability) -> bool:
+    """Tell whether peaks and valleys stay where they are over the cycles; too few cycles do not tell otherwise."""
+    least = STEADY * _span(cycles) / len(cycles)
+    return not any(
+        abs(drift) > max(expanded, least)
+        for drift, expanded in (
+            (found.peak_drift_n_per_cycle, found.peak_drift_expanded_n_per_cycle),
+            (found.valley_drift_n_per_cycle, found.valley_drift_expanded_n_per_cycle),
+        )
+    )
 
 
 def _drift(values: Array) -> tuple[float, float]:
