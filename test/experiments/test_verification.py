@@ -137,7 +137,7 @@ def test_few_cycles_are_as_well_covered_as_many():
 
 
 def test_the_cells_inertia_is_that_of_a_mass_on_a_spring():
-    """A mass m between cell and a spring k: the cell shows k x + m x'', the specimen k x, so that their ratio is 1 - m w^2/k."""
+    """A mass m between the cell and a spring k: the cell shows k x + m x'', the specimen k x; their ratio is 1 - m w^2/k."""
     stiffness, mass, frequency, motion = 4e6, 25.0, 12.0, 2e-3
     time = np.arange(0.0, 5.0, 1e-3)
     position = motion * np.sin(2.0 * np.pi * frequency * time - 0.1)
