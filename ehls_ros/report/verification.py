@@ -4,6 +4,8 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from ehls_ros.experiments.verification.results import (
     CERTIFIES_NOTHING,
     Cyclic,
@@ -57,7 +59,7 @@ def answer(found: Verification) -> tuple[str, bool | None]:
 
 def _largest(blocks: list[JudgedBlock], name: str) -> Quantity:
     found: list[Quantity] = [getattr(block.found, name) for block in blocks]
-    return max(found, key=lambda q: abs(q.error if math.isnan(q.percent) else q.percent))
+    return max(found, key=lambda q: np.nan_to_num(abs(q.error if q.relative_to is None else q.percent)))
 
 
 def _percent(quantity: Quantity) -> str:

@@ -61,7 +61,7 @@ def trend(found: Cyclic) -> Panel:
 def harmonics(found: Cyclic) -> Panel:
     """Draw the harmonics of force and reference but the first, in percent of it, with expanded uncertainties."""
     rows = found.harmonics[1:]
-    first = found.harmonics[0].measured_n
+    first = found.harmonics[0].measured_n or np.nan
     order = np.array([float(row.order) for row in rows])
     measured, asked = np.array([row.percent for row in rows]), np.array([row.reference_percent for row in rows])
     spread = np.array([100.0 * row.expanded_n / first for row in rows])

@@ -108,6 +108,22 @@ def test_a_pure_sine_has_no_distortion_beyond_its_uncertainty():
     assert np.mean(np.array(off) <= 1.0) >= 0.85
 
 
+def test_the_corner_of_a_triangle_that_comes_late_keeps_its_height():
+    """Ten harmonics of the error alone would miss it by 80 N."""
+    time = np.arange(0.0, 15.0, 2e-3)
+
+    def triangle(lag):
+        angle = 2.0 * np.pi * time - lag
+        return 8e3 * 8.0 / np.pi**2 * sum((-1) ** (k // 2) * np.sin(k * angle) / k**2 for k in range(1, 40, 2))
+
+    reference = triangle(0.0)
+    for seed in range(5):
+        noise = 20.0 * np.random.default_rng(seed).standard_normal(time.size)
+        one = only(made(time, 0.98 * triangle(0.12) + noise, reference))
+        assert one.peak.measured == pytest.approx(0.98 * reference.max(), abs=10.0)
+        assert one.range.error == pytest.approx(-0.02 * np.ptp(reference), abs=2.0 * one.range.uncertainty.expanded)
+
+
 def test_resolution_noise_and_calibration_have_their_cells():
     time = np.arange(0.0, 10.0, 0.002)
     rig = ehls.rig("rig_paper")

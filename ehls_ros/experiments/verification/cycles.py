@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array
 from ehls_ros.experiments.verification.blocks import Block
 from ehls_ros.experiments.verification.sine_fit import Complex, basis, fit_harmonics
+from ehls_ros.experiments.verification.waveform import Waveform
 from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
 
@@ -48,12 +49,13 @@ class Cycles:
         begin_s: time of the first sample [s].
         first, stop: samples of the recording.
         frequency: [Hz].
+        samples: number of samples.
         force_mean, reference_mean: constant parts of the fits [N].
         force, reference: coefficients of the harmonics, shape (cycles, harmonics) [N].
         position: coefficients of the measured position, likewise [m]; NaN where a cycle lacks it.
         peak, valley: of the measured waveform [N].
         reference_peak, reference_valley: of the reference [N].
-        missed_peak, missed_valley: mean residual of the fit around them [N].
+        missed_peak, missed_valley: mean residual of the fit before, at and after them, shape (cycles, 3) [N].
         variance: of a sample's residual of the force [N^2].
         position_variance: of the components of the position's fundamental [m^2], by the fit.
         of_mean, of_harmonic, of_peak, of_valley: variance of these results per variance of a sample.
@@ -66,6 +68,7 @@ class Cycles:
     first: Array
     stop: Array
     frequency: Array
+    samples: Array
     force_mean: Array
     reference_mean: Array
     force: Complex
@@ -156,8 +159,9 @@ def _complete(block: Block, index: int, ends: tuple[int, int], known: Mask) -> t
         return place, None
     inside = place[kept] - np.floor(place[kept][0] + 1e-9)
     spacing = 1.0 / len(place)
-    gap = float(np.max(np.diff(inside, prepend=0.0, append=1.0)))
-    return place, kept if gap <= WIDEST_GAP + 2.0 * spacing else None
+    steps = np.diff(inside, prepend=0.0, append=1.0)
+    whole = float(steps.max()) <= WIDEST_GAP + 2.0 * spacing and bool(np.all(steps[1:-1] > 0.0))
+    return place, kept if whole else None
 
 
 def _cycle(run: Trajectory, index: int, ends: tuple[int, int], place: Array, kept: Mask, harmonics: int) -> dict[str, object]:
@@ -165,13 +169,12 @@ def _cycle(run: Trajectory, index: int, ends: tuple[int, int], place: Array, kep
     here = slice(*ends)
     at = place[kept]
     force, reference = run["force_n"][here][kept], run["force_reference_n"][here][kept]
-    # What the harmonics miss of the reference is known, and no error of the fit of the force.
-    fit = fit_harmonics(at, np.column_stack([force - reference, reference]), harmonics)
-    waveform = reference + fit.fitted[:, 0]
-    residual = force - waveform
-    top, bottom = int(np.argmax(waveform)), int(np.argmin(waveform))
-    around = max(1, round(0.25 * len(at) / harmonics))
-    spread = basis(at[[top, bottom]], harmonics)
+    fit = fit_harmonics(at, np.column_stack([force, reference]), harmonics)
+    asked = Waveform.of(at, reference)
+    measured = asked.following(at, force, fit.coefficient[0, 0], fit.coefficient[1, 0], float(fit.mean[1]), harmonics)
+    residual = force - measured.value(at)
+    (top, peak), (bottom, valley) = measured.extreme(at, 1.0), measured.extreme(at, -1.0)
+    spread = basis(np.array([top, bottom]), harmonics)
     leverage = np.einsum("ij,jk,ik->i", spread, fit.inverse, spread)
     position, position_variance = _position(run, here, place, harmonics)
     time = run.time_s[here][kept]
@@ -181,24 +184,37 @@ def _cycle(run: Trajectory, index: int, ends: tuple[int, int], place: Array, kep
         "first": ends[0],
         "stop": ends[1],
         "frequency": (at[-1] - at[0]) / (time[-1] - time[0]),
-        "force_mean": fit.mean.sum(),
+        "samples": len(at),
+        "force_mean": fit.mean[0],
         "reference_mean": fit.mean[1],
-        "force": fit.coefficient.sum(axis=0),
+        "force": fit.coefficient[0],
         "reference": fit.coefficient[1],
         "position": position,
-        "peak": _extreme(at, waveform, top),
-        "valley": _extreme(at, waveform, bottom),
-        "reference_peak": _extreme(at, reference, int(np.argmax(reference))),
-        "reference_valley": _extreme(at, reference, int(np.argmin(reference))),
-        "missed_peak": residual[max(0, top - around) : top + around + 1].mean(),
-        "missed_valley": residual[max(0, bottom - around) : bottom + around + 1].mean(),
-        "variance": fit.variance[0],
+        "peak": peak,
+        "valley": valley,
+        "reference_peak": asked.extreme(at, 1.0)[1],
+        "reference_valley": asked.extreme(at, -1.0)[1],
+        "missed_peak": _missed(at, residual, top, harmonics),
+        "missed_valley": _missed(at, residual, bottom, harmonics),
+        "variance": measured.variance,
         "position_variance": position_variance,
         "of_mean": fit.inverse[0, 0],
         "of_harmonic": np.diag(fit.inverse)[1:].max(),
         "of_peak": leverage[0],
         "of_valley": leverage[1],
     }
+
+
+def _missed(at: Array, residual: Array, place: float, harmonics: int) -> Array:
+    """Return the mean residual before, at and after a place in the cycle, over half a period of the highest harmonic in all.
+
+    Returns:
+        Shape (3,); 0 where there is no sample.
+    """
+    third = 0.5 / harmonics / 3.0
+    away = (at - place + 0.5) % 1.0 - 0.5
+    parts = [residual[np.abs(away - shift * third) <= 0.5 * third] for shift in (-1, 0, 1)]
+    return np.array([part.mean() if part.size else 0.0 for part in parts])
 
 
 def _position(run: Trajectory, here: slice, place: Array, harmonics: int) -> tuple[Complex, float]:
@@ -213,18 +229,14 @@ def _position(run: Trajectory, here: slice, place: Array, harmonics: int) -> tup
     return fit.coefficient[0], float(fit.variance[0] * np.diag(fit.inverse)[1:3].max())
 
 
-def _extreme(at: Array, values: Array, index: int) -> float:
-    """Return the extreme of the parabola through the largest or smallest sample and its neighbours."""
-    if not 0 < index < len(values) - 1:
-        return float(values[index])
-    (a, b, c), (u, _, w) = values[index - 1 : index + 2], at[index - 1 : index + 2] - at[index]
-    if abs(u + w) > 0.5 * (w - u):  # a sample is missing beside it
-        return float(b)
-    slope, bend = (c - a) / (w - u), (a - 2.0 * b + c) / (0.25 * (w - u) ** 2)
-    return float(b - 0.5 * slope**2 / bend) if bend else float(b)
-
-
 # --- which of them count ------------------------------------------------------------------------
+
+
+def has_fundamental(cycles: Cycles) -> bool:
+    """Tell whether the reference moves at the frequency of the cycle."""
+    return float(np.median(np.abs(cycles.reference[:, 0]))) > UNLIKE * float(
+        np.median(cycles.reference_peak - cycles.reference_valley)
+    )
 
 
 def alike(cycles: Cycles) -> Mask:

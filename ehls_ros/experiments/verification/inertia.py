@@ -50,8 +50,8 @@ def correct(cycles: Cycles, mass: float, resolution: float, amplitude: Quantity,
         mass_kg=mass,
         force_n=abs(inertia),
         force_expanded_n=COVERAGE * std,
-        percent=100.0 * abs(inertia) / abs(force),
-        phase_deg=math.degrees(np.angle(inertia / force)),
+        percent=100.0 * abs(inertia) / abs(force) if force else math.nan,
+        phase_deg=math.degrees(np.angle(inertia / force)) if force else math.nan,
         amplitude=amplitude._replace(measured=size, uncertainty=_wider(amplitude.uncertainty, std)),
         phase=phase._replace(
             measured=math.degrees(np.angle(specimen / reference)), uncertainty=_wider(phase.uncertainty, in_degrees)

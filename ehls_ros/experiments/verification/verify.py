@@ -15,7 +15,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.verification.blocks import BLOCK, Block, blocks_of
-from ehls_ros.experiments.verification.cycles import Cycles, alike, cycles_of, settled
+from ehls_ros.experiments.verification.cycles import Cycles, alike, cycles_of, has_fundamental, settled
 from ehls_ros.experiments.verification.inertia import correct
 from ehls_ros.experiments.verification.results import (
     Cyclic,
@@ -31,6 +31,7 @@ from ehls_ros.experiments.verification.results import (
     Verification,
 )
 from ehls_ros.experiments.verification.uncertainty import COVERAGE, TypeB, Uncertainty, of_mean, of_resolution, student
+from ehls_ros.experiments.verification.waveform import BETWEEN
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.samples import Mask
@@ -137,6 +138,8 @@ def _found(run: Trajectory, block: Block, given: Given, rig: Rig | None) -> Cycl
     cycles = cycles_of(run, block)
     if isinstance(cycles, str):
         return _over_time(run, block, cycles)
+    if not has_fundamental(cycles):
+        return _over_time(run, block, "its reference has no part at the frequency of the cycle")
     usual = alike(cycles)
     if np.mean(~usual) > MOST_UNLIKE:
         reason = f"the reference of {int(np.sum(~usual))} of its {len(cycles)} cycles differs from the usual one"
@@ -242,10 +245,22 @@ def _uncertainty(
     )
 
 
+def _missed(cycles: Cycles, name: str) -> float:
+    """Return how far the fitted waveform is from the samples around an extreme, less what their noise makes of it [N]."""
+    parts = getattr(cycles, f"missed_{name}")
+    noise = float(np.mean(cycles.variance * 6.0 * cycles.harmonics / cycles.samples)) / len(cycles)
+    return math.sqrt(max(float(np.max(parts.mean(axis=0) ** 2)) - 4.0 * noise, 0.0))
+
+
+def _between(cycles: Cycles) -> float:
+    """Return how far an extreme between two samples may be from its interpolation [N]."""
+    return BETWEEN * (2.0 * math.pi / float(cycles.samples.mean())) ** 4 * float(np.abs(cycles.force[:, 0]).mean())
+
+
 def _end_level(cycles: Cycles, name: str, known: TypeB) -> Quantity:
     values, references = getattr(cycles, name), getattr(cycles, f"reference_{name}")
     measured, reference = float(values.mean()), float(references.mean())
-    missed = float(getattr(cycles, f"missed_{name}").mean())
+    missed = math.hypot(_missed(cycles, name), _between(cycles))
     leverage = getattr(cycles, f"of_{name}")
     return Quantity(
         name,
@@ -268,7 +283,7 @@ def _mean(cycles: Cycles, known: TypeB) -> Quantity:
 def _range(cycles: Cycles, known: TypeB) -> Quantity:
     values, references = cycles.peak - cycles.valley, cycles.reference_peak - cycles.reference_valley
     measured, reference = float(values.mean()), float(references.mean())
-    missed = math.hypot(float(cycles.missed_peak.mean()), float(cycles.missed_valley.mean()))
+    missed = math.hypot(_missed(cycles, "peak"), _missed(cycles, "valley"), 2.0 * _between(cycles))
     twice = known._replace(resolution=math.sqrt(2.0) * known.resolution)
     leverage = cycles.of_peak + cycles.of_valley
     return Quantity(
@@ -288,7 +303,7 @@ def _fundamental(cycles: Cycles, known: TypeB) -> tuple[Quantity, Quantity]:
     turned = force * np.conj(reference) / np.abs(reference)
     mean = complex(turned.mean())
     size, asked = abs(mean), float(np.abs(reference).mean())
-    along = turned * np.conj(mean) / size
+    along = turned * (np.conj(mean) / size if size else 1.0)
     amplitude = Quantity(
         "amplitude",
         "n",
@@ -298,6 +313,9 @@ def _fundamental(cycles: Cycles, known: TypeB) -> tuple[Quantity, Quantity]:
         _uncertainty(cycles, along.real - np.abs(reference), cycles.of_harmonic, known, size),
     )
     across = _uncertainty(cycles, along.imag, cycles.of_harmonic, known, 0.0)
+    if not size:
+        nothing = Uncertainty(math.nan, math.nan)
+        return amplitude, Quantity("phase", "deg", 0.0, math.nan, None, nothing)
     in_degrees = Uncertainty(*(math.degrees(part / size) for part in across))
     return amplitude, Quantity("phase", "deg", 0.0, math.degrees(np.angle(mean)), None, in_degrees)
 
