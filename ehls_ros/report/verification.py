@@ -27,7 +27,7 @@ MOST_DRAWN = 12
 """Blocks whose figures are drawn; the tables have all of them."""
 
 NOTES = (
-    "Peak, valley and range are those of the reference plus the harmonics fitted to the error of each cycle.",
+    "Peak, valley and range are those of the reference, delayed and scaled, plus the harmonics fitted to what remains.",
     "Mean, amplitude and phase are those of the fitted sine. Each is the mean over the cycles that were judged.",
     "Errors are measured less reference; a negative phase is a lag.",
     "Percentages are of the reference's range, and those of the amplitude of its amplitude.",

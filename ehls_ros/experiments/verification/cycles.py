@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.experiments.verification.blocks import Block
-from ehls_ros.experiments.verification.sine_fit import Complex, basis, fit_harmonics
+from ehls_ros.experiments.verification.sine_fit import Columns, Complex, basis
 from ehls_ros.experiments.verification.waveform import Waveform
 from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
@@ -169,13 +169,14 @@ def _cycle(run: Trajectory, index: int, ends: tuple[int, int], place: Array, kep
     here = slice(*ends)
     at = place[kept]
     force, reference = run["force_n"][here][kept], run["force_reference_n"][here][kept]
-    fit = fit_harmonics(at, np.column_stack([force, reference]), harmonics)
+    columns = Columns.at(at, harmonics)
+    fit = columns.fit(np.column_stack([force, reference]))
     asked = Waveform.of(at, reference)
-    measured = asked.following(at, force, fit.coefficient[0, 0], fit.coefficient[1, 0], float(fit.mean[1]), harmonics)
-    residual = force - measured.value(at)
-    (top, peak), (bottom, valley) = measured.extreme(at, 1.0), measured.extreme(at, -1.0)
+    measured, values = asked.following(at, force, fit.coefficient[0, 0], fit.coefficient[1, 0], float(fit.mean[1]), columns)
+    residual = force - values
+    (top, peak), (bottom, valley) = measured.extreme(at, values, 1.0), measured.extreme(at, values, -1.0)
     spread = basis(np.array([top, bottom]), harmonics)
-    leverage = np.einsum("ij,jk,ik->i", spread, fit.inverse, spread)
+    leverage = np.einsum("ij,jk,ik->i", spread, columns.inverse, spread)
     position, position_variance = _position(run, here, place, harmonics)
     time = run.time_s[here][kept]
     return {
@@ -192,14 +193,14 @@ def _cycle(run: Trajectory, index: int, ends: tuple[int, int], place: Array, kep
         "position": position,
         "peak": peak,
         "valley": valley,
-        "reference_peak": asked.extreme(at, 1.0)[1],
-        "reference_valley": asked.extreme(at, -1.0)[1],
+        "reference_peak": asked.extreme(at, reference, 1.0)[1],
+        "reference_valley": asked.extreme(at, reference, -1.0)[1],
         "missed_peak": _missed(at, residual, top, harmonics),
         "missed_valley": _missed(at, residual, bottom, harmonics),
         "variance": measured.variance,
         "position_variance": position_variance,
-        "of_mean": fit.inverse[0, 0],
-        "of_harmonic": np.diag(fit.inverse)[1:].max(),
+        "of_mean": columns.inverse[0, 0],
+        "of_harmonic": np.diag(columns.inverse)[1:].max(),
         "of_peak": leverage[0],
         "of_valley": leverage[1],
     }
@@ -225,8 +226,9 @@ def _position(run: Trajectory, here: slice, place: Array, harmonics: int) -> tup
     kept = np.isfinite(values) & np.isfinite(place)
     if 2 * int(kept.sum()) < len(values) or int(kept.sum()) < FEWEST_SAMPLES:
         return none
-    fit = fit_harmonics(place[kept], values[kept][:, None], harmonics, drifting=True)
-    return fit.coefficient[0], float(fit.variance[0] * np.diag(fit.inverse)[1:3].max())
+    columns = Columns.at(place[kept], harmonics, drifting=True)
+    fit = columns.fit(values[kept][:, None])
+    return fit.coefficient[0], float(fit.variance[0] * np.diag(columns.inverse)[1:3].max())
 
 
 # --- which of them count ------------------------------------------------------------------------

@@ -207,7 +207,7 @@ class NonCyclic(NamedTuple):
         reason: why it is not judged by its cycles.
         samples: with force and reference.
         mean_error_n, rms_error_n, max_error_n: over all of them [N].
-        last_half_rms_error_n, last_half_max_error_n: over the last half of its time [N].
+        last_half_rms_error_n, last_half_max_error_n: over the last half of each stretch [N].
     """
 
     reason: str

@@ -33,14 +33,12 @@ class Harmonics(NamedTuple):
         coefficient: coefficients of the harmonics, shape (signals, harmonics).
         fitted: the fitted signals, shape (n, signals).
         variance: variance of each signal's residual, shape (signals,); NaN without degrees of freedom.
-        inverse: inverse of the normal equations' matrix in the order of :func:`basis`, the drift last, shape (terms, terms).
     """
 
     mean: Array
     coefficient: Complex
     fitted: Array
     variance: Array
-    inverse: Array
 
 
 def basis(position: Array, harmonics: int) -> Array:
@@ -53,38 +51,61 @@ def basis(position: Array, harmonics: int) -> Array:
     Returns:
         Shape (n, 2 harmonics + 1).
     """
-    angle = 2.0 * np.pi * np.outer(position, np.arange(1, harmonics + 1))
+    turns = np.exp(2j * np.pi * position)
     columns = np.empty((len(position), 2 * harmonics + 1))
     columns[:, 0] = 1.0
-    columns[:, 1::2] = np.cos(angle)
-    columns[:, 2::2] = np.sin(angle)
+    power = np.ones_like(turns)
+    for order in range(1, harmonics + 1):
+        power = power * turns
+        columns[:, 2 * order - 1], columns[:, 2 * order] = power.real, power.imag
     return columns
 
 
-def fit_harmonics(position: Array, signals: Array, harmonics: int, *, drifting: bool = False) -> Harmonics:
-    """Fit mean and harmonics of a known frequency by linear least squares.
+class Columns(NamedTuple):
+    """Mean and harmonics of a known frequency at some samples, ready to be fitted.
 
-    Args:
-        position: place in the cycle, shape (n,) [cycles], over at least one cycle.
-        signals: shape (n, signals), finite.
-        harmonics: number of harmonics; 1 is the three-parameter fit of IEEE Std 1057.
-        drifting: fit a straight line as well, which would count as harmonics otherwise.
+    Attributes:
+        harmonics: their number; 1 is the three-parameter fit of IEEE Std 1057.
+        values: the columns of :func:`basis`, a straight line after them where there is drift, shape (n, terms).
+        inverse: inverse of the normal equations' matrix, shape (terms, terms).
     """
-    columns = basis(position, harmonics)
-    if drifting:
-        columns = np.column_stack([columns, position - position.mean()])
-    inverse = scipy.linalg.pinvh(columns.T @ columns)
-    solution = inverse @ (columns.T @ signals)
-    fitted = columns @ solution
-    freedom = len(position) - columns.shape[1]
-    squares = ((signals - fitted) ** 2).sum(axis=0)
-    return Harmonics(
-        mean=solution[0],
-        coefficient=(solution[1 : 2 * harmonics : 2] - 1j * solution[2 : 2 * harmonics + 1 : 2]).T,
-        fitted=fitted,
-        variance=squares / freedom if freedom > 0 else np.full(signals.shape[1], np.nan),
-        inverse=inverse,
-    )
+
+    harmonics: int
+    values: Array
+    inverse: Array
+
+    @classmethod
+    def at(cls, position: Array, harmonics: int, *, drifting: bool = False) -> "Columns":
+        """Return those of a cycle.
+
+        Args:
+            position: place in the cycle, shape (n,) [cycles], over about one cycle.
+            harmonics: number of harmonics.
+            drifting: fit a straight line as well, which would count as harmonics otherwise.
+        """
+        values = basis(position, harmonics)
+        if drifting:
+            values = np.column_stack([values, position - position.mean()])
+        inverse: Array = np.linalg.pinv(values.T @ values, hermitian=True).astype(np.float64, copy=False)
+        return cls(harmonics, values, inverse)
+
+    def fit(self, signals: Array) -> Harmonics:
+        """Fit signals by linear least squares.
+
+        Args:
+            signals: shape (n, signals), finite.
+        """
+        solution = self.inverse @ (self.values.T @ signals)
+        fitted = self.values @ solution
+        freedom = self.values.shape[0] - self.values.shape[1]
+        squares = ((signals - fitted) ** 2).sum(axis=0)
+        last = 2 * self.harmonics
+        return Harmonics(
+            mean=solution[0],
+            coefficient=(solution[1:last:2] - 1j * solution[2 : last + 1 : 2]).T,
+            fitted=fitted,
+            variance=squares / freedom if freedom > 0 else np.full(signals.shape[1], np.nan),
+        )
 
 
 class Sine(NamedTuple):

@@ -153,12 +153,10 @@ def _found(run: Trajectory, block: Block, given: Given, rig: Rig | None) -> Cycl
 
 
 def _over_time(run: Trajectory, block: Block, reason: str) -> NonCyclic:
-    parts = [np.arange(s.samples.start, s.samples.stop) for s in block.stretches]
-    error = np.concatenate([run["force_n"][part] - run["force_reference_n"][part] for part in parts])
-    known = np.isfinite(error)
-    late = np.flatnonzero(known & (np.arange(len(error)) >= len(error) // 2))
-    half = error[late] if late.size else error[known]
-    error = error[known]
+    parts = [run["force_n"][stretch.samples] - run["force_reference_n"][stretch.samples] for stretch in block.stretches]
+    error, half = np.concatenate(parts), np.concatenate([part[len(part) // 2 :] for part in parts])
+    error, half = error[np.isfinite(error)], half[np.isfinite(half)]
+    half = half if half.size else error
     return NonCyclic(
         reason=reason,
         samples=int(error.size),

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from ehls_ros.arrays import Array
-from ehls_ros.experiments.verification.sine_fit import basis, fit_harmonics
+from ehls_ros.experiments.verification.sine_fit import Columns, basis
 
 WRAPPED = 3
 """Samples of the other end of the cycle that its interpolation is continued with."""
@@ -56,8 +56,10 @@ class Waveform(NamedTuple):
         # Akima's does not overshoot beside a step, as a cubic spline would.
         return cls(scipy.interpolate.Akima1DInterpolator(x, np.concatenate([values[-WRAPPED:], values, values[:WRAPPED]])))
 
-    def following(self, at: Array, force: Array, own: complex, asked: complex, mean: float, harmonics: int) -> "Waveform":
-        """Return the waveform of a force that follows this one.
+    def following(
+        self, at: Array, force: Array, own: complex, asked: complex, mean: float, columns: Columns
+    ) -> tuple["Waveform", Array]:
+        """Return the waveform of a force that follows this one, and its values at the samples.
 
         Args:
             at: place in the cycle, shape (n,) [cycles].
@@ -65,30 +67,32 @@ class Waveform(NamedTuple):
             own: coefficient of the force's fundamental.
             asked: of this one's.
             mean: of this one.
-            harmonics: number of harmonics.
+            columns: of the fit at these places.
         """
         ratio = own / asked if asked else 1.0
         gain, delay = abs(ratio), -float(np.angle(ratio)) / (2.0 * math.pi)
         bare = self._replace(delay=delay, gain=gain, offset=(1.0 - gain) * mean)
-        fit = fit_harmonics(at, (force - bare.value(at))[:, None], harmonics)
+        base = bare.value(at)
+        fit = columns.fit((force - base)[:, None])
         terms = np.concatenate([fit.mean, np.column_stack([fit.coefficient[0].real, -fit.coefficient[0].imag]).ravel()])
-        return bare._replace(harmonics=terms, variance=float(fit.variance[0]))
+        return bare._replace(harmonics=terms, variance=float(fit.variance[0])), base + fit.fitted[:, 0]
 
     def value(self, at: Array) -> Array:
         """Return the values at places in the cycle, shape (n,) [cycles]."""
         curve: Array = self.curve((at - self.delay) % 1.0)
         return self.offset + self.gain * curve + basis(at, len(self.harmonics) // 2) @ self.harmonics
 
-    def extreme(self, at: Array, sign: float) -> tuple[float, float]:
+    def extreme(self, at: Array, values: Array, sign: float) -> tuple[float, float]:
         """Return place [cycles] and value of the largest value, of the smallest for a negative sign.
 
         Args:
             at: places of the samples, shape (n,) [cycles].
+            values: of the waveform there, shape (n,).
             sign: 1 or -1.
         """
-        best = at[int(np.argmax(sign * self.value(at)))]
+        best = at[int(np.argmax(sign * values))]
         reach = AROUND / len(at)
         near = best + np.linspace(-reach, reach, 2 * AROUND * FINER + 1)
-        values = self.value(near)
-        index = int(np.argmax(sign * values))
-        return float(near[index]), float(values[index])
+        fine = self.value(near)
+        index = int(np.argmax(sign * fine))
+        return float(near[index]), float(fine[index])
