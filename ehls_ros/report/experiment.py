@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ehls_ros.experiments.causal_limit import limit_text
 from ehls_ros.experiments.metrics import Metrics
 from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.recording.events import Event
@@ -143,6 +144,7 @@ def _facts(trajectory: Trajectory, metrics: Metrics | None) -> list[tuple[str, s
         band, followed = _with_unit(metrics.convergence_band_n, "N"), math.isfinite(metrics.max_error_n)
         items += [
             ("Largest error, last half", _with_unit(metrics.max_error_n, "N")),
+            ("Causal limit of it", "" if math.isnan(metrics.causal_limit_n) else limit_text(metrics.causal_limit_n)),
             ("RMS error, last half", _with_unit(metrics.rms_error_n, "N")),
             ("Outside bound (44), last half", "" if outside is None else f"{number(outside)} cycles"),
             ("Convergence", _with_unit(metrics.convergence_s, "s") or ("not converged" if followed else "")),
