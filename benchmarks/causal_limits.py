@@ -16,7 +16,7 @@ from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.limits import CausalLimit
-from ehls_ros.experiments.causal_limit import limit_of_run, limit_text
+from ehls_ros.experiments.causal_limit import limit_of_run
 from ehls_ros.experiments.loop import run_in_process, sampled, simulator_of
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.reproduction import paper
@@ -24,6 +24,7 @@ from ehls_ros.experiments.reproduction.cases import case
 from ehls_ros.experiments.spec import Spec, load_spec
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import FORCE, POSITION, VELOCITY
+from ehls_ros.report.page import limit_text
 
 ROOT = Path(__file__).resolve().parent.parent
 MEASURED = ("measured_constant_fd1", "measured_sine_fd1", "measured_constant_fd2", "measured_sine_fd2")

@@ -43,6 +43,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import minimize_scalar
 from scipy.special import erf
@@ -137,7 +138,7 @@ class _Case(NamedTuple):
     ahead: int
     felt: Array
     late: int
-    turning: Array
+    turning: NDArray[np.bool_]
     contact: float
 
 

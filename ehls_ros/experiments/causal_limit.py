@@ -18,9 +18,6 @@ from ehls_ros.trajectory import Trajectory
 MOST_MISSING = 0.05
 """Fraction of cycles without a sample up to which the disturbance is taken as straight in between."""
 
-LEAST_SHOWN = 0.1
-"""Limits below this are shown as such [N]."""
-
 LEAST_CYCLES = 100
 """Fewest cycles of which a limit can be said."""
 
@@ -67,13 +64,6 @@ def with_causal_limit(metrics: Metrics, run: Trajectory) -> Metrics:
     """Return the metrics of a run with its causal limit beside the error."""
     limit = limit_of_run(run).limit
     return metrics._replace(causal_limit_n=math.nan if limit is None else limit.largest)
-
-
-def limit_text(limit: float) -> str:
-    """Return a limit [N] for a table: to a tenth of a newton, as no sensor tells less; "unknown" if NaN."""
-    if math.isnan(limit):
-        return "unknown"
-    return f"{limit:.1f} N" if limit >= LEAST_SHOWN else f"<{LEAST_SHOWN:g} N"
 
 
 def evaluate_recording(run: Trajectory) -> Metrics | None:

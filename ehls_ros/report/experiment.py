@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ehls_ros.experiments.causal_limit import limit_text
 from ehls_ros.experiments.metrics import Metrics
 from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.recording.events import Event
@@ -14,7 +13,7 @@ from ehls_ros.report import page
 from ehls_ros.report import run_figures as drawn
 from ehls_ros.report import run_planes as planes
 from ehls_ros.report.decimation import BUCKETS
-from ehls_ros.report.page import MISSING_NUMBER, number
+from ehls_ros.report.page import MISSING_NUMBER, limit_text, number
 from ehls_ros.report.run_signals import error_of, known
 from ehls_ros.report.run_statistics import sampling_sentence, statistics
 from ehls_ros.trajectory import Trajectory, steady_error

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from ehls_ros.cli.configured import Configured
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.causal_limit import limit_text, with_causal_limit
+from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import Implausible, run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
@@ -23,6 +23,7 @@ from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import write_trajectory
 from ehls_ros.recording.events import read_events
 from ehls_ros.report.experiment import write_experiment_report
+from ehls_ros.report.page import limit_text
 from ehls_ros.trajectory import Trajectory, steady_error
 
 HELP = "Run an experiment over DDS, record a bag, print metrics and write a report."
