@@ -2,14 +2,16 @@
 
 A command sent in a cycle acts after the delay and shows at the next sample. What the disturbance changes the force by until
 then cannot be undone; what of it the past does not tell remains, whatever the law. That part is computed here for the best
-linear predictor. Its equations are (1) to (3), linear, with sliding friction:
+linear predictor. Its equations are (1) to (3), linear:
 
-    x' = v,   m v' = F - (B0 + sigma_f + cc) v - (ks + kc) x - d,   F' = -4 beta/Vt (Ac^2 v + (Ctc + Kc) F)
+    x' = v,   m v' = F - (B0 + sigma_f + cc) v - (ks + kc + k) x - d,   F' = -4 beta/Vt (Ac^2 v + (Ctc + Kc) F)
 
 with the force F = Ac pL, the disturbance d = fd - kc xd - cc vd as the loader feels it, and Kc by how much less flows through
 the open valve per pressure, its mean over the last half. The command, and with it the spool, is known and drops out of the
-error of the prediction. Position, velocity, load pressure and force are read with
-white noise of their sensors' deviation, and resolution/sqrt(12) in quadrature.
+error of the prediction. Position, velocity, load pressure and force are read with white noise of their sensors' deviation, and
+resolution/sqrt(12) in quadrature. k is the friction's contact: 0 while it slides, the stiffness of presliding while it sticks,
+after each reversal. Noise acts all the time, a servo jerks at its reversals; the limit is the lower one of the two states. A
+rigid contact counts as sliding.
 
 The predictor takes the first or second derivative of d for a random walk, of an intensity q. A Kalman filter follows for each
 q; its error is the sum of two parts. The noise of the sensors gives one part, of a covariance S by Lyapunov's equation; the
@@ -22,10 +24,9 @@ and unforeseen changes b_i, the largest is expected at
 
 with z Gaussian and rho_j the correlation of the noise's part over j cycles.
 
-Friction changes its slope at a reversal of the motion, from sliding to the contact's stiffness k. The deviation s_v of the
-predicted velocity leaves the time of it uncertain by s_v/|v'|, and friction rises at k |v'| t after it, so within t of the
-reversal it is uncertain by k s_v t. The force this makes within the horizon is added to the s_i of the cycles in which d turns.
-Of a rigid contact nothing is added.
+Friction changes its slope at a reversal of the motion, from sliding to sticking. The deviation s_v of the predicted velocity
+leaves the time of it uncertain by s_v/|v'|, and friction rises at k |v'| t after it, so within t of the reversal it is
+uncertain by k s_v t. The force this makes within the horizon is added to the s_i of the cycles in which d turns.
 
 What it assumes: a linear rig whose model is known exactly, Gaussian noise, a valve without limits, and a linear predictor with
 one tuning for the run that knows nothing of the disturbance but its past: neither a period nor the command of the actuator
@@ -106,6 +107,7 @@ class CausalLimit(NamedTuple):
         horizon: time from a reading to the first sample that the command made of it can change [s].
         order: derivative of the disturbance that the best predictor takes for a random walk.
         intensity: root of the spectral density of that derivative's rate [N/s^(order + 1/2)].
+        sticking: whether the limit is that of a friction that sticks.
     """
 
     largest: float
@@ -116,6 +118,7 @@ class CausalLimit(NamedTuple):
     horizon: float
     order: int
     intensity: float
+    sticking: bool
 
 
 class _Case(NamedTuple):
@@ -174,11 +177,15 @@ def causal_limit(
     if len(disturbance) < 8 or not np.all(np.isfinite(disturbance)):
         raise ValueError("expected at least 8 rows of finite numbers")
     case = _case(rig.effective(), period, disturbance, flow_pressure, velocity_read=velocity_read)
-    found = [(_best_intensity(_newest(case), order), order) for order in ORDERS]
-    (intensity, outcome), order = min(found, key=lambda one: one[0][1].largest)
-    if case.late > SEARCHED:
-        outcome = _tried(case, order, intensity)
-    return CausalLimit(*outcome, case.ahead * period, order, intensity * period ** -(order + 0.5))
+    held = case.dynamics.copy()
+    held[V, X] -= case.contact
+    sticking = case._replace(dynamics=held)
+    found = [_best(sticking, order) for order in ORDERS]
+    found.append(_best(case, min(found, key=lambda best: best.outcome.largest).order))
+    best = min(found, key=lambda one: one.outcome.largest)
+    outcome = best.outcome if case.late <= SEARCHED else _tried(best.case, best.order, best.intensity)
+    density = best.intensity * period ** -(best.order + 0.5)
+    return CausalLimit(*outcome, case.ahead * period, best.order, density, best.case is sticking)
 
 
 def horizon_cycles(delay: float, period: float) -> int:
@@ -275,8 +282,18 @@ def _dynamics(rig: EffectiveRig, period: float, stiffness: float, damping: float
     return rates
 
 
-def _best_intensity(case: _Case, order: int) -> tuple[float, _Outcome]:
-    """Return the intensity for which the largest error is smallest [N per cycle^1/2], and what it comes to."""
+class _Best(NamedTuple):
+    """The best predictor of an order: the case, its order, its intensity [N per cycle^1/2], and what it comes to."""
+
+    case: _Case
+    order: int
+    intensity: float
+    outcome: _Outcome
+
+
+def _best(whole: _Case, order: int) -> _Best:
+    """Return the predictor of an order whose largest error is smallest."""
+    case = _newest(whole)
     unit = float(np.sum(case.deviations[case.reads == F] ** -2.0)) ** -0.5
     outcomes: dict[float, _Outcome] = {}
 
@@ -289,7 +306,7 @@ def _best_intensity(case: _Case, order: int) -> tuple[float, _Outcome]:
     around = powers[max(best - 1, 0)], powers[min(best + 1, STEPS - 1)]
     minimize_scalar(largest, bounds=around, method="bounded", options={"xatol": PRECISE})
     power = min(outcomes, key=lambda tried: outcomes[tried].largest)
-    return unit * 10.0**power, outcomes[power]
+    return _Best(whole, order, unit * 10.0**power, outcomes[power])
 
 
 def _newest(case: _Case) -> _Case:

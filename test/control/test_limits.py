@@ -47,17 +47,22 @@ def noisier(rig, factor):
     return rig._replace(sensors=sensors)
 
 
-def monte_carlo(rig, disturbance, ahead, order, intensity, runs):
+def monte_carlo(rig, disturbance, ahead, limit, factor, runs):
     """Return the largest errors of a Kalman predictor of the force in the last halves of some runs, all in SI units [N].
 
     The rig is integrated by Runge-Kutta from (2) and (3), the filter is a recursion from a wide covariance, cycle by cycle.
     """
+    order, intensity = limit.order, factor * limit.intensity
+    contact = sum(rig.friction.element_stiffness) if limit.sticking else 0.0
     p, sigma = rig.plant, rig.friction.viscous_coefficient
     hydraulic = 4.0 * p.bulk_modulus / p.total_volume
     size = 4 + order
     a = np.zeros((size, size))
     a[0, 1] = 1.0
-    a[1] = np.array([-p.spring_stiffness, -(p.viscous_damping + sigma), p.piston_area, -1.0] + [0.0] * order) / p.moving_mass
+    a[1] = (
+        np.array([-p.spring_stiffness - contact, -(p.viscous_damping + sigma), p.piston_area, -1.0] + [0.0] * order)
+        / p.moving_mass
+    )
     a[2, 1:3] = -hydraulic * p.piston_area, -hydraulic * p.leakage_coefficient
     for i in range(3, size - 1):
         a[i, i + 1] = 1.0
@@ -112,12 +117,12 @@ def test_an_independent_kalman_predictor_errs_by_the_limit(measured):
     disturbance = rows(3000, bump)
     limit = causal_limit(delayed(measured, 1e-3), PERIOD, disturbance, velocity_read=False)
     assert limit.horizon == 2e-3
-    largest = monte_carlo(measured, disturbance, 2, limit.order, limit.intensity, 40)
+    largest = monte_carlo(measured, disturbance, 2, limit, 1.0, 40)
     # Of correlated cycles fewer count as independent than there are: the limit is a little lower.
     assert 0.9 < limit.largest / np.mean(largest) < 1.02
     # Another intensity is no better.
     for factor in (0.2, 5.0):
-        assert np.mean(monte_carlo(measured, disturbance, 2, limit.order, factor * limit.intensity, 40)) > limit.largest
+        assert np.mean(monte_carlo(measured, disturbance, 2, limit, factor, 40)) > limit.largest
 
 
 def test_without_noise_or_without_a_disturbance_hardly_anything_remains(measured):
