@@ -13,8 +13,8 @@ from typing import NamedTuple
 from ehls_ros.arrays import Array, kernel
 
 MEAN_SQUARE, DIRECTION, TRAVEL, PARTS = range(4)
-"""Where an unrest holds the mean square of the rate [N^2/s^2], the direction of motion, and the travel since it reversed [m]; and
-its length."""
+"""Where an unrest holds the mean square of the rate [N^2/s^2], the direction of motion and the travel since it reversed [m];
+and its length."""
 
 
 class Habits(NamedTuple):

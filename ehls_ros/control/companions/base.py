@@ -1,10 +1,10 @@
 """What a companion's file provides: something that works beside any controller, on what is known ahead and on what happened.
 
 ``Parameters``; ``ACTUATOR``, whether it uses the command of the actuator under test; and ``build(p, setting)``, a
-:class:`Companion`. It serves laws that follow a force. Before some cycles run, it may change the rows that the law will follow; after them, it sees what
-happened and may hand the law another :class:`~ehls_ros.control.controllers.base.Model`. A node calls it for every cycle, the
-loop in one process for many cycles at once: what it does depends on the numbers of the cycles alone, so both come to the
-same.
+:class:`Companion`. It serves laws that follow a force. Before some cycles run, it may change the rows that the law will
+follow; after them, it sees what happened and may hand the law another
+:class:`~ehls_ros.control.controllers.base.Model`. A node calls it for every cycle, the loop in one process for many cycles at
+once. What it does depends on the numbers of the cycles alone, so both come to the same.
 """
 
 from collections.abc import Mapping
