@@ -1,6 +1,7 @@
-"""A controller ready to run: its law compiled, its memory, and a change of tuning without a bump."""
+"""A controller ready to run: its law compiled, its memory, and a change of tuning or of controller without a bump."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import STATUS_SIZE, Model
 
 BUMP_TIME = 0.02
-"""Time constant of the change of command from the old tuning to the new [s]."""
+"""Time constant of the change of command from the old tuning, or the old controller, to the new [s]."""
 
 
 class Controller:
@@ -31,22 +32,28 @@ class Controller:
             model: the rig as it knows it.
         """
         self._law = CONTROLLERS.load(name)
-        self._step = controller_kernel(name).step
+        compiled = controller_kernel(name)
+        self._step = compiled.step
+        self._follow: Callable[[float, float, Array], float] | None = getattr(compiled, "follow", None)
         self.parameters = parameters
         self.model = model
         self.uses_friction = self._law.FRICTION
         self.status = np.zeros(STATUS_SIZE)
         self._bump = 0.0
+        self._own = math.nan
         self._previous: Any = None
         self._fade = math.exp(-model.period / BUMP_TIME)
         self.reset()
         self._step(np.zeros(7), np.zeros(3), np.zeros(2), parameters, model, self._memory, self.status)
+        if self._follow is not None:
+            self._follow(0.0, 0.0, self._memory)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything but the tuning."""
         self._memory: Array = self._law.memory(self.parameters)
         self._bump = 0.0
+        self._own = math.nan
         self._previous = None
         self.status[:] = 0.0
 
@@ -79,9 +86,30 @@ class Controller:
         self._bump *= self._fade**elapsed
         if old is not None:
             self._bump += old - command
+        self._own = command
         if self._bump != 0.0:
             limit = self.model.spool_limit
             command = min(max(command + self._bump, -limit), limit)
             if abs(self._bump) < 1e-12:
                 self._bump = 0.0
         return command
+
+    def follow(self, measured: Array, reference: Array, friction: Array, commanded: float, elapsed: int = 1) -> float:
+        """Return the spool command [m] for one cycle, after a cycle that another controller answered.
+
+        In every cycle in which it is called, the law runs beside the one that drives and knows what the valve was told. The
+        command returned is the one with which it would take over: it goes on from the other's, and the difference between the
+        two laws in the cycle before fades with :data:`BUMP_TIME`. To take over is to send it, and to call :meth:`step` from
+        the next cycle on.
+
+        Args:
+            measured: as for :meth:`step`.
+            reference: as for :meth:`step`.
+            friction: as for :meth:`step`.
+            commanded: what the valve was told since the last step [m]; before the first step there is nothing to go on from.
+            elapsed: as for :meth:`step`.
+        """
+        if not math.isnan(self._own):
+            own = self._own if self._follow is None else self._follow(commanded, self._own, self._memory)
+            self._bump = commanded - own
+        return self.step(measured, reference, friction, elapsed)

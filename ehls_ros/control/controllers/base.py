@@ -13,6 +13,13 @@ elements and viscous friction [N], ``p`` its parameters, ``model`` the :class:`M
 place, and ``status`` filled in place by the indices below. It keeps the command within ``model.spool_limit``
 without winding up, and finite whatever the measurement; a measurement that is not finite leaves nothing in
 ``memory``.
+
+A law that reckons with the commands under way, or adapts to what its own do, adds a compiled
+
+``follow(command, own, memory) -> own``
+
+It is called between two steps while another controller drives, with the command [m] that went to the valve and the one that
+the last step returned. It corrects ``memory`` by that, and returns what the step would then have returned.
 """
 
 import math
@@ -46,7 +53,7 @@ class Model(NamedTuple):
 
 
 class ControllerLaw(Protocol):
-    """The attributes of one controller's file; ``FRICTION_MODEL`` may be absent."""
+    """The attributes of one controller's file; ``FRICTION_MODEL`` and ``follow`` may be absent."""
 
     Parameters: Any
     FOLLOWS: Literal["force", "position"]
