@@ -1,30 +1,36 @@
 """The node of any controller: it answers each loader_state with a valve_command.
 
+While the plant obeys another controller, it stands by: it follows each cycle with its law, knows what the valve was told, and
+tells on a topic of its own what it would command.
+
 :mod:`ehls_ros.control.cycles` matches what belongs to a cycle; this file has the topics, parameters and diagnostics.
 """
 
 import os
 import time
+from collections import deque
 from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from std_msgs.msg import Bool
+from rclpy.duration import Duration
+from std_msgs.msg import Bool, String
 
-from ehls_msgs.msg import ControllerStatus, FrictionEstimate, LoaderState, ValveCommand
+from ehls_msgs.msg import ControllerStatus, Driver, FrictionEstimate, LoaderState, ValveCommand
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import SATURATED, STATUS_TO_SI, model_of
 from ehls_ros.control.cycles import Cycles, Ready
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.experiments.spec import check_law
+from ehls_ros.nodes.codec import Decoder
 from ehls_ros.nodes.control import OK, PATIENCE, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class
 from ehls_ros.physics import sensors
 from ehls_ros.physics.rig import SENSED
-from ehls_ros.recording.topics import DRIVING, REFERENCE_TOPICS
+from ehls_ros.recording.topics import DRIVER, DRIVING, LEAVING, REFERENCE_TOPICS, STANDBY_COMMAND
 from ehls_ros.schema import quantity
 
 TURN = 0.005
@@ -32,6 +38,13 @@ TURN = 0.005
 
 LOCKSTEP_PATIENCE = 10.0
 """friction_patience in lockstep [s]: nothing is late there, and a run must not depend on what else the machine does."""
+
+
+FAREWELL = 0.2
+"""Longest wait for the others to hear that the node leaves [s]."""
+
+HEARD = 100
+"""Messages of the driver topic and commands of others that are kept: many cycles more than a node may be behind."""
 
 
 class Parameters(NamedTuple):
@@ -79,40 +92,54 @@ class ControllerNode(ControlNode):
         self.controller = Controller(self.law, self.tuning, model_of(self.spec.controller_rig, period))
         self.static_friction = FrictionEstimator("stribeck", self.spec.controller_rig, period)
         self.cycles = Cycles(friction=self.kind.FRICTION, patience=self.friction_patience)
-        self.fallbacks = 0
+        self.fallback, self.fallbacks = False, 0
         self.saturated = False
         self.latency = Latency()
         self.states = Inbox(self, LoaderState, "loader_state")
         topic = REFERENCE_TOPICS[self.kind.FOLLOWS]
         self.reference = Inbox(self, message_class(topic.type), topic.name)
         # The process number tells two nodes of one name apart.
-        sender = f"{self.get_fully_qualified_name()}-{os.getpid()}"
+        self.sender = sender = f"{self.get_fully_qualified_name()}-{os.getpid()}"
         self.commands = Outbox(self, ValveCommand, "valve_command", sender=sender)
         self.status = Outbox(self, ControllerStatus, "controller_status", sender=sender)
+        self.shadow = Outbox(self, ValveCommand, STANDBY_COMMAND.name, sender=sender)
+        self.leaving = self.create_publisher(String, LEAVING.name, control_qos(1))
+        self.driver = Inbox(self, Driver, DRIVER.name, decode=Decoder(Driver, sender=True))
+        self.others = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
+        self.drivers: deque[tuple[int, str]] = deque(maxlen=HEARD)
+        self.told: deque[tuple[int, float, str]] = deque(maxlen=HEARD)
+        self.sent = True
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
         self.driving = Inbox(self, Bool, DRIVING.name, control_qos(1), _is_true)
         self.driven = True
-        self.answered: tuple[float, ...] = ()
+        self.answered: tuple[Any, ...] = ()
         self.command = 0.0
         self.arrivals = {
-            "snapshot": Waiter([self.states]),
-            "friction": Waiter([self.friction]),
+            "snapshot": Waiter([self.states, self.driver]),
+            "friction": Waiter([self.friction, self.driver]),
             "reference": Waiter([self.states, self.friction, self.reference]),
             # Unread references of later cycles would end a wait for the estimate at once, again and again.
             "estimate": Waiter([self.states, self.friction]),
         }
+        self.another = Waiter([self.others])
         self.measured = np.zeros(7)
         self.wanted = np.zeros(3)
         self.estimate = np.zeros(2)
 
     def release(self) -> None:
         """Close the topics."""
-        for waiter in self.arrivals.values():
+        for waiter in (*self.arrivals.values(), self.another):
             waiter.destroy()
-        for inbox in (self.states, self.reference, self.friction, self.driving):
+        for inbox in (self.states, self.reference, self.friction, self.driving, self.driver, self.others):
             inbox.destroy()
-        for outbox in (self.commands, self.status):
+        for outbox in (self.commands, self.status, self.shadow):
             outbox.destroy()
+        self.destroy_publisher(self.leaving)
+
+    def stop(self) -> None:
+        """Say that the node leaves, so that one that stands by can take over."""
+        self.leaving.publish(String(data=self.sender))
+        self.leaving.wait_for_all_acked(Duration(seconds=FAREWELL))
 
     def once(self) -> None:
         """Wait for what the next cycle lacks; answer the newest cycle that has all it needs."""
@@ -123,15 +150,46 @@ class ControllerNode(ControlNode):
         while (message := self.states.take()) is not None:
             if message == self.answered:
                 # In lockstep the plant asks again for an answer that has not reached it.
-                self.commands.send(*message[:2], self.command)
+                (self.commands if self.sent else self.shadow).send(*message[:2], self.command)
                 continue
             self.cycles.add_snapshot(message[1], message[0], message[2:], arrived)
         if self.cycles.lacks_reference:
             while (message := self.reference.take()) is not None:
                 self.cycles.add_reference(message[1], message[2:5])
+        if not self._knows_who_drives():
+            return
+        if not self.sent and self._driver_of(self.answered[1]) == self.sender:
+            # The snapshot of the first cycle after a switch was faster than the word of the switch.
+            self._send()
         if (ready := self.cycles.take(arrived)) is not None:
             self._answer(ready)
             self.latency.add(time.perf_counter() - arrived)
+
+    def _knows_who_drives(self) -> bool:
+        """Note who drives from which cycle on; return False if the plant's word of that is still under way."""
+        while (message := self.driver.take()) is not None:
+            self.drivers.append(message[1:3])
+        return bool(self.drivers) or self.driver.handle.get_publisher_count() == 0
+
+    def _driver_of(self, cycle: int) -> str:
+        """Return the sender whose answer to a cycle the plant wants; empty: the first to come."""
+        return next((sender for first, sender in reversed(self.drivers) if cycle >= first), "")
+
+    def _told(self, ready: Ready) -> float | None:
+        """Return what another controller told the valve since the last answered cycle [m]; None if none did."""
+        last, driver = ready.cycle - 1, self._driver_of(ready.cycle - 1)
+        if not self.answered or ready.anew or driver in {"", self.sender}:
+            return None
+        asked = time.perf_counter()
+        while True:
+            while (message := self.others.take()) is not None:
+                self.told.append(message[1:4])
+            told = [(cycle, spool) for cycle, spool, sender in self.told if sender == driver and cycle <= last]
+            newest, spool = max(told, default=(-1, 0.0))
+            # In lockstep the plant has the command of the last cycle before it opens the next.
+            if newest == last or not self.lockstep or time.perf_counter() - asked > PATIENCE:
+                return spool if newest >= ready.cycle - ready.elapsed else None
+            self.another.wait(TURN)
 
     def _answer(self, ready: Ready) -> None:
         while (driven := self.driving.take()) is not None:
@@ -139,6 +197,8 @@ class ControllerNode(ControlNode):
         if ready.anew or not self.driven:
             # The law must not adapt to cycles that the valve did not follow, or that belong to an earlier run.
             self.controller.reset()
+        if ready.anew:
+            self.told.clear()
         if self.new_tuning is not None:
             self.controller.retune(self.new_tuning)
             self.new_tuning = None
@@ -151,12 +211,23 @@ class ControllerNode(ControlNode):
         elif fallback:
             self.estimate[:] = self.static_friction.update(ready.measured[sensors.VELOCITY], ready.elapsed)[:2]
             self.fallbacks += 1
-        command = self.controller.step(self.measured, self.wanted, self.estimate, ready.elapsed)
-        self.commands.send(ready.stamp_ns, ready.cycle, command)
-        self.answered, self.command = (ready.stamp_ns, ready.cycle, *ready.measured), command
+        seen = self.measured, self.wanted, self.estimate
+        if (told := self._told(ready)) is None:
+            self.command = self.controller.step(*seen, ready.elapsed)
+        else:
+            self.command = self.controller.follow(*seen, told, ready.elapsed)
+        self.answered, self.fallback = (ready.stamp_ns, ready.cycle, *ready.measured), fallback
+        self._send(shadow=self._driver_of(ready.cycle) not in {"", self.sender})
+
+    def _send(self, *, shadow: bool = False) -> None:
+        """Send the answer to the cycle answered last: to the valve, or, standing by, only what it would be."""
+        stamp_ns, cycle = self.answered[:2]
+        self.sent = not shadow
+        (self.shadow if shadow else self.commands).send(stamp_ns, cycle, self.command)
         values = (self.controller.status * STATUS_TO_SI).tolist()
         self.saturated = values[SATURATED] != 0.0
-        self.status.send(ready.stamp_ns, ready.cycle, *values[:SATURATED], self.saturated, fallback)
+        if not shadow:
+            self.status.send(stamp_ns, cycle, *values[:SATURATED], self.saturated, self.fallback)
 
     def _without(self, unmeasured: list[str]) -> str:
         """Return which laws of the same kind need none of these readings."""
@@ -180,6 +251,8 @@ class ControllerNode(ControlNode):
             return WARN, "no friction estimate arrives: the friction of steady sliding takes its place", figures
         if self.cycles.waited(time.perf_counter()) > PATIENCE:
             return WARN, f"no {self.kind.FOLLOWS} reference for the present cycle", figures
+        if not self.sent and self._active.is_set():
+            return OK, f"stands by: {self._driver_of(self.cycles.answered)} drives", figures
         return OK, "running" if self._active.is_set() else "inactive", figures
 
 
