@@ -37,7 +37,7 @@ TURN = 0.005
 """Longest wait for one topic before the others are read [s]."""
 
 LOCKSTEP_PATIENCE = 10.0
-"""friction_patience in lockstep [s]: nothing is late there, and a run must not depend on what else the machine does."""
+"""friction_patience in lockstep, and longest wait for another's command [s]: nothing is late there, and a run must not depend on what else the machine does."""
 
 
 FAREWELL = 0.2
@@ -184,11 +184,12 @@ class ControllerNode(ControlNode):
         while True:
             while (message := self.others.take()) is not None:
                 self.told.append(message[1:4])
-            told = [(cycle, spool) for cycle, spool, sender in self.told if sender == driver and cycle <= last]
-            newest, spool = max(told, default=(-1, 0.0))
+            told = [(cycle, spool) for cycle, spool, sender in self.told if sender == driver]
             # In lockstep the plant has the command of the last cycle before it opens the next.
-            if newest == last or not self.lockstep or time.perf_counter() - asked > PATIENCE:
-                return spool if newest >= ready.cycle - ready.elapsed else None
+            heard = any(cycle >= last for cycle, _ in told) or time.perf_counter() - asked > LOCKSTEP_PATIENCE
+            if heard or not self.lockstep:
+                since = [(cycle, spool) for cycle, spool in told if ready.cycle - ready.elapsed <= cycle <= last]
+                return max(since)[1] if since else None
             self.another.wait(TURN)
 
     def _answer(self, ready: Ready) -> None:

@@ -32,7 +32,7 @@ from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos
-from ehls_ros.recording.topics import DRIVER, DRIVING, LEAVING, STANDBY_COMMAND
+from ehls_ros.recording.topics import DEPTH, DRIVER, DRIVING, LEAVING, STANDBY_COMMAND
 from ehls_ros.schema import quantity, text
 
 CLOCK_CYCLES = 10
@@ -46,6 +46,9 @@ ASK_AGAIN = 1.0
 
 HANDOVER_DEPTH = 10
 """Messages kept about who drives and who leaves."""
+
+STANDBY_PATIENCE = 10.0
+"""Longest time for which a plant in lockstep waits for a controller that stands by [s]: one that hangs must not hold it up."""
 
 KEPT = 4000
 """Most force references kept for future cycles."""
@@ -147,7 +150,9 @@ class PlantNode(ControlNode):
         self.commands = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
         self.reference = Inbox(self, ForceReference, "force_reference")
         self.answer = Waiter([self.commands])
-        self.standby = Standby(math.ceil(0.5 * self.gate.parameters.command_timeout / self.period))
+        # In lockstep the plant waits for each that it has heard of.
+        timeout = math.ceil(0.5 * self.gate.parameters.command_timeout / self.period)
+        self.standby = Standby(DEPTH if self.lockstep else timeout)
         self.shadows = Inbox(self, ValveCommand, STANDBY_COMMAND.name, decode=Decoder(ValveCommand, sender=True))
         self.shadow = Waiter([self.shadows])
         self.leaving = Inbox(self, String, LEAVING.name, control_qos(HANDOVER_DEPTH), decode_text)
@@ -260,14 +265,14 @@ class PlantNode(ControlNode):
                 self.standby.hear(message[3], message[1])
 
     def standby_answered(self) -> bool:
-        """Return whether all who stand by have followed the present cycle; wait a little if not, and not for ever for one that hangs.
+        """Return whether all who stand by have followed the present cycle; wait a little if not.
 
         In lockstep the plant waits for them too, so that a run with a hand-over is as deterministic as any.
         """
         self._hear_shadows()
         if not (behind := self.standby.behind):
             return True
-        if time.perf_counter() - self.published > PATIENCE:
+        if time.perf_counter() - self.published > STANDBY_PATIENCE:
             for sender in behind:
                 self.standby.forget(sender)
             return True
