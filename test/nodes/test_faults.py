@@ -275,7 +275,7 @@ def test_foreign_packets_second_controllers_and_random_parameters(trial, graph):
     def second():
         # It waits for no friction estimate, so it answers at once.
         running.rig.start("sic_node")
-        running.told("second_sender")
+        running.told("stands by")
 
     running.bears_it("foreign packets", flood)
     running.bears_it("a second controller", second, lambda: graph.stop("sic_node"))
