@@ -129,8 +129,8 @@ TOPICS: Mapping[str, str] = {
     "supply_pressure": "supply pressure at the valve [Pa], above the tank's; not absolute either",
     "oil_temperature": "oil temperature [°C], as `Temperature` has it; `loader_state` has it in K",
     "joint_states": "joint `loader`: position [m], velocity [m/s], effort [N]; an array is empty where nothing is measured",
-    "driver": "which controller the gate obeys, and from which cycle on; published on change, not recorded, as each command names "
-    "its sender",
+    "driver": "which controller the gate obeys, and from which cycle on; published on change; not recorded, as each command "
+    "names its sender",
     "standby_command": "what a controller that stands by would command; not recorded",
     "leaving": "sender of a controller that ends; not recorded",
     "/diagnostics": "state of each node",
@@ -294,7 +294,10 @@ def nodes_page() -> str:
         "## Topics\n",
         rows_of(
             ("topic", "type", "what it holds"),
-            ((f"`{topic.resolve()}`", f"`{topic.type}`", TOPICS[topic.name]) for topic in (*topics.TOPICS, *topics.HANDOVER_TOPICS)),
+            (
+                (f"`{topic.resolve()}`", f"`{topic.type}`", TOPICS[topic.name])
+                for topic in (*topics.TOPICS, *topics.HANDOVER_TOPICS)
+            ),
         ),
         "## Services\n\nServices of the plant node, `plant_sim_node` or `hardware_bridge_node`.\n",
         rows_of(("service", "type", "what it does"), services()),

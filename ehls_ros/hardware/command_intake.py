@@ -54,9 +54,7 @@ class CommandIntake:
         self._p = parameters
         self._range.limit, self._rate.limit = self._limit, parameters.command_rate
 
-    def take(
-        self, cycle: int | None, spool: float, sender: str, newest: int, *, followed: bool, driving: bool
-    ) -> bool:
+    def take(self, cycle: int | None, spool: float, sender: str, newest: int, *, followed: bool, driving: bool) -> bool:
         """Accept or refuse a command.
 
         Args:

@@ -37,7 +37,8 @@ TURN = 0.005
 """Longest wait for one topic before the others are read [s]."""
 
 LOCKSTEP_PATIENCE = 10.0
-"""friction_patience in lockstep, and longest wait for another's command [s]: nothing is late there, and a run must not depend on what else the machine does."""
+"""friction_patience in lockstep, and longest wait for another's command [s]: nothing is late there, and a run must not depend
+on what else the machine does."""
 
 
 FAREWELL = 0.2

@@ -65,8 +65,7 @@ class Parameters(NamedTuple):
         float,
         quantity(
             "s",
-            "silence of the controller that drives after which the one that stands by takes over, below command_timeout; 0: never, "
-            "the gate trips",
+            "silence of the driving controller after which the one that stands by takes over, below command_timeout; 0: never",
             minimum=0.0,
             maximum=0.5,
         ),
