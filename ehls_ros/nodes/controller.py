@@ -6,6 +6,7 @@ tells on a topic of its own what it would command.
 :mod:`ehls_ros.control.cycles` matches what belongs to a cycle; this file has the topics, parameters and diagnostics.
 """
 
+import math
 import os
 import time
 from collections import deque
@@ -225,11 +226,17 @@ class ControllerNode(ControlNode):
         """Send the answer to the cycle answered last: to the valve, or, standing by, only what it would be."""
         stamp_ns, cycle = self.answered[:2]
         self.sent = not shadow
-        (self.shadow if shadow else self.commands).send(stamp_ns, cycle, self.command)
+        if not (shadow and self._unmeasured()):
+            # One that lacks a reading must not be given the valve.
+            (self.shadow if shadow else self.commands).send(stamp_ns, cycle, self.command)
         values = (self.controller.status * STATUS_TO_SI).tolist()
         self.saturated = values[SATURATED] != 0.0
         if not shadow:
             self.status.send(stamp_ns, cycle, *values[:SATURATED], self.saturated, self.fallback)
+
+    def _unmeasured(self) -> list[str]:
+        """Return the readings that the law needs and the last snapshot lacked."""
+        return [name for name in self.kind.NEEDS if math.isnan(self.measured[SENSED.index(name)])]
 
     def _without(self, unmeasured: list[str]) -> str:
         """Return which laws of the same kind need none of these readings."""
@@ -246,8 +253,7 @@ class ControllerNode(ControlNode):
             "saturated": self.saturated,
             **self.latency.figures(),
         }
-        unmeasured = [name for name in self.kind.NEEDS if np.isnan(self.measured[SENSED.index(name)])]
-        if unmeasured:
+        if unmeasured := self._unmeasured():
             return WARN, f"needed but not measured: {', '.join(unmeasured)}; {self._without(unmeasured)}", figures
         if self.kind.FRICTION and not self.cycles.friction_comes:
             return WARN, "no friction estimate arrives: the friction of steady sliding takes its place", figures
