@@ -135,17 +135,22 @@ TOPICS: Mapping[str, str] = {
     "supply_pressure": "supply pressure at the valve [Pa], above the tank's; not absolute either",
     "oil_temperature": "oil temperature [°C], as `Temperature` has it; `loader_state` has it in K",
     "joint_states": "joint `loader`: position [m], velocity [m/s], effort [N]; an array is empty where nothing is measured",
+    "driver": "which controller the gate obeys, and from which cycle on; published on change; not recorded, as each command "
+    "names its sender",
+    "standby_command": "what a controller that stands by would command; not recorded",
+    "leaving": "sender of a controller that ends; not recorded",
     "/diagnostics": "state of each node",
     "/parameter_events": "changes of parameters",
     "/rosout": "log of all nodes",
 }
-"""What the topics hold; those after `driving` are at `telemetry_rate`, and only of what the rig measures."""
+"""What the topics hold; those from `force` to `joint_states` are at `telemetry_rate`, and only of what the rig measures."""
 
 SERVICES: Mapping[str, str] = {
     "emergency_stop": "closes the valve at once and latches; returns the name of the stop",
     "acknowledge_stop": "acknowledges the named emergency stop, at the earliest one second after it; the trip remains",
     "reset_trips": "clears the causes of a trip; refused while one persists or an emergency stop is engaged",
     "enable": "lets commands through with a blend-in, or shuts them off",
+    "switch_controller": "hands the valve to a controller that stands by, without a bump; refused if none has that name",
 }
 
 
@@ -295,7 +300,10 @@ def nodes_page() -> str:
         "## Topics\n",
         rows_of(
             ("topic", "type", "what it holds"),
-            ((f"`{topic.resolve()}`", f"`{topic.type}`", TOPICS[topic.name]) for topic in topics.TOPICS),
+            (
+                (f"`{topic.resolve()}`", f"`{topic.type}`", TOPICS[topic.name])
+                for topic in (*topics.TOPICS, *topics.HANDOVER_TOPICS)
+            ),
         ),
         "## Services\n\nServices of the plant node, `plant_sim_node` or `hardware_bridge_node`.\n",
         rows_of(("service", "type", "what it does"), services()),

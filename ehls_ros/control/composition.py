@@ -16,8 +16,12 @@ from ehls_ros.physics.friction.base import FrictionModel
 
 
 def controller_kernel(name: str) -> ModuleType:
-    """Return a module whose ``step`` is the compiled law of one controller."""
-    return compiled(law_itself, {"step": "m, r, f, p, model, memory, status"}, {"law": CONTROLLERS.load(name)})
+    """Return a module whose ``step`` is the compiled law of one controller, and ``follow`` its own if it has one."""
+    law = CONTROLLERS.load(name)
+    entries = {"step": "m, r, f, p, model, memory, status"}
+    if hasattr(law, "follow"):
+        entries["follow"] = "command, own, memory"
+    return compiled(law_itself, entries, {"law": law})
 
 
 def observer_kernel(name: str, model: str) -> ModuleType:

@@ -1,7 +1,8 @@
-"""A controller ready to run: its law compiled, its memory, and a change of tuning without a bump."""
+"""A controller ready to run: its law compiled, its memory, and a change of tuning or of controller without a bump."""
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,25 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, Model
 
 BUMP_TIME = 0.02
-"""Time constant of the change of command from the old tuning to the new [s]."""
+"""Time constant of the change of command from the old tuning, or the old controller, to the new [s]."""
+
+
+class Outlook(NamedTuple):
+    """What companions know of a cycle.
+
+    Attributes:
+        cycle: its number.
+        place: where the programme is, shape (PLACE,); None: nothing repeats.
+        actuator: command of the actuator under test and its two derivatives, shape (3,); None: not known.
+    """
+
+    cycle: int = 0
+    place: Array | None = None
+    actuator: Array | None = None
+
+
+NOTHING_KNOWN = Outlook()
+"""Where there are no companions."""
 
 
 class Controller:
@@ -36,25 +55,31 @@ class Controller:
             company: what works beside it.
         """
         self._law = CONTROLLERS.load(name)
-        self._step = controller_kernel(name).step
+        compiled = controller_kernel(name)
+        self._step = compiled.step
+        self._follow: Callable[[float, float, Array], float] | None = getattr(compiled, "follow", None)
         self.parameters = parameters
         self.model = model
         self.company = Company({}) if company is None else company
         self.uses_friction = self._law.FRICTION
         self.status = np.zeros(STATUS_SIZE)
         self._bump = 0.0
+        self._own = math.nan
         self._previous: Any = None
         self._fade = math.exp(-model.period / BUMP_TIME)
         self._row = np.full(ROW, np.nan)
-        self._beyond = np.full(PLACE, np.nan), np.full(FORESEEN, np.nan)
+        self._nowhere, self._unknown = np.full(PLACE, np.nan), np.full(FORESEEN, np.nan)
         self.reset()
         self._step(np.zeros(7), np.zeros(ROW), np.zeros(2), parameters, model, self._memory, self.status)
+        if self._follow is not None:
+            self._follow(0.0, 0.0, self._memory)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything but the tuning."""
         self._memory: Array = self._law.memory(self.parameters)
         self._bump = 0.0
+        self._own = math.nan
         self._previous = None
         self.status[:] = 0.0
         self.company.interrupt()
@@ -75,9 +100,7 @@ class Controller:
         reference: Array,
         friction: Array,
         elapsed: int = 1,
-        cycle: int = 0,
-        place: Array | None = None,
-        actuator: Array | None = None,
+        outlook: Outlook = NOTHING_KNOWN,
     ) -> float:
         """Return the spool command [m] for one cycle.
 
@@ -86,29 +109,26 @@ class Controller:
             reference: what the law follows and its first and second derivative, shape (3,).
             friction: force of the elements and viscous force, shape (2,) or longer.
             elapsed: cycles since the last step; more than 1 after unanswered cycles.
-            cycle: number of the cycle, for companions.
-            place: where the programme is, for companions, shape (PLACE,); None: nothing repeats.
-            actuator: command of the actuator under test and its two derivatives, shape (3,); None: not known.
+            outlook: for companions.
         """
-        self._row[:FORESEEN], self._row[FORESEEN:] = reference, np.nan
-        if not self.company:
-            return self._step_alone(measured, self._row, friction, elapsed)
-        here = self._beyond[0] if place is None else place
-        known = self._beyond[1] if actuator is None else actuator
-        row = self._row[np.newaxis]
-        self.company.ahead(Upcoming(cycle, row, here[np.newaxis], known[np.newaxis]))
-        command = self._step_alone(measured, self._row, friction, elapsed)
-        past = Past(
-            cycle,
-            row,
-            reference[np.newaxis],
-            here[np.newaxis],
-            measured[np.newaxis],
-            np.array([command]),
-            self.status[np.newaxis],
-        )
-        self.model = self.company.done(past, self.model)
+        command = self._answer(measured, reference, friction, elapsed, outlook)
+        if self.company:
+            seen = (self._row, reference, self._place(outlook), measured)
+            rows = (values[np.newaxis] for values in seen)
+            self.model = self.company.done(Past(outlook.cycle, *rows, np.array([command]), self.status[np.newaxis]), self.model)
         return command
+
+    def _place(self, outlook: Outlook) -> Array:
+        return self._nowhere if outlook.place is None else outlook.place
+
+    def _answer(self, measured: Array, reference: Array, friction: Array, elapsed: int, outlook: Outlook) -> float:
+        """Return the command [m] for what the companions make of the reference."""
+        self._row[:FORESEEN], self._row[FORESEEN:] = reference, np.nan
+        if self.company:
+            known = self._unknown if outlook.actuator is None else outlook.actuator
+            place = self._place(outlook)
+            self.company.ahead(Upcoming(outlook.cycle, self._row[np.newaxis], place[np.newaxis], known[np.newaxis]))
+        return self._step_alone(measured, self._row, friction, elapsed)
 
     def _step_alone(self, measured: Array, reference: Array, friction: Array, elapsed: int) -> float:
         """Return the law's command [m] for a row of what it follows, without a bump after a change of tuning."""
@@ -122,9 +142,39 @@ class Controller:
         self._bump *= self._fade**elapsed
         if old is not None:
             self._bump += old - command
+        self._own = command
         if self._bump != 0.0:
             limit = self.model.spool_limit
             command = min(max(command + self._bump, -limit), limit)
             if abs(self._bump) < 1e-12:
                 self._bump = 0.0
         return command
+
+    def follow(
+        self,
+        measured: Array,
+        reference: Array,
+        friction: Array,
+        commanded: float,
+        elapsed: int = 1,
+        outlook: Outlook = NOTHING_KNOWN,
+    ) -> float:
+        """Return the spool command [m] for one cycle, after a cycle that another controller answered.
+
+        In every cycle in which it is called, the law runs beside the one that drives and knows what the valve was told. The
+        command returned is the one with which it would take over: it goes on from the other's, and the difference between the
+        two laws in the cycle before fades with :data:`BUMP_TIME`. To take over is to send it, and to call :meth:`step` from
+        the next cycle on. Companions learn nothing from such a cycle.
+
+        Args:
+            measured: as for :meth:`step`.
+            reference: as for :meth:`step`.
+            friction: as for :meth:`step`.
+            commanded: what the valve was told since the last step [m]; before the first step there is nothing to go on from.
+            elapsed: as for :meth:`step`.
+            outlook: as for :meth:`step`.
+        """
+        if not math.isnan(self._own):
+            own = self._own if self._follow is None else self._follow(commanded, self._own, self._memory)
+            self._bump = commanded - own
+        return self._answer(measured, reference, friction, elapsed, outlook)

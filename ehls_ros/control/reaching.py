@@ -25,6 +25,7 @@ from ehls_ros.control.state_estimator import (
     move,
     rates,
     send,
+    state_of,
 )
 from ehls_ros.physics import sensors
 from ehls_ros.physics.plant import PL, XV, V, X
@@ -134,3 +135,10 @@ def answer(
     status[base.FORCE_ERROR] = m[sensors.FORCE] - r[0]
     status[base.SATURATED] = 1.0 if wanted != command else 0.0
     return command
+
+
+@kernel
+def follow(command: float, own: float, memory: Array) -> float:
+    """Put the command [m] that went to the valve in the place of the law's own, which does not depend on it."""
+    state_of(memory).commands[0] = command
+    return own

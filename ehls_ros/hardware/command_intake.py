@@ -16,6 +16,7 @@ class CommandIntake:
 
     Attributes:
         owner: sender whose commands are accepted; None: the first to come.
+        left: the owner before a hand-over, whose last commands may still arrive.
         value: the last accepted command [m].
         answered: the cycle it answers; -1 before the first.
         fresh: whether it arrived since the last :meth:`grow_old`.
@@ -42,6 +43,7 @@ class CommandIntake:
     def begin(self) -> None:
         """Forget all commands: the cycle count restarts."""
         self.owner: str | None = None
+        self.left: tuple[str | None, int] = None, -1
         self.value = 0.0
         self.answered = -1
         self.fresh = False
@@ -52,7 +54,7 @@ class CommandIntake:
         self._p = parameters
         self._range.limit, self._rate.limit = self._limit, parameters.command_rate
 
-    def take(self, cycle: int | None, spool: float, sender: str, newest: int, *, followed: bool) -> bool:
+    def take(self, cycle: int | None, spool: float, sender: str, newest: int, *, followed: bool, driving: bool) -> bool:
         """Accept or refuse a command.
 
         Args:
@@ -61,6 +63,7 @@ class CommandIntake:
             sender: who sent it.
             newest: the newest cycle.
             followed: whether the output follows commands at once, so that their rate matters.
+            driving: whether commands reach the actuator: then a silent owner keeps its place.
 
         Returns:
             Whether it is accepted; if not, a detector says why.
@@ -68,7 +71,7 @@ class CommandIntake:
         if cycle is None:
             self._order.flag(math.nan, float(newest), "no cycle")
             return False
-        return self._is_owner(sender) and self._is_due(cycle, newest) and self._is_sound(cycle, spool, followed)
+        return self._is_owner(sender, cycle, driving) and self._is_due(cycle, newest) and self._is_sound(cycle, spool, followed)
 
     def grow_old(self, elapsed: float) -> None:
         """Age the command by a time [s], unless it has just arrived."""
@@ -89,12 +92,29 @@ class CommandIntake:
         """Clear the faults that last for one message."""
         self._order.raised = self._stranger.raised = False
 
-    def _is_owner(self, sender: str) -> bool:
-        silent = not self.fresh and self._age >= self._p.command_timeout - ROUNDING
-        if self.owner is None or silent:
+    @property
+    def silent(self) -> bool:
+        """Whether no command has arrived for as long as its sender may be replaced."""
+        return not self.fresh and self._age >= self._p.command_timeout - ROUNDING
+
+    def hand_over(self, sender: str, newest: int) -> None:
+        """Accept another sender's commands from now on; the age of the last command goes on.
+
+        Args:
+            sender: the new owner.
+            newest: the newest cycle.
+        """
+        if sender != self.owner:
+            self.left = self.owner, newest + math.ceil(self._p.command_timeout / self._period)
+            self.owner = sender
+
+    def _is_owner(self, sender: str, cycle: int, driving: bool) -> bool:
+        if self.owner is None or (self.silent and not driving):
             self.owner = sender
         elif sender != self.owner:
-            self._stranger.flag(math.nan, math.nan, sender)
+            left, until = self.left
+            if sender != left or cycle > until:
+                self._stranger.flag(math.nan, math.nan, sender)
             return False
         return True
 

@@ -187,6 +187,17 @@ class Gate:
         return self._commands.owner
 
     @property
+    def vacant(self) -> bool:
+        """Whether the first sender to come is accepted, as nobody's commands reach the actuator and nobody sends any."""
+        return not self.driving and self._commands.silent
+
+    @property
+    def command_age(self) -> float:
+        """Age of the command in use [s]."""
+        with self._lock:
+            return self._age_of_command()
+
+    @property
     def stop(self) -> str:
         """Name of the engaged emergency stop; empty if none is."""
         return f"stop-{self._stops}" if self.state == STOPPED else ""
@@ -311,7 +322,12 @@ class Gate:
         number, value = _integer(cycle), _number(spool)
         with self._lock:
             followed = self.state in {ACTIVE, HOLDING}
-            return self._commands.take(number, value, str(sender), self._newest, followed=followed)
+            return self._commands.take(number, value, str(sender), self._newest, followed=followed, driving=self.driving)
+
+    def hand_over(self, sender: str) -> None:
+        """Accept the commands of another sender from now on, and those of the present one no more."""
+        with self._lock:
+            self._commands.hand_over(str(sender), self._newest)
 
     def hear(self, silence: float) -> None:
         """Set how long the service thread has been silent [s]: without it nobody could stop the rig."""

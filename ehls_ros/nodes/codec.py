@@ -41,6 +41,17 @@ def _leading_numbers(fields: Mapping[str, str]) -> list[str]:
     return names
 
 
+def decode_text(message: bytes) -> str | None:
+    """Return the text of a ``std_msgs/String``; None if the bytes are none."""
+    order = "<" if message[1:2] == b"\1" else ">"
+    try:
+        (length,) = struct.unpack_from(f"{order}I", message, _ENCAPSULATION)
+    except struct.error:
+        return None
+    text = message[_ENCAPSULATION + 4 : _ENCAPSULATION + 4 + length]
+    return text.rstrip(b"\0").decode(errors="replace") if len(text) == length else None
+
+
 class Encoder:
     """Encodes one message type."""
 

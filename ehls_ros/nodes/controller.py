@@ -1,39 +1,54 @@
 """The node of any controller: it answers each loader_state with a valve_command.
 
+While the plant obeys another controller, it stands by: it follows each cycle with its law, knows what the valve was told, and
+tells on a topic of its own what it would command.
+
 :mod:`ehls_ros.control.cycles` matches what belongs to a cycle; this file has the topics, parameters and diagnostics.
 """
 
+import math
 import os
 import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from std_msgs.msg import Bool
+from rclpy.duration import Duration
+from std_msgs.msg import Bool, String
 
-from ehls_msgs.msg import ControllerStatus, FrictionEstimate, LoaderState, ValveCommand
+from ehls_msgs.msg import ControllerStatus, Driver, FrictionEstimate, LoaderState, ValveCommand
 from ehls_ros.arrays import Array
-from ehls_ros.control.controller import Controller
+from ehls_ros.control.controller import Controller, Outlook
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, SATURATED, STATUS_TO_SI, model_of
 from ehls_ros.control.cycles import KEPT, Cycles, Ready
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import check_law, company_of, signal_kind, uses_actuator
+from ehls_ros.nodes.codec import Decoder
 from ehls_ros.nodes.control import OK, PATIENCE, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class
 from ehls_ros.physics import sensors
 from ehls_ros.physics.rig import SENSED
-from ehls_ros.recording.topics import ACTUATOR_REFERENCE, DRIVING, REFERENCE_TOPICS
+from ehls_ros.recording.topics import ACTUATOR_REFERENCE, DRIVER, DRIVING, LEAVING, REFERENCE_TOPICS, STANDBY_COMMAND
 from ehls_ros.schema import quantity
 
 TURN = 0.005
 """Longest wait for one topic before the others are read [s]."""
 
 LOCKSTEP_PATIENCE = 10.0
-"""friction_patience in lockstep [s]: nothing is late there, and a run must not depend on what else the machine does."""
+"""friction_patience in lockstep, and longest wait for another's command [s]: nothing is late there, and a run must not depend
+on what else the machine does."""
+
+
+FAREWELL = 0.2
+"""Longest wait for the others to hear that the node leaves [s]."""
+
+HEARD = 100
+"""Messages of the driver topic and commands of others that are kept: many cycles more than a node may be behind."""
 
 
 class Parameters(NamedTuple):
@@ -84,44 +99,60 @@ class ControllerNode(ControlNode):
         self.signal = sampled(self.spec.reference, period)
         self.static_friction = FrictionEstimator("stribeck", self.spec.controller_rig, period)
         self.cycles = Cycles(friction=self.kind.FRICTION, patience=self.friction_patience)
-        self.fallbacks = 0
+        self.fallback, self.fallbacks = False, 0
         self.saturated = False
         self.latency = Latency()
         self.states = Inbox(self, LoaderState, "loader_state")
         topic = REFERENCE_TOPICS[self.kind.FOLLOWS]
         self.reference = Inbox(self, message_class(topic.type), topic.name)
         # The process number tells two nodes of one name apart.
-        sender = f"{self.get_fully_qualified_name()}-{os.getpid()}"
+        self.sender = sender = f"{self.get_fully_qualified_name()}-{os.getpid()}"
         self.commands = Outbox(self, ValveCommand, "valve_command", sender=sender)
         self.status = Outbox(self, ControllerStatus, "controller_status", sender=sender)
+        self.shadow = Outbox(self, ValveCommand, STANDBY_COMMAND.name, sender=sender)
+        self.leaving = self.create_publisher(String, LEAVING.name, control_qos(1))
+        self.driver = Inbox(self, Driver, DRIVER.name, decode=Decoder(Driver, sender=True))
+        self.others = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
+        self.drivers: deque[tuple[int, str]] = deque(maxlen=HEARD)
+        self.told: deque[tuple[int, float, str]] = deque(maxlen=HEARD)
+        self.sent = True
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
         self.driving = Inbox(self, Bool, DRIVING.name, control_qos(1), _is_true)
         actuator = ACTUATOR_REFERENCE[signal_kind(self.spec.disturbance.name)]
         self.actuator = Inbox(self, message_class(actuator.type), actuator.name) if uses_actuator(self.spec) else None
         self.actuator_rows: dict[int, Sequence[float]] = {}
         self.driven = True
-        self.answered: tuple[float, ...] = ()
+        self.answered: tuple[Any, ...] = ()
         self.command = 0.0
         self.arrivals = {
-            "snapshot": Waiter([self.states]),
-            "friction": Waiter([self.friction]),
+            "snapshot": Waiter([self.states, self.driver]),
+            "friction": Waiter([self.friction, self.driver]),
             "reference": Waiter([self.states, self.friction, self.reference]),
             # Unread references of later cycles would end a wait for the estimate at once, again and again.
             "estimate": Waiter([self.states, self.friction]),
         }
+        self.another = Waiter([self.others])
         self.measured = np.zeros(7)
         self.wanted = np.zeros(FORESEEN)
         self.estimate = np.zeros(2)
 
     def release(self) -> None:
         """Close the topics."""
-        for waiter in self.arrivals.values():
+        for waiter in (*self.arrivals.values(), self.another):
             waiter.destroy()
-        for inbox in filter(None, (self.states, self.reference, self.friction, self.driving, self.actuator)):
+        for inbox in (self.states, self.reference, self.friction, self.driving, self.driver, self.others):
             inbox.destroy()
+        if self.actuator is not None:
+            self.actuator.destroy()
         self.company.save()
-        for outbox in (self.commands, self.status):
+        for outbox in (self.commands, self.status, self.shadow):
             outbox.destroy()
+        self.destroy_publisher(self.leaving)
+
+    def stop(self) -> None:
+        """Say that the node leaves, so that one that stands by can take over."""
+        self.leaving.publish(String(data=self.sender))
+        self.leaving.wait_for_all_acked(Duration(seconds=FAREWELL))
 
     def once(self) -> None:
         """Wait for what the next cycle lacks; answer the newest cycle that has all it needs."""
@@ -132,15 +163,47 @@ class ControllerNode(ControlNode):
         while (message := self.states.take()) is not None:
             if message == self.answered:
                 # In lockstep the plant asks again for an answer that has not reached it.
-                self.commands.send(*message[:2], self.command)
+                (self.commands if self.sent else self.shadow).send(*message[:2], self.command)
                 continue
             self.cycles.add_snapshot(message[1], message[0], message[2:], arrived)
         if self.cycles.lacks_reference:
             while (message := self.reference.take()) is not None:
                 self.cycles.add_reference(message[1], message[2:5])
+        if not self._knows_who_drives():
+            return
+        if not self.sent and self._driver_of(self.answered[1]) == self.sender:
+            # The snapshot of the first cycle after a switch was faster than the word of the switch.
+            self._send()
         if (ready := self.cycles.take(arrived)) is not None:
             self._answer(ready)
             self.latency.add(time.perf_counter() - arrived)
+
+    def _knows_who_drives(self) -> bool:
+        """Note who drives from which cycle on; return False if the plant's word of that is still under way."""
+        while (message := self.driver.take()) is not None:
+            self.drivers.append(message[1:3])
+        return bool(self.drivers) or self.driver.handle.get_publisher_count() == 0
+
+    def _driver_of(self, cycle: int) -> str:
+        """Return the sender whose answer to a cycle the plant wants; empty: the first to come."""
+        return next((sender for first, sender in reversed(self.drivers) if cycle >= first), "")
+
+    def _told(self, ready: Ready) -> float | None:
+        """Return what another controller told the valve since the last answered cycle [m]; None if none did."""
+        last, driver = ready.cycle - 1, self._driver_of(ready.cycle - 1)
+        if not self.answered or ready.anew or driver in {"", self.sender}:
+            return None
+        asked = time.perf_counter()
+        while True:
+            while (message := self.others.take()) is not None:
+                self.told.append(message[1:4])
+            told = [(cycle, spool) for cycle, spool, sender in self.told if sender == driver]
+            # In lockstep the plant has the command of the last cycle before it opens the next.
+            heard = any(cycle >= last for cycle, _ in told) or time.perf_counter() - asked > LOCKSTEP_PATIENCE
+            if heard or not self.lockstep:
+                since = [(cycle, spool) for cycle, spool in told if ready.cycle - ready.elapsed <= cycle <= last]
+                return max(since)[1] if since else None
+            self.another.wait(TURN)
 
     def _answer(self, ready: Ready) -> None:
         while (driven := self.driving.take()) is not None:
@@ -148,6 +211,8 @@ class ControllerNode(ControlNode):
         if ready.anew or not self.driven:
             # The law must not adapt to cycles that the valve did not follow, or that belong to an earlier run.
             self.controller.reset()
+        if ready.anew:
+            self.told.clear()
         if self.new_tuning is not None:
             self.controller.retune(self.new_tuning)
             self.new_tuning = None
@@ -160,14 +225,36 @@ class ControllerNode(ControlNode):
         elif fallback:
             self.estimate[:] = self.static_friction.update(ready.measured[sensors.VELOCITY], ready.elapsed)[:2]
             self.fallbacks += 1
-        place = self.signal.place(ready.cycle, 1)[0] if self.company else None
-        actuator = self._actuator_row(ready.cycle)
-        command = self.controller.step(self.measured, self.wanted, self.estimate, ready.elapsed, ready.cycle, place, actuator)
-        self.commands.send(ready.stamp_ns, ready.cycle, command)
-        self.answered, self.command = (ready.stamp_ns, ready.cycle, *ready.measured), command
+        seen = self.measured, self.wanted, self.estimate
+        outlook = self._outlook(ready.cycle)
+        if (told := self._told(ready)) is None:
+            self.command = self.controller.step(*seen, ready.elapsed, outlook)
+        else:
+            self.command = self.controller.follow(*seen, told, ready.elapsed, outlook)
+        self.answered, self.fallback = (ready.stamp_ns, ready.cycle, *ready.measured), fallback
+        self._send(shadow=self._driver_of(ready.cycle) not in {"", self.sender})
+
+    def _send(self, *, shadow: bool = False) -> None:
+        """Send the answer to the cycle answered last: to the valve, or, standing by, only what it would be."""
+        stamp_ns, cycle = self.answered[:2]
+        self.sent = not shadow
+        if not (shadow and self._unmeasured()):
+            # One that lacks a reading must not be given the valve.
+            (self.shadow if shadow else self.commands).send(stamp_ns, cycle, self.command)
         values = (self.controller.status * STATUS_TO_SI).tolist()
         self.saturated = values[SATURATED] != 0.0
-        self.status.send(ready.stamp_ns, ready.cycle, *values[:SATURATED], self.saturated, fallback)
+        if not shadow:
+            self.status.send(stamp_ns, cycle, *values[:SATURATED], self.saturated, self.fallback)
+
+    def _unmeasured(self) -> list[str]:
+        """Return the readings that the law needs and the last snapshot lacked."""
+        return [name for name in self.kind.NEEDS if math.isnan(self.measured[SENSED.index(name)])]
+
+    def _outlook(self, cycle: int) -> Outlook:
+        """Return what companions know of a cycle."""
+        if not self.company:
+            return Outlook()
+        return Outlook(cycle, self.signal.place(cycle, 1)[0], self._actuator_row(cycle))
 
     def _actuator_row(self, cycle: int) -> Array | None:
         """Return the actuator's command at a cycle and its derivatives; None if nobody uses or tells it.
@@ -203,13 +290,14 @@ class ControllerNode(ControlNode):
             **self.company.report(),
             **self.latency.figures(),
         }
-        unmeasured = [name for name in self.kind.NEEDS if np.isnan(self.measured[SENSED.index(name)])]
-        if unmeasured:
+        if unmeasured := self._unmeasured():
             return WARN, f"needed but not measured: {', '.join(unmeasured)}; {self._without(unmeasured)}", figures
         if self.kind.FRICTION and not self.cycles.friction_comes:
             return WARN, "no friction estimate arrives: the friction of steady sliding takes its place", figures
         if self.cycles.waited(time.perf_counter()) > PATIENCE:
             return WARN, f"no {self.kind.FOLLOWS} reference for the present cycle", figures
+        if not self.sent and self._active.is_set():
+            return OK, f"stands by: {self._driver_of(self.cycles.answered)} drives", figures
         return OK, "running" if self._active.is_set() else "inactive", figures
 
 

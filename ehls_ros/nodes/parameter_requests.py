@@ -1,4 +1,4 @@
-"""Requests to the parameter services of running nodes, as `ros2 param` makes them."""
+"""Requests to the services of running nodes: to those of their parameters, as `ros2 param` makes them, and for a switch."""
 
 import os
 import time
@@ -14,6 +14,7 @@ from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_p
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.signals import SignalHandlerOptions
 
+from ehls_msgs.srv import SwitchController
 from ehls_ros.errors import BadInput, WorkFailed
 
 FOUND = 5.0
@@ -147,6 +148,24 @@ class Requests:
             raise WorkFailed(f"Setting parameter failed: {result.reason or 'the node gives no reason'}")
         return str(result.reason)
 
+    def switch(self, node: str) -> str:
+        """Let a controller that stands by take over; return the answer of the plant node in its namespace.
+
+        Args:
+            node: full name of the controller's node.
+
+        Raises:
+            WorkFailed: no plant node is there, or it refuses.
+        """
+        service = f"{node.rpartition('/')[0]}/switch_controller"
+        client = self._node.create_client(SwitchController, service)
+        if not client.wait_for_service(FOUND):
+            raise WorkFailed(f"no plant node offers {service}")
+        answer = self._answered(node, client.call_async(SwitchController.Request(controller=node)))
+        if not answer.success:
+            raise WorkFailed(f"Switch refused: {answer.message}")
+        return str(answer.message)
+
     def _present(self) -> list[str]:
         present = self._node.get_node_names_and_namespaces()
         own = self._node.get_fully_qualified_name()
@@ -164,7 +183,9 @@ class Requests:
         client = AsyncParameterClient(self._node, node)
         if not client.wait_for_services(FOUND):
             raise WorkFailed(f"{node} offers no parameter services")
-        future = request(client)
+        return self._answered(node, request(client))
+
+    def _answered(self, node: str, future: Any) -> Any:
         rclpy.spin_until_future_complete(self._node, future, self._executor, ANSWERED)
         if not future.done():
             raise WorkFailed(f"{node} has not answered for {ANSWERED:g} s")

@@ -15,22 +15,24 @@ from lifecycle_msgs.srv import GetState
 from rclpy.client import Client
 from rclpy.lifecycle import TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
-from ehls_msgs.msg import ForceReference, LoaderState, ValveCommand
-from ehls_msgs.srv import AcknowledgeStop
+from ehls_msgs.msg import Driver, ForceReference, LoaderState, ValveCommand
+from ehls_msgs.srv import AcknowledgeStop, SwitchController
+from ehls_ros.errors import BadInput
 from ehls_ros.hardware.gate_bounds import Bound
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
 from ehls_ros.hardware.safety_gate import STOP_TIME, Gate
 from ehls_ros.hardware.stamps import Stamps
-from ehls_ros.nodes.codec import Decoder
+from ehls_ros.hardware.standby import Standby, is_of
+from ehls_ros.nodes.codec import Decoder, decode_text
 from ehls_ros.nodes.control import CLOCK_TOPIC, OK, PATIENCE, WAIT, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos
-from ehls_ros.recording.topics import DRIVING
+from ehls_ros.recording.topics import DEPTH, DRIVER, DRIVING, LEAVING, STANDBY_COMMAND
 from ehls_ros.schema import quantity, text
 
 CLOCK_CYCLES = 10
@@ -41,6 +43,12 @@ NOTICE = 2.0
 
 ASK_AGAIN = 1.0
 """Time after which a partner that has not answered is asked again [s]."""
+
+HANDOVER_DEPTH = 10
+"""Messages kept about who drives and who leaves."""
+
+STANDBY_PATIENCE = 10.0
+"""Longest time for which a plant in lockstep waits for a controller that stands by [s]: one that hangs must not hold it up."""
 
 KEPT = 4000
 """Most force references kept for future cycles."""
@@ -53,6 +61,15 @@ class Parameters(NamedTuple):
     telemetry_rate: Annotated[
         float, quantity("Hz", "rate of the messages for standard tools, such as joint_states", minimum=0.0, maximum=1e3)
     ] = 50.0
+    take_over_after: Annotated[
+        float,
+        quantity(
+            "s",
+            "silence of the driving controller after which the one that stands by takes over, below command_timeout; 0: never",
+            minimum=0.0,
+            maximum=0.5,
+        ),
+    ] = 0.0
     partners: Annotated[str, text("nodes, separated by commas, that must be active before autostart activates this one")] = ""
 
 
@@ -82,6 +99,8 @@ class PlantNode(ControlNode):
         sound = Gate(rig, self.period, None, self.sensed, bounds=self.gate_bounds).parameters
         declare(self, GateParameters, {**sound._asdict(), **self.gate_defaults}, live=True)
         self.awaited: tuple[str, ...] = ()
+        self.take_over_after = float(self.get_parameter("take_over_after").value)
+        self.successor = ""
         self.gate = Gate(rig, self.period, values_of(self, GateParameters, name), self.sensed, bounds=self.gate_bounds)
         self.told_gate: tuple[str, int] | None = None
         follow(self, GateParameters, self._retune, self.gate.objection)
@@ -90,6 +109,7 @@ class PlantNode(ControlNode):
         self.create_service(AcknowledgeStop, "acknowledge_stop", self._on_acknowledge)
         self.create_service(Trigger, "reset_trips", self._on_reset)
         self.create_service(SetBool, "enable", self._on_enable)
+        self.create_service(SwitchController, "switch_controller", self._on_switch)
 
     def bring_up(self, stopping: threading.Event) -> bool:
         """Configure; activate once the partners are active, so that the first cycle finds all who answer it."""
@@ -129,6 +149,14 @@ class PlantNode(ControlNode):
         self.commands = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
         self.reference = Inbox(self, ForceReference, "force_reference")
         self.answer = Waiter([self.commands])
+        # In lockstep the plant waits for each that it has heard of.
+        timeout = math.ceil(0.5 * self.gate.parameters.command_timeout / self.period)
+        self.standby = Standby(DEPTH if self.lockstep else timeout)
+        self.shadows = Inbox(self, ValveCommand, STANDBY_COMMAND.name, decode=Decoder(ValveCommand, sender=True))
+        self.shadow = Waiter([self.shadows])
+        self.leaving = Inbox(self, String, LEAVING.name, control_qos(HANDOVER_DEPTH), decode_text)
+        self.driver = self.create_publisher(Driver, DRIVER.name, control_qos(HANDOVER_DEPTH))
+        self.told_driver: str | None = None
         self.driving = self.create_publisher(Bool, DRIVING.name, control_qos(1))
         self.told_driving: bool | None = None
         self.clock = self.create_publisher(Clock, CLOCK_TOPIC, control_qos(1)) if self.lockstep else None
@@ -138,8 +166,9 @@ class PlantNode(ControlNode):
 
     def release(self) -> None:
         """Close the topics."""
-        for part in (self.answer, self.commands, self.reference, self.state):
+        for part in (self.answer, self.shadow, self.commands, self.shadows, self.leaving, self.reference, self.state):
             part.destroy()
+        self.destroy_publisher(self.driver)
         self.telemetry.destroy()
         self.destroy_publisher(self.driving)
         if self.clock is not None:
@@ -170,6 +199,7 @@ class PlantNode(ControlNode):
             signals: readings in the order of ``SENSED``.
             sample: further arguments of :meth:`Gate.sense`.
         """
+        self._change_driver(cycle)
         while (message := self.reference.take()) is not None:
             self.references[message[1]] = message[2]
         if len(self.references) > KEPT:
@@ -178,6 +208,7 @@ class PlantNode(ControlNode):
         stamp_ns = self._stamp_of(cycle)
         self.published = time.perf_counter()
         self.asked = self.published
+        self.standby.cycle = cycle
         self.state.send(stamp_ns, cycle, *signals)
         if self.clock is not None and cycle % CLOCK_CYCLES == 0:
             self.clock.publish(Clock(clock=time_of(stamp_ns)))
@@ -191,6 +222,7 @@ class PlantNode(ControlNode):
         """
         if time.perf_counter() - self.asked > PATIENCE:
             self.asked = time.perf_counter()
+            self._change_driver(cycle)
             if self.commands.volatile or self.state.has_volatile_reader():
                 _, stamp_ns, signals = self.untold
                 self.state.send(stamp_ns, cycle, *signals)
@@ -219,6 +251,55 @@ class PlantNode(ControlNode):
                 self.answered = answered
                 if answered == cycle:
                     self.latency.add(time.perf_counter() - self.published)
+        self._hear_shadows()
+        while (sender := self.leaving.take()) is not None:
+            self.standby.forget(sender)
+            if sender == self.gate.owner:
+                self._succeed(sender, "leaves")
+                self._change_driver(cycle + (self.answered >= cycle))
+
+    def _hear_shadows(self) -> None:
+        while (message := self.shadows.take()) is not None:
+            if message[3] != self.gate.owner:
+                self.standby.hear(message[3], message[1])
+
+    def standby_answered(self) -> bool:
+        """Return whether all who stand by have followed the present cycle; wait a little if not.
+
+        In lockstep the plant waits for them too, so that a run with a hand-over is as deterministic as any.
+        """
+        self._hear_shadows()
+        if not (behind := self.standby.behind):
+            return True
+        if time.perf_counter() - self.published > STANDBY_PATIENCE:
+            for sender in behind:
+                self.standby.forget(sender)
+            return True
+        self.shadow.wait(WAIT)
+        return False
+
+    def _succeed(self, owner: str, why: str) -> None:
+        """Let the controller that stands by take over; with none, or several, the gate reacts to the lack of commands."""
+        ready = [sender for sender in self.standby.ready if sender != owner]
+        self.successor = ready[0] if len(ready) == 1 else ""
+        takes_over = self.successor or f"nobody takes over: {len(ready)} controllers stand by, one is needed"
+        self.get_logger().warning(f"{owner} {why}; {takes_over}{' takes over' if self.successor else ''}")
+
+    def _change_driver(self, cycle: int) -> None:
+        """Hand over to the successor, if there is one, and tell which controller the gate obeys from a cycle on."""
+        silence, owner = self.gate.command_age, self.gate.owner
+        if not self.successor and owner and self.gate.driving and 0.0 < self.take_over_after <= silence and self.standby.ready:
+            self._succeed(owner, f"has been silent for {silence:.3f} s")
+        if self.successor:
+            self.gate.hand_over(self.successor)
+            self.successor = ""
+        driver = "" if self.gate.vacant else self.gate.owner
+        if driver is not None and driver != self.told_driver:
+            self.told_driver = driver
+            self.standby.forget(driver)
+            message = Driver(cycle=cycle, sender=driver)
+            message.header.stamp = self.get_clock().now().to_msg()
+            self.driver.publish(message)
 
     def end_cycles(self) -> None:
         """Leave the active state from the service thread: the last cycle is done."""
@@ -262,6 +343,19 @@ class PlantNode(ControlNode):
             self.gate.disable()
             return self._answered(response, None, "disabled")
         return self._answered(response, self.refusal() or self.gate.enable(), "enabled")
+
+    def _on_switch(self, request: SwitchController.Request, response: SwitchController.Response) -> SwitchController.Response:
+        owner = self.gate.owner or ""
+        if request.controller and (request.controller == owner or is_of(owner, request.controller)):
+            response.success, response.message = True, f"{owner} drives already"
+            return response
+        try:
+            self.successor = self.standby.named(request.controller)
+            response.success, response.message = True, f"{self.successor} takes over"
+        except BadInput as error:
+            response.message = str(error)
+        self.get_logger().info(f"switch: {response.message}")
+        return response
 
     def refusal(self) -> str | None:
         """Return why the gate must stay closed, for reasons outside the gate; None if it may open."""

@@ -98,10 +98,12 @@ class PlantSimNode(PlantNode):
             time.sleep(min(ahead, WAIT))
             return
         complete = self.answered == self.cycle
-        (self.anything if complete else self.answer).wait(WAIT)
-        self._take()
+        if not complete or self.cycle not in self.disturbances:
+            (self.anything if complete else self.answer).wait(WAIT)
+            self._take()
         if self.answered == self.cycle and self.cycle in self.disturbances:
-            self._advance()
+            if self.standby_answered():
+                self._advance()
         elif not complete:
             self.ask_again(self.cycle)
 

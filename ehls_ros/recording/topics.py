@@ -139,6 +139,18 @@ CYCLE_TOPICS = (
 DRIVING = Topic("driving", "std_msgs/msg/Bool", depth=1, transient_local=True)
 """Whether commands reach the valve; published on change."""
 
+DRIVER = Topic("driver", "ehls_msgs/msg/Driver", transient_local=True)
+"""Which controller the gate obeys; published on change."""
+
+STANDBY_COMMAND = Topic("standby_command", "ehls_msgs/msg/ValveCommand")
+"""What each controller that stands by would command; each command in a bag names who drove."""
+
+LEAVING = Topic("leaving", "std_msgs/msg/String")
+"""Sender of a controller that ends."""
+
+HANDOVER_TOPICS = (DRIVER, STANDBY_COMMAND, LEAVING)
+"""Between plant and controllers, for a change of the one that drives; not recorded."""
+
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 
 FORCE = Topic("force", "std_msgs/msg/Float64")

@@ -9,7 +9,7 @@ from ehls_ros.physics.rig import Rig, rig_to_mapping
 RIG_FILE = Path(__file__).parents[2] / "config" / "rig_paper.yaml"
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def rig() -> Rig:
     """The paper's rig."""
     return load_rig(RIG_FILE)

@@ -1,6 +1,7 @@
 """The controller around the laws: change of tuning, reset, and what every law promises."""
 
 import math
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -206,3 +207,85 @@ def test_what_a_law_does_not_need_it_does_without(rig, name):
     given, without = np.array(commands).T
     assert np.max(np.abs(given)) > 1e-5
     assert without == pytest.approx(given, abs=1e-12)
+
+
+FORCE_LAWS = {
+    "fasmc": {},
+    "sic": {},
+    "fasmc_output_feedback": {"coupling_stiffness": 0.0, "coupling_damping": 0.0},
+    "fasmc, retuned": {"k": 24.0, "g": 120.0},
+}
+SWITCH, AFTER = 2310, 200
+
+
+class Switched(Bench):
+    """The same loop, in which a second controller follows the first one, and takes over at a cycle."""
+
+    def __init__(self, rig: Any, law: Controller, coming: Controller) -> None:
+        super().__init__(rig, law)
+        self.coming, self.command = coming, 0.0
+        leaving = law.step
+
+        def step(measured: np.ndarray, reference: np.ndarray, friction: np.ndarray) -> float:
+            seen = measured, reference, friction
+            if self.cycle <= SWITCH:
+                shadow = coming.follow(*seen, self.command)
+                self.command = shadow if self.cycle == SWITCH else leaving(*seen)
+            else:
+                self.command = coming.step(*seen)
+            return self.command
+
+        law.step = step  # type: ignore[method-assign]
+
+
+def traces(bench: Bench) -> tuple[np.ndarray, np.ndarray]:
+    """Return force error [N] and command [m] of each cycle."""
+    steps = [bench.step() for _ in range(SWITCH + AFTER)]
+    return np.array([m[sensors.FORCE] - r[0] for m, r, _ in steps]), np.array([command for _, _, command in steps])
+
+
+def named(rig: Any, name: str) -> Controller:
+    return make(rig, name.partition(",")[0], **FORCE_LAWS[name])
+
+
+@pytest.fixture(scope="module")
+def alone(rig: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    return {name: traces(Bench(rig, named(rig, name))) for name in FORCE_LAWS}
+
+
+@pytest.mark.parametrize(("first", "second"), list(permutations(FORCE_LAWS, 2)))
+def test_a_switch_of_controllers_makes_no_bump(rig, alone, first, second):
+    errors, commands = traces(Switched(rig, named(rig, first), named(rig, second)))
+    after = slice(SWITCH, SWITCH + AFTER)
+    # Before the switch the second one does nothing to the loop. After it the error is that of the two laws, which have not the
+    # same past there: an integral, such as that of sic, has another value.
+    assert np.array_equal(commands[:SWITCH], alone[first][1][:SWITCH])
+    usual = max(np.max(np.abs(alone[name][0][after])) for name in (first, second))
+    assert np.max(np.abs(errors[after])) <= 1.2 * usual
+    # The command goes on from the last one; what the new law does at once about the error it finds is small.
+    assert np.max(np.abs(np.diff(commands[SWITCH - 1 : SWITCH + 5]))) <= 0.01 * rig.limits.spool
+
+
+@pytest.mark.parametrize("name", CONTROLLERS.names())
+def test_one_that_follows_its_like_commands_the_same(rig, name):
+    law, shadow = make(rig, name), make(rig, name)
+    wanted = np.array([2.7e3 if CONTROLLERS.load(name).FOLLOWS == "force" else 1e-3, 0.0, 0.0])
+    simulator, estimator, command = Simulator(rig, PERIOD), FrictionEstimator("gms", rig, PERIOD), 0.0
+    for _ in range(300):
+        measured = measure(rig, simulator)
+        friction = estimator.update(measured[sensors.VELOCITY])
+        followed = shadow.follow(measured, wanted, friction, command)
+        command = law.step(measured, wanted, friction)
+        # fasmc leaves what its like has adapted in alpha and beta to D.
+        assert followed == pytest.approx(command, rel=1e-3, abs=1e-7)
+        simulator.advance(command, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS.names())
+def test_what_another_commands_leaves_nothing_wrong_in_a_law(rig, name):
+    random, law = np.random.default_rng(7), make(rig, name)
+    for cycle in range(600):
+        values = 10.0 ** random.uniform(-20.0, random.choice([2.0, 20.0, 308.0]), 12) * random.choice([-1.0, 1.0], 12)
+        command = law.follow(values[:7], values[7:10], values[10:], random.uniform(-1.0, 1.0) * rig.limits.spool)
+        assert abs(command) <= rig.limits.spool, f"{name}, cycle {cycle}: {values}"
+        assert np.all(np.isfinite(law._memory)), f"{name}, cycle {cycle}: {values}"

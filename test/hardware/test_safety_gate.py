@@ -469,6 +469,50 @@ def test_the_actuator_is_free_once_the_gate_is_disabled():
     assert bench.gate.owner == "successor"
 
 
+def handed_over(**parameters):
+    """Return a rig whose second controller has just been given the actuator."""
+    bench = Bench(**parameters).run(1e-3)
+    bench.gate.hand_over("successor")
+    return bench
+
+
+def test_a_hand_over_lets_the_successor_drive_at_once():
+    bench = handed_over()
+    assert bench.turn(1.1e-3, "successor") == 1.1e-3
+    assert (bench.gate.owner, bench.gate.state, bench.counts()) == ("successor", "active", {})
+
+
+def test_the_last_commands_of_the_one_that_left_are_dropped_and_later_ones_reported():
+    bench = handed_over()
+    for _ in range(2):
+        bench.sense()
+        assert not bench.gate.take(bench.cycle - 1, -1e-3, "controller")
+        assert bench.gate.take(bench.cycle - 1, 1e-3, "successor")
+        assert bench.step() == 1e-3
+    assert bench.counts() == {}
+    bench.turns(25, sender="successor")
+    assert not bench.gate.take(bench.cycle - 1, -1e-3, "controller")
+    assert bench.counts() == {"second_sender": 1}
+
+
+def test_a_successor_that_never_answers_trips_the_gate_as_any_silence():
+    bench = handed_over()
+    bench.turns(25, sender="controller")
+    assert bench.gate.state == "cut"
+    assert bench.causes_named() == ["command_stale"]
+
+
+def test_while_the_gate_holds_nobody_takes_a_silent_owners_place():
+    bench = Bench(on_command_stale="hold", hold_time=0.05).run(1e-3)
+    bench.turns(25, None)
+    assert bench.gate.state == "holding"
+    bench.turn(-1e-3, "stranger")
+    assert (bench.gate.owner, bench.gate.vacant) == ("controller", False)
+    bench.turns(80, None)
+    bench.turn(1e-3, "stranger")
+    assert bench.gate.owner == "stranger"
+
+
 # Trips and reset
 
 

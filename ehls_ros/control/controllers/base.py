@@ -16,6 +16,13 @@ without winding up, and finite whatever the measurement; a measurement that is n
 A row holds the reference and its first and second derivative, [N, N/s, N/s^2] for a force and [m, m/s, m/s^2] for a position,
 and from :data:`FORESEEN` on the external force that is foreseen, with its first and second derivative [N, N/s, N/s^2]; these
 are NaN where nothing is foreseen. A law that uses them says so with ``PREVIEW = True``.
+
+A law that reckons with the commands under way, or adapts to what its own do, adds a compiled
+
+``follow(command, own, memory) -> own``
+
+It is called between two steps while another controller drives, with the command [m] that went to the valve and the one that
+the last step returned. It corrects ``memory`` by that, and returns what the step would then have returned.
 """
 
 import math
@@ -86,7 +93,7 @@ class Model(NamedTuple):
 
 
 class ControllerLaw(Protocol):
-    """The attributes of one controller's file; ``FRICTION_MODEL`` and ``PREVIEW`` may be absent."""
+    """The attributes of one controller's file; ``FRICTION_MODEL``, ``PREVIEW`` and ``follow`` may be absent."""
 
     Parameters: Any
     FOLLOWS: Literal["force", "position"]

@@ -83,7 +83,7 @@ class Parameters(NamedTuple):
     ] = 5e4
 
 
-ALPHA, BETA, DELTA, CORRECTION, LAST_PRESSURE, LAST_RATE, STARTED, SINCE, MEMORY_SIZE = range(9)
+ALPHA, BETA, DELTA, CORRECTION, LAST_PRESSURE, LAST_RATE, STARTED, SINCE, ELEMENTS, VISCOUS, STRENGTH, MEMORY_SIZE = range(12)
 
 
 def memory(p: Parameters) -> Array:
@@ -202,6 +202,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     # At the limit, only adaptation away from it continues; after an invalid measurement, none.
     if sound and (wanted == command or wanted * s > 0.0):
         memory[ALPHA], memory[BETA], memory[DELTA] = alpha, beta, delta
+        memory[ELEMENTS], memory[VISCOUS], memory[STRENGTH] = elements, viscous, -m0 * e5 * g3 / e1 * 1e3
 
     status[base.E3] = error
     status[base.S] = s
@@ -214,4 +215,15 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     status[base.FORCE_ERROR] = m[sensors.FORCE] - r[0]
     status[base.FORCE_BOUND] = pressure_error_bound_kernel(p.k, p.g, p.h, p.b) * area
     status[base.SATURATED] = 1.0 if wanted != command else 0.0
+    return command
+
+
+@kernel
+def follow(command: float, own: float, memory: Array) -> float:
+    """Give D the value with which (34) has the command [m] of another controller; its error is not this law's to adapt to."""
+    delta = memory[DELTA] + (memory[ALPHA] - 1.0) * memory[ELEMENTS] + (memory[BETA] - 1.0) * memory[VISCOUS]
+    delta += memory[STRENGTH] * (command - own)
+    if not math.isfinite(delta):
+        return own
+    memory[ALPHA], memory[BETA], memory[DELTA] = 1.0, 1.0, delta
     return command

@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.control import state_estimator
+from ehls_ros.control import reaching, state_estimator
 from ehls_ros.control.controllers import base
 from ehls_ros.control.controllers.base import FORESEEN, Model
 from ehls_ros.control.reaching import Surface, answer
@@ -24,6 +24,8 @@ FRICTION = False
 FRICTION_MODEL = state_estimator.FRICTION_MODEL
 NEEDS = ("position", "load_pressure", "spool_position", "force")
 PREVIEW = True
+
+follow = reaching.follow
 
 
 class Parameters(NamedTuple):

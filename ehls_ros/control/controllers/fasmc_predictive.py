@@ -14,7 +14,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.control import state_estimator, unrest
+from ehls_ros.control import reaching, state_estimator, unrest
 from ehls_ros.control.controllers import base
 from ehls_ros.control.controllers.base import FORESEEN, Model
 from ehls_ros.control.reaching import Surface, answer
@@ -35,6 +35,8 @@ FRICTION = False
 FRICTION_MODEL = state_estimator.FRICTION_MODEL
 NEEDS = ("position", "load_pressure", "spool_position", "force")
 PREVIEW = True
+
+follow = reaching.follow
 
 LEAST_POSITION_NOISE, LEAST_PRESSURE_NOISE, LEAST_SPOOL_NOISE, LEAST_FORCE_NOISE = 1e-9, 10.0, 1e-9, 0.03
 """Lower bounds of the sensors' standard deviations [m, Pa, m, N]: no model is better than that."""

@@ -1,0 +1,140 @@
+"""The valve goes from one running controller to another and back, without a bump and without a trip.
+
+In lockstep the run is that of the same switches in one process, cycle by cycle.
+"""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("ehls_msgs.msg._driver", reason="needs ehls_msgs built, as `make setup` does")
+
+from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import Bool
+
+from ehls_msgs.msg import ControllerStatus, Driver, LoaderState, ValveCommand
+from ehls_msgs.srv import SwitchController
+from ehls_ros.control.controller import Controller
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.controllers.base import model_of
+from ehls_ros.control.disturbances import DISTURBANCES
+from ehls_ros.experiments.loop import run_in_process, sampled, simulator_of
+from ehls_ros.experiments.spec import Use, load_spec
+from ehls_ros.physics import sensors
+from ehls_ros.physics.rig import SENSED
+
+FIRST, SECOND = "fasmc_output_feedback", "sic"
+WITHOUT_COUPLING = "fasmc_output_feedback, coupling_stiffness: 0.0, coupling_damping: 0.0"
+PHASE = 500
+"""Cycles that each controller drives at least."""
+
+JOINING = 50
+"""Cycles that one may take to keep up with the plant, after its first."""
+
+AFTER = 200
+"""Cycles after a switch in which the force error is looked at."""
+
+
+def law_of(sender):
+    """Return the law of a sender, which names its node and process."""
+    return sender.rpartition("/")[2].rpartition("_node-")[0]
+
+
+def in_one_process(spec, drivers, joined, missed, cycles):
+    """Return force [N] and command [m] of a run in which controllers join and drive from the given cycles on.
+
+    The second one does not follow the cycles ``missed``.
+    """
+    period = spec.settings.control_period
+    simulator, random = simulator_of(spec), np.random.default_rng(spec.settings.seed)
+    wanted = sampled(spec.reference, period).rows(0, cycles)
+    kind = DISTURBANCES.load(spec.disturbance.name)
+    source = kind.build(spec.disturbance.parameters, sampled(spec.disturbance.signal, period), spec.rig, period)
+    disturbance = source.rows(0, cycles)
+    tunings = {SECOND: CONTROLLERS.load(SECOND).Parameters(), FIRST: spec.controller.parameters}
+    laws = {name: Controller(name, tunings[name], model_of(spec.controller_rig, period)) for name in joined}
+    forces, commands, driver, last = np.empty(cycles), np.zeros(cycles), FIRST, {}
+    for cycle in range(cycles):
+        measured = simulator.measure(random.standard_normal(len(SENSED)))
+        answers = {}
+        for name, law in laws.items():
+            if cycle >= joined[name] and (name == driver or cycle not in missed):
+                seen = measured, wanted[cycle], np.zeros(2)
+                if name == driver:
+                    answers[name] = law.step(*seen)
+                else:
+                    answers[name] = law.follow(*seen, commands[cycle - 1], cycle - last.get(name, cycle - 1))
+                last[name] = cycle
+        driver = drivers.get(cycle, driver)
+        forces[cycle], commands[cycle] = measured[sensors.FORCE], answers[driver]
+        simulator.advance(commands[cycle], *disturbance[cycle])
+    return forces, commands
+
+
+def test_a_controller_takes_over_gives_back_and_succeeds_one_that_leaves(graph, participant, spec_file):
+    path = spec_file(duration=1000.0, controller=FIRST)
+    path.write_text(path.read_text(encoding="utf-8").replace(f"name: {FIRST}", f"name: {WITHOUT_COUPLING}"), encoding="utf-8")
+    told = participant.collect(Driver, "driver")
+    states = participant.collect(LoaderState, "loader_state")
+    commands = participant.collect(ValveCommand, "valve_command")
+    shadows = participant.collect(ValveCommand, "standby_command")
+    statuses = participant.collect(ControllerStatus, "controller_status")
+    driving = participant.collect(Bool, "driving")
+    diagnostics = participant.collect(DiagnosticArray, "/diagnostics")
+    for name in ("reference_node", "disturbance_node", f"{FIRST}_node"):
+        graph.start(name, spec=path, timing="lockstep")
+    # The test must keep up with the messages.
+    graph.start("plant_sim_node", spec=path, timing="lockstep", speed=1.0)
+
+    def drives(law, cycles=PHASE):
+        participant.until(lambda: bool(told) and law_of(told[-1].sender) == law)
+        participant.until(lambda: bool(states) and states[-1].cycle >= told[-1].cycle + cycles)
+
+    def switch(name):
+        return participant.call(SwitchController, "switch_controller", SwitchController.Request(controller=name))
+
+    drives(FIRST)
+    refused = switch(f"{SECOND}_node")
+    assert not refused.success
+    assert "does not stand by" in refused.message
+    graph.start(f"{SECOND}_node", spec=path, timing="lockstep")
+    participant.until(lambda: bool(shadows) and states[-1].cycle >= shadows[0].cycle + PHASE)
+    assert switch(f"{SECOND}_node").success
+    drives(SECOND)
+    assert switch(f"/ehls/{FIRST}_node").success
+    drives(FIRST)
+    assert "drives already" in switch(f"{FIRST}_node").message
+    assert graph.stop(f"{FIRST}_node") == 0, graph.log(f"{FIRST}_node")
+    drives(SECOND)
+
+    assert [law_of(message.sender) for message in told] == ["", FIRST, SECOND, FIRST, SECOND]
+    assert all(message.data for message in driving)
+    assert not any("second_sender" in status.message for array in diagnostics for status in array.status)
+    # Each cycle has one command and one status, of the controller that drove.
+    turns = {message.cycle: law_of(message.sender) for message in told if message.sender}
+    of_cycle = [max(first for first in turns if first <= max(message.cycle, 1)) for message in commands]
+    assert [law_of(message.sender) for message in commands] == [turns[first] for first in of_cycle]
+    assert len({message.cycle for message in statuses}) == len(statuses)
+
+    spec = load_spec(path)
+    cycles = states[-1].cycle + 1
+    joined = shadows[0].cycle
+    # The plant waits for the new one as soon as it knows of it.
+    missed = set(range(joined, joined + JOINING)) - {message.cycle for message in shadows}
+    forces, sent = in_one_process(spec, turns, {FIRST: 0, SECOND: joined}, missed, cycles)
+    heard = {message.cycle: message.force for message in states}
+    assert len(heard) > 4 * PHASE
+    assert list(heard.values()) == pytest.approx(forces[list(heard)], rel=1e-9, abs=1e-6)
+
+    settings = spec.settings._replace(duration=cycles * spec.settings.control_period)
+    alone = [
+        run_in_process(spec._replace(settings=settings, controller=use))
+        for use in (spec.controller, Use(SECOND, CONTROLLERS.load(SECOND).Parameters()))
+    ]
+    wanted = alone[0].signals["force_reference_n"]
+    for first in list(turns)[1:]:
+        window = slice(first, first + AFTER)
+        usual = max(np.max(np.abs(run.signals["force_n"][window] - wanted[window])) for run in alone)
+        assert np.max(np.abs(forces[window] - wanted[window])) <= 1.2 * usual
+        near = slice(first - 1, first + 5)
+        usual = max(np.max(np.abs(np.diff(run.signals["valve_command_m"][near]))) for run in alone)
+        assert np.max(np.abs(np.diff(sent[near]))) <= 3.0 * usual
