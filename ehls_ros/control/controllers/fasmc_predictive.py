@@ -50,7 +50,7 @@ class Parameters(NamedTuple):
     ] = 12.0
     g: Annotated[float, quantity("1/MPa", "steepness of the sliding surface near zero error", minimum=0.1, maximum=1e4)] = 60.0
     xi: Annotated[float, quantity("1", "weight of the error's rate in the sliding variable", minimum=1e-3, maximum=1e3)] = 1.0
-    reaching_rate: Annotated[float, quantity("1/s", "rate at which s is removed", minimum=0.0, maximum=1e6)] = 1000.0
+    reaching_rate: Annotated[float, quantity("1/s", "rate at which s is removed", minimum=0.0, maximum=1e6)] = 300.0
     motion_noise: Annotated[
         float,
         quantity("N s^1/2", "force missing in the model of the motion, root of its spectral density", minimum=0.0, maximum=1e6),
@@ -73,11 +73,11 @@ class Parameters(NamedTuple):
     rate_noise: Annotated[
         float,
         quantity("1/s^3/2", "that noise over the rms of the force's rate", minimum=0.0, maximum=1e6),
-    ] = 300.0
+    ] = 600.0
     unrest_memory: Annotated[float, quantity("s", "time over which that rms is taken", minimum=1e-3, maximum=1e3)] = 0.5
     reversal_factor: Annotated[
         float, quantity("1", "factor of the noise after a reversal of the motion", minimum=1.0, maximum=1e3)
-    ] = 3.0
+    ] = 2.0
     reversal_travel: Annotated[float, quantity("m", "travel after a reversal for which it holds", minimum=0.0, maximum=1.0)] = (
         1.7e-3
     )
