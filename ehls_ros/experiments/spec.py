@@ -123,6 +123,21 @@ def chosen_spec(spec: str, rig: str) -> Spec:
     return load_spec(configured(spec or "sine_fd2", "experiments"), configured(rig) if rig else None)
 
 
+def with_programme(spec: Spec, file: str) -> Spec:
+    """Return an experiment with a test programme for its reference.
+
+    Args:
+        spec: the experiment.
+        file: the programme's file, or the name of one that comes with the package; empty: the experiment's own reference.
+
+    Raises:
+        BadInput: the file is wrong, or there is none and the experiment's reference is no programme.
+    """
+    if not file:
+        return spec
+    return spec._replace(reference=_use(REFERENCES, {"name": "programme", "file": file}, "programme", Path()))
+
+
 def check_law(spec: Spec, law: str, where: str) -> None:
     """Check that a controller can take the place of an experiment's.
 

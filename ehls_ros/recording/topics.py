@@ -77,6 +77,18 @@ POSITION_REFERENCE = _cycle_topic(
 REFERENCE_TOPICS: Mapping[str, Topic] = MappingProxyType({"force": FORCE_REFERENCE, "position": POSITION_REFERENCE})
 """The reference topic by the quantity that the controller follows; a run has one of them."""
 
+PROGRAMME_POINT = _cycle_topic(
+    "programme_point",
+    "ehls_msgs/msg/ProgrammePoint",
+    {
+        "block": "programme_block",
+        "repetition": "programme_repetition",
+        "load_cycles": "programme_load_cycles",
+        "phase": "programme_phase",
+        "state": "programme_state",
+    },
+)
+
 DISTURBANCE = _cycle_topic(
     "disturbance",
     "ehls_msgs/msg/Disturbance",
@@ -121,6 +133,7 @@ CYCLE_TOPICS = (
     LOADER_STATE,
     FORCE_REFERENCE,
     POSITION_REFERENCE,
+    PROGRAMME_POINT,
     DISTURBANCE,
     FRICTION_ESTIMATE,
     VALVE_COMMAND,
