@@ -204,12 +204,14 @@ class ProgrammeNode(AheadNode):
             self.counting = saved.counting
             if saved.run != run:
                 self._fall_out(cycle, "the rig is another one since", saved.seen, measured)
-            elif cycle > saved.published:
-                self._fall_out(cycle, "there was no reference while the node was away", saved.published, measured)
             else:
                 # Snapshots from before the node went are still there, as many as the rig keeps.
                 since = max(saved.counting, cycle - DEPTH)
-                self._remember(self.runner.rows(since, cycle - since), since)
+                self._remember(self.runner.rows(since, min(cycle, saved.published + 1) - since), since)
+                # In lockstep the rig waits in the first control cycle without reference.
+                if cycle > saved.published + 1:
+                    self._count()
+                    self._fall_out(cycle, "there was no reference while the node was away", saved.published, measured)
         self.run, self.next, self.last = run, cycle, max(cycle, self.last)
         self._publish_to(cycle + self.lead, None)
 
