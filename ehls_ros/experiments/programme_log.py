@@ -91,7 +91,10 @@ def write_state(folder: Path, saved: Saved) -> None:
 
 
 def _plain(saved: Saved) -> dict[str, Any]:
-    motions = [{**motion._asdict(), "legs": [leg._asdict() for leg in motion.legs]} for motion in saved.motions]
+    motions = [
+        {**motion._asdict(), **{key: [part._asdict() for part in getattr(motion, key)] for key in ("legs", "skipped")}}
+        for motion in saved.motions
+    ]
     return {**saved._asdict(), "motions": motions, "stiffness": [entry._asdict() for entry in saved.stiffness]}
 
 

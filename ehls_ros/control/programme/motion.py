@@ -49,6 +49,13 @@ class Leg(NamedTuple):
     to: float = 0.0
 
 
+class Skip(NamedTuple):
+    """Load cycles that were left out: their number, and the programme time from which they are missing [s]."""
+
+    to: float
+    load_cycles: int
+
+
 class Motion(NamedTuple):
     """What holds from a control cycle on: some legs, then the programme at its own speed or at rest.
 
@@ -58,7 +65,7 @@ class Motion(NamedTuple):
         legs: parts before the last.
         since: programme time at the end of the legs [s].
         rests: value held from then on; None: the programme runs.
-        skipped: load cycles before here that were skipped.
+        skipped: load cycles that were left out until here.
         reason: what a stop is for.
     """
 
@@ -67,7 +74,7 @@ class Motion(NamedTuple):
     legs: tuple[Leg, ...]
     since: float
     rests: float | None = None
-    skipped: int = 0
+    skipped: tuple[Skip, ...] = ()
     reason: str = ""
 
 
@@ -133,7 +140,7 @@ class Runner:
         speeding = Leg(programme.parameters.stop_time, 0.0, end_speed=1.0)
         return Motion(first, "start", (glide, speeding), _end(speeding))
 
-    def resting(self, first: int, since: float, measured: float, reason: str, skipped: int = 0) -> Motion:
+    def resting(self, first: int, since: float, measured: float, reason: str, skipped: tuple[Skip, ...] = ()) -> Motion:
         """Return the motion of a programme that the rig has fallen out of: from where the rig is to what is held.
 
         Args:
@@ -141,7 +148,7 @@ class Runner:
             since: programme time where it stands [s].
             measured: value of the rig.
             reason: what happened.
-            skipped: load cycles before there that were skipped.
+            skipped: load cycles that were left out until there.
         """
         held = self._held(since)
         glide = Leg(self._hold_time, since, row=(measured, 0.0, 0.0), to=held)
@@ -213,7 +220,7 @@ class Runner:
             spot = self.programme.spot(spot.end)
         following = min(spot.end, self.programme.duration)
         done, then = (int(n) for n in self.programme.points(np.array([since, following])).load_cycles)
-        skipped = motion.skipped + then - done
+        skipped = (*motion.skipped, Skip(following, then - done))
         if motion.rests is not None:
             held = self._held(following)
             legs += [Leg(self._hold_time, following, row=row, to=held)] if row != (held, 0.0, 0.0) else []
@@ -258,7 +265,9 @@ class Runner:
         points = self.programme.points(moving.since)
         made.points.block[chosen] = points.block
         made.points.repetition[chosen] = points.repetition
-        made.points.load_cycles[chosen] = points.load_cycles - motion.skipped
+        made.points.load_cycles[chosen] = points.load_cycles
+        for skip in motion.skipped:
+            made.points.load_cycles[chosen] -= np.where(moving.since >= skip.to - CLOSE, skip.load_cycles, 0)
         made.points.phase[chosen] = np.where(moving.speed > 0.0, points.phase, np.nan)
         made.state[chosen] = self._states(motion, moving, cycles[chosen])
 

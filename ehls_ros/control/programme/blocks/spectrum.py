@@ -36,7 +36,7 @@ def course(p: Parameters, start: float) -> Course:
     load_spectrum.sample(np.zeros(1), load_spectrum.Parameters(p.points))
     _, whole = _times(p)
     begin = p.scale * p.points[0][1]
-    return Course(begin, begin, p.count * whole, whole, p.count, 0.1 * min(np.diff([time for time, _ in p.points])))
+    return Course(begin, begin, p.count * whole, whole, p.count, 0.01 * min(np.diff([time for time, _ in p.points])))
 
 
 def sample(t: Array, p: Parameters, start: float) -> Array:
