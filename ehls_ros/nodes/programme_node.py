@@ -167,7 +167,7 @@ class ProgrammeNode(AheadNode):
             self._begin()
             return
         self._count()
-        if self.last >= self.next:
+        if self.last > self.next:
             self._fall_out(self.last, f"the rig had no reference from control cycle {self.next} on")
         self._follow_requests()
         self._publish_to(self.last + self.lead, None)
@@ -210,6 +210,7 @@ class ProgrammeNode(AheadNode):
                 self._remember(self.runner.rows(since, min(cycle, saved.published + 1) - since), since)
                 # In lockstep the rig waits in the first control cycle without reference.
                 if cycle > saved.published + 1:
+                    self.next = saved.published + 1
                     self._count()
                     self._fall_out(cycle, "there was no reference while the node was away", saved.published, measured)
         self.run, self.next, self.last = run, cycle, max(cycle, self.last)
@@ -342,18 +343,20 @@ class ProgrammeNode(AheadNode):
             self.log.flush()
 
     def _snapshots(self) -> list[tuple[Any, ...]]:
-        """Return the snapshots of control cycles that were not counted yet, in their order."""
+        """Return the snapshots of published control cycles that were not counted yet, in their order."""
         found, self.waiting = self.waiting, []
         while (message := self.states.take()) is not None:
             found.append(message)
-        return [message for message in found if message[1] >= self.counting]
+        # A rig in lockstep opens the control cycle that it waits for reference in.
+        self.waiting = [message for message in found if message[1] >= self.next]
+        return [message for message in found if self.counting <= message[1] < self.next]
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say where the programme is."""
         programme = self.programme
         figures: dict[str, Any] = {
             "programme": programme.parameters.title,
-            "state": self.state.name.lower(),
+            "programme_state": self.state.name.lower(),
             "block": self.block,
             "block_name": programme.leaves[self.block].name,
             "load_cycles": self.counter.done,
