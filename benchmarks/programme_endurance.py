@@ -2,8 +2,8 @@
 
 usage: programme_endurance.py [--cycles 20000]
 
-Each load cycle has ten control cycles of 1 ms. At 10 % of the load cycles the programme is stopped and resumed, at 40 % its node is
-killed with SIGKILL and started again, at 50 % both: it is killed while it is stopped, and resumed. The log of load cycles is judged.
+Each load cycle has ten control cycles of 1 ms. At 10 % of the load cycles the programme is stopped and resumed, at 40 % its
+node is killed with SIGKILL and started again, at 50 % both: it is killed while it is stopped, and resumed. The log is judged.
 """
 
 import argparse
@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import rclpy
@@ -52,7 +52,7 @@ blocks:
   - repeat: {repeats}
     blocks:
       - {{block: cycles, name: large, mean: 1.5e+3, amplitude: 300.0, frequency: {frequency}, count: {large}}}
-      - {{block: cycles, name: small, waveform: haversine, mean: 1.5e+3, amplitude: 150.0, frequency: {frequency}, count: {small}}}
+      - {{block: cycles, waveform: haversine, mean: 1.5e+3, amplitude: 150.0, frequency: {frequency}, count: {small}}}
 """
 
 SPEC = """title: endurance
@@ -168,7 +168,7 @@ class _Runner:
     ) -> None:
         self.memory: list[list[float]] = []
         self._folder, self._own, self._environment, self._graph, self._stack = folder, own, environment, graph, stack
-        self._running: Running | None = None
+        self._running: Running
 
     def start(self) -> None:
         nodes = node_processes([PROGRAMME], self._own, self._folder, self._environment)
@@ -176,7 +176,6 @@ class _Runner:
         [self._running] = self._stack.enter_context(nodes)
 
     def kill(self) -> None:
-        assert self._running is not None
         self._running.process.kill()
         self._running.process.wait()
 
@@ -197,10 +196,11 @@ class _Runner:
             quiet = time.monotonic() - since
             if over(done, quiet):
                 return
-            assert quiet < PATIENCE, f"no load cycle for {PATIENCE:g} s after {done}"
+            if quiet > PATIENCE:
+                raise TimeoutError(f"no load cycle for {PATIENCE:g} s after {done}")
             for node in (*self._graph, self._running):
-                assert node is not None
-                assert node.process.poll() is None, f"{node.name} ended: {last_line(node.log)}"
+                if node.process.poll() is not None:
+                    raise RuntimeError(f"{node.name} ended: {last_line(node.log)}")
             self._look()
             time.sleep(LOOK)
 
@@ -216,7 +216,6 @@ class _Runner:
         return int(word) if word.isdigit() else 0
 
     def _look(self) -> None:
-        assert self._running is not None
         status = Path(f"/proc/{self._running.process.pid}/status").read_text(encoding="utf-8")
         resident = next((line.split()[1] for line in status.splitlines() if line.startswith("VmRSS")), "0")
         self.memory[-1].append(int(resident) / 1024)
@@ -225,7 +224,7 @@ class _Runner:
 class _Asker:
     """Calls services of the graph, again until they do what they are asked for."""
 
-    def __enter__(self) -> "_Asker":
+    def __enter__(self) -> Self:
         self._context = rclpy.Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node("asker", context=self._context, namespace=NAMESPACE)

@@ -27,7 +27,11 @@ ARGUMENTS = {
     ),
     "rig": ("", "rig file in place of the spec's", None),
     "spec": ("", "experiment file; empty: the 10 kN sine that comes with the package", None),
-    "programme": ("", "test programme in place of the spec's reference: programme_node runs it; log and state go to runs/", None),
+    "programme": (
+        "",
+        "test programme in place of the spec's reference: programme_node runs it; log and state go to runs/",
+        None,
+    ),
     "timing": (
         "realtime",
         "realtime: wall clock; lockstep: deterministic, as fast as the machine goes, with the time on the clock topic",

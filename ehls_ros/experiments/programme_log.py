@@ -78,12 +78,14 @@ def read_state(folder: Path) -> Saved | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
-        raise BadInput(f"the programme's state cannot be read ({error})", str(path), "the file as it was, or another folder") from None
+        raise BadInput(
+            f"the programme's state cannot be read ({error})", str(path), "the file as it was, or another folder"
+        ) from None
     return saved
 
 
 def write_state(folder: Path, saved: Saved) -> None:
-    """Replace the state in a folder at once: whoever reads it, or whatever kills the writer, finds the old one or the new one."""
+    """Replace the state in a folder at once: whatever kills the writer, the old one is there or the new one."""
     path = folder / STATE
     beside = path.with_suffix(".new")
     beside.write_text(json.dumps(_plain(saved)), encoding="utf-8")

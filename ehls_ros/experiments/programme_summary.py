@@ -124,12 +124,20 @@ def summary_of(programme: Programme, rig: Rig) -> Summary:
     ]
     title = programme.parameters.title
     return Summary(
-        title, programme.duration, programme.load_cycles, ramps, rate, possible, tuple(blocks), tuple(complaints), rainflow_of(programme)
+        title,
+        programme.duration,
+        programme.load_cycles,
+        ramps,
+        rate,
+        possible,
+        tuple(blocks),
+        tuple(complaints),
+        rainflow_of(programme),
     )
 
 
 def possible_rate(rig: Rig, force: float) -> float:
-    """Return the rate of the force that the rig's valve reaches at a force, by (1) and (2) of the paper, the piston at rest [N/s].
+    """Return the rate that the rig's valve reaches at a force, by (1) and (2) of the paper, the piston at rest [N/s].
 
     Args:
         rig: the rig.

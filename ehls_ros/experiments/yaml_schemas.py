@@ -160,7 +160,9 @@ def _member_of(family: Family[Any]) -> Schema:
             more["file"] = {"type": "string", "description": "programme, from the folder of this file"}
         if family is FAMILIES["disturbance"]:
             more["signal"] = _ref("signal")
-        needed = [key for key in object_of(member.Parameters)["required"] if "file" not in more or key not in {"points", "blocks"}]
+        needed = [
+            key for key in object_of(member.Parameters)["required"] if "file" not in more or key not in {"points", "blocks"}
+        ]
         made.append(object_of(member.Parameters, ("name", *needed), **more))
     return {"anyOf": made}
 

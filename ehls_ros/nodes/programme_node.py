@@ -44,19 +44,23 @@ class Parameters(NamedTuple):
     anew: Annotated[bool, text("begin the programme anew, and its log; false: go on where the folder's state says")] = False
     ahead: Annotated[
         int,
-        quantity("1", "control cycles by which the reference is published ahead; a stop acts after them", minimum=20, maximum=LEAD),
+        quantity(
+            "1", "control cycles by which the reference is published ahead; a stop acts after them", minimum=20, maximum=LEAD
+        ),
     ] = LEAD
     start_time: Annotated[
         float,
-        quantity("s", "time in which the reference is led in from where the rig is; 0: the programme begins at once", minimum=0.0),
+        quantity(
+            "s", "time in which the reference is led in from where the rig is; 0: the programme begins at once", minimum=0.0
+        ),
     ] = 0.0
 
 
 class ProgrammeNode(AheadNode):
     """Publishes a programme's reference and points, a pure function of the control cycle between two requests.
 
-    So a node that is killed and started again, while the rig still has reference, goes on without a bump; where the rig ran out of
-    it, or is another process, the programme stands where it was and waits to be resumed.
+    So a node that is killed and started again, while the rig still has reference, goes on without a bump; where the rig ran out
+    of it, or is another process, the programme stands where it was and waits to be resumed.
     """
 
     def __init__(self) -> None:
@@ -84,7 +88,10 @@ class ProgrammeNode(AheadNode):
 
         def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             refusal = self._refusal(request)
-            response.success, response.message = not refusal, refusal or f"{request} from control cycle {self.next} on, or later"
+            response.success, response.message = (
+                not refusal,
+                refusal or f"{request} from control cycle {self.next} on, or later",
+            )
             if response.success:
                 self.asked.append(request)
             return response
@@ -185,8 +192,8 @@ class ProgrammeNode(AheadNode):
     def _begin(self) -> None:
         """Find out in which control cycle the rig is now, and begin or go on there.
 
-        What is kept of earlier control cycles says nothing of that: in lockstep the clock, of which only the newest is kept, and in
-        realtime a snapshot that nobody keeps do.
+        What is kept of earlier control cycles says nothing of that. In lockstep the clock does, of which one message is kept; in
+        realtime a snapshot that nobody keeps.
         """
         now = self._present()
         if now is None:
@@ -278,7 +285,9 @@ class ProgrammeNode(AheadNode):
         while self.asked:
             request = self.asked.pop(0)
             done = runner.stop(self.next, "asked for") if request == "stop" else getattr(runner, request)(self.next)
-            self.get_logger().info(f"programme {request} from control cycle {self.next} on" if done else f"nothing to {request}")
+            self.get_logger().info(
+                f"programme {request} from control cycle {self.next} on" if done else f"nothing to {request}"
+            )
 
     def _publish_to(self, cycle: int, state: tuple[Any, ...] | None) -> None:
         if cycle < self.next:
@@ -300,7 +309,9 @@ class ProgrammeNode(AheadNode):
 
     def _remember(self, rows: Rows, first: int) -> None:
         """Keep what the measurements of control cycles will be compared with."""
-        for cycle, (point, reference) in enumerate(zip(_entries(rows), rows.reference[:, 0].tolist(), strict=True), start=first):
+        for cycle, (point, reference) in enumerate(
+            zip(_entries(rows), rows.reference[:, 0].tolist(), strict=True), start=first
+        ):
             if cycle >= self.counting:
                 self.samples[cycle] = (*point, reference)
 
@@ -332,10 +343,12 @@ class ProgrammeNode(AheadNode):
             self.counting = cycle + 1
             if known is None:
                 continue
-            *point, reference = known
+            block, repetition, load_cycles, phase, state, reference = known
             measured, position = message[2 + MEASURED[self.follows]], message[2 + sensors.POSITION]
-            finished = self.counter.add(Sample(cycle, *point, reference, measured, position))
-            self.state, self.block = State(point[4]), point[0]
+            finished = self.counter.add(
+                Sample(cycle, block, repetition, load_cycles, phase, state, reference, measured, position)
+            )
+            self.state, self.block = State(state), block
             if finished:
                 self.log.add(finished, stamp / NANOSECONDS)
                 self.newest, logged = finished[-1], True

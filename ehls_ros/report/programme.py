@@ -41,7 +41,9 @@ def write_programme_report(programme: Programme, summary: Summary, path: Path) -
         ("Blocks", [page.table(header, rows)]),
         *((title, [_counts(counts)]) for title, counts in known if counts),
     ]
-    sentence = "; ".join(summary.complaints) or "The rig reaches the forces of every block, and their rates with the piston at rest."
+    sentence = (
+        "; ".join(summary.complaints) or "The rig reaches the forces of every block, and their rates with the piston at rest."
+    )
     page.write_page(
         path,
         title=summary.title,

@@ -8,16 +8,18 @@ import pytest
 from ehls_ros.cli.main import main
 from ehls_ros.control.programme.declaration import Parameters
 from ehls_ros.control.programme.expansion import Programme
+from ehls_ros.experiments.programme_summary import in_bins, rainflow_of
 from ehls_ros.schema import parse
 
 rainflow = pytest.importorskip("rainflow", reason="needs `make setup WITH=programme`")
 
-from ehls_ros.experiments.programme_summary import in_bins, rainflow_of
-
 CYCLES = {"block": "cycles", "mean": 1e3, "amplitude": 500.0, "frequency": 10.0, "count": 7}
 PULSES = {"block": "cycles", "waveform": "haversine", "mean": 2e3, "amplitude": 300.0, "frequency": 5.0, "count": 5}
 RECORDED = {"block": "spectrum", "points": [[0.0, 10.0], [0.5, 900.0], [1.1, -200.0]], "count": 6}
-BLOCKS = [{"block": "ramp", "to": 400.0, "rate": 2e3}, {"repeat": 5, "blocks": [CYCLES, {"repeat": 4, "blocks": [PULSES]}, RECORDED]}]
+BLOCKS = [
+    {"block": "ramp", "to": 400.0, "rate": 2e3},
+    {"repeat": 5, "blocks": [CYCLES, {"repeat": 4, "blocks": [PULSES]}, RECORDED]},
+]
 
 
 def test_rainflow_counts_are_those_of_the_unrolled_programme():

@@ -12,7 +12,7 @@ from ehls_ros.control.programme.counting import Counter, Sample
 from ehls_ros.control.programme.declaration import Parameters
 from ehls_ros.control.programme.expansion import Programme
 from ehls_ros.control.programme.motion import Runner, State
-from ehls_ros.control.references import REFERENCES
+from ehls_ros.control.references import REFERENCES, ramp
 from ehls_ros.errors import BadInput
 from ehls_ros.schema import parse
 
@@ -44,7 +44,6 @@ def unrolled(entries, value, transition):
         p = parse(member.Parameters, {key: own for key, own in entry.items() if key not in {"block", "name", "limits"}}, "test")
         course = member.course(p, value)
         if course.begin != value:
-            ramp = REFERENCES.load("ramp")
             yield transition, 0, lambda t, a=value, b=course.begin: ramp.sample(t, ramp.Parameters(a, b, transition))
         yield course.duration, course.count, lambda t, m=member, p=p, v=course.begin: m.sample(t, p, v)
         value = course.end
@@ -199,7 +198,11 @@ LIMITS = {
     "valley": ({"valley": [480.0, 520.0]}, lambda k, f: (f - 30.0, 0.0), "the valley is 470"),
     "peak error": ({"peak_error": 20.0}, lambda k, f: (1.02 * f, 0.0), "the peak is 30 off"),
     "valley error": ({"valley_error": 20.0}, lambda k, f: (f - 30.0, 0.0), "the valley is 30 off"),
-    "error": ({"error": 20.0}, lambda k, f: (f - 30.0 * (k == 333), 0.0), "the error is 30, its limit 20 (cycles 0, control cycle 333"),
+    "error": (
+        {"error": 20.0},
+        lambda k, f: (f - 30.0 * (k == 333), 0.0),
+        "the error is 30, its limit 20 (cycles 0, control cycle 333",
+    ),
     "position": ({"position": [-0.1, 0.1]}, lambda k, f: (f, 0.2 * (k == 444)), "the position is 0.2 m"),
     "stiffness": (
         {"stiffness_change": 20.0, "stiffness_cycles": 2},

@@ -11,7 +11,15 @@ from rclpy.serialization import deserialize_message, serialize_message
 from ehls_msgs import msg
 from ehls_ros.nodes.codec import Decoder, Encoder
 
-PLAIN = [msg.LoaderState, msg.ValveCommand, msg.ForceReference, msg.PositionReference, msg.ProgrammePoint, msg.Disturbance, msg.ControllerStatus]
+PLAIN = [
+    msg.LoaderState,
+    msg.ValveCommand,
+    msg.ForceReference,
+    msg.PositionReference,
+    msg.ProgrammePoint,
+    msg.Disturbance,
+    msg.ControllerStatus,
+]
 SENDER = "/ehls/fasmc_node-4711"
 FRAMES = ["", "loader", "a", "ab", "abc", "abcdefg", "abcdefgh"]
 

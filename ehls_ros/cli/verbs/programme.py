@@ -22,10 +22,16 @@ HELP = "Check a test programme: its blocks, durations, load cycles, rates agains
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "programme", type=Path, action=Configured, folder="programmes", help="programme's file (YAML), or a name such as fatigue"
+        "programme",
+        type=Path,
+        action=Configured,
+        folder="programmes",
+        help="programme's file (YAML), or a name such as fatigue",
     )
     parser.add_argument("--rig", default="rig_paper", help="rig whose limits it is compared with (default: rig_paper)")
-    parser.add_argument("--counted", type=Path, metavar="RUN", help="also count the recorded force of a run folder, bag or table")
+    parser.add_argument(
+        "--counted", type=Path, metavar="RUN", help="also count the recorded force of a run folder, bag or table"
+    )
     parser.add_argument("--out", type=Path, help="HTML file with a picture of it")
     parser.add_argument("--json", action="store_true", help="end with one line of JSON")
 
@@ -51,14 +57,19 @@ def _print(summary: Summary) -> None:
     print(summary.title)
     print(f"  duration            {number(summary.duration_s)} s")
     print(f"  load cycles         {number(summary.load_cycles)}")
-    print(f"  largest rate        {number(summary.largest_rate_n_s)} N/s; the rig reaches {number(summary.possible_rate_n_s)} N/s")
+    print(
+        f"  largest rate        {number(summary.largest_rate_n_s)} N/s; the rig reaches {number(summary.possible_rate_n_s)} N/s"
+    )
     print(f"  automatic ramps     {number(summary.ramps)}, where a block begins at another value than the programme stands at")
     header = ("block", "kind", "passes", "load cycles", "time [s]", "peak [N]", "valley [N]", "rate [N/s]")
     print(f"  {header[0]:<20}{header[1]:<10}" + "".join(f"{title:>13}" for title in header[2:]))
     for block in summary.blocks:
         cells = (block.passes, block.load_cycles, block.duration_s, block.peak_n, block.valley_n, block.largest_rate_n_s)
         print(f"  {block.name:<20}{block.kind:<10}" + "".join(f"{number(cell):>13}" for cell in cells))
-    for heading, counts in (("rainflow of the programme", summary.rainflow), ("rainflow of the recorded force", summary.recorded)):
+    for heading, counts in (
+        ("rainflow of the programme", summary.rainflow),
+        ("rainflow of the recorded force", summary.recorded),
+    ):
         if counts is not None:
             _print_counts(heading, counts)
     for complaint in summary.complaints:

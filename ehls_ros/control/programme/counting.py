@@ -113,7 +113,7 @@ class Counter:
         return tuple(self._stiffness.values())
 
     def add(self, sample: Sample) -> list[LoadCycle]:
-        """Take the next control cycle, and return the load cycles that it shows to be finished: one, none, or more after a gap."""
+        """Take the next control cycle, and return the load cycles that it shows to be finished: more than one after a gap."""
         finished: list[LoadCycle] = []
         if sample.load_cycles > self.done:
             finished = self._finish(sample)

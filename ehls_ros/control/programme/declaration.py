@@ -35,7 +35,9 @@ class Limits(NamedTuple):
     position: Annotated[tuple[float, float] | None, text("lowest and highest position of the piston", unit="m")] = None
     stiffness_change: Annotated[
         float | None,
-        quantity("%", "largest change of force range over displacement range of a load cycle since the block's first ones", above=0.0),
+        quantity(
+            "%", "largest change of force range over displacement range of a load cycle since the block's first ones", above=0.0
+        ),
     ] = None
     stiffness_cycles: Annotated[int, quantity("1", "first load cycles whose mean stiffness is compared with", minimum=1)] = 10
     settling: Annotated[int, quantity("1", "first load cycles of each pass of a block that are not judged", minimum=0)] = 0
@@ -51,7 +53,8 @@ class Parameters(NamedTuple):
         float, quantity("s", "time of the ramp to a block that begins at another value than the programme stands at", above=0.0)
     ] = 0.5
     hold: Annotated[
-        float | None, quantity("N or m", "value that is held after a stop; none: where the programme stands", minimum=-1e6, maximum=1e6)
+        float | None,
+        quantity("N or m", "value that is held after a stop; none: where the programme stands", minimum=-1e6, maximum=1e6),
     ] = None
     stop_time: Annotated[
         float, quantity("s", "time in which a stopped programme comes to rest, and gets going again", above=0.0, maximum=1e3)
@@ -83,7 +86,7 @@ class Leaf(NamedTuple):
 class Repeat(NamedTuple):
     """Blocks that are run several times on end."""
 
-    count: int
+    count: int  # type: ignore[assignment]  # a tuple has a method of this name
     parts: tuple["Leaf | Repeat", ...]
 
 

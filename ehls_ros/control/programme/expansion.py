@@ -116,6 +116,12 @@ class Points(NamedTuple):
     load_cycles: NDArray[np.int64]
     phase: Array
 
+    @classmethod
+    def empty(cls, count: int) -> "Points":
+        """Return points to be filled in: block 0, nothing completed, NaN phase."""
+        block, repetition, load_cycles = (np.zeros(count, np.int64) for _ in range(3))
+        return cls(block, repetition, load_cycles, np.full(count, np.nan))
+
 
 class Programme:
     """A programme.
@@ -162,7 +168,7 @@ class Programme:
         return Spot(part, since, before)
 
     def sample(self, t: Array) -> Array:
-        """Return value, first and second derivative at times [s] of shape (n,), as shape (n, 3); it keeps its two end values."""
+        """Return value, first and second derivative at times [s], shape (n,), as shape (n, 3); it keeps its end values."""
         rows = np.zeros((t.size, 3))
         for chosen, spot in self._walk(t):
             local = t[chosen] - spot.since
@@ -173,7 +179,7 @@ class Programme:
 
     def points(self, t: Array) -> Points:
         """Return where the programme is at times [s], shape (n,)."""
-        points = Points(*(np.zeros(t.size, np.int64) for _ in range(3)), np.full(t.size, np.nan))
+        points = Points.empty(t.size)
         for chosen, spot in self._walk(t):
             course = spot.segment.course
             points.block[chosen] = spot.segment.leaf.number
@@ -225,7 +231,9 @@ class Programme:
         try:
             course = BLOCKS.load(leaf.kind).course(leaf.parameters, value)
         except BadInput as error:
-            raise BadInput(error.what, f"{self._where}: block {leaf.number} ({leaf.name}): {error.where}", error.expected) from None
+            raise BadInput(
+                error.what, f"{self._where}: block {leaf.number} ({leaf.name}): {error.where}", error.expected
+            ) from None
         segments = [Segment(leaf, value, course, leads=False)]
         if course.begin != value:
             time = self.parameters.transition
@@ -257,7 +265,10 @@ class _Declared:
 
     def __init__(self, parameters: Parameters) -> None:
         self.parameters = parameters
-        self._content = pickle.dumps(parameters._replace(blocks=(), limits=None)), pickle.dumps((parameters.blocks, parameters.limits))
+        self._content = (
+            pickle.dumps(parameters._replace(blocks=(), limits=None)),
+            pickle.dumps((parameters.blocks, parameters.limits)),
+        )
 
     def __hash__(self) -> int:
         return hash(self._content)

@@ -1,19 +1,19 @@
 """How a programme is run: when it comes to rest, holds, and goes on, as a function of the control cycle alone.
 
 A stop does not leave the programme's path: its time slows down to rest within ``stop_time``, so that no force comes that the
-programme has not got, and only then the value goes to what is held. Resuming leads back to where the programme stands and speeds
-its time up again. What holds from a control cycle on is a :class:`Motion`, plain numbers that can be stored; a node that is started
-anew with the same motions gives the same values in the same cycles, bit for bit.
+programme has not got, and only then the value goes to what is held. Resuming leads back to where it stands and speeds its time
+up again. What holds from a control cycle on is a :class:`Motion`, plain numbers that can be stored; a node that is
+started anew with the same motions gives the same values in the same cycles, bit for bit.
 """
 
 from enum import IntEnum
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.programme.expansion import CLOSE, Points, Programme
+from ehls_ros.control.programme.expansion import CLOSE, Points, Programme, programme_of
 
 
 class State(IntEnum):
@@ -93,7 +93,7 @@ class Rows(NamedTuple):
 
 
 class _Moving(NamedTuple):
-    """A programme in some control cycles: programme time, its speed and the rate of that, and the rows where it is off its path."""
+    """A programme in some control cycles: its time, the speed of that and its rate, and the rows where it is off its path."""
 
     since: Array
     speed: Array
@@ -164,7 +164,7 @@ class Runner:
         cycles = np.arange(first, first + count)
         made = Rows(
             np.empty((count, 3)),
-            Points(*(np.zeros(count, np.int64) for _ in range(3)), np.full(count, np.nan)),
+            Points.empty(count),
             np.zeros(count, np.int64),
         )
         firsts = [motion.first for motion in self.motions]
@@ -206,7 +206,7 @@ class Runner:
         return True
 
     def skip(self, cycle: int) -> bool:
-        """Leave the running block for the next one; a stopped programme stays stopped. Return whether there is a block to leave."""
+        """Leave the running block for the next one, still stopped if it was; return whether there is a block to leave."""
         motion, (since, speed, growth), row = self._now(cycle)
         if since >= self.programme.duration - CLOSE:
             return False
@@ -272,10 +272,14 @@ class Runner:
         made.state[chosen] = self._states(motion, moving, cycles[chosen])
 
     def _states(self, motion: Motion, moving: _Moving, cycles: NDArray[np.int64]) -> NDArray[np.int64]:
-        under_way = {"start": State.STARTING, "stop": State.STOPPING, "resume": State.RESUMING, "skip": State.RESUMING}[motion.kind]
+        under_way = {"start": State.STARTING, "stop": State.STOPPING, "resume": State.RESUMING, "skip": State.RESUMING}[
+            motion.kind
+        ]
         arrived = State.RUNNING if motion.rests is None else State.STOPPED
         state = np.where(moving.busy | (cycles < motion.first), under_way, arrived)
-        return np.where((moving.since >= self.programme.duration - CLOSE) & ~moving.busy, State.FINISHED, state).astype(np.int64)
+        return np.where((moving.since >= self.programme.duration - CLOSE) & ~moving.busy, State.FINISHED, state).astype(
+            np.int64
+        )
 
     def _reference(self, moving: _Moving) -> Array:
         rows = self.programme.sample(moving.since)
@@ -306,6 +310,27 @@ class Runner:
             moving.since[left] = motion.since
             moving.off[left] = (motion.rests, 0.0, 0.0)
         return moving
+
+
+def point_signals(parameters: Any, time: Array, period: float) -> dict[str, Array]:
+    """Return the signals of a programme that nothing stops, by name, as ``programme_point`` has them.
+
+    Args:
+        parameters: of the programme.
+        time: of control cycles on end, shape (n,) [s].
+        period: of the control cycles [s].
+    """
+    programme = programme_of(parameters)
+    runner = Runner(programme, period, (Runner.beginning(programme, 0),))
+    rows = runner.rows(round(float(time[0]) / period) if time.size else 0, time.size)
+    points = rows.points
+    return {
+        "programme_block": points.block.astype(np.float64),
+        "programme_repetition": points.repetition.astype(np.float64),
+        "programme_load_cycles": points.load_cycles.astype(np.float64),
+        "programme_phase": points.phase,
+        "programme_state": rows.state.astype(np.float64),
+    }
 
 
 def _along(leg: Leg, gone: Array, moving: _Moving, chosen: NDArray[np.bool_]) -> None:

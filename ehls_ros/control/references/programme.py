@@ -1,4 +1,4 @@
-"""A test programme: blocks of load cycles, ramps, dwells and recorded loads, with repeats; at its end it keeps its last value."""
+"""A test programme: blocks of load cycles, ramps, dwells and recorded loads, with repeats; it keeps its last value."""
 
 import numpy as np
 

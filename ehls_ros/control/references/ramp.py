@@ -15,7 +15,8 @@ class Parameters(NamedTuple):
     end: Annotated[float, quantity("N or m", "value at the end of the ramp, and from then on", minimum=-1e6, maximum=1e6)] = 1e4
     time: Annotated[float, quantity("s", "time that the ramp takes", above=0.0, maximum=1e6)] = 1.0
     rounding: Annotated[
-        float, quantity("1", "share of that time in which the rate rises, and again in which it falls", minimum=0.01, maximum=0.5)
+        float,
+        quantity("1", "share of that time in which the rate rises, and again in which it falls", minimum=0.01, maximum=0.5),
     ] = 0.2
 
 

@@ -1,9 +1,9 @@
 """What a file of a programme's block provides.
 
-``Parameters``, a named tuple declaring its parameters; ``course(p, start)``: how it goes from the value where the programme stands
-before it; and ``sample(t, p, start)``: value and first and second time derivative at times ``t`` [s] since its beginning, of shape
-(n,), as an array of shape (n, 3). A block begins and ends at rest, its rate being 0 there: where it begins at another value than
-``start``, the programme leads there by a ramp.
+``Parameters``, a named tuple declaring its parameters; ``course(p, start)``: how it goes from the value where the programme
+stands before it; and ``sample(t, p, start)``: value and first and second time derivative at times ``t`` since its beginning [s],
+shape (n,), as an array of shape (n, 3). A block begins and ends at rest, its rate being 0 there: where it begins at another
+value than ``start``, the programme leads there by a ramp.
 """
 
 from typing import Any, NamedTuple, Protocol
@@ -27,7 +27,7 @@ class Course(NamedTuple):
     end: float
     duration: float
     cycle: float
-    count: int
+    count: int  # type: ignore[assignment]  # a tuple has a method of this name
     step: float
 
 

@@ -19,13 +19,16 @@ SAMPLES = 100
 class Parameters(NamedTuple):
     """Wave, mean, amplitude, frequency and number of the cycles."""
 
-    count: Annotated[int, quantity("1", "number of load cycles", minimum=1, maximum=10**12)]
+    count: Annotated[  # type: ignore[assignment]  # a tuple has a method of this name
+        int, quantity("1", "number of load cycles", minimum=1, maximum=10**12)
+    ]
     frequency: Annotated[float, quantity("Hz", "load cycles per second", above=0.0, maximum=1e3)]
     amplitude: Annotated[float, quantity("N or m", "half of the range from valley to peak", above=0.0, maximum=1e6)]
     mean: Annotated[float, quantity("N or m", "mean of valley and peak", minimum=-1e6, maximum=1e6)] = 0.0
     waveform: Annotated[str, text("cyclic reference whose wave it is, such as sine, triangle or haversine")] = "sine"
     shape: Annotated[
-        Mapping[str, float] | None, text("further parameters of that reference, such as corner of a triangle or pulse of a haversine")
+        Mapping[str, float] | None,
+        text("further parameters of that reference, such as corner of a triangle or pulse of a haversine"),
     ] = None
 
 

@@ -16,7 +16,8 @@ class Parameters(NamedTuple):
     time: Annotated[float | None, quantity("s", "time that the ramp takes", above=0.0, maximum=1e6)] = None
     rate: Annotated[float | None, quantity("N/s or m/s", "largest rate, in place of the time", above=0.0, maximum=1e9)] = None
     rounding: Annotated[
-        float, quantity("1", "share of the time in which the rate rises, and again in which it falls", minimum=0.01, maximum=0.5)
+        float,
+        quantity("1", "share of the time in which the rate rises, and again in which it falls", minimum=0.01, maximum=0.5),
     ] = 0.2
 
 

@@ -21,9 +21,11 @@ class Parameters(NamedTuple):
     highest_frequency: Annotated[float, quantity("Hz", "upper end of the band", above=0.0, maximum=1e3)]
     mean: Annotated[float, quantity("N or m", "mean value", minimum=-1e6, maximum=1e6)] = 0.0
     period: Annotated[float, quantity("s", "time after which the noise repeats", above=0.0, maximum=1e4)] = 20.0
-    count: Annotated[int, quantity("1", "number of periods", minimum=1, maximum=10**12)] = 1
+    count: Annotated[int, quantity("1", "number of periods", minimum=1, maximum=10**12)] = 1  # type: ignore[assignment]  # a tuple has a method of this name
     seed: Annotated[int, quantity("1", "seed of the phases", minimum=0, maximum=2**32 - 1)] = 1
-    fade: Annotated[float, quantity("s", "time in which the noise grows, and again in which it dies", above=0.0, maximum=1e4)] = 0.5
+    fade: Annotated[
+        float, quantity("s", "time in which the noise grows, and again in which it dies", above=0.0, maximum=1e4)
+    ] = 0.5
 
 
 def _noise(p: Parameters) -> reference.Parameters:

@@ -14,7 +14,7 @@ class Parameters(NamedTuple):
     """The points, and how often they are run through; instead of points a programme may name a CSV ``file``."""
 
     points: Annotated[tuple[tuple[float, float], ...], text("time [s] and value [N or m] of each point, in order of time")]
-    count: Annotated[int, quantity("1", "number of passes", minimum=1, maximum=10**12)] = 1
+    count: Annotated[int, quantity("1", "number of passes", minimum=1, maximum=10**12)] = 1  # type: ignore[assignment]  # a tuple has a method of this name
     scale: Annotated[float, quantity("1", "factor to the values", minimum=-1e6, maximum=1e6)] = 1.0
     closing: Annotated[
         float, quantity("s", "time of the ramp back to the first value, where the last one is another", above=0.0, maximum=1e4)
