@@ -192,7 +192,7 @@ class ProgrammeNode(AheadNode):
     def _begin(self) -> None:
         """Find out in which control cycle the rig is now, and begin or go on there.
 
-        What is kept of earlier control cycles says nothing of that. In lockstep the clock does, of which one message is kept; in
+        What is kept of earlier control cycles says nothing of that. In lockstep the clock does, of which one is kept; in
         realtime a snapshot that nobody keeps.
         """
         now = self._present()
