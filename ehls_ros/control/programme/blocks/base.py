@@ -1,8 +1,8 @@
 """What a file of a programme's block provides.
 
 ``Parameters``, a named tuple declaring its parameters; ``course(p, start)``: how it goes from the value where the programme
-stands before it; and ``sample(t, p, start)``: value and first and second time derivative at times ``t`` since its beginning [s],
-shape (n,), as an array of shape (n, 3). A block begins and ends at rest, its rate being 0 there: where it begins at another
+stands before it; and ``sample(t, p, start)``: value and first and second time derivative at times ``t`` [s] of shape (n,) since
+its beginning, as an array of shape (n, 3). A block begins and ends at rest, its rate being 0 there: where it begins at another
 value than ``start``, the programme leads there by a ramp.
 """
 
