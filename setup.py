@@ -10,7 +10,7 @@ from setuptools import find_packages, setup
 PACKAGE = "ehls_ros"
 ROOT = Path(__file__).resolve().parent
 NODES = [path.stem for path in (ROOT / PACKAGE / "nodes").glob("*_node.py")]
-EXTRAS = ("campaign", "dashboard", "files", "foxglove", "nidaqmx", "optimisers", "peers", "ros")
+EXTRAS = ("campaign", "dashboard", "files", "foxglove", "nidaqmx", "optimisers", "peers", "programme", "ros")
 CONTROLLERS = [path.stem for path in (ROOT / PACKAGE / "control" / "controllers").glob("[!_]*.py") if path.stem != "base"]
 
 

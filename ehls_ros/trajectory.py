@@ -42,6 +42,11 @@ SIGNALS: dict[str, Signal] = {
     "position_reference_m": Signal("position reference", "m"),
     "position_reference_rate_m_s": Signal("rate of the position reference", "m/s"),
     "position_reference_acceleration_m_s2": Signal("second derivative of the position reference", "m/s²"),
+    "programme_block": Signal("running block of the test programme, in the order of its file", "1"),
+    "programme_repetition": Signal("load cycles completed in the pass of the block", "1"),
+    "programme_load_cycles": Signal("load cycles completed in the programme", "1"),
+    "programme_phase": Signal("phase within the load cycle", "1"),
+    "programme_state": Signal("state of the test programme", "1"),
     # estimated
     "friction_gms_n": Signal("force of the friction elements", "N"),
     "friction_viscous_n": Signal("viscous friction", "N"),

@@ -27,6 +27,11 @@ ARGUMENTS = {
     ),
     "rig": ("", "rig file in place of the spec's", None),
     "spec": ("", "experiment file; empty: the 10 kN sine that comes with the package", None),
+    "programme": (
+        "",
+        "test programme in place of the spec's reference: programme_node runs it; log and state go to runs/",
+        None,
+    ),
     "timing": (
         "realtime",
         "realtime: wall clock; lockstep: deterministic, as fast as the machine goes, with the time on the clock topic",
@@ -75,11 +80,16 @@ def nodes(context: LaunchContext) -> list[Node]:
     # An argument that was not given leaves the parameter to the file.
     common = {name: value for name, value in common.items() if chosen[name] != ARGUMENTS[name][0]}
     controller, plant = f"{law}_node", PLANTS[chosen["plant"]]
-    own: dict[str, dict[str, object]] = {"reference_node": {}, "friction_estimator_node": {}, controller: {}}
+    programmed = chosen["programme"] or spec.reference.name == "programme"
+    reference = "programme_node" if programmed else "reference_node"
+    own: dict[str, dict[str, object]] = {reference: {}, "friction_estimator_node": {}, controller: {}}
     if chosen["plant"] == "sim":
         own["disturbance_node"] = {}
     if chosen["record"]:
         own["recorder_node"] = {"bag": chosen["record"]}
+    if chosen["programme"]:
+        for name in {reference, "recorder_node"} & set(own):
+            own[name]["programme"] = chosen["programme"]
     left_out = set(chosen["without"].split(","))
     own[plant] = {"partners": ",".join(name for name in own if name not in left_out)}
     if chosen["bridge"]:

@@ -21,6 +21,7 @@ from docs_snippets import ROOT, SHELL, Block, Command, ParametersOf, Unknown, bl
 
 from ehls_ros.cli.main import main
 from ehls_ros.experiments.campaign.plan import plan_from_mapping
+from ehls_ros.experiments.programme_file import load_programme
 from ehls_ros.experiments.spec import spec_from_mapping
 from ehls_ros.families import Family
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
@@ -169,6 +170,8 @@ def load_yaml(block: Block, folder: Path) -> None:
         sheet_from_mapping(data, where)
     elif "controller" in keys:
         spec_from_mapping(data, where, folder)
+    elif "blocks" in keys:
+        load_programme(folder / block.note)
     else:
         path = folder / (block.note or "columns.yaml")
         path.write_text(block.text, encoding="utf-8")

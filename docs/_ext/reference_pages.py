@@ -19,6 +19,8 @@ from ehls_ros.cli.main import parser
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.programme import declaration as programme_declaration
+from ehls_ros.control.programme.blocks import BLOCKS
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.diagnosis import rules
 from ehls_ros.experiments import spec
@@ -58,6 +60,7 @@ FAMILIES: Mapping[str, Family[Any]] = {
     "Controllers": CONTROLLERS,
     "Friction observers": OBSERVERS,
     "References": REFERENCES,
+    "Programme blocks": BLOCKS,
     "Disturbances": DISTURBANCES,
     "Effects": EFFECTS,
     "DAQ backends": BACKENDS,
@@ -76,6 +79,10 @@ FILES: Mapping[str, tuple[tuple[str, type, ModuleType], ...]] = {
         ("vary: a distribution", variation.Distribution, variation),
     ),
     "Bridge file": (("channels", calibration.Input, calibration), ("command", calibration.Output, calibration)),
+    "Programme file": (
+        ("Settings of a programme", programme_declaration.Parameters, programme_declaration),
+        ("limits of a programme", programme_declaration.Limits, programme_declaration),
+    ),
     "Column map": (
         ("A column", columns.Column, columns),
         ("cylinder", columns.Cylinder, columns),
@@ -123,6 +130,7 @@ TOPICS: Mapping[str, str] = {
     "loader_state": "one atomic snapshot of the sensors, which opens a control cycle",
     "force_reference": "wanted force of a cycle, with two derivatives",
     "position_reference": "wanted position of a cycle, with two derivatives, for controllers that follow a position",
+    "programme_point": "where a test programme is in a cycle: block, load cycles, phase",
     "disturbance": "action of the actuator under test in a cycle",
     "friction_estimate": "friction that the model predicts for a cycle",
     "valve_command": "the controller's answer to a cycle",
@@ -149,6 +157,9 @@ SERVICES: Mapping[str, str] = {
     "emergency_stop": "closes the valve at once and latches; returns the name of the stop",
     "acknowledge_stop": "acknowledges the named emergency stop, at the earliest one second after it; the trip remains",
     "reset_trips": "clears the causes of a trip; refused while one persists or an emergency stop is engaged",
+    "programme_stop": "stops the test programme: along its own path to rest, then to the force held",
+    "programme_resume": "goes on with a stopped programme where it was",
+    "programme_skip": "leaves the running block for the next one",
     "enable": "lets commands through with a blend-in, or shuts them off",
     "switch_controller": "hands the valve to a controller that stands by, without a bump; refused if none has that name",
 }
@@ -305,7 +316,7 @@ def nodes_page() -> str:
                 for topic in (*topics.TOPICS, *topics.HANDOVER_TOPICS)
             ),
         ),
-        "## Services\n\nServices of the plant node, `plant_sim_node` or `hardware_bridge_node`.\n",
+        "## Services\n\nServices of the plant node, `plant_sim_node` or `hardware_bridge_node`, and of `programme_node`.\n",
         rows_of(("service", "type", "what it does"), services()),
         "## Parameters of every node\n",
         table(import_module("ehls_ros.nodes.control").Common),
@@ -351,6 +362,14 @@ def launch_arguments() -> Mapping[str, tuple[str, str, list[str] | None]]:
 
 def services() -> Iterator[tuple[str, str, str]]:
     """Yield name, type and description of every service, from the calls that create them."""
+    yield from plant_services()
+    for request in ("stop", "resume", "skip"):
+        name = f"programme_{request}"
+        yield f"`{topics.NAMESPACE}/{name}`", "`std_srvs/srv/Trigger`", SERVICES[name]
+
+
+def plant_services() -> Iterator[tuple[str, str, str]]:
+    """Yield those of the plant node."""
     tree = ast.parse((ROOT / "ehls_ros" / "nodes" / "plant.py").read_text(encoding="utf-8"))
     imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and str(node.module).endswith(".srv")]
     package_of = {name.name: str(node.module).removesuffix(".srv") for node in imports for name in node.names}

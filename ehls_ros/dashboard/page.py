@@ -14,6 +14,7 @@ from ehls_ros.dashboard.controls import button
 from ehls_ros.dashboard.experiment import ExperimentTab
 from ehls_ros.dashboard.graph import Graph, Health, Timing
 from ehls_ros.dashboard.panels import PANELS, SIGNALS, SPANS, UNITS, Panel, options
+from ehls_ros.dashboard.programme import programme_line
 from ehls_ros.dashboard.status import WARNING, Remedy, status_of
 from ehls_ros.dashboard.tuning import TuningTab
 from ehls_ros.dashboard.window import INTERVAL
@@ -89,6 +90,7 @@ class Page:
             ui.html(PAUSE, sanitize=False, tag="label").classes("pause")
             if writes:
                 button("Emergency stop", graph.emergency_stop, "dense color=negative")
+        self._programme = ui.label("").classes("said").props('data-name="programme"')
         with ui.element("div").classes("trouble") as self._trouble:
             self._words = ui.label("").props('data-name="trouble"')
             if writes:
@@ -137,6 +139,9 @@ class Page:
         self._was_there |= snapshot.rate > 0.0
         self._state.set_text(status.text)
         _set_level(self._state, status.level)
+        programme = programme_line(snapshot.health)
+        self._programme.set_text(programme)
+        self._programme.set_visibility(bool(programme))
         self._words.set_text(status.trouble)
         self._trouble.set_visibility(bool(status.trouble))
         self._trouble.classes(

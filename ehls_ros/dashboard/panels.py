@@ -15,6 +15,9 @@ RESPONSE = "response_us"
 FORCE_REFERENCE = "force_reference_n"
 """Force minus the controller's reported error, which saves subscribing to the reference."""
 
+PEAK, VALLEY = "peak_n", "valley_n"
+"""Largest and smallest force of the load cycle that a test programme finished last."""
+
 SPANS = (5.0, 10.0, 30.0, 60.0)
 """Times that can be shown [s]; the second is the first choice."""
 
@@ -92,13 +95,19 @@ class Panel(NamedTuple):
     logarithmic: bool = False
 
 
+_OF_PROGRAMME = {
+    PEAK: Signal("peak", "peak of the last load cycle", "N"),
+    VALLEY: Signal("valley", "valley of the last load cycle", "N"),
+}
+
+
 def _signals() -> dict[str, Signal]:
     known = {
         name: Signal(short, DECLARED[name].label, DECLARED[name].unit, name in _BENEATH, name == MIRRORED)
         for name, short in _SHORT.items()
     }
     elements = {element(i): Signal(f"{i + 1}", f"force of friction element {i + 1}", "N") for i in range(ELEMENTS)}
-    return known | elements | {RESPONSE: Signal("response", "time from snapshot to command", "µs")}
+    return known | elements | {RESPONSE: Signal("response", "time from snapshot to command", "µs"), **_OF_PROGRAMME}
 
 
 def element(number: int) -> str:
@@ -118,6 +127,7 @@ PANELS = (
     Panel("Piston", "mm", ("position_reference_m", "position_m")),
     Panel("Friction scales", "1", ("alpha", "beta")),
     Panel("Remaining disturbance", "N", ("delta_n",)),
+    Panel("Peaks and valleys of a programme", "kN", (PEAK, VALLEY)),
     Panel("Loop: snapshot to command", "µs", (RESPONSE,), logarithmic=True),
 )
 

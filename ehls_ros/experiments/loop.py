@@ -24,6 +24,7 @@ from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import ROW, Planned
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import ELEMENTS, ObserverState
+from ehls_ros.control.programme.motion import point_signals
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.references.base import SampledReference
 from ehls_ros.errors import BadInput, WorkFailed
@@ -405,6 +406,8 @@ def _trajectory(
     signals.update(zip(REFERENCE_TOPICS[law.FOLLOWS].signals.values(), reference.T, strict=True))
     signals.update(zip(DISTURBANCE.signals.values(), disturbance.T, strict=True))
     time = np.arange(first, first + len(record), dtype=np.float64) * spec.settings.control_period
+    if spec.reference.name == "programme":
+        signals.update(point_signals(spec.reference.parameters, time, spec.settings.control_period))
     return Trajectory(time, signals, metadata(spec, "in-process"))
 
 

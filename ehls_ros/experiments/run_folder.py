@@ -16,7 +16,7 @@ from ehls_ros.experiments.spec import Spec, spec_to_mapping
 from ehls_ros.experiments.yaml_files import spec_text
 from ehls_ros.recording.reason import reason
 
-HOLDS = ("spec.yaml", "bag", "metrics.json", "report.html", "logs")
+HOLDS = ("spec.yaml", "bag", "metrics.json", "report.html", "logs", "load_cycles.csv", "programme_state.json")
 """Files and folders of a run."""
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

@@ -1,9 +1,7 @@
 """One experiment: rig, reference, disturbance, controller, duration, seed."""
 
-import csv
 import math
 from collections.abc import Mapping, Sequence
-from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -20,11 +18,11 @@ from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.experiments.files import configured
+from ehls_ros.experiments.points_file import read_points
+from ehls_ros.experiments.programme_file import programme_values
 from ehls_ros.physics.plausibility import WARNING_FACTOR, check_ranges, check_rig, check_signal, check_step
 from ehls_ros.physics.rig import EffectUse, Rig, check_known, effects_from_list, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.simulator import DEFAULT_STEP
-from ehls_ros.recording import limits
-from ehls_ros.recording.regular_file import read_text
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import parse, quantity, text
 
@@ -140,6 +138,21 @@ def chosen_spec(spec: str, rig: str) -> Spec:
         BadInput: a file or one of its keys is wrong.
     """
     return load_spec(configured(spec or "sine_fd2", "experiments"), configured(rig) if rig else None)
+
+
+def with_programme(spec: Spec, file: str) -> Spec:
+    """Return an experiment with a test programme for its reference.
+
+    Args:
+        spec: the experiment.
+        file: the programme's file, or the name of one that comes with the package; empty: the experiment's own reference.
+
+    Raises:
+        BadInput: the file is wrong, or there is none and the experiment's reference is no programme.
+    """
+    if not file:
+        return spec
+    return spec._replace(reference=_use(REFERENCES, {"name": "programme", "file": file}, "programme", Path()))
 
 
 def check_law(spec: Spec, law: str, where: str) -> None:
@@ -264,6 +277,8 @@ def _use(family: Any, data: Any, where: str, folder: Path) -> Use:
     values = {key: value for key, value in data.items() if key != "name"}
     if "file" in values and "points" in member.Parameters._fields:
         values["points"] = read_points(folder / str(values.pop("file")))
+    if "file" in values and "blocks" in member.Parameters._fields:
+        values = {**programme_values(configured(str(values.pop("file")), "programmes", folder)), **values}
     return Use(data["name"], parse(member.Parameters, values, f"{where}: {data['name']}"))
 
 
@@ -342,33 +357,6 @@ def _sampled_once(use: Use, where: str) -> None:
         raise BadInput(error.what, f"{where}: {error.where}", error.expected) from None
     if not np.all(np.isfinite(rows)):
         raise BadInput(f"{use.name} is not finite at its start", where, "parameters that give finite numbers")
-
-
-def read_points(path: Path) -> list[tuple[float, float]]:
-    """Read a load spectrum: a CSV with the columns ``time_s`` and ``value``.
-
-    Raises:
-        BadInput: a column is missing, a cell is not a finite number, or time does not increase.
-    """
-    text = read_text(path, limits.TEXT, "a CSV file", "reference file")
-    try:
-        rows = list(csv.DictReader(StringIO(text, newline="")))
-    except csv.Error as error:
-        raise BadInput(f"reference file cannot be read ({error})", str(path), "a CSV file") from None
-    points: list[tuple[float, float]] = []
-    for number, row in enumerate(rows, start=2):
-        try:
-            time, value = float(row["time_s"]), float(row["value"])
-        except (KeyError, TypeError, ValueError):
-            raise BadInput(f"row is {row}", f"{path}:{number}", "numbers in the columns time_s and value") from None
-        if not (abs(time) < float("inf") and abs(value) < float("inf")):
-            raise BadInput(f"row holds {time}, {value}", f"{path}:{number}", "finite numbers")
-        if points and time <= points[-1][0]:
-            raise BadInput(f"time_s is {time} after {points[-1][0]}", f"{path}:{number}", "increasing times")
-        points.append((time, value))
-    if len(points) < 2:
-        raise BadInput(f"{len(points)} rows", str(path), "a header time_s,value and at least two rows")
-    return points
 
 
 def spec_to_mapping(spec: Spec) -> dict[str, Any]:

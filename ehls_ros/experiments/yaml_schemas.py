@@ -4,6 +4,9 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from ehls_ros.control.programme.blocks import BLOCKS
+from ehls_ros.control.programme.declaration import Limits as ProgrammeLimits
+from ehls_ros.control.programme.declaration import Parameters as ProgrammeParameters
 from ehls_ros.experiments.campaign.plan import Settings as CampaignSettings
 from ehls_ros.experiments.campaign.variation import Distribution, Range, Values
 from ehls_ros.experiments.spec import Settings
@@ -39,7 +42,10 @@ def schema_text(kind: str) -> str:
         kind: one of :data:`KINDS`.
     """
     made = KINDS[kind]()
-    used = {name: make() for name, make in SHARED.items() if f'"{_ref(name)["$ref"]}"' in json.dumps(made)}
+    used: dict[str, Schema] = {}
+    for name, make in reversed(list(SHARED.items())):
+        if f'"{_ref(name)["$ref"]}"' in json.dumps([made, used]):
+            used = {name: make(), **used}
     whole = {"$schema": DIALECT, "title": f"ehls {kind}", **({"definitions": used} if used else {}), **made}
     return json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
 
@@ -128,6 +134,28 @@ def _answers() -> Schema:
     return whole
 
 
+def _programme() -> Schema:
+    entries: Schema = {"type": "array", "items": _ref("entry"), "minItems": 1}
+    return object_of(ProgrammeParameters, ("blocks",), blocks=entries, limits=schema_of(ProgrammeLimits))
+
+
+def _entry() -> Schema:
+    """Return the schema of a block or a repeat."""
+    made = []
+    for name, member in BLOCKS.usable().items():
+        more: dict[str, Schema] = {"block": {"const": name}, "name": {"type": "string"}, "limits": schema_of(ProgrammeLimits)}
+        needed = object_of(member.Parameters)["required"]
+        if "points" in member.Parameters._fields:
+            more["file"] = {"type": "string", "description": "CSV with time_s and value, from the folder of this file"}
+            needed = [key for key in needed if key != "points"]
+        if "reference" in member.Parameters._fields:
+            more["reference"] = _ref("signal")
+        made.append(object_of(member.Parameters, ("block", *needed), **more))
+    blocks: Schema = {"type": "array", "items": _ref("entry"), "minItems": 1}
+    repeat = mapping_of({"repeat": {"type": "integer", "minimum": 1}, "blocks": blocks}, ("repeat", "blocks"))
+    return {"anyOf": [repeat, *made]}
+
+
 def _by_signal(kind: type) -> Schema:
     one = {"anyOf": [schema_of(kind), {"type": "null"}]}
     return {"anyOf": [mapping_of(dict.fromkeys(SENSED, one)), {"type": "null"}]}
@@ -140,9 +168,13 @@ def _member_of(family: Family[Any]) -> Schema:
         more: dict[str, Schema] = {"name": {"const": name}}
         if "points" in member.Parameters._fields:
             more["file"] = {"type": "string", "description": "CSV with time_s and value, from the folder of this file"}
+        if "blocks" in member.Parameters._fields:
+            more["file"] = {"type": "string", "description": "programme, from the folder of this file"}
         if family is FAMILIES["disturbance"]:
             more["signal"] = _ref("signal")
-        needed = [key for key in object_of(member.Parameters)["required"] if "file" not in more or key != "points"]
+        needed = [
+            key for key in object_of(member.Parameters)["required"] if "file" not in more or key not in {"points", "blocks"}
+        ]
         made.append(object_of(member.Parameters, ("name", *needed), **more))
     return {"anyOf": made}
 
@@ -155,13 +187,15 @@ SHARED: Mapping[str, Callable[[], Schema]] = {
     "rig": _rig,
     "signal": lambda: _use(SIGNALS),
     "column": lambda: schema_of(Column),
+    "entry": _entry,
 }
-"""What stands several times in a file."""
+"""What stands several times in a file; it may name what stands before it here."""
 
 KINDS: Mapping[str, Callable[[], Schema]] = {
     "rig": _rig,
     "experiment": _experiment,
     "campaign": _campaign,
+    "programme": _programme,
     "bridge": _bridge,
     "columns": _columns,
     "answers": _answers,

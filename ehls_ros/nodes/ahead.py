@@ -117,11 +117,15 @@ class AheadNode(ControlNode):
     def _publish_to(self, cycle: int, state: tuple[Any, ...] | None) -> None:
         while self.next <= cycle:
             stamp = self.epoch_ns + round(self.next * self.period_ns)
-            if self.actuator is not None:
-                told, signal = self.actuator
-                told.send(stamp, self.next, *signal.row(self.next).tolist())
+            self.tell_actuator(stamp, self.next)
             self.outbox.send(stamp, self.next, *self.row(self.next, state))
             self.next += 1
+
+    def tell_actuator(self, stamp_ns: int, cycle: int) -> None:
+        """Publish the actuator's command at a cycle, where somebody uses it; to be called before its reference is sent."""
+        if self.actuator is not None:
+            outbox, signal = self.actuator
+            outbox.send(stamp_ns, cycle, *signal.row(cycle).tolist())
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Report how far ahead the node is."""

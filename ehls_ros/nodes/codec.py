@@ -11,7 +11,7 @@ from typing import Any
 
 NANOSECONDS = 1_000_000_000
 
-_NUMBERS = {"double": ("d", 8), "uint64": ("Q", 8), "boolean": ("?", 1)}
+_NUMBERS = {"double": ("d", 8), "uint64": ("Q", 8), "uint32": ("I", 4), "uint8": ("B", 1), "boolean": ("?", 1)}
 _ENCAPSULATION = 4
 _FRAME_LENGTH_AT = _ENCAPSULATION + 8
 

@@ -18,7 +18,6 @@ from rclpy.duration import Duration
 from std_msgs.msg import Bool, String
 
 from ehls_msgs.msg import ControllerStatus, Driver, FrictionEstimate, LoaderState, ValveCommand
-from ehls_ros.arrays import Array
 from ehls_ros.control.controller import Controller, Outlook
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, SATURATED, STATUS_TO_SI, model_of
@@ -33,7 +32,16 @@ from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class
 from ehls_ros.physics import sensors
 from ehls_ros.physics.rig import SENSED
-from ehls_ros.recording.topics import ACTUATOR_REFERENCE, DRIVER, DRIVING, LEAVING, REFERENCE_TOPICS, STANDBY_COMMAND
+from ehls_ros.recording.topics import (
+    ACTUATOR_REFERENCE,
+    DRIVER,
+    DRIVING,
+    LEAVING,
+    PROGRAMME_POINT,
+    REFERENCE_TOPICS,
+    STANDBY_COMMAND,
+    Topic,
+)
 from ehls_ros.schema import quantity
 
 TURN = 0.005
@@ -58,6 +66,38 @@ class Parameters(NamedTuple):
         float,
         quantity("s", "in realtime, longest time a cycle waits for its friction estimate", minimum=0.0, maximum=60.0),
     ] = 0.005
+
+
+class RowsAhead:
+    """Rows of a topic that runs ahead of the cycles, for companions.
+
+    They are sent before the reference of the same cycle, but another topic may overtake them: in lockstep they are waited for.
+    """
+
+    def __init__(self, node: ControlNode, topic: Topic, patience: float) -> None:
+        """Open the topic; ``patience`` is the longest wait for a row [s]."""
+        self._inbox = Inbox(node, message_class(topic.type), topic.name)
+        self._waiter = Waiter([self._inbox])
+        self._patience = patience
+        self._rows: dict[int, Sequence[float]] = {}
+
+    def at(self, cycle: int) -> Sequence[float] | None:
+        """Return what the topic says of a cycle; None if it has not come."""
+        until = time.perf_counter() + self._patience
+        while True:
+            while (message := self._inbox.take()) is not None:
+                self._rows[message[1]] = message[2:]
+            if cycle in self._rows or time.perf_counter() >= until:
+                break
+            self._waiter.wait(TURN)
+        if len(self._rows) > KEPT:
+            self._rows = {k: row for k, row in self._rows.items() if k >= cycle}
+        return self._rows.pop(cycle, None)
+
+    def destroy(self) -> None:
+        """Close the topic."""
+        self._waiter.destroy()
+        self._inbox.destroy()
 
 
 class ControllerNode(ControlNode):
@@ -118,9 +158,11 @@ class ControllerNode(ControlNode):
         self.sent = True
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
         self.driving = Inbox(self, Bool, DRIVING.name, control_qos(1), _is_true)
+        patience = PATIENCE if self.lockstep else 0.0
         actuator = ACTUATOR_REFERENCE[signal_kind(self.spec.disturbance.name)]
-        self.actuator = Inbox(self, message_class(actuator.type), actuator.name) if uses_actuator(self.spec) else None
-        self.actuator_rows: dict[int, Sequence[float]] = {}
+        self.actuator = RowsAhead(self, actuator, patience) if uses_actuator(self.spec) else None
+        has_programme = bool(self.company) and self.spec.reference.name == "programme"
+        self.points = RowsAhead(self, PROGRAMME_POINT, patience) if has_programme else None
         self.driven = True
         self.answered: tuple[Any, ...] = ()
         self.command = 0.0
@@ -142,8 +184,8 @@ class ControllerNode(ControlNode):
             waiter.destroy()
         for inbox in (self.states, self.reference, self.friction, self.driving, self.driver, self.others):
             inbox.destroy()
-        if self.actuator is not None:
-            self.actuator.destroy()
+        for ahead in filter(None, (self.actuator, self.points)):
+            ahead.destroy()
         self.company.save()
         for outbox in (self.commands, self.status, self.shadow):
             outbox.destroy()
@@ -254,25 +296,14 @@ class ControllerNode(ControlNode):
         """Return what companions know of a cycle."""
         if not self.company:
             return Outlook()
-        return Outlook(cycle, self.signal.place(cycle, 1)[0], self._actuator_row(cycle))
-
-    def _actuator_row(self, cycle: int) -> Array | None:
-        """Return the actuator's command at a cycle and its derivatives; None if nobody uses or tells it.
-
-        It is sent before the reference of the same cycle, but another topic may overtake it: in lockstep it is waited for.
-        """
-        if self.actuator is None:
-            return None
-        until = time.perf_counter() + (PATIENCE if self.lockstep else 0.0)
-        while True:
-            while (message := self.actuator.take()) is not None:
-                self.actuator_rows[message[1]] = message[2:5]
-            if cycle in self.actuator_rows or time.perf_counter() >= until:
-                break
-        row = self.actuator_rows.pop(cycle, None)
-        if len(self.actuator_rows) > KEPT:
-            self.actuator_rows = {k: values for k, values in self.actuator_rows.items() if k > cycle}
-        return None if row is None else np.array(row)
+        actuator = None if self.actuator is None else self.actuator.at(cycle)
+        if self.points is None:
+            place = self.signal.place(cycle, 1)[0]
+        elif (point := self.points.at(cycle)) is not None:
+            place = np.array([point[0], point[1] + point[3]])
+        else:
+            place = None
+        return Outlook(cycle, place, None if actuator is None else np.array(actuator[:FORESEEN]))
 
     def _without(self, unmeasured: list[str]) -> str:
         """Return which laws of the same kind need none of these readings."""

@@ -20,7 +20,6 @@ from ehls_ros.nodes.graph import (
     PLANTS,
     REALTIME_PRIORITY,
     RECORDER,
-    REFERENCE,
     SIMULATED,
     UP_TIME,
     Running,
@@ -28,6 +27,7 @@ from ehls_ros.nodes.graph import (
     last_line,
     node_parameters,
     node_processes,
+    reference_node,
     share_processors,
 )
 
@@ -121,7 +121,7 @@ class DashboardGraph(Link):
             parameters = node_parameters(spec, SIMULATED, folder, self._timing, STORAGE)
             del parameters[RECORDER]
             parameters[SIMULATED.node] |= {"cycles": 0, "speed": 1.0 if timing is Timing.LOCKSTEP else 0.0}
-            parameters[REFERENCE]["start_time"] = START_TIME
+            parameters[reference_node(spec)]["start_time"] = START_TIME
             self._unwanted.clear()
             self._reached, self._failure = {}, ""
             self._began = time.monotonic()

@@ -29,13 +29,14 @@ from std_srvs.srv import SetBool, Trigger
 from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.dashboard.graph import Answer, Health, Tunable, Value
-from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, RESPONSE, SIGNALS
+from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, PEAK, RESPONSE, SIGNALS, VALLEY
 from ehls_ros.dashboard.window import Window
 from ehls_ros.dashboard.words import NAME, figures, line
 from ehls_ros.errors import BadInput
 from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes import SUFFIX, codec, node_names
 from ehls_ros.nodes.control import NAMESPACE
+from ehls_ros.nodes.dashboard_peaks import Peaks
 from ehls_ros.nodes.graph import GOALS, LOST, PLANTS, REALTIME_PRIORITY
 from ehls_ros.nodes.transport import Inbox, message_class
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS
@@ -46,6 +47,7 @@ from ehls_ros.recording.topics import (
     FRICTION_ESTIMATE,
     LOADER_STATE,
     POSITION_REFERENCE,
+    PROGRAMME_POINT,
     VALVE_COMMAND,
     Topic,
 )
@@ -99,7 +101,7 @@ SILENT = 3
 KEPT = 8192
 """Snapshots whose sending time is kept until their command arrives."""
 
-TOPICS = (LOADER_STATE, VALVE_COMMAND, CONTROLLER_STATUS, FRICTION_ESTIMATE, POSITION_REFERENCE)
+TOPICS = (LOADER_STATE, VALVE_COMMAND, CONTROLLER_STATUS, FRICTION_ESTIMATE, POSITION_REFERENCE, PROGRAMME_POINT)
 """Topics read; the snapshots come first, as they set the time base of the others."""
 
 
@@ -181,6 +183,7 @@ class Link:
         self._sent_at = np.zeros(KEPT, dtype=np.int64)
         self._sent_cycle = np.full(KEPT, -1, dtype=np.int64)
         self._force = np.full(KEPT, np.nan)
+        self._peaks = Peaks()
         self._arrivals: list[tuple[float, int]] = []
         self._passes = self._last_arrival = 0
         self.period = 0.0
@@ -444,6 +447,10 @@ class Link:
         values = _by_signal(topic, columns)
         if topic is LOADER_STATE:
             self._take_snapshots(cycle, stamp_ns, sent_ns, values["force_n"])
+            values[PEAK], values[VALLEY] = self._peaks.of(cycle, values["force_n"])
+        if topic is PROGRAMME_POINT:
+            self._peaks.note(cycle, columns)
+            return
         if self._origin_ns is None:
             return
         if topic is VALVE_COMMAND:

@@ -34,7 +34,7 @@ from ehls_ros.experiments.spec import Spec
 from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes.control import CLOCK_TOPIC, LOCKSTEP, NAMESPACE, PARENT, REALTIME
 from ehls_ros.recording.bag_reader import is_closed
-from ehls_ros.recording.topics import CYCLE_TOPICS, FRICTION_ESTIMATE, REFERENCE_TOPICS
+from ehls_ros.recording.topics import CYCLE_TOPICS, FRICTION_ESTIMATE, PROGRAMME_POINT, REFERENCE_TOPICS
 from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
 
 PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
@@ -43,6 +43,9 @@ PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
 RECORDER = "recorder_node"
 
 REFERENCE = "reference_node"
+
+PROGRAMME = "programme_node"
+"""Takes the place of the reference node where the reference is a programme."""
 
 DISTURBANCE = "disturbance_node"
 
@@ -65,7 +68,7 @@ SHUTDOWN_TIME = 60.0
 ENABLE_TIME = 60.0
 """Longest wait for the gate of a rig to open [s]."""
 
-BACKGROUND = (RECORDER, REFERENCE, DISTURBANCE)
+BACKGROUND = (RECORDER, REFERENCE, PROGRAMME, DISTURBANCE)
 """Nodes whose output no cycle waits for; they run at lower priority."""
 
 REALTIME_PRIORITY = 10
@@ -113,13 +116,20 @@ def nodes_of(spec: Spec, plant: Plant) -> list[str]:
     """Return the executables an experiment needs, in order of activation; the plant comes last."""
     friction = ["friction_estimator_node"] if CONTROLLERS.load(spec.controller.name).FRICTION else []
     disturbance = [DISTURBANCE] if plant.kind == "sim" else []
-    return [RECORDER, REFERENCE, *disturbance, *friction, f"{spec.controller.name}_node", plant.node]
+    return [RECORDER, reference_node(spec), *disturbance, *friction, f"{spec.controller.name}_node", plant.node]
+
+
+def reference_node(spec: Spec) -> str:
+    """Return the node that publishes a spec's reference."""
+    return PROGRAMME if spec.reference.name == "programme" else REFERENCE
 
 
 def expected_topics(spec: Spec, plant: Plant) -> list[str]:
     """Return the control-path topics that an experiment's nodes publish."""
     law = CONTROLLERS.load(spec.controller.name)
     absent = [topic for follows, topic in REFERENCE_TOPICS.items() if follows != law.FOLLOWS]
+    if reference_node(spec) != PROGRAMME:
+        absent.append(PROGRAMME_POINT)
     if not law.FRICTION:
         absent.append(FRICTION_ESTIMATE)
     if plant.kind != "sim":
@@ -211,6 +221,8 @@ def node_parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, st
     parameters[plant.node]["cycles"] = spec.cycles
     if plant.bridge is not None:
         parameters[plant.node]["bridge"] = str(plant.bridge.resolve())
+    if PROGRAMME in parameters:
+        parameters[PROGRAMME]["folder"] = str(folder.path.resolve())
     parameters[RECORDER] |= {
         "bag": str(folder.bag.resolve()),
         "storage": storage,

@@ -11,6 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import metadata
+from ehls_ros.experiments.spec import with_programme
 from ehls_ros.nodes import node_names
 from ehls_ros.nodes.control import ERROR, OK, WARN, ControlNode, run_node
 from ehls_ros.nodes.parameter_stock import ParameterStock
@@ -56,6 +57,7 @@ class Parameters(NamedTuple):
     bag: Annotated[str, text("folder of the bag; empty: bags/<time>")] = ""
     storage: Annotated[str, text("mcap or sqlite3")] = "mcap"
     expected: Annotated[str, text("topics, separated by commas, whose publishers must exist before recording starts")] = ""
+    programme: Annotated[str, text("test programme that the programme node was given in place of the spec's reference")] = ""
     cycles: Annotated[int, quantity("1", "cycles to wait for on these topics at the end; 0: unknown", minimum=0)] = 0
 
 
@@ -68,6 +70,7 @@ class RecorderNode(ControlNode):
         """Declare the parameters."""
         super().__init__("recorder_node")
         declare(self, Parameters, live=False)
+        self.spec = with_programme(self.spec, self.text_parameter("programme"))
         storage = self.text_parameter("storage")
         if storage not in get_args(Storage):
             raise BadInput(f"storage is '{storage}'", self.get_name(), f"one of {', '.join(get_args(Storage))}")

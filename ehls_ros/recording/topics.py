@@ -84,6 +84,17 @@ ACTUATOR_REFERENCE: Mapping[str, Topic] = MappingProxyType(
     }
 )
 """The command of the actuator under test, ahead of the cycles, by what it is."""
+PROGRAMME_POINT = _cycle_topic(
+    "programme_point",
+    "ehls_msgs/msg/ProgrammePoint",
+    {
+        "block": "programme_block",
+        "repetition": "programme_repetition",
+        "load_cycles": "programme_load_cycles",
+        "phase": "programme_phase",
+        "state": "programme_state",
+    },
+)
 
 DISTURBANCE = _cycle_topic(
     "disturbance",
@@ -129,6 +140,7 @@ CYCLE_TOPICS = (
     LOADER_STATE,
     FORCE_REFERENCE,
     POSITION_REFERENCE,
+    PROGRAMME_POINT,
     DISTURBANCE,
     FRICTION_ESTIMATE,
     VALVE_COMMAND,

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from ehls_ros.control.programme.expansion import programme_of
 from ehls_ros.control.references import REFERENCES, velocity_sweep
 from ehls_ros.control.references._blend import eased_in
 from ehls_ros.control.references.base import SampledReference
@@ -38,6 +39,26 @@ def sweep_corners(p: Any) -> list[float]:
     return [float(time) for time in t[1:][np.diff(acceleration) != 0.0]]
 
 
+PROGRAMME = [
+    {"block": "cycles", "amplitude": 2e3, "mean": 1e3, "frequency": 2.0, "count": 3},
+    {"repeat": 2, "blocks": [{"block": "ramp", "to": 4e3, "time": 0.7}, {"block": "dwell", "time": 0.4}]},
+    {"block": "signal", "reference": {"name": "sine", "amplitude": 500.0, "frequency": 1.0}, "time": 1.9},
+]
+
+
+def programme_corners(p: Any) -> list[float]:
+    """Where blocks, and the ramps between them, begin and end, and where ramps and fades bend."""
+    whole, time, found = programme_of(p), 0.0, []
+    while time < whole.duration:
+        spot = whole.spot(time)
+        time = spot.end
+        bends = (0.2, 0.5, 0.8) if spot.segment.leads or spot.segment.leaf.kind == "ramp" else ()
+        found += [spot.since + share * spot.segment.duration for share in bends]
+        found += [spot.since + 0.5, spot.end - 0.5] if spot.segment.leaf.kind == "signal" else []
+        found.append(time)
+    return [0.0, *found]
+
+
 class Case(NamedTuple):
     """Parameters to test a member with, where its second derivative jumps, and where only its third does."""
 
@@ -53,6 +74,9 @@ CASES = {
     "constant": Case({"value": -3e3}),
     "irregular": Case({"seed": 3}, joints=(0.5,)),
     "load_spectrum": Case({"points": SPECTRUM}, joints=(SPECTRUM[0][0], SPECTRUM[-1][0])),
+    "programme": Case({"blocks": PROGRAMME}, programme_corners),
+    "ramp": Case({"time": 3.0}, joints=(0.6, 1.5, 2.4, 3.0)),
+    "random": Case({"highest_frequency": 2.0}, joints=(0.5,)),
     "sine": Case({"offset": 2e3, "phase": 0.4}),
     "steps": Case({"levels": STEP_LEVELS, "hold": 1.0, "rise": 0.7}, joints=(1.0, 1.7, 2.7, 3.4, 4.4, 5.1)),
     "triangle": Case({}, triangle_corners),

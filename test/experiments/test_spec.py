@@ -259,8 +259,14 @@ def _lists(value: Any) -> Any:
     return [_lists(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
+NEEDED: dict[str, dict[str, Any]] = {
+    "load_spectrum": {"points": [[0.0, 0.1], [1.0, 0.2]]},
+    "programme": {"blocks": [{"repeat": 2, "blocks": [{"block": "ramp", "to": 0.1, "time": 1.0}]}], "limits": {"settling": 3}},
+}
+
+
 def signal(name: str) -> dict[str, Any]:
-    return {"name": name, **({"points": [[0.0, 0.1], [1.0, 0.2]]} if name == "load_spectrum" else {})}
+    return {"name": name, **NEEDED.get(name, {})}
 
 
 @pytest.mark.parametrize("name", REFERENCES.names())

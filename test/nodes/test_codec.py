@@ -11,7 +11,15 @@ from rclpy.serialization import deserialize_message, serialize_message
 from ehls_msgs import msg
 from ehls_ros.nodes.codec import Decoder, Encoder
 
-PLAIN = [msg.LoaderState, msg.ValveCommand, msg.ForceReference, msg.PositionReference, msg.Disturbance, msg.ControllerStatus]
+PLAIN = [
+    msg.LoaderState,
+    msg.ValveCommand,
+    msg.ForceReference,
+    msg.PositionReference,
+    msg.ProgrammePoint,
+    msg.Disturbance,
+    msg.ControllerStatus,
+]
 SENDER = "/ehls/fasmc_node-4711"
 FRAMES = ["", "loader", "a", "ab", "abc", "abcdefg", "abcdefgh"]
 
@@ -25,7 +33,14 @@ def filled(kind, frame, seed=1):
     for name, field in kind.get_fields_and_field_types().items():
         if name == "header":
             continue
-        value = {"uint64": 2**60 + 7, "double": random.gauss(0, 1e5), "boolean": True, "string": SENDER}[field]
+        value = {
+            "uint64": 2**60 + 7,
+            "uint32": 2**31 + 7,
+            "uint8": 200,
+            "double": random.gauss(0, 1e5),
+            "boolean": True,
+            "string": SENDER,
+        }[field]
         setattr(message, name, value)
         if field != "string":
             values.append(value)

@@ -96,7 +96,10 @@ def test_the_nodes_stay_within_the_policy(graph, participant, spec_file, tmp_pat
     for name in NODES:
         controller = controller_of(name)
         follows = CONTROLLERS.load(controller).FOLLOWS if controller else "force"
-        more = {"bag": tmp_path / "bag"} if name == "recorder_node" else {}
+        more = {
+            "recorder_node": {"bag": tmp_path / "bag"},
+            "programme_node": {"programme": "service_load", "folder": tmp_path / "programme"},
+        }.get(name, {})
         # A configured node has all its topics and services.
         graph.start(name, spec=spec if follows == "force" else position, autostart=False, **more)
     for name in NODES:

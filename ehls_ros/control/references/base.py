@@ -3,8 +3,11 @@
 ``Parameters``, a named tuple declaring its parameters, and ``sample(t, p)``: value and first and second
 time derivative, all analytic, at times ``t`` [s] of shape (n,), as an array of shape (n, 3). The value is a
 force [N] for a controller that follows a force, and a position [m] for one that follows a position and for the
-position servo. A reference that repeats may also offer ``place(t, p)``: where in its programme it is, an array of shape
-(n, :data:`ehls_ros.control.companions.base.PLACE`).
+position servo.
+
+A file whose signal repeats may offer ``place(t, p)``: block (0 but in a test programme) and load cycles completed with
+their fraction, of shape (n, :data:`ehls_ros.control.companions.base.PLACE`), NaN where nothing repeats. If it also says where
+in that cycle its ``VALLEY`` is, and has the parameters ``amplitude`` and ``frequency``, a test programme can run cycles of it.
 """
 
 from typing import Any, Protocol

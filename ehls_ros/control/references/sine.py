@@ -5,7 +5,11 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.control.references._place import place_of
 from ehls_ros.schema import quantity
+
+VALLEY = 0.75
+"""Phase of the valley within a load cycle, without a phase of its own [1]."""
 
 
 class Parameters(NamedTuple):
@@ -23,3 +27,8 @@ def sample(t: Array, p: Parameters) -> Array:
     angle = omega * t + p.phase
     wave = p.amplitude * np.sin(angle)
     return np.column_stack([p.offset + wave, omega * p.amplitude * np.cos(angle), -(omega**2) * wave])
+
+
+def place(t: Array, p: Parameters) -> Array:
+    """Return block and load cycles completed, shape (n, 2); NaN without a frequency."""
+    return place_of(t, p.frequency)

@@ -5,7 +5,11 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.control.references._place import place_of
 from ehls_ros.schema import quantity
+
+VALLEY = 0.75
+"""Phase of the valley within a load cycle [1]."""
 
 
 class Parameters(NamedTuple):
@@ -38,3 +42,8 @@ def sample(t: Array, p: Parameters) -> Array:
     rate = rate * np.where(round_off, 1.0 - distance / half, 1.0)
     acceleration = np.where(round_off, -rising * towards * slope / half, 0.0)
     return np.column_stack([value, rate, acceleration])
+
+
+def place(t: Array, p: Parameters) -> Array:
+    """Return block and load cycles completed, shape (n, 2); NaN without a frequency."""
+    return place_of(t, p.frequency)

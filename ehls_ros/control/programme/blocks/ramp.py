@@ -1,0 +1,47 @@
+"""A ramp from where the programme stands to another value."""
+
+from typing import Annotated, NamedTuple
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.programme.blocks.base import Course
+from ehls_ros.control.references import ramp as reference
+from ehls_ros.errors import BadInput
+from ehls_ros.schema import quantity
+
+
+class Parameters(NamedTuple):
+    """Where to, and either the time or the largest rate."""
+
+    to: Annotated[float, quantity("N or m", "value at the end", minimum=-1e6, maximum=1e6)]
+    time: Annotated[float | None, quantity("s", "time that the ramp takes", above=0.0, maximum=1e6)] = None
+    rate: Annotated[float | None, quantity("N/s or m/s", "largest rate, in place of the time", above=0.0, maximum=1e9)] = None
+    rounding: Annotated[
+        float,
+        quantity("1", "share of the time in which the rate rises, and again in which it falls", minimum=0.01, maximum=0.5),
+    ] = 0.2
+
+
+def course(p: Parameters, start: float) -> Course:
+    """Return how the ramp goes.
+
+    Raises:
+        BadInput: neither time nor rate, or both.
+    """
+    if (p.time is None) == (p.rate is None):
+        raise BadInput(f"time is {p.time}, rate is {p.rate}", "ramp", "one of the two")
+    return Course(start, p.to, _time(p, start), 0.0, 0, 0.1 * _time(p, start))
+
+
+LEAST = 1e-3
+"""Time of a ramp by its rate that has nowhere to go [s]."""
+
+
+def _time(p: Parameters, start: float) -> float:
+    if p.time is not None or p.rate is None:
+        return p.time or LEAST
+    return max(LEAST, abs(p.to - start) / (p.rate * (1.0 - p.rounding)))
+
+
+def sample(t: Array, p: Parameters, start: float) -> Array:
+    """Return the ramp and its derivatives."""
+    return reference.sample(t, reference.Parameters(start, p.to, _time(p, start), p.rounding))

@@ -1,0 +1,238 @@
+"""Counts load cycles from the rig's measurements, and says when one is out of the programme's limits."""
+
+import math
+from typing import NamedTuple
+
+from ehls_ros.control.programme.declaration import Limits
+from ehls_ros.control.programme.expansion import Programme
+from ehls_ros.control.programme.motion import State
+
+
+class LoadCycle(NamedTuple):
+    """What was measured in a load cycle; NaN where nothing was.
+
+    Attributes:
+        load_cycle: its number since the programme's beginning, from 1.
+        block: number of its block in the order of the file.
+        cycle: its number in the present pass of the block, from 1.
+        peak: largest value.
+        valley: smallest value.
+        mean: mean over the samples.
+        reference_peak: largest value of the reference.
+        reference_valley: smallest value of the reference.
+        error: largest difference from the reference.
+        lowest_position: smallest position of the piston [m].
+        highest_position: largest position of the piston [m].
+        stiffness: range of the values over the range of the positions [N/m].
+        samples: control cycles of it that were received.
+        first: the first one of these.
+        last: the last one of these.
+    """
+
+    load_cycle: int
+    block: int
+    cycle: int
+    peak: float
+    valley: float
+    mean: float
+    reference_peak: float
+    reference_valley: float
+    error: float
+    lowest_position: float
+    highest_position: float
+    stiffness: float
+    samples: int
+    first: int
+    last: int
+
+
+class Sample(NamedTuple):
+    """A control cycle of a programme, and what was measured in it.
+
+    Attributes:
+        cycle: its number.
+        block: number of the block.
+        repetition: load cycles completed in the block's pass.
+        load_cycles: load cycles completed since the beginning.
+        phase: 0 to 1 within the load cycle, NaN where nothing repeats.
+        state: what the programme does.
+        reference: value wanted.
+        measured: value measured.
+        position: position of the piston [m].
+    """
+
+    cycle: int
+    block: int
+    repetition: int
+    load_cycles: int
+    phase: float
+    state: int
+    reference: float
+    measured: float
+    position: float
+
+
+class Stiffness(NamedTuple):
+    """Mean stiffness of a block's first load cycles: the block, the sum [N/m], and the number of cycles in it."""
+
+    block: int
+    total: float
+    cycles: int
+
+
+class Counter:
+    """Counts load cycles; each is finished by the first sample after it.
+
+    Attributes:
+        complaint: the first limit that was exceeded since it was cleared; empty: none.
+        since: first control cycle of the load cycle under way; None: none is.
+    """
+
+    def __init__(self, programme: Programme, done: int = 0, known: tuple[Stiffness, ...] = ()) -> None:
+        """Begin.
+
+        Args:
+            programme: the programme.
+            done: load cycles that were counted before; none of them is counted again.
+            known: stiffness of blocks that ran before.
+        """
+        self._leaves = programme.leaves
+        self.done = done
+        self.complaint = ""
+        self._stiffness = {entry.block: entry for entry in known}
+        self._open: _Open | None = None
+
+    @property
+    def since(self) -> int | None:
+        """First control cycle of the load cycle under way."""
+        return self._open.first if self._open else None
+
+    @property
+    def stiffness(self) -> tuple[Stiffness, ...]:
+        """Stiffness of the blocks that ran so far."""
+        return tuple(self._stiffness.values())
+
+    def add(self, sample: Sample) -> list[LoadCycle]:
+        """Take the next control cycle, and return the load cycles that it shows to be finished: more than one after a gap."""
+        finished: list[LoadCycle] = []
+        if sample.load_cycles > self.done:
+            finished = self._finish(sample)
+        if self._open is not None and self._open.block != sample.block:
+            # The rest of the block was skipped.
+            self._open = None
+        if sample.load_cycles == self.done and not math.isnan(sample.phase):
+            if self._open is None:
+                self._open = _Open(sample)
+            self._open.add(sample)
+        if sample.state == State.RUNNING:
+            self._watch(sample)
+        return finished
+
+    def _finish(self, sample: Sample) -> list[LoadCycle]:
+        made = []
+        while self.done < sample.load_cycles:
+            self.done += 1
+            cycle = self._open.closed(self.done) if self._open else _unseen(self.done, sample)
+            self._open = None
+            made.append(cycle)
+            self._judge(cycle)
+        return made
+
+    def _watch(self, sample: Sample) -> None:
+        """Watch what is limited at any time."""
+        limits = self._leaves[sample.block].limits
+        if not math.isnan(sample.phase) and sample.repetition < limits.settling:
+            return
+        away = abs(sample.measured - sample.reference)
+        if limits.error is not None and away > limits.error:
+            self._complain(f"the error is {away:g}, its limit {limits.error:g}", sample.block, f"control cycle {sample.cycle}")
+        if limits.position is not None and _outside(sample.position, limits.position):
+            what = f"the position is {sample.position:g} m, out of {limits.position[0]:g} to {limits.position[1]:g} m"
+            self._complain(what, sample.block, f"control cycle {sample.cycle}")
+
+    def _judge(self, cycle: LoadCycle) -> None:
+        limits = self._leaves[cycle.block].limits
+        if cycle.cycle <= limits.settling:
+            return
+        where = f"load cycle {cycle.load_cycle}"
+        for name, value, window in (("peak", cycle.peak, limits.peak), ("valley", cycle.valley, limits.valley)):
+            if window is not None and _outside(value, window):
+                self._complain(f"the {name} is {value:g}, out of {window[0]:g} to {window[1]:g}", cycle.block, where)
+        for name, away, limit in (
+            ("peak", abs(cycle.peak - cycle.reference_peak), limits.peak_error),
+            ("valley", abs(cycle.valley - cycle.reference_valley), limits.valley_error),
+        ):
+            if limit is not None and away > limit:
+                self._complain(f"the {name} is {away:g} off, its limit {limit:g}", cycle.block, where)
+        self._compare(cycle, limits, where)
+
+    def _compare(self, cycle: LoadCycle, limits: Limits, where: str) -> None:
+        """Compare the stiffness with that of the block's first load cycles, of which this one may be."""
+        if math.isnan(cycle.stiffness):
+            return
+        known = self._stiffness.get(cycle.block, Stiffness(cycle.block, 0.0, 0))
+        if known.cycles < limits.stiffness_cycles:
+            self._stiffness[cycle.block] = Stiffness(cycle.block, known.total + cycle.stiffness, known.cycles + 1)
+            return
+        change = 100.0 * (cycle.stiffness * known.cycles / known.total - 1.0)
+        if limits.stiffness_change is not None and abs(change) > limits.stiffness_change:
+            what = f"the stiffness has changed by {change:+.3g} %, its limit {limits.stiffness_change:g} %"
+            self._complain(what, cycle.block, where)
+
+    def _complain(self, what: str, block: int, where: str) -> None:
+        self.complaint = self.complaint or f"{what} ({self._leaves[block].name}, {where})"
+
+
+class _Open:
+    """A load cycle under way."""
+
+    def __init__(self, sample: Sample) -> None:
+        self.block = sample.block
+        self.first = self.last = sample.cycle
+        self._cycle = sample.repetition + 1
+        self._samples = self._measured = 0
+        self._sum = 0.0
+        self._peak = self._reference_peak = self._highest = -math.inf
+        self._valley = self._reference_valley = self._lowest = math.inf
+        self._error = 0.0
+
+    def add(self, sample: Sample) -> None:
+        self.last = sample.cycle
+        self._samples += 1
+        self._reference_peak = max(self._reference_peak, sample.reference)
+        self._reference_valley = min(self._reference_valley, sample.reference)
+        if not math.isnan(sample.measured):
+            self._measured += 1
+            self._sum += sample.measured
+            self._peak, self._valley = max(self._peak, sample.measured), min(self._valley, sample.measured)
+            self._error = max(self._error, abs(sample.measured - sample.reference))
+        if not math.isnan(sample.position):
+            self._highest, self._lowest = max(self._highest, sample.position), min(self._lowest, sample.position)
+
+    def closed(self, number: int) -> LoadCycle:
+        nan = math.nan
+        seen, placed = self._measured > 0, self._highest >= self._lowest
+        moved = self._highest - self._lowest
+        return LoadCycle(
+            number,
+            self.block,
+            self._cycle,
+            *((self._peak, self._valley, self._sum / self._measured) if seen else (nan, nan, nan)),
+            self._reference_peak,
+            self._reference_valley,
+            self._error if seen else nan,
+            *((self._lowest, self._highest) if placed else (nan, nan)),
+            (self._peak - self._valley) / moved if seen and placed and moved > 0.0 else nan,
+            self._samples,
+            self.first,
+            self.last,
+        )
+
+
+def _unseen(number: int, sample: Sample) -> LoadCycle:
+    """Return a load cycle of which no sample was received."""
+    return LoadCycle(number, sample.block, 0, *(math.nan,) * 9, 0, sample.cycle, sample.cycle)
+
+
+def _outside(value: float, window: tuple[float, float]) -> bool:
+    return value < window[0] or value > window[1]

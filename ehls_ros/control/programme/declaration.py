@@ -1,0 +1,156 @@
+"""What a programme's file declares: its settings, its limits, and the tree of its blocks.
+
+An entry of ``blocks`` is a block or a repeat::
+
+    - {block: cycles, name: service load, waveform: sine, mean: 5.0e+3, amplitude: 4.0e+3, frequency: 2.0, count: 1000}
+    - {repeat: 20, blocks: [...]}
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, NamedTuple
+
+from ehls_ros.control.programme.blocks import BLOCKS
+from ehls_ros.errors import BadInput, one_of
+from ehls_ros.schema import parse, quantity, text
+
+MOST = 10**15
+"""Most repeats."""
+
+DEEPEST = 16
+"""Most repeats within each other."""
+
+
+class Limits(NamedTuple):
+    """When the programme stops by itself; what is not given is not watched."""
+
+    peak: Annotated[tuple[float, float] | None, text("lowest and highest peak of a load cycle", unit="N or m")] = None
+    valley: Annotated[tuple[float, float] | None, text("lowest and highest valley of a load cycle", unit="N or m")] = None
+    peak_error: Annotated[
+        float | None, quantity("N or m", "largest difference of a load cycle's peak from the reference's", above=0.0)
+    ] = None
+    valley_error: Annotated[
+        float | None, quantity("N or m", "largest difference of a load cycle's valley from the reference's", above=0.0)
+    ] = None
+    error: Annotated[float | None, quantity("N or m", "largest difference from the reference at any time", above=0.0)] = None
+    position: Annotated[tuple[float, float] | None, text("lowest and highest position of the piston", unit="m")] = None
+    stiffness_change: Annotated[
+        float | None,
+        quantity(
+            "%", "largest change of force range over displacement range of a load cycle since the block's first ones", above=0.0
+        ),
+    ] = None
+    stiffness_cycles: Annotated[int, quantity("1", "first load cycles whose mean stiffness is compared with", minimum=1)] = 10
+    settling: Annotated[int, quantity("1", "first load cycles of each pass of a block that are not judged", minimum=0)] = 0
+
+
+class Parameters(NamedTuple):
+    """Settings of a programme, and its blocks; instead of all of it a spec may name a YAML ``file``."""
+
+    blocks: Annotated[tuple[Mapping[str, Any], ...], text("blocks and repeats, in their order")]
+    title: Annotated[str, text("what the programme is called")] = "programme"
+    start: Annotated[float, quantity("N or m", "value before the first block", minimum=-1e6, maximum=1e6)] = 0.0
+    transition: Annotated[
+        float, quantity("s", "time of the ramp to a block that begins at another value than the programme stands at", above=0.0)
+    ] = 0.5
+    hold: Annotated[
+        float | None,
+        quantity("N or m", "value that is held after a stop; none: where the programme stands", minimum=-1e6, maximum=1e6),
+    ] = None
+    stop_time: Annotated[
+        float, quantity("s", "time in which a stopped programme comes to rest, and gets going again", above=0.0, maximum=1e3)
+    ] = 0.5
+    hold_time: Annotated[
+        float, quantity("s", "time of the ramp to the value held, and of the ramp back", above=0.0, maximum=1e3)
+    ] = 1.0
+    limits: Annotated[Mapping[str, Any] | None, text("limits of all blocks; a block may have its own")] = None
+
+
+class Leaf(NamedTuple):
+    """One block as it stands in the file.
+
+    Attributes:
+        number: its number in the order of the file.
+        name: what it is called.
+        kind: name of its member of :data:`BLOCKS`.
+        parameters: its parameters.
+        limits: what stops the programme in it.
+    """
+
+    number: int
+    name: str
+    kind: str
+    parameters: Any
+    limits: Limits
+
+
+class Repeat(NamedTuple):
+    """Blocks that are run several times on end."""
+
+    count: int  # type: ignore[assignment]  # a tuple has a method of this name
+    parts: tuple["Leaf | Repeat", ...]
+
+
+def tree_of(p: Parameters, where: str) -> Repeat:
+    """Check a programme's blocks and return them as one repeat that is run once.
+
+    Args:
+        p: the programme.
+        where: its file, for errors.
+
+    Raises:
+        BadInput: the first entry that is wrong.
+    """
+    limits = {} if p.limits is None else p.limits
+    parse(Limits, limits, f"{where}: limits")
+    return Repeat(1, _parts(p.blocks, where, limits, [], 0))
+
+
+def _parts(
+    entries: Sequence[Mapping[str, Any]], where: str, limits: Mapping[str, Any], leaves: list[Leaf], depth: int
+) -> tuple[Leaf | Repeat, ...]:
+    if not isinstance(entries, list | tuple) or not entries:
+        raise BadInput(f"blocks is {entries!r}", where, "a list of one block or more")
+    if depth > DEEPEST:
+        raise BadInput("the repeats are too deep", where, f"at most {DEEPEST} within each other")
+    return tuple(_part(entry, f"{where}: blocks[{i}]", limits, leaves, depth) for i, entry in enumerate(entries))
+
+
+def _part(entry: Any, where: str, limits: Mapping[str, Any], leaves: list[Leaf], depth: int) -> Leaf | Repeat:
+    if not isinstance(entry, Mapping) or ("block" in entry) == ("repeat" in entry):
+        kinds = ", ".join(BLOCKS.names())
+        raise BadInput(f"entry is {entry!r}", where, f"a mapping with 'block', one of {kinds}, or with 'repeat' and 'blocks'")
+    if "repeat" in entry:
+        for key in entry:
+            if key not in {"repeat", "blocks"}:
+                raise BadInput(f"key {key!r} is unknown", where, one_of(key, ("repeat", "blocks")))
+        count = parse(_Times, {"repeat": entry["repeat"]}, where).repeat
+        return Repeat(count, _parts(entry.get("blocks", ()), where, limits, leaves, depth + 1))
+    kind = entry["block"]
+    member = BLOCKS.load(kind, where)
+    number = len(leaves)
+    named = parse(_Named, {key: entry[key] for key in ("name",) if key in entry}, where)
+    own = entry.get("limits")
+    if own is not None and not isinstance(own, Mapping):
+        raise BadInput(f"limits is {own!r}", where, "a mapping")
+    within = f"{where}: {kind}"
+    leaf = Leaf(
+        number,
+        named.name or f"{kind} {number}",
+        kind,
+        parse(member.Parameters, {key: value for key, value in entry.items() if key not in OF_ANY}, within),
+        parse(Limits, {**limits, **(own or {})}, f"{where}: limits"),
+    )
+    leaves.append(leaf)
+    return leaf
+
+
+OF_ANY = ("block", "name", "limits")
+"""Keys of every block beside its parameters."""
+
+
+class _Times(NamedTuple):
+    repeat: Annotated[int, quantity("1", "number of passes", minimum=1, maximum=MOST)]
+
+
+class _Named(NamedTuple):
+    name: Annotated[str, text("what the block is called")] = ""

@@ -1,0 +1,291 @@
+"""A programme as a function of time, of which nothing is unrolled.
+
+Each repeat is its first pass, which is entered from what came before it, and the later passes, which are all entered from the
+repeat's own end and so are alike. A time is found by bisection in each repeat that it lies in.
+
+Blocks begin and end at rest. Where a block begins at another value than the programme stands at, a ramp of the programme's
+``transition`` time comes first: it belongs to that block and to none of its load cycles. So value and rate are continuous; the
+second derivative may jump where load cycles begin and end.
+"""
+
+import pickle
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.programme.blocks import BLOCKS
+from ehls_ros.control.programme.blocks.base import Course
+from ehls_ros.control.programme.declaration import Leaf, Parameters, Repeat, tree_of
+from ehls_ros.control.references import ramp
+from ehls_ros.errors import BadInput
+
+CLOSE = 1e-7
+"""Time within which a sample counts as the boundary of a block or load cycle that it falls on but for rounding [s]."""
+
+LONGEST = 1e8
+"""Longest programme, up to which times are exact to 15 ns [s]."""
+
+
+class Segment(NamedTuple):
+    """A block, or the ramp that leads to it.
+
+    Attributes:
+        leaf: the block.
+        start: value before it.
+        course: how it goes; of a ramp, that of the ramp.
+        leads: whether it is the ramp.
+    """
+
+    leaf: Leaf
+    start: float
+    course: Course
+    leads: bool
+
+    @property
+    def duration(self) -> float:
+        """Its time [s]."""
+        return self.course.duration
+
+    @property
+    def load_cycles(self) -> int:
+        """Its load cycles."""
+        return self.course.count
+
+    def sample(self, t: Array) -> Array:
+        """Return value, first and second derivative at times since its beginning [s], shape (n, 3)."""
+        if self.leads:
+            return ramp.sample(t, ramp.Parameters(self.start, self.course.end, self.course.duration))
+        return BLOCKS.load(self.leaf.kind).sample(t, self.leaf.parameters, self.start)
+
+
+class Sequence(NamedTuple):
+    """Parts on end, each run several times.
+
+    Attributes:
+        parts: the parts.
+        counts: passes of each.
+        starts: when each begins [s], shape (parts,).
+        before: load cycles before each.
+        duration: time of the whole [s].
+        load_cycles: load cycles of the whole.
+    """
+
+    parts: tuple["Segment | Sequence", ...]
+    counts: tuple[int, ...]
+    starts: Array
+    before: tuple[int, ...]
+    duration: float
+    load_cycles: int
+
+
+class Spot(NamedTuple):
+    """A time of a programme.
+
+    Attributes:
+        segment: the block or ramp that runs.
+        since: when its present pass began [s].
+        before: load cycles of the programme before this pass.
+    """
+
+    segment: Segment
+    since: float
+    before: int
+
+    @property
+    def end(self) -> float:
+        """When the pass ends [s]."""
+        return self.since + self.segment.duration
+
+
+class Points(NamedTuple):
+    """Where a programme is at some times, one entry each.
+
+    Attributes:
+        block: number of the block in the order of the file.
+        repetition: load cycles completed in the present pass of the block.
+        load_cycles: load cycles completed since the programme's beginning.
+        phase: 0 to 1 within the load cycle, NaN where nothing repeats.
+    """
+
+    block: NDArray[np.int64]
+    repetition: NDArray[np.int64]
+    load_cycles: NDArray[np.int64]
+    phase: Array
+
+    @classmethod
+    def empty(cls, count: int) -> "Points":
+        """Return points to be filled in: block 0, nothing completed, NaN phase."""
+        block, repetition, load_cycles = (np.zeros(count, np.int64) for _ in range(3))
+        return cls(block, repetition, load_cycles, np.full(count, np.nan))
+
+
+class Programme:
+    """A programme.
+
+    Attributes:
+        parameters: what was declared.
+        leaves: its blocks in the order of the file.
+        whole: its parts.
+        duration: its time [s].
+        load_cycles: number of its load cycles.
+        end: value at its end, which it keeps.
+    """
+
+    def __init__(self, parameters: Parameters, where: str = "programme") -> None:
+        """Expand what was declared.
+
+        Args:
+            parameters: the programme.
+            where: its file, for errors.
+
+        Raises:
+            BadInput: a block is wrong, or the programme is too long.
+        """
+        self.parameters = parameters
+        tree = tree_of(parameters, where)
+        self.leaves = tuple(_leaves(tree))
+        self._known: dict[tuple[int, float], tuple[Sequence, float]] = {}
+        self._where = where
+        self.whole, self.end = self._sequence(tree, parameters.start)
+        self.duration, self.load_cycles = self.whole.duration, self.whole.load_cycles
+        if not self.duration <= LONGEST:
+            raise BadInput(f"the programme takes {self.duration:.3g} s", where, f"at most {LONGEST:g} s")
+
+    def spot(self, time: float) -> Spot:
+        """Return what runs at a time [s]; before the beginning the first block, after the end the last."""
+        part: Segment | Sequence = self.whole
+        since, before = 0.0, 0
+        while isinstance(part, Sequence):
+            i = max(int(np.searchsorted(part.starts, time - since + CLOSE, side="right")) - 1, 0)
+            since, before = since + float(part.starts[i]), before + part.before[i]
+            count, part = part.counts[i], part.parts[i]
+            passes = min(max(int((time - since + CLOSE) / part.duration), 0), count - 1)
+            since, before = since + passes * part.duration, before + passes * part.load_cycles
+        return Spot(part, since, before)
+
+    def sample(self, t: Array) -> Array:
+        """Return value, first and second derivative at times [s], shape (n,), as shape (n, 3); it keeps its end values."""
+        rows = np.zeros((t.size, 3))
+        for chosen, spot in self._walk(t):
+            local = t[chosen] - spot.since
+            rows[chosen] = spot.segment.sample(np.clip(local, 0.0, spot.segment.duration))
+        rows[t >= self.duration] = (self.end, 0.0, 0.0)
+        rows[t < 0.0] = (self.parameters.start, 0.0, 0.0)
+        return rows
+
+    def points(self, t: Array) -> Points:
+        """Return where the programme is at times [s], shape (n,)."""
+        points = Points.empty(t.size)
+        for chosen, spot in self._walk(t):
+            course = spot.segment.course
+            points.block[chosen] = spot.segment.leaf.number
+            points.load_cycles[chosen] = spot.before
+            if course.cycle == 0.0:
+                continue
+            cycles = np.clip((t[chosen] - spot.since) / course.cycle, 0.0, course.count)
+            done = np.floor(cycles + CLOSE / course.cycle).astype(np.int64)
+            points.repetition[chosen] = done
+            points.load_cycles[chosen] += done
+            # At the programme's very end nothing repeats any more.
+            points.phase[chosen] = np.where(done < course.count, np.maximum(cycles - done, 0.0), np.nan)
+        return points
+
+    def _walk(self, t: Array) -> Iterator[tuple[NDArray[np.intp], Spot]]:
+        """Yield the indices of the times that lie in one pass of a block or ramp, and that pass."""
+        order = np.argsort(t, kind="stable")
+        ordered = t[order]
+        at = 0
+        while at < t.size:
+            spot = self.spot(float(ordered[at]))
+            # The last block also has all that comes after it.
+            last = spot.end >= self.duration - CLOSE
+            end = t.size if last else max(int(np.searchsorted(ordered, spot.end - CLOSE)), at + 1)
+            yield order[at:end], spot
+            at = end
+
+    def _sequence(self, repeat: Repeat, start: float) -> tuple[Sequence, float]:
+        """Return one pass of a repeat that is entered at a value, and the value at its end."""
+        key = id(repeat), start
+        if key not in self._known:
+            parts: list[tuple[Segment | Sequence, int]] = []
+            value = start
+            for part in repeat.parts:
+                if isinstance(part, Leaf):
+                    made, value = self._segments(part, value)
+                    parts += [(segment, 1) for segment in made]
+                    continue
+                first, value = self._sequence(part, value)
+                parts.append((first, 1))
+                if part.count > 1:
+                    later, value = self._sequence(part, value)
+                    parts.append((later, part.count - 1))
+            self._known[key] = _joined(parts), value
+        return self._known[key]
+
+    def _segments(self, leaf: Leaf, value: float) -> tuple[list[Segment], float]:
+        """Return a block, after a ramp where it begins at another value, and the value at its end."""
+        try:
+            course = BLOCKS.load(leaf.kind).course(leaf.parameters, value)
+        except BadInput as error:
+            raise BadInput(
+                error.what, f"{self._where}: block {leaf.number} ({leaf.name}): {error.where}", error.expected
+            ) from None
+        segments = [Segment(leaf, value, course, leads=False)]
+        if course.begin != value:
+            time = self.parameters.transition
+            lead = Course(value, course.begin, time, 0.0, 0, 0.1 * time)
+            segments.insert(0, Segment(leaf, value, lead, leads=True))
+            segments[1] = segments[1]._replace(start=course.begin)
+        return segments, course.end
+
+
+def _joined(parts: list[tuple[Segment | Sequence, int]]) -> Sequence:
+    times = np.cumsum([0.0, *(part.duration * count for part, count in parts)])
+    before = [0]
+    for part, count in parts:
+        before.append(before[-1] + part.load_cycles * count)
+    made, counts = zip(*parts, strict=True)
+    return Sequence(made, counts, times[:-1], tuple(before[:-1]), float(times[-1]), before[-1])
+
+
+def _leaves(repeat: Repeat) -> Iterator[Leaf]:
+    for part in repeat.parts:
+        if isinstance(part, Leaf):
+            yield part
+        else:
+            yield from _leaves(part)
+
+
+class _Declared:
+    """A programme's parameters, which are alike where their content is."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.parameters = parameters
+        self._content = (
+            pickle.dumps(parameters._replace(blocks=(), limits=None)),
+            pickle.dumps((parameters.blocks, parameters.limits)),
+        )
+
+    def __hash__(self) -> int:
+        return hash(self._content)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Declared) and self._content == other._content
+
+
+@lru_cache(maxsize=8)
+def _expanded(declared: _Declared) -> Programme:
+    return Programme(declared.parameters)
+
+
+def programme_of(parameters: Any) -> Programme:
+    """Return the programme of some parameters; expanded once, as it is needed for every block of cycles.
+
+    Raises:
+        BadInput: a block is wrong.
+    """
+    return _expanded(_Declared(parameters))

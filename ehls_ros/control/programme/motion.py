@@ -1,0 +1,378 @@
+"""How a programme is run: when it comes to rest, holds, and goes on, as a function of the control cycle alone.
+
+A stop does not leave the programme's path: its time slows down to rest within ``stop_time``, so that no force comes that the
+programme has not got, and only then the value goes to what is held. Resuming leads back to where it stands and speeds its time
+up again. What holds from a control cycle on is a :class:`Motion`, plain numbers that can be stored; a node that is
+started anew with the same motions gives the same values in the same cycles, bit for bit.
+"""
+
+from enum import IntEnum
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.programme.expansion import CLOSE, Points, Programme, programme_of
+
+
+class State(IntEnum):
+    """What a programme does, as ``programme_point`` has it."""
+
+    STARTING = 0
+    RUNNING = 1
+    STOPPING = 2
+    STOPPED = 3
+    RESUMING = 4
+    FINISHED = 5
+
+
+class Leg(NamedTuple):
+    """A part of a motion: the programme's time changes its speed, or, where there is a row, the value goes to another at rest.
+
+    Attributes:
+        duration: its time [s].
+        since: programme time at its beginning [s].
+        speed: speed of the programme's time at its beginning, 1 being its own [1].
+        growth: rate of that speed [1/s].
+        end_speed: speed at its end, which no longer changes [1].
+        row: value, first and second derivative at its beginning.
+        to: value at its end.
+    """
+
+    duration: float
+    since: float
+    speed: float = 0.0
+    growth: float = 0.0
+    end_speed: float = 0.0
+    row: tuple[float, float, float] | None = None
+    to: float = 0.0
+
+
+class Skip(NamedTuple):
+    """Load cycles that were left out: their number, and the programme time from which they are missing [s]."""
+
+    to: float
+    load_cycles: int
+
+
+class Motion(NamedTuple):
+    """What holds from a control cycle on: some legs, then the programme at its own speed or at rest.
+
+    Attributes:
+        first: the control cycle.
+        kind: why it is there.
+        legs: parts before the last.
+        since: programme time at the end of the legs [s].
+        rests: value held from then on; None: the programme runs.
+        skipped: load cycles that were left out until here.
+        reason: what a stop is for.
+    """
+
+    first: int
+    kind: Literal["start", "stop", "resume", "skip"]
+    legs: tuple[Leg, ...]
+    since: float
+    rests: float | None = None
+    skipped: tuple[Skip, ...] = ()
+    reason: str = ""
+
+
+class Rows(NamedTuple):
+    """What a programme wants in some control cycles, one entry each.
+
+    Attributes:
+        reference: value, first and second derivative, shape (n, 3).
+        points: where the programme is.
+        state: :class:`State` of each, shape (n,).
+    """
+
+    reference: Array
+    points: Points
+    state: NDArray[np.int64]
+
+
+class _Moving(NamedTuple):
+    """A programme in some control cycles: its time, the speed of that and its rate, and the rows where it is off its path."""
+
+    since: Array
+    speed: Array
+    growth: Array
+    off: Array
+    busy: NDArray[np.bool_]
+
+
+class Runner:
+    """A programme that is run.
+
+    Attributes:
+        programme: the programme.
+        motions: what holds, in the order of the control cycles.
+    """
+
+    def __init__(self, programme: Programme, period: float, motions: tuple[Motion, ...]) -> None:
+        """Take a programme with what holds so far.
+
+        Args:
+            programme: the programme.
+            period: of the control cycles [s].
+            motions: at least one; see :meth:`beginning` and :meth:`resting`.
+        """
+        self.programme = programme
+        self.motions = list(motions)
+        self._period = period
+        p = programme.parameters
+        self._stop_time, self._hold_time, self._hold = p.stop_time, p.hold_time, p.hold
+
+    @staticmethod
+    def beginning(programme: Programme, first: int, measured: float | None = None, lead: float = 0.0) -> Motion:
+        """Return the motion that begins a programme.
+
+        Args:
+            programme: the programme.
+            first: control cycle in which it begins.
+            measured: value of the rig, from which it is led in; None: it begins at once.
+            lead: time of that [s].
+        """
+        if measured is None or lead <= 0.0:
+            return Motion(first, "start", (), 0.0)
+        glide = Leg(lead, 0.0, row=(measured, 0.0, 0.0), to=programme.parameters.start)
+        speeding = Leg(programme.parameters.stop_time, 0.0, end_speed=1.0)
+        return Motion(first, "start", (glide, speeding), _end(speeding))
+
+    def resting(self, first: int, since: float, measured: float, reason: str, skipped: tuple[Skip, ...] = ()) -> Motion:
+        """Return the motion of a programme that the rig has fallen out of: from where the rig is to what is held.
+
+        Args:
+            first: control cycle.
+            since: programme time where it stands [s].
+            measured: value of the rig.
+            reason: what happened.
+            skipped: load cycles that were left out until there.
+        """
+        held = self._held(since)
+        glide = Leg(self._hold_time, since, row=(measured, 0.0, 0.0), to=held)
+        return Motion(first, "stop", (glide,), since, held, skipped, reason)
+
+    def rows(self, first: int, count: int) -> Rows:
+        """Return what the programme wants in control cycles on end.
+
+        Args:
+            first: the first one.
+            count: their number.
+        """
+        cycles = np.arange(first, first + count)
+        made = Rows(
+            np.empty((count, 3)),
+            Points.empty(count),
+            np.zeros(count, np.int64),
+        )
+        firsts = [motion.first for motion in self.motions]
+        holding = np.maximum(np.searchsorted(firsts, cycles, side="right") - 1, 0)
+        for i in np.unique(holding):
+            self._fill(made, np.flatnonzero(holding == i), cycles, self.motions[i])
+        return made
+
+    def at(self, cycle: int) -> tuple[float, State]:
+        """Return programme time [s] and state in a control cycle."""
+        motion = self._motion(cycle)
+        moving = self._moving(motion, np.array([cycle]))
+        return float(moving.since[0]), State(int(self._states(motion, moving, np.array([cycle]))[0]))
+
+    def stop(self, cycle: int, reason: str) -> bool:
+        """Stop from a control cycle on; return whether there is anything to stop."""
+        motion, (since, speed, growth), row = self._now(cycle)
+        if motion.kind == "stop" or motion.rests is not None or since >= self.programme.duration - CLOSE:
+            return False
+        legs: list[Leg] = []
+        if speed:
+            legs.append(Leg(self._stop_time, since, speed, growth, 0.0))
+            since = _end(legs[0])
+            row = (float(self.programme.sample(np.array([since]))[0, 0]), 0.0, 0.0)
+        held = self._held(since)
+        if row != (held, 0.0, 0.0):
+            legs.append(Leg(self._hold_time, since, row=row, to=held))
+        self._add(Motion(cycle, "stop", tuple(legs), since, held, motion.skipped, reason))
+        return True
+
+    def resume(self, cycle: int) -> bool:
+        """Go on from a control cycle on; return whether the programme was stopped."""
+        motion, (since, speed, growth), row = self._now(cycle)
+        if motion.rests is None or since >= self.programme.duration - CLOSE:
+            return False
+        legs = [] if speed else self._way_back(row, since)
+        legs.append(Leg(self._stop_time, since, speed, growth, 1.0))
+        self._add(Motion(cycle, "resume", tuple(legs), _end(legs[-1]), None, motion.skipped))
+        return True
+
+    def skip(self, cycle: int) -> bool:
+        """Leave the running block for the next one, still stopped if it was; return whether there is a block to leave."""
+        motion, (since, speed, growth), row = self._now(cycle)
+        if since >= self.programme.duration - CLOSE:
+            return False
+        legs: list[Leg] = []
+        if speed:
+            legs.append(Leg(self._stop_time, since, speed, growth, 0.0))
+            since = _end(legs[0])
+            row = (float(self.programme.sample(np.array([since]))[0, 0]), 0.0, 0.0)
+        spot = self.programme.spot(since)
+        if spot.segment.leads:
+            spot = self.programme.spot(spot.end)
+        following = min(spot.end, self.programme.duration)
+        done, then = (int(n) for n in self.programme.points(np.array([since, following])).load_cycles)
+        skipped = (*motion.skipped, Skip(following, then - done))
+        if motion.rests is not None:
+            held = self._held(following)
+            legs += [Leg(self._hold_time, following, row=row, to=held)] if row != (held, 0.0, 0.0) else []
+            self._add(Motion(cycle, "stop", tuple(legs), following, held, skipped, motion.reason))
+            return True
+        legs += self._way_back(row, following)
+        legs.append(Leg(self._stop_time, following, 0.0, 0.0, 1.0))
+        self._add(Motion(cycle, "skip", tuple(legs), _end(legs[-1]), None, skipped))
+        return True
+
+    def forget(self, before: int) -> None:
+        """Forget the motions that no control cycle from one on needs."""
+        while len(self.motions) > 1 and self.motions[1].first <= before:
+            del self.motions[0]
+
+    def _add(self, motion: Motion) -> None:
+        while self.motions and self.motions[-1].first >= motion.first:
+            self.motions.pop()
+        self.motions.append(motion)
+
+    def _held(self, since: float) -> float:
+        return float(self.programme.sample(np.array([since]))[0, 0]) if self._hold is None else self._hold
+
+    def _way_back(self, row: tuple[float, float, float], since: float) -> list[Leg]:
+        value = float(self.programme.sample(np.array([since]))[0, 0])
+        return [Leg(self._hold_time, since, row=row, to=value)] if row != (value, 0.0, 0.0) else []
+
+    def _motion(self, cycle: int) -> Motion:
+        firsts = [motion.first for motion in self.motions]
+        return self.motions[max(int(np.searchsorted(firsts, cycle, side="right")) - 1, 0)]
+
+    def _now(self, cycle: int) -> tuple[Motion, tuple[float, float, float], tuple[float, float, float]]:
+        """Return what holds in a cycle: the motion, programme time with speed and its rate, and the row."""
+        motion = self._motion(cycle)
+        moving = self._moving(motion, np.array([cycle]))
+        value, rate, bend = self._reference(moving)[0].tolist()
+        return motion, (float(moving.since[0]), float(moving.speed[0]), float(moving.growth[0])), (value, rate, bend)
+
+    def _fill(self, made: Rows, chosen: NDArray[np.intp], cycles: NDArray[np.int64], motion: Motion) -> None:
+        moving = self._moving(motion, cycles[chosen])
+        made.reference[chosen] = self._reference(moving)
+        points = self.programme.points(moving.since)
+        made.points.block[chosen] = points.block
+        made.points.repetition[chosen] = points.repetition
+        made.points.load_cycles[chosen] = points.load_cycles
+        for skip in motion.skipped:
+            made.points.load_cycles[chosen] -= np.where(moving.since >= skip.to - CLOSE, skip.load_cycles, 0)
+        made.points.phase[chosen] = np.where(moving.speed > 0.0, points.phase, np.nan)
+        made.state[chosen] = self._states(motion, moving, cycles[chosen])
+
+    def _states(self, motion: Motion, moving: _Moving, cycles: NDArray[np.int64]) -> NDArray[np.int64]:
+        under_way = {"start": State.STARTING, "stop": State.STOPPING, "resume": State.RESUMING, "skip": State.RESUMING}[
+            motion.kind
+        ]
+        arrived = State.RUNNING if motion.rests is None else State.STOPPED
+        state = np.where(moving.busy | (cycles < motion.first), under_way, arrived)
+        return np.where((moving.since >= self.programme.duration - CLOSE) & ~moving.busy, State.FINISHED, state).astype(
+            np.int64
+        )
+
+    def _reference(self, moving: _Moving) -> Array:
+        rows = self.programme.sample(moving.since)
+        speed, growth = moving.speed, moving.growth
+        # The chain rule for the programme along its own time.
+        rows[:, 2] = rows[:, 2] * speed**2 + rows[:, 1] * growth
+        rows[:, 1] *= speed
+        off = ~np.isnan(moving.off[:, 0])
+        rows[off] = moving.off[off]
+        return rows
+
+    def _moving(self, motion: Motion, cycles: NDArray[np.int64]) -> _Moving:
+        gone = np.maximum(cycles - motion.first, 0) * self._period
+        n = cycles.size
+        moving = _Moving(np.empty(n), np.zeros(n), np.zeros(n), np.full((n, 3), np.nan), np.zeros(n, np.bool_))
+        left = np.ones(n, np.bool_)
+        for leg in motion.legs:
+            now = left & (gone < leg.duration)
+            _along(leg, gone[now], moving, now)
+            moving.busy[now] = True
+            left &= ~now
+            gone = np.where(left, gone - leg.duration, gone)
+        if motion.rests is None:
+            moving.since[left] = motion.since + gone[left]
+            # Before its first cycle it waits.
+            moving.speed[left] = cycles[left] >= motion.first
+        else:
+            moving.since[left] = motion.since
+            moving.off[left] = (motion.rests, 0.0, 0.0)
+        return moving
+
+
+def point_signals(parameters: Any, time: Array, period: float) -> dict[str, Array]:
+    """Return the signals of a programme that nothing stops, by name, as ``programme_point`` has them.
+
+    Args:
+        parameters: of the programme.
+        time: of control cycles on end, shape (n,) [s].
+        period: of the control cycles [s].
+    """
+    programme = programme_of(parameters)
+    runner = Runner(programme, period, (Runner.beginning(programme, 0),))
+    rows = runner.rows(round(float(time[0]) / period) if time.size else 0, time.size)
+    points = rows.points
+    return {
+        "programme_block": points.block.astype(np.float64),
+        "programme_repetition": points.repetition.astype(np.float64),
+        "programme_load_cycles": points.load_cycles.astype(np.float64),
+        "programme_phase": points.phase,
+        "programme_state": rows.state.astype(np.float64),
+    }
+
+
+def _along(leg: Leg, gone: Array, moving: _Moving, chosen: NDArray[np.bool_]) -> None:
+    """Fill in where a leg is at times since its beginning [s]."""
+    x = gone / leg.duration
+    if leg.row is not None:
+        moving.since[chosen] = leg.since
+        moving.off[chosen] = _to_rest(leg.row, leg.to, leg.duration, x)
+        return
+    # A cubic by Hermite for the speed; the time is its integral.
+    a, b, c = leg.speed, leg.growth * leg.duration, leg.end_speed
+    moving.since[chosen] = leg.since + leg.duration * _hermite_area(a, b, c, x)
+    moving.speed[chosen] = a * (1.0 - 3.0 * x**2 + 2.0 * x**3) + b * (x - 2.0 * x**2 + x**3) + c * (3.0 * x**2 - 2.0 * x**3)
+    slope = a * (6.0 * x**2 - 6.0 * x) + b * (1.0 - 4.0 * x + 3.0 * x**2) + c * (6.0 * x - 6.0 * x**2)
+    moving.growth[chosen] = slope / leg.duration
+
+
+def _hermite_area(a: float, b: float, c: float, x: Array) -> Array:
+    return a * (x - x**3 + 0.5 * x**4) + b * (0.5 * x**2 - 2.0 / 3.0 * x**3 + 0.25 * x**4) + c * (x**3 - 0.5 * x**4)
+
+
+def _end(leg: Leg) -> float:
+    """Return the programme time at the end of a leg [s]."""
+    if leg.row is not None:
+        return leg.since
+    return leg.since + leg.duration * float(_hermite_area(leg.speed, leg.growth * leg.duration, leg.end_speed, np.ones(1))[0])
+
+
+def _to_rest(row: tuple[float, float, float], to: float, duration: float, x: Array) -> Array:
+    """Return the quintic from a value with its derivatives to rest at another, shape (n, 3).
+
+    Args:
+        row: value, first and second derivative at the beginning.
+        to: value at the end.
+        duration: its time [s].
+        x: share of that time, shape (n,).
+    """
+    value, rate, bend = row[0], row[1] * duration, row[2] * duration**2
+    way = to - value
+    third = 10.0 * way - 6.0 * rate - 1.5 * bend
+    fourth = -15.0 * way + 8.0 * rate + 1.5 * bend
+    fifth = 6.0 * way - 3.0 * rate - 0.5 * bend
+    polynomial = np.polynomial.Polynomial([value, rate, 0.5 * bend, third, fourth, fifth])
+    first, second = polynomial.deriv(1), polynomial.deriv(2)
+    return np.column_stack([polynomial(x), first(x) / duration, second(x) / duration**2])

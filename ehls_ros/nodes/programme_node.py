@@ -1,0 +1,406 @@
+"""`programme_node`: runs a test programme in place of the reference node, counts its load cycles, stops on limits, resumes."""
+
+import hashlib
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, NoReturn
+
+import numpy as np
+from std_srvs.srv import Trigger
+
+from ehls_msgs.msg import LoaderState, ProgrammePoint
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.programme.counting import Counter, LoadCycle, Sample
+from ehls_ros.control.programme.expansion import programme_of
+from ehls_ros.control.programme.motion import Motion, Rows, Runner, State
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.programme_log import CycleLog, Saved, digest, read_state, write_state
+from ehls_ros.experiments.spec import with_programme
+from ehls_ros.nodes.ahead import LEAD, REST, AheadNode
+from ehls_ros.nodes.codec import NANOSECONDS
+from ehls_ros.nodes.control import OK, PATIENCE, WAIT, WARN, run_node
+from ehls_ros.nodes.graph import PROGRAMME
+from ehls_ros.nodes.parameters import declare
+from ehls_ros.nodes.reference_node import MEASURED
+from ehls_ros.nodes.transport import Inbox, Outbox, message_class, newest_qos
+from ehls_ros.physics import sensors
+from ehls_ros.recording.topics import DEPTH, LOADER_STATE, PROGRAMME_POINT, REFERENCE_TOPICS
+from ehls_ros.schema import quantity, text
+
+MARGIN = 0.05
+"""Time before a programme begins in realtime, so that its first rows are there in time [s]."""
+
+QUIET = 0.3
+"""Time without a snapshot after which a rig in lockstep counts as waiting for its reference [s]."""
+
+
+class Parameters(NamedTuple):
+    """What is run, where its log goes, and how it begins."""
+
+    programme: Annotated[str, text("programme's file; empty: the spec's reference, which is one")] = ""
+    folder: Annotated[str, text("folder of log and state; empty: runs/ and the programme's title")] = ""
+    anew: Annotated[bool, text("begin the programme anew, and its log; false: go on where the folder's state says")] = False
+    ahead: Annotated[
+        int,
+        quantity(
+            "1", "control cycles by which the reference is published ahead; a stop acts after them", minimum=20, maximum=LEAD
+        ),
+    ] = LEAD
+    start_time: Annotated[
+        float,
+        quantity(
+            "s", "time in which the reference is led in from where the rig is; 0: the programme begins at once", minimum=0.0
+        ),
+    ] = 0.0
+
+
+class ProgrammeNode(AheadNode):
+    """Publishes a programme's reference and points, a pure function of the control cycle between two requests.
+
+    So a node that is killed and started again, while the rig still has reference, goes on without a bump; where the rig ran out
+    of it, or is another process, the programme stands where it was and waits to be resumed.
+    """
+
+    tells_actuator = True
+
+    def __init__(self) -> None:
+        """Declare the parameters and the services.
+
+        Raises:
+            BadInput: there is no programme, or its folder holds another one.
+        """
+        super().__init__(PROGRAMME)
+        declare(self, Parameters, live=False)
+        self.spec = with_programme(self.spec, self.text_parameter("programme"))
+        if self.spec.reference.name != "programme":
+            what = f"the spec's reference is {self.spec.reference.name}"
+            raise BadInput(what, self.get_name(), "a programme there, or a file in the parameter programme")
+        self.programme = programme_of(self.spec.reference.parameters)
+        self.lead = int(self.get_parameter("ahead").value)
+        self.start_time = float(self.get_parameter("start_time").value)
+        self.follows = CONTROLLERS.load(self.spec.controller.name).FOLLOWS
+        self.asked: list[str] = []
+        for request in ("stop", "resume", "skip"):
+            self.create_service(Trigger, f"programme_{request}", self._answer(request))
+
+    def _answer(self, request: str) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
+        """Return the service's function, which leaves the request to the loop."""
+
+        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            refusal = self._refusal(request)
+            response.success, response.message = (
+                not refusal,
+                refusal or f"{request} from control cycle {self.next} on, or later",
+            )
+            if response.success:
+                self.asked.append(request)
+            return response
+
+        return answer
+
+    def _refusal(self, request: str) -> str:
+        if not self._active.is_set() or self.runner is None:
+            return "the programme has not begun"
+        stopped = self.runner.motions[-1].rests is not None
+        if self.state == State.FINISHED:
+            return "the programme has finished"
+        if request == "stop" and stopped:
+            return "the programme is stopped"
+        return "the programme is not stopped" if request == "resume" and not stopped else ""
+
+    def prepare(self) -> None:
+        """Open log and topics.
+
+        Raises:
+            BadInput: log or state cannot be read or written, or are another programme's.
+        """
+        chosen = self.text_parameter("folder")
+        title = "".join(letter if letter.isalnum() else "_" for letter in self.programme.parameters.title)
+        self.folder = Path(chosen) if chosen else Path("runs") / title
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise BadInput(f"the folder cannot be made ({error.strerror})", str(self.folder), "a writable folder") from None
+        anew = bool(self.get_parameter("anew").value)
+        self.saved = None if anew else read_state(self.folder)
+        self.digest, period = digest(self.programme), self.spec.settings.control_period
+        if self.saved is not None and (self.saved.programme, self.saved.period) != (self.digest, period):
+            expected = "that programme, another folder, or anew:=true to begin this one"
+            raise BadInput("the folder holds the state of another programme", str(self.folder), expected)
+        # A log without a state is of no use to go on from.
+        self.log = CycleLog(self.folder, self.follows, anew=self.saved is None)
+        self.counter = Counter(self.programme, self.log.done, self.saved.stiffness if self.saved else ())
+        self.runner: Runner | None = None
+        self.samples: dict[int, tuple[int, int, int, float, int, float]] = {}
+        self.counting = 0
+        self.newest: LoadCycle | None = None
+        self.state, self.block = State.STARTING, 0
+        super().prepare()
+        self.states = Inbox(self, LoaderState, LOADER_STATE.name)
+        self.present = Inbox(self, LoaderState, LOADER_STATE.name, newest_qos())
+        self.points = Outbox(self, ProgrammePoint, PROGRAMME_POINT.name)
+        self.waiting: list[tuple[Any, ...]] = []
+        self.stamped = 0
+        self.heard = time.perf_counter()
+
+    def open_outbox(self) -> Outbox:
+        """Open the topic of the reference."""
+        topic = REFERENCE_TOPICS[self.follows]
+        return Outbox(self, message_class(topic.type), topic.name)
+
+    def release(self) -> None:
+        """Close topics and log."""
+        for part in (self.states, self.present, self.points):
+            part.destroy()
+        self.log.close()
+        super().release()
+
+    def start(self) -> None:
+        """Publish nothing yet: the first snapshot says in which control cycle the programme begins."""
+
+    def once(self) -> None:
+        """Count what was measured, and publish ahead of the newest control cycle."""
+        self.waiter.wait(WAIT)
+        while (progress := self.progress.take()) is not None:
+            stamp, cycle = progress[:2]
+            if cycle < self.last:
+                if not self.lockstep and stamp <= self.stamped:
+                    continue
+                if self.runner is not None:
+                    self._fall_out(cycle, "the rig began anew")
+            self.last, self.stamped, self.moved = cycle, stamp, time.perf_counter()
+            self.epoch_ns = stamp - round(cycle * self.period_ns)
+        if self.runner is None:
+            self._begin()
+            return
+        self._count()
+        if self.last > self.next:
+            self._fall_out(self.last, f"the rig had no reference from control cycle {self.next} on")
+        self._follow_requests()
+        self._publish_to(self.last + self.lead, None)
+        if not self.lockstep:
+            time.sleep(REST)
+        elif time.perf_counter() - self.moved > PATIENCE:
+            self._repeat()
+
+    def stop(self) -> None:
+        """Count the last control cycles."""
+        if self.runner is not None:
+            self._count()
+            self._save(self.next - 1)
+
+    def _begin(self) -> None:
+        """Find out in which control cycle the rig is now, and begin or go on there.
+
+        What is kept of earlier control cycles says nothing of that. In lockstep the clock does, of which one is kept; in
+        realtime a snapshot that nobody keeps.
+        """
+        now = self._present()
+        if now is None:
+            return
+        measured, cycle = now[2 + MEASURED[self.follows]], now[1]
+        run = self._run()
+        saved = self.saved
+        if saved is None:
+            first = cycle if self.lockstep else cycle + round(MARGIN / self.spec.settings.control_period)
+            begun = Runner.beginning(self.programme, first, measured, self.start_time)
+            self.runner = Runner(self.programme, self.spec.settings.control_period, (begun,))
+            self.counting = cycle
+        else:
+            self.runner = Runner(self.programme, saved.period, saved.motions)
+            self.counting = saved.counting
+            if saved.run != run:
+                self._fall_out(cycle, "the rig is another one since", saved.seen, measured)
+            else:
+                # Snapshots from before the node went are still there, as many as the rig keeps.
+                since = max(saved.counting, cycle - DEPTH)
+                self._remember(self.runner.rows(since, min(cycle, saved.published + 1) - since), since)
+                # In lockstep the rig waits in the first control cycle without reference.
+                if cycle > saved.published + 1:
+                    self.next = saved.published + 1
+                    self._count()
+                    self._fall_out(cycle, "there was no reference while the node was away", saved.published, measured)
+        self.run, self.next, self.last = run, cycle, max(cycle, self.last)
+        self._publish_to(cycle + self.lead, None)
+
+    def _present(self) -> tuple[Any, ...] | None:
+        """Return the rig's newest snapshot once it is known to be that."""
+        if not self.lockstep:
+            newest = None
+            while (state := self.present.take()) is not None:
+                newest = state
+            return newest
+        while (state := self.states.take()) is not None:
+            self.waiting.append(state)
+            self.heard = time.perf_counter()
+        if self.last < 0 or not self.waiting or self.waiting[-1][1] < self.last:
+            return None
+        # A rig without reference waits, and what it sent before has come once nothing comes any more.
+        newest = self.waiting[-1]
+        return newest if newest[1] == 0 or time.perf_counter() - self.heard > QUIET else None
+
+    def _run(self) -> str:
+        """Return what tells the rig's process from another."""
+        senders = self.get_publishers_info_by_topic(LOADER_STATE.name)
+        named = sorted(bytes(sender.endpoint_gid) for sender in senders)
+        return hashlib.blake2b(b"".join(named), digest_size=16).hexdigest()
+
+    def _fall_out(self, cycle: int, reason: str, until: int | None = None, measured: float | None = None) -> None:
+        """Let the programme stand where the rig had its last reference.
+
+        Args:
+            cycle: control cycle now.
+            reason: what happened.
+            until: last control cycle with reference; None: the one counted last.
+            measured: value of the rig; None: the programme's own where it stands.
+        """
+        runner = self._running()
+        until = self.counting - 1 if until is None else until
+        since, state = runner.at(max(until, 0))
+        before = runner.motions[-1]
+        if measured is None or math.isnan(measured):
+            measured = float(self.programme.sample(np.array([since]))[0, 0])
+        if state == State.FINISHED:
+            runner.motions = [Motion(cycle, "stop", (), since, self.programme.end, before.skipped)]
+        else:
+            said = before.reason if before.rests is not None and before.reason else reason
+            runner.motions = [runner.resting(cycle, since, measured, said, before.skipped)]
+            self.get_logger().warning(f"the programme stands: {said}; programme_resume goes on")
+        self.samples.clear()
+        self.counting = self.next = cycle
+        self.run = self._run()
+
+    def _running(self) -> Runner:
+        if self.runner is None:
+            raise RuntimeError("the programme has not begun")
+        return self.runner
+
+    def _follow_requests(self) -> None:
+        """Stop, resume or skip from the first control cycle on that is not published yet."""
+        runner = self._running()
+        if self.counter.complaint:
+            if runner.stop(self.next, self.counter.complaint):
+                self.get_logger().error(f"the programme stops: {self.counter.complaint}")
+            self.counter.complaint = ""
+        while self.asked:
+            request = self.asked.pop(0)
+            done = runner.stop(self.next, "asked for") if request == "stop" else getattr(runner, request)(self.next)
+            self.get_logger().info(
+                f"programme {request} from control cycle {self.next} on" if done else f"nothing to {request}"
+            )
+
+    def _publish_to(self, cycle: int, state: tuple[Any, ...] | None) -> None:
+        if cycle < self.next:
+            return
+        first = self.next
+        # Said before it is done: whoever goes on after a kill sends these again, which changes nothing.
+        self._save(cycle)
+        self._send(first, cycle)
+        self.next = cycle + 1
+
+    def _send(self, first: int, last: int) -> None:
+        """Publish control cycles, and keep what their measurements will be compared with."""
+        rows = self._running().rows(first, last - first + 1)
+        for cycle, (point, reference) in enumerate(zip(_entries(rows), rows.reference.tolist(), strict=True), start=first):
+            stamp = self.epoch_ns + round(cycle * self.period_ns)
+            self.points.send(stamp, cycle, *point)
+            self.tell_actuator(stamp, cycle)
+            self.outbox.send(stamp, cycle, *reference)
+        self._remember(rows, first)
+
+    def _remember(self, rows: Rows, first: int) -> None:
+        """Keep what the measurements of control cycles will be compared with."""
+        for cycle, (point, reference) in enumerate(
+            zip(_entries(rows), rows.reference[:, 0].tolist(), strict=True), start=first
+        ):
+            if cycle >= self.counting:
+                self.samples[cycle] = (*point, reference)
+
+    def _repeat(self) -> None:
+        """Publish the rows ahead again, to readers that were matched too late for them."""
+        self.moved = time.perf_counter()
+        if self.outbox.has_volatile_reader():
+            self._send(max(self.last, 0), self.next - 1)
+
+    def _save(self, published: int) -> None:
+        runner = self._running()
+        counting = self.counting if self.counter.since is None else self.counter.since
+        runner.forget(min(counting, self.next))
+        seen = max(self.counting - 1, 0)
+        saved = Saved(
+            self.digest, self.spec.settings.control_period, self.run, seen, published, counting,
+            tuple(runner.motions), self.counter.stiffness,
+        )  # fmt: skip
+        write_state(self.folder, saved)
+
+    def _count(self) -> None:
+        """Take the snapshots that have come, and log the load cycles that they finish."""
+        logged = False
+        for message in self._snapshots():
+            stamp, cycle = message[:2]
+            known = self.samples.pop(cycle, None)
+            for missed in range(self.counting, cycle):
+                self.samples.pop(missed, None)
+            self.counting = cycle + 1
+            if known is None:
+                continue
+            block, repetition, load_cycles, phase, state, reference = known
+            measured, position = message[2 + MEASURED[self.follows]], message[2 + sensors.POSITION]
+            finished = self.counter.add(
+                Sample(cycle, block, repetition, load_cycles, phase, state, reference, measured, position)
+            )
+            self.state, self.block = State(state), block
+            if finished:
+                self.log.add(finished, stamp / NANOSECONDS)
+                self.newest, logged = finished[-1], True
+        if logged:
+            self.log.flush()
+
+    def _snapshots(self) -> list[tuple[Any, ...]]:
+        """Return the snapshots of published control cycles that were not counted yet, in their order."""
+        found, self.waiting = self.waiting, []
+        while (message := self.states.take()) is not None:
+            found.append(message)
+        # A rig in lockstep opens the control cycle that it waits for reference in.
+        self.waiting = [message for message in found if message[1] >= self.next]
+        return [message for message in found if self.counting <= message[1] < self.next]
+
+    def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        """Say where the programme is."""
+        programme = self.programme
+        figures: dict[str, Any] = {
+            "programme": programme.parameters.title,
+            "programme_state": self.state.name.lower(),
+            "block": self.block,
+            "block_name": programme.leaves[self.block].name,
+            "load_cycles": self.counter.done,
+            "of_load_cycles": programme.load_cycles,
+            "cycle": self.last,
+            "ahead": self.next - 1 - self.last,
+        }
+        if self.newest is not None:
+            figures |= {"peak": self.newest.peak, "valley": self.newest.valley}
+        runner = self.runner
+        if runner is not None and runner.motions[-1].rests is not None and self.state != State.FINISHED:
+            reason = runner.motions[-1].reason
+            asked = reason == "asked for"
+            return OK if asked else WARN, f"stopped: {reason}; programme_resume goes on", figures
+        return OK, self.state.name.lower() if self._active.is_set() else "inactive", figures
+
+
+def _entries(rows: Rows) -> Iterator[tuple[int, int, int, float, int]]:
+    """Yield block, repetition, load cycles, phase and state of each control cycle."""
+    points = rows.points
+    columns = (points.block, points.repetition, points.load_cycles, points.phase, rows.state)
+    return zip(*(column.tolist() for column in columns), strict=True)
+
+
+def main() -> NoReturn:
+    """Run the node."""
+    run_node(ProgrammeNode)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,53 @@
+"""A programme over DDS: each load cycle is counted once over a stop, a resume, and a node that is killed twice."""
+
+import pytest
+
+pytest.importorskip("ehls_msgs.msg._programme_point", reason="needs ehls_msgs built, as `make setup` does")
+
+from ehls_msgs.msg import LoaderState, ProgrammePoint
+from ehls_ros.control.programme.motion import State
+
+CYCLES = 500
+
+
+def test_no_load_cycle_is_lost_or_counted_twice(ros_domain_id, tmp_path):
+    from benchmarks.programme_endurance import endure
+
+    found = endure(tmp_path, CYCLES)
+    assert found.logged == found.once == CYCLES
+    assert found.lost == 0
+    # Two stops and two resumes, each within some load cycles; all others have their ten control cycles.
+    assert found.whole + found.stretched == CYCLES
+    assert 2 <= found.stretched <= 20
+
+
+PROGRAMME = """
+title: short
+stop_time: 0.05
+blocks:
+  - {block: cycles, amplitude: 500.0, mean: 500.0, frequency: 20.0, count: 100000, limits: {peak: [0.0, 1.0]}}
+"""
+
+
+def test_a_programme_begins_with_the_snapshot_of_now_and_stops_on_its_limits(graph, participant, spec_file, tmp_path):
+    """A rig that has run for a while before, whose earlier snapshots are still there to be had."""
+    file, spec = tmp_path / "programme.yaml", spec_file(duration=100.0, controller="sic")
+    file.write_text(PROGRAMME, encoding="utf-8")
+    states, points = participant.collect(LoaderState, "loader_state"), participant.collect(ProgrammePoint, "programme_point")
+    common = {"spec": spec, "timing": "lockstep"}
+    graph.start("reference_node", **common)
+    for name in ("disturbance_node", "sic_node"):
+        graph.start(name, **common)
+    graph.start("plant_sim_node", **common, partners="reference_node,disturbance_node,sic_node")
+    participant.until(lambda: states and states[-1].cycle > 500)
+    graph.kill("reference_node")
+    before = 0
+    while len(states) > before:
+        before = len(states)
+        participant.rest(1.0)
+    graph.start("programme_node", **common, programme=file, folder=tmp_path / "run")
+    participant.until(lambda: points and points[-1].state == State.STOPPED)
+    assert points[0].cycle == states[before - 1].cycle
+    assert points[0].load_cycles == 0
+    assert (tmp_path / "run" / "load_cycles.csv").read_text().splitlines()[1].startswith("1,0,1,")
+    participant.until(lambda: "the peak is " in graph.log("programme_node"))
