@@ -113,9 +113,16 @@ class Controller:
         """
         command = self._answer(measured, reference, friction, elapsed, outlook)
         if self.company:
-            seen = (self._row, reference, self._place(outlook), measured)
-            rows = (values[np.newaxis] for values in seen)
-            self.model = self.company.done(Past(outlook.cycle, *rows, np.array([command]), self.status[np.newaxis]), self.model)
+            past = Past(
+                first=outlook.cycle,
+                rows=self._row[np.newaxis],
+                wanted=reference[np.newaxis],
+                place=self._place(outlook)[np.newaxis],
+                measured=measured[np.newaxis],
+                command=np.array([command]),
+                status=self.status[np.newaxis],
+            )
+            self.model = self.company.done(past, self.model)
         return command
 
     def _place(self, outlook: Outlook) -> Array:
