@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ehls_ros.control.companions import COMPANIONS
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import ROW
@@ -19,7 +20,13 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.schema import declarations, parse
 
-FAMILIES = {"controller": CONTROLLERS, "reference": REFERENCES, "disturbance": DISTURBANCES, "observer": OBSERVERS}
+FAMILIES = {
+    "controller": CONTROLLERS,
+    "companion": COMPANIONS,
+    "reference": REFERENCES,
+    "disturbance": DISTURBANCES,
+    "observer": OBSERVERS,
+}
 MEMBERS = [pytest.param(family, name, id=f"{kind}-{name}") for kind, family in FAMILIES.items() for name in family.names()]
 DECLARED = [
     pytest.param(name, declared, id=f"{kind}-{name}-{declared.name}")
