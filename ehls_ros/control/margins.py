@@ -10,6 +10,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 
@@ -103,7 +104,7 @@ def loop_margins(omega: Array, response: Array) -> LoopMargins:
     )
 
 
-def _crossings(values: Array) -> tuple[Array, Array]:
+def _crossings(values: Array) -> tuple[NDArray[np.intp], Array]:
     """Return after which values the sign changes, and after which fraction of the way to the next, straight in between."""
     before = np.flatnonzero((values[:-1] >= 0.0) != (values[1:] >= 0.0))
     return before, values[before] / (values[before] - values[before + 1])

@@ -10,9 +10,10 @@ import pytest
 from ehls_ros.control.companions.base import Past, Upcoming
 from ehls_ros.control.company import Company
 from ehls_ros.control.controller import Controller
+from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORCE_ERROR, Model, model_of
 from ehls_ros.experiments.loop import CHUNK, ClosedLoop, sampled, simulator_of
-from ehls_ros.experiments.spec import Spec, load_spec
+from ehls_ros.experiments.spec import Spec, Use, load_spec
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import FORCE
 
@@ -75,8 +76,8 @@ def doubled(upcoming: Upcoming) -> None:
 
 @pytest.fixture
 def spec() -> Spec:
-    found = load_spec(EXPERIMENTS / "sine_fd2.yaml")
-    found = found._replace(controller=load_spec(EXPERIMENTS / "measured_sine_fd2.yaml").controller)
+    law = CONTROLLERS.load("fasmc_predictive")
+    found = load_spec(EXPERIMENTS / "sine_fd2.yaml")._replace(controller=Use("fasmc_predictive", law.Parameters()))
     return found._replace(settings=found.settings._replace(duration=(CYCLES - 1) * 1e-3))
 
 
