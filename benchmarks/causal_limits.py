@@ -11,42 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ehls_ros.arrays import Array
-from ehls_ros.control.controller import Controller
-from ehls_ros.control.controllers.base import model_of
-from ehls_ros.control.disturbances import DISTURBANCES
+from benchmarks.true_error import true_cycles
 from ehls_ros.control.limits import CausalLimit
 from ehls_ros.experiments.causal_limit import limit_of_run
-from ehls_ros.experiments.loop import run_in_process, sampled, simulator_of
+from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.reproduction import paper
 from ehls_ros.experiments.reproduction.cases import case
-from ehls_ros.experiments.spec import Spec, load_spec
-from ehls_ros.physics.rig import SENSED
-from ehls_ros.physics.sensors import FORCE, POSITION, VELOCITY
+from ehls_ros.experiments.spec import load_spec
 from ehls_ros.report.page import limit_text
 
 ROOT = Path(__file__).resolve().parent.parent
 MEASURED = ("measured_constant_fd1", "measured_sine_fd1", "measured_constant_fd2", "measured_sine_fd2")
-
-
-def true_errors(spec: Spec) -> Array:
-    """Return the error of the true force in each cycle of an experiment whose controller needs no friction estimate [N]."""
-    period, cycles = spec.settings.control_period, spec.cycles
-    plant, reference = simulator_of(spec), sampled(spec.reference, period).rows(0, cycles)
-    signal = sampled(spec.disturbance.signal, period)
-    disturbing = DISTURBANCES.load(spec.disturbance.name).build(spec.disturbance.parameters, signal, spec.rig, period)
-    law = Controller(spec.controller.name, spec.controller.parameters, model_of(spec.controller_rig, period))
-    noise = np.random.default_rng(spec.settings.seed).standard_normal((cycles, len(SENSED)))
-    errors, row, no_friction = np.empty(cycles), disturbing.first(), np.zeros(2)
-    for cycle in range(cycles):
-        measured = plant.measure(noise[cycle])
-        errors[cycle] = plant.truth[FORCE] - reference[cycle, 0]
-        command = law.step(measured, reference[cycle], no_friction)
-        position, velocity = measured[POSITION], measured[VELOCITY]
-        plant.advance(command, *row)
-        row = disturbing.following(cycle, position, velocity)
-    return errors
 
 
 def line(name: str, errors: list[float], limit: CausalLimit) -> str:
@@ -74,10 +50,8 @@ def main() -> None:
         found = limit_of_run(run_in_process(spec))
         if found.limit is None:
             sys.exit(found.reason)
-        errors = []
-        for seed in range(options.seeds):
-            late = true_errors(spec._replace(settings=spec.settings._replace(seed=seed)))[spec.cycles // 2 :]
-            errors.append(float(np.max(np.abs(late))))
+        runs = (spec._replace(settings=spec.settings._replace(seed=seed)) for seed in range(options.seeds))
+        errors = [true_cycles(run).largest() for run in runs]
         print(line(name, errors, found.limit), flush=True)
 
 

@@ -16,6 +16,7 @@ from unittest import mock
 
 import ehls_ros
 from ehls_ros.cli.main import parser
+from ehls_ros.control.companions import COMPANIONS
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS
@@ -58,6 +59,7 @@ class Section(NamedTuple):
 FAMILIES: Mapping[str, Family[Any]] = {
     "Rig file: friction": FRICTION_MODELS,
     "Controllers": CONTROLLERS,
+    "Companions": COMPANIONS,
     "Friction observers": OBSERVERS,
     "References": REFERENCES,
     "Programme blocks": BLOCKS,
@@ -131,6 +133,8 @@ TOPICS: Mapping[str, str] = {
     "force_reference": "wanted force of a cycle, with two derivatives",
     "position_reference": "wanted position of a cycle, with two derivatives, for controllers that follow a position",
     "programme_point": "where a test programme is in a cycle: block, load cycles, phase",
+    "actuator_reference": "command of the actuator under test in a cycle, with two derivatives, where a companion uses it; "
+    "of a position servo it is a `PositionReference`",
     "disturbance": "action of the actuator under test in a cycle",
     "friction_estimate": "friction that the model predicts for a cycle",
     "valve_command": "the controller's answer to a cycle",
@@ -313,7 +317,7 @@ def nodes_page() -> str:
             ("topic", "type", "what it holds"),
             (
                 (f"`{topic.resolve()}`", f"`{topic.type}`", TOPICS[topic.name])
-                for topic in (*topics.TOPICS, *topics.HANDOVER_TOPICS)
+                for topic in (*topics.TOPICS, topics.ACTUATOR_REFERENCE["force"], *topics.HANDOVER_TOPICS)
             ),
         ),
         "## Services\n\nServices of the plant node, `plant_sim_node` or `hardware_bridge_node`, and of `programme_node`.\n",

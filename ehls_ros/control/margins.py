@@ -1,13 +1,16 @@
-"""Gain and phase margin of the pressure loop that structure invariance compensation closes.
+"""How far a sampled loop is from instability: the pressure loop of structure invariance compensation, and any loop as measured.
 
-With the motion's flow fed forward, the path from spool command to load pressure is the valve's lag and an
-integrator behind a sample and hold.
+With the motion's flow fed forward, the path from spool command to load pressure is the valve's lag and an integrator behind a
+sample and hold.
+
+Source of the margins: Åström, Murray, Feedback Systems, 2nd edition, section 10.3.
 """
 
 import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 
@@ -57,3 +60,51 @@ def pressure_loop_margins(proportional: float, integral: float, valve_bandwidth:
     gain = -20.0 * math.log10(float(magnitude[turned].max())) if turned.size else math.inf
     lead = math.degrees(float(phase[crossed].min()) + math.pi) if crossed.size else math.inf
     return Margins(gain, lead)
+
+
+class LoopMargins(NamedTuple):
+    """Distance of a loop that is stable from instability; each is infinite where nothing of the kind makes it unstable.
+
+    Attributes:
+        gain_db: factor by which the gain may rise [dB].
+        fall_db: factor by which it may fall [dB].
+        phase_deg: by which the phase may turn, either way [degree].
+        delay: by which the loop may become later [s].
+    """
+
+    gain_db: float
+    fall_db: float
+    phase_deg: float
+    delay: float
+
+
+def loop_margins(omega: Array, response: Array) -> LoopMargins:
+    """Return the margins of a loop that is known to be stable once closed.
+
+    Args:
+        omega: frequencies, ascending and so close that the response turns little from one to the next, the Nyquist frequency
+            included if the margin may be there, shape (n,) [rad/s].
+        response: frequency response of the opened loop there, negative feedback, shape (n,).
+    """
+    level, imaginary = np.log(np.abs(response)), response.imag
+    # Straight between the frequencies.
+    on_axis, at_axis = _crossings(imaginary)
+    real = response.real[on_axis] + at_axis * np.diff(response.real)[on_axis]
+    real = np.append(real, response.real[imaginary == 0.0])
+    gains = -20.0 * np.log10(-real[real < 0.0])
+    crossing, at_crossing = _crossings(level)
+    there = response[crossing] + at_crossing * np.diff(response)[crossing]
+    frequency = omega[crossing] + at_crossing * np.diff(omega)[crossing]
+    lead = np.mod(np.angle(there) + math.pi, 2.0 * math.pi)
+    return LoopMargins(
+        min(gains[gains >= 0.0], default=math.inf),
+        min(-gains[gains < 0.0], default=math.inf),
+        math.degrees(min(np.minimum(lead, 2.0 * math.pi - lead), default=math.inf)),
+        min(lead / frequency, default=math.inf),
+    )
+
+
+def _crossings(values: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return after which values the sign changes, and after which fraction of the way to the next, straight in between."""
+    before = np.flatnonzero((values[:-1] >= 0.0) != (values[1:] >= 0.0))
+    return before, values[before] / (values[before] - values[before + 1])

@@ -406,7 +406,8 @@ def expect(foreseen: Array, period: float, state: State) -> None:
     """Let the external force change as somebody foresaw it.
 
     The mean has been predicted with the second derivative held. What the force foreseen does beyond that, over the last cycle,
-    is added, so that the filter estimates only what nobody foresaw.
+    is added, so that the filter estimates only what nobody foresaw. Where a preview begins, the mean has what the filter found
+    by itself.
 
     Args:
         foreseen: the force [N] and its two derivatives; NaN if nobody foresees it.
@@ -419,9 +420,6 @@ def expect(foreseen: Array, period: float, state: State) -> None:
         y[EXTERNAL] += foreseen[0] - expected[0] - period * (expected[1] + 0.5 * period * expected[2])
         y[EXTERNAL_RATE] += foreseen[1] - expected[1] - period * expected[2]
         y[EXTERNAL_CURVATURE] += foreseen[2] - expected[2]
-    elif expected[3] == 0.0 and known:
-        y[EXTERNAL_RATE] += foreseen[1]
-        y[EXTERNAL_CURVATURE] += foreseen[2]
     elif expected[3] == 1.0:
         y[EXTERNAL_CURVATURE] = 0.0
     expected[3] = 1.0 if known else 0.0
@@ -449,6 +447,7 @@ def observe(measured: Array, foreseen: Array, model: Model, p: Assumptions, stat
             return False
         start(measured, model, p, state)
         expect(foreseen, model.period, state)
+        state.mean[EXTERNAL_RATE], state.mean[EXTERNAL_CURVATURE] = state.expected[1], state.expected[2]
         return True
     advance(supply_of(measured, model), model, p, state)
     expect(foreseen, model.period, state)

@@ -302,10 +302,8 @@ def _known_effects(data: Any, acting: Sequence[EffectUse], where: str) -> tuple[
     for name in data:
         if isinstance(name, str) and name not in by_name:
             raise BadInput(f"{name!r} does not act on this rig", where, f"one of {', '.join(by_name) or 'none'}, or a mapping")
-    return tuple(
-        by_name[entry] if isinstance(entry, str) else effects_from_list([entry], f"{where}[{index}]")[0]
-        for index, entry in enumerate(data)
-    )
+    acting_as = {name: {"name": name, **use.parameters._asdict()} for name, use in by_name.items()}
+    return effects_from_list([acting_as[entry] if isinstance(entry, str) else entry for entry in data], where)
 
 
 def _companions(data: Any, where: str, folder: Path) -> tuple[Use, ...]:

@@ -7,7 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ehls_ros.control.companions import COMPANIONS
+from ehls_ros.control.companions.base import PLACE, Past, Setting, Upcoming
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.controllers.base import ROW as FOLLOWED
+from ehls_ros.control.controllers.base import STATUS_SIZE, Model, model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import ROW
 from ehls_ros.control.observers import OBSERVERS
@@ -19,7 +23,13 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.schema import declarations, parse
 
-FAMILIES = {"controller": CONTROLLERS, "reference": REFERENCES, "disturbance": DISTURBANCES, "observer": OBSERVERS}
+FAMILIES = {
+    "controller": CONTROLLERS,
+    "companion": COMPANIONS,
+    "reference": REFERENCES,
+    "disturbance": DISTURBANCES,
+    "observer": OBSERVERS,
+}
 MEMBERS = [pytest.param(family, name, id=f"{kind}-{name}") for kind, family in FAMILIES.items() for name in family.names()]
 DECLARED = [
     pytest.param(name, declared, id=f"{kind}-{name}-{declared.name}")
@@ -83,6 +93,25 @@ def test_a_controller_has_its_parts(name):
     assert np.all(np.isfinite(memory))
     assert memory is not member.memory(member.Parameters())
     assert list(inspect.signature(member.step.py_func).parameters) == ["m", "r", "f", "p", "model", "memory", "status"]
+
+
+@pytest.mark.parametrize("name", COMPANIONS.names())
+def test_a_companion_has_its_parts(rig, name):
+    member = COMPANIONS.load(name)
+    assert isinstance(member.ACTUATOR, bool)
+    law = CONTROLLERS.load("fasmc_predictive")
+    model = model_of(rig, 1e-3)
+    companion = member.build(member.Parameters(), Setting(law, law.Parameters(), model, "force"))
+    place, rows, actuator = np.full((5, PLACE), np.nan), np.full((5, FOLLOWED), np.nan), np.full((5, 3), np.nan)
+    rows[:, :3] = 0.0
+    assert 1 <= companion.room(0, place) <= 5
+    companion.ahead(Upcoming(0, rows[:1], place[:1], actuator[:1]))
+    assert np.isfinite(rows[:, :3]).all()
+    nothing = np.zeros((1, 3)), place[:1], np.zeros((1, len(SENSED))), np.zeros(1), np.zeros((1, STATUS_SIZE))
+    assert isinstance(companion.done(Past(0, rows[:1], *nothing), model), Model)
+    companion.interrupt()
+    assert all(isinstance(value, float | str) for value in companion.report().values())
+    companion.save()
 
 
 @pytest.mark.parametrize("name", OBSERVERS.names())

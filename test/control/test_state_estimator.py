@@ -33,8 +33,8 @@ from ehls_ros.control import state_estimator as filter
 
 
 @njit(cache=True, error_model="numpy")
-def observe(measured, model, p, memory):
-    return filter.observe(measured, model, p, filter.state_of(memory))
+def observe(measured, foreseen, model, p, memory):
+    return filter.observe(measured, foreseen, model, p, filter.state_of(memory))
 
 
 @njit(cache=True, error_model="numpy")
@@ -46,6 +46,8 @@ def foresee(supply, model, p, memory):
 def send(command, memory):
     filter.send(command, filter.state_of(memory))
 ''')
+
+UNFORESEEN = np.full(3, math.nan)
 
 # Little unrest, so that the elements stick and the equations are as good as linear.
 CALM = Assumptions(2e6, 2e3, 1e-3, 2e-7, 1e3, 1e-7, 2.0, 0.05, 5e2, 1e-7, 1e3, 0.01, 1e3, 3.0)
@@ -59,8 +61,8 @@ class Filter:
         self.memory = np.zeros(state_estimator.MEMORY_SIZE)
         self.state = state_estimator.state_of.py_func(self.memory)
 
-    def observe(self, measured: np.ndarray) -> bool:
-        return bool(FILTER.observe(measured, self.model, self.p, self.memory))
+    def observe(self, measured: np.ndarray, foreseen: np.ndarray = UNFORESEEN) -> bool:
+        return bool(FILTER.observe(measured, foreseen, self.model, self.p, self.memory))
 
     def foresee(self) -> np.ndarray:
         FILTER.foresee(7e6, self.model, self.p, self.memory)

@@ -29,6 +29,8 @@ LARGEST = {
     "measured_constant_fd2": 68.2 + 10.0,
     "measured_sine_fd1": 63.7,
     "measured_sine_fd2": 117.0,
+    # Half of it.
+    "measured_sine_fd2_preview": 58.5,
     "servo_sine": 90.0,
     "sine_fd1": 37.8,
     "sine_fd2": 91.3,

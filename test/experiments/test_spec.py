@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.references import REFERENCES
@@ -142,6 +143,19 @@ SPEC_ERRORS = [
     (("durration",), 1.0, "spec.yaml", "'durration' is unknown", "duration"),
     ((7,), 1.0, "spec.yaml", "7 is unknown", "duration"),
     (("effects",), [{"name": "gremlin"}], "spec.yaml: effects[0]", "'gremlin'", "valve_dead_zone"),
+    (("known_effects",), "command_delay", "spec.yaml: known_effects", "'command_delay'", "a list"),
+    (("known_effects",), ["command_delay"], "spec.yaml: known_effects", "does not act on this rig", "a mapping"),
+    (("known_effects",), [{"name": "gremlin"}], "spec.yaml: known_effects[0]", "'gremlin'", "command_delay"),
+    (("companions",), "disturbance_preview", "spec.yaml: companions", "'disturbance_preview'", "a list"),
+    (("companions",), ["oracle"], "spec.yaml: companions[0]", "'oracle' is unknown", "disturbance_preview"),
+    (("companions",), 2 * ["disturbance_preview"], "spec.yaml: companions", "disturbance_preview, dist", "each name once"),
+    (
+        ("companions",),
+        [{"name": "disturbance_preview", "moving_mass": 0.0}],
+        "spec.yaml: companions[0]: disturbance_preview",
+        "moving_mass is 0.0",
+        "greater than 0",
+    ),
 ]
 
 
@@ -332,6 +346,26 @@ def test_the_controller_believes_in_the_rig_file_without_the_specs_effects_where
     spec = spec_from_mapping({**plain, **given}, "spec", Path())
     assert spec.controller_rig == rig_from_mapping(rig, "rig")
     assert spec.rig == spec.controller_rig.with_effects(spec.rig.effects[1:])
+
+
+def test_the_controller_knows_effects_as_they_act_or_with_numbers_of_their_own(rig_mapping):
+    servo = {"name": "position_servo", "stiffness": 3e6, "damping": 1e3, "signal": {"name": "constant", "value": 0.0}}
+    known = ["coupling_stiffness", {"name": "command_delay", "delay": 1.5e-3}]
+    again = round_trip(
+        {
+            "rig": rig_mapping,
+            "effects": [{"name": "command_delay", "delay": 1e-3}],
+            "known_effects": known,
+            "reference": "sine",
+            "disturbance": servo,
+            "controller": "fasmc_predictive",
+            "companions": ["disturbance_preview"],
+        }
+    )
+    model = model_of(again.controller_rig, 1e-3)
+    assert (model.command_delay, model.coupling_stiffness, model.coupling_damping) == (1.5e-3, 3e6, 1e3)
+    assert [use.parameters.delay for use in again.rig.effects] == [1e-3]
+    assert [use.name for use in again.companions] == ["disturbance_preview"]
 
 
 def test_the_controllers_rig_is_found_beside_its_spec(tmp_path, rig_mapping):

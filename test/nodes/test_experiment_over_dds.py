@@ -62,6 +62,10 @@ def over_dds(write_spec, tmp_path_factory):
             # The rig it is made for. config/experiments/ uses the same loop, which takes longest to compile.
             feeling_the_loader(spec)
             spec.write_text(f"{spec.read_text()}\neffects: [{{name: command_delay, delay: 1.0e-3}}]\n")
+        if controller == "fasmc_predictive":
+            feeling_the_loader(spec)
+            more = "known_effects: [command_delay, coupling_stiffness]\ncompanions: [disturbance_preview]\n"
+            spec.write_text(f"{spec.read_text()}\neffects: [{{name: command_delay, delay: 1.0e-3}}]\n{more}")
         return spec, ehls("experiment", spec, "--out", folder / "run", "--json")
 
     return run
@@ -74,14 +78,14 @@ def test_lockstep_is_deterministic(over_dds, tmp_path):
 
 
 # test_two_rigs.py shows the same for SIC.
-@pytest.mark.parametrize("controller", ["fasmc", "fasmc_output_feedback", "pid"])
+@pytest.mark.parametrize("controller", ["fasmc", "fasmc_output_feedback", "fasmc_predictive", "pid"])
 def test_lockstep_is_the_same_in_one_process(over_dds, tmp_path, controller):
     spec, done = over_dds(controller)
     recorded = trajectory_of(done)
     assert len(recorded) == 501
     assert not np.isnan(recorded["valve_command_m"]).any()
     assert_same(recorded, alone(spec, tmp_path / "alone"), relative=0.0 if controller == "pid" else 1e-9)
-    if controller == "fasmc_output_feedback":
+    if controller in {"fasmc_output_feedback", "fasmc_predictive"}:
         assert np.abs(recorded["disturbance_displacement_m"]).max() > 0.01, "the position servo does not react to the loader"
 
 

@@ -1,0 +1,171 @@
+"""Companions are called alike by the loop in one process and by a controller that is stepped, each after the one before it."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ehls_ros.control.companions.base import Past, Upcoming
+from ehls_ros.control.company import Company
+from ehls_ros.control.controller import Controller
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.controllers.base import FORCE_ERROR, Model, model_of
+from ehls_ros.experiments.loop import CHUNK, ClosedLoop, sampled, simulator_of
+from ehls_ros.experiments.spec import Spec, Use, load_spec
+from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.sensors import FORCE
+
+EXPERIMENTS = Path(__file__).parents[2] / "config" / "experiments"
+CYCLES = CHUNK + 501
+
+
+class Made:
+    """A companion that does what it is told to the rows and to the model, and keeps what it was called with."""
+
+    def __init__(
+        self,
+        change: Callable[[Upcoming], Any] = lambda upcoming: None,
+        model: Callable[[Model], Model] = lambda model: model,
+        room: int = CHUNK,
+    ) -> None:
+        self.change, self.model, self.most = change, model, room
+        self.seen: list[Past] = []
+        self.calls: list[str] = []
+
+    def room(self, first: int, place: np.ndarray) -> int:
+        return min(self.most, len(place))
+
+    def ahead(self, upcoming: Upcoming) -> None:
+        self.calls.append("ahead")
+        self.change(upcoming)
+
+    def done(self, past: Past, model: Model) -> Model:
+        self.calls.append("done")
+        # The loop uses the memory again.
+        self.seen.append(Past(past.first, *(np.array(part) for part in past[1:])))
+        return self.model(model)
+
+    def interrupt(self) -> None:
+        self.calls.append("interrupt")
+
+    def report(self) -> dict[str, float | str]:
+        return {"calls": float(len(self.calls))}
+
+    def save(self) -> None:
+        self.calls.append("save")
+
+
+def column(past: list[Past], name: str) -> np.ndarray:
+    return np.concatenate([getattr(part, name) for part in past])
+
+
+def raised(force: float) -> Callable[[Upcoming], None]:
+    """Return what adds a force [N] to the reference."""
+
+    def change(upcoming: Upcoming) -> None:
+        upcoming.rows[:, 0] += force
+
+    return change
+
+
+def doubled(upcoming: Upcoming) -> None:
+    upcoming.rows[:, 0] *= 2.0
+
+
+@pytest.fixture
+def spec() -> Spec:
+    law = CONTROLLERS.load("fasmc_predictive")
+    found = load_spec(EXPERIMENTS / "sine_fd2.yaml")._replace(controller=Use("fasmc_predictive", law.Parameters()))
+    return found._replace(settings=found.settings._replace(duration=(CYCLES - 1) * 1e-3))
+
+
+def looped(spec: Spec, **members: Any) -> None:
+    """Run an experiment in one process beside these companions."""
+    loop = ClosedLoop(spec)
+    loop.company = Company(members)
+    for _ in loop.blocks():
+        pass
+
+
+def stepped(spec: Spec, **members: Any) -> Controller:
+    """Run it cycle by cycle."""
+    plant, random = simulator_of(spec), np.random.default_rng(spec.settings.seed)
+    wanted, force = sampled(spec.reference, 1e-3), sampled(spec.disturbance.signal, 1e-3)
+    model = model_of(spec.controller_rig, 1e-3)
+    controller = Controller(spec.controller.name, spec.controller.parameters, model, Company(members))
+    for k in range(spec.cycles):
+        measured = plant.measure(random.standard_normal(len(SENSED)))
+        command = controller.step(measured, wanted.row(k), np.zeros(2), cycle=k)
+        plant.advance(command, *force.row(k)[:2], 0.0, 0.0)
+    return controller
+
+
+def test_each_changes_what_the_one_before_it_left(spec):
+    first, second = Made(raised(100.0)), Made(doubled)
+    looped(spec, first=first, second=second)
+    rows, wanted = column(first.seen, "rows"), column(first.seen, "wanted")
+    assert np.array_equal(rows[:, 0], 2.0 * (wanted[:, 0] + 100.0))
+    assert np.isnan(rows[:, 3:]).all()
+    assert np.array_equal(wanted, sampled(spec.reference, 1e-3).rows(0, CYCLES))
+
+
+def test_no_more_cycles_run_than_the_narrowest_has_room_for_and_none_is_left_out(spec):
+    wide, narrow = Made(), Made(room=700)
+    looped(spec, wide=wide, narrow=narrow)
+    for member in (wide, narrow):
+        assert max(len(past.rows) for past in member.seen) == 700
+        assert [past.first for past in member.seen] == [0, 700, 1400, 2100]
+        assert sum(len(past.rows) for past in member.seen) == CYCLES
+        assert member.calls == ["ahead", "done"] * 4 + ["save"]
+
+
+def test_the_loop_in_one_process_and_a_controller_that_is_stepped_come_to_the_same(spec):
+    blocks, cycles = Made(raised(50.0)), Made(raised(50.0))
+    looped(spec, made=blocks)
+    stepped(spec, made=cycles)
+    assert len(cycles.seen) == CYCLES > len(blocks.seen)
+    for name in ("rows", "wanted", "place"):
+        assert np.array_equal(column(blocks.seen, name), column(cycles.seen, name), equal_nan=True)
+    for name in ("measured", "command", "status"):
+        one, other = column(blocks.seen, name), column(cycles.seen, name)
+        assert np.max(np.abs(one - other)) <= 1e-9 * np.max(np.abs(one))
+
+
+def test_the_force_error_is_that_to_the_reference_wanted(spec):
+    made = Made(raised(500.0))
+    looped(spec, made=made)
+    error = column(made.seen, "measured")[:, FORCE] - column(made.seen, "wanted")[:, 0]
+    assert column(made.seen, "status")[:, FORCE_ERROR] == pytest.approx(error, abs=1e-8)
+    # What was followed is 500 N more.
+    assert np.mean(error[CYCLES // 2 :]) == pytest.approx(500.0, abs=20.0)
+
+
+def test_the_model_it_returns_is_the_laws_from_the_next_cycle_on(spec):
+    made = Made(model=lambda model: model._replace(spool_limit=1e-5), room=600)
+    looped(spec, made=made)
+    first, second = (np.abs(past.command) for past in made.seen[:2])
+    assert first.max() > 1e-5 >= second.max()
+    stepped_on = stepped(spec._replace(settings=spec.settings._replace(duration=0.1)), made=made)
+    assert stepped_on.model.spool_limit == 1e-5
+
+
+def test_a_controller_that_forgets_tells_its_companions_and_reports_each_by_name(spec):
+    made, other = Made(), Made()
+    controller = stepped(spec._replace(settings=spec.settings._replace(duration=0.01)), made=made, other=other)
+    made.calls.clear()
+    controller.reset()
+    assert made.calls == ["interrupt"]
+    assert controller.company.report().keys() == {"made.calls", "other.calls"}
+    assert controller.company.report()["made.calls"] == 1.0
+
+
+def test_no_company_is_as_good_as_one_that_does_nothing(spec):
+    short = spec._replace(settings=spec.settings._replace(duration=0.3))
+    made = Made()
+    looped(short, made=made)
+    loop = ClosedLoop(short)
+    assert not loop.company
+    record = np.concatenate([block.record[:, loop.columns.command].copy() for block in loop.blocks()])
+    assert np.array_equal(record, column(made.seen, "command"))

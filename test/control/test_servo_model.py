@@ -1,0 +1,106 @@
+"""The position servo foreseen by its model against the simulated one, and what the law makes of a model that is wrong."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.preview import with_preview
+from benchmarks.true_error import true_cycles
+from ehls_ros.control.companions.base import Past, Upcoming
+from ehls_ros.control.company import Company
+from ehls_ros.control.controllers.base import FORESEEN, Model
+from ehls_ros.control.disturbances.base import DISPLACEMENT, VELOCITY
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.loop import ClosedLoop
+from ehls_ros.experiments.spec import Spec, spec_from_mapping
+from ehls_ros.recording.yaml_text import read_yaml
+
+EXPERIMENTS = Path(__file__).parents[2] / "config" / "experiments"
+PREVIEW = {"name": "disturbance_preview"}
+STIFFNESS, DAMPING = 2e6, 2e3
+"""Of the beam [N/m, N s/m], the defaults of the position servo."""
+
+TOLERANCE = 0.02
+
+
+class Witness:
+    """Keeps the rows as the companions before it left them."""
+
+    def __init__(self) -> None:
+        self.rows: list[np.ndarray] = []
+
+    def room(self, first: int, place: np.ndarray) -> int:
+        return len(place)
+
+    def ahead(self, upcoming: Upcoming) -> None:
+        self.rows.append(upcoming.rows.copy())
+
+    def done(self, past: Past, model: Model) -> Model:
+        return model
+
+    def save(self) -> None:
+        pass
+
+
+def lasting(spec: Spec, duration: float) -> Spec:
+    return spec._replace(settings=spec.settings._replace(duration=duration))
+
+
+def foreseen_and_true(spec: Spec) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows' foreseen force with its derivatives, and the force the servo's motion brought [N]."""
+    loop, witness = ClosedLoop(spec), Witness()
+    loop.company = Company({**loop.company.members, "witness": witness})
+    moved = np.concatenate([block.disturbance for block in loop.blocks()])
+    return np.concatenate(witness.rows)[:, FORESEEN:], -(STIFFNESS * moved[:, DISPLACEMENT] + DAMPING * moved[:, VELOCITY])
+
+
+@pytest.mark.parametrize("name", ["measured_sine_fd1", "measured_constant_fd2"])
+def test_the_force_foreseen_is_the_one_that_comes(name):
+    foreseen, true = foreseen_and_true(lasting(with_preview(name, [PREVIEW]), 3.0))
+    late = slice(1000, -2)
+    scale = np.std(true[late])
+    assert np.max(np.abs(foreseen[late, 0] - true[late])) < TOLERANCE * scale
+    # The command acts one cycle late, for a cycle: the parabola goes through the force of then.
+    after = 2e-3
+    then = foreseen[late] @ np.array([1.0, after, 0.5 * after**2])
+    assert np.max(np.abs(then - true[1002:])) < TOLERANCE * scale
+    # Held, that force would be far off.
+    assert np.max(np.abs(true[1002:] - true[late])) > 5.0 * np.max(np.abs(then - true[1002:]))
+
+
+def test_the_law_follows_better_with_a_preview_and_no_worse_with_one_that_is_wrong():
+    def largest(*companions: dict[str, Any]) -> float:
+        return true_cycles(lasting(with_preview("measured_constant_fd2", list(companions)), 3.0)).largest()
+
+    without, right = largest(), largest(PREVIEW)
+    assert right < 0.5 * without
+    for factor in (0.8, 1.2):
+        assert largest({**PREVIEW, "position_gain": factor * 30.0}) < 1.1 * without
+
+
+def test_a_preview_that_nobody_can_use_is_refused():
+    path = EXPERIMENTS / "measured_constant_fd2.yaml"
+    content = {**read_yaml(path, "spec"), "companions": ["disturbance_preview"]}
+
+    def refused(**changes: Any) -> BadInput:
+        with pytest.raises(BadInput) as caught:
+            ClosedLoop(spec_from_mapping({**content, **changes}, "spec.yaml", path.parent))
+        return caught.value
+
+    assert "does not use what is foreseen" in refused(controller="fasmc").what
+    assert "coupling_stiffness under known_effects" in refused(controller="fasmc_predictive").expected
+    assert "follows a position" in refused(controller="pid", reference={"name": "constant", "value": 0.0}).what
+
+
+def test_it_starts_anew_where_the_command_was_not_known():
+    spec = with_preview("measured_constant_fd2", [PREVIEW])
+    preview = ClosedLoop(spec).company.members["disturbance_preview"]
+    rows, command = np.zeros((40, 6)), np.zeros((40, 3))
+    command[:, 0], command[10:20] = 0.01, np.nan
+    preview.ahead(Upcoming(0, rows, np.full((40, 2), np.nan), command))
+    assert np.isnan(rows[10:20, FORESEEN:]).all()
+    # At rest where it stands, the far end pulls with the spring alone.
+    assert rows[20, FORESEEN] == pytest.approx(-STIFFNESS * 0.01)
+    assert np.isfinite(np.delete(rows, slice(10, 20), axis=0)).all()
