@@ -1,0 +1,121 @@
+"""The stages together: from readings to estimates, and to the model that a controller is given."""
+
+import math
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.adaptation import area, evidence, flow, valve
+from ehls_ros.control.adaptation.evidence import AREA, FLOW, SPOOL_READ, VALVE
+from ehls_ros.control.adaptation.hand_over import COEFFICIENTS, Caution, Estimated, HandedOver, corrected, differs
+from ehls_ros.control.controllers.base import Model
+
+SOLVED_EVERY = 50
+"""Cycles between two solutions."""
+
+BANDWIDTH_OFF, BANDWIDTH_CERTAIN = 0.03, 0.01
+"""Relative error of the bandwidth in use from which on it is replaced, and how certain it must be."""
+
+
+class Search:
+    """What a rig file has wrong, as far as the cycles told."""
+
+    def __init__(self, original: Model, caution: Caution, forgetting: float) -> None:
+        """Start from what the rig file says.
+
+        Args:
+            original: that.
+            caution: how estimates are used.
+            forgetting: time constant with which readings are forgotten [s].
+        """
+        self._original = original
+        self._caution = caution
+        self._basis = evidence.basis_of(original, caution.reach, forgetting)
+        self._memory = evidence.memory(self._basis)
+        self._take = evidence.evidence_kernel().take
+        self._unsolved = 0
+        self._coefficients = {
+            name: HandedOver(name, original.command_delay if named.unit else 1.0, original.period)
+            for name, named in COEFFICIENTS.items()
+        }
+
+    def interrupt(self) -> None:
+        """Let what is half gathered not count."""
+        evidence.interrupt(self._memory)
+
+    def take(self, measured: Array, command: Array) -> None:
+        """Take in cycles: readings in the order of ``SENSED``, shape (n, 7), and spool commands [m], shape (n,)."""
+        self._take(measured, command, self._basis, self._memory)
+        self._unsolved += len(command)
+
+    def corrected(self, model: Model, cycles: int) -> Model:
+        """Return a model with what was found so far, after some more cycles."""
+        if self._unsolved >= SOLVED_EVERY:
+            self.solve()
+        duration = cycles * self._original.period
+        if not any([each.move(duration, self._caution) for each in self._coefficients.values()]):
+            return model
+        return corrected(model, self._original, self.values())
+
+    def values(self) -> dict[str, float]:
+        """Return what the controller is given, over the rig file's values; the delay in s."""
+        return {name: each.value for name, each in self._coefficients.items()}
+
+    def changed(self) -> bool:
+        """Tell whether the controller is given anything other than the rig file."""
+        nominal = {"command_delay": self._original.command_delay}
+        return any(differs(value, nominal.get(name, 1.0)) for name, value in self.values().items())
+
+    def report(self) -> dict[str, float | str]:
+        """Return values and sentences."""
+        self.solve()
+        figures: dict[str, float | str] = dict(self.values())
+        figures.update({f"{name}_told": each.told(self._caution) for name, each in self._coefficients.items()})
+        return figures
+
+    def solve(self) -> None:
+        """Estimate all coefficients from what was gathered."""
+        self._unsolved = 0
+        found = self._estimates()
+        for name, each in self._coefficients.items():
+            each.judge(found.get(name), self._caution)
+
+    def _estimates(self) -> dict[str, Estimated]:
+        found = self._valve()
+        size = area.find(self._original, self._memory.area, self._memory.counts[AREA, 0])
+        if size is not None:
+            found["piston_area"] = Estimated(size.area, size.area_std)
+        through = flow.find(self._original, self._memory.flow, self._memory.counts[FLOW, 0])
+        if through is not None:
+            self._flow(through, size, found)
+        return found
+
+    def _flow(self, through: flow.Found, size: area.Found | None, found: dict[str, Estimated]) -> None:
+        """Add what the flow tells; without a load cell, per piston area."""
+        usable = size is not None and size.area_std <= self._caution.certain
+        scale, scale_std = (size.area, size.area_std) if size is not None and usable else (1.0, 0.0)
+        spool_read = self._memory.flags[SPOOL_READ] == 1.0
+        parts = ["discharge coefficient"] + ([] if spool_read else ["times valve gain"]) + ([] if usable else ["over piston area"])
+        meaning = f"the rig file's {' '.join(parts)}" if len(parts) > 1 else ""
+        discharge = through.discharge * scale
+        found["discharge_coefficient"] = Estimated(
+            discharge, math.hypot(through.discharge_std * scale, through.discharge * scale_std), meaning
+        )
+        if through.compression > 0.0:
+            modulus = 1.0 / (through.compression * scale)
+            relative = math.hypot(through.compression_std / through.compression, scale_std / scale)
+            found["bulk_modulus"] = Estimated(modulus, modulus * relative)
+
+    def _valve(self) -> dict[str, Estimated]:
+        bank = self._basis.bank
+        found = valve.find(bank, self._memory.valve, self._memory.counts[VALVE, 0])
+        if found is None:
+            return {}
+        scale = bank.bandwidth / self._original.plant.valve_bandwidth
+        certain = found.bandwidth_std < BANDWIDTH_CERTAIN and found.bandwidth > 0.0
+        if certain and abs(found.bandwidth - 1.0) > BANDWIDTH_OFF:
+            # The slope over the bandwidth holds near it only.
+            self._basis = evidence.relined(self._basis, bank.bandwidth * found.bandwidth, self._memory)
+        return {
+            "valve_gain": Estimated(found.gain, found.gain_std),
+            "valve_bandwidth": Estimated(found.bandwidth * scale, found.bandwidth_std * scale),
+            "command_delay": Estimated(found.delay, found.delay_std),
+        }
