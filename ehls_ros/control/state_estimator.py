@@ -65,7 +65,8 @@ LEAST_DROP = 0.01
 
 _LENGTH = STATES + MOST_ELEMENTS
 _MATRIX = STATES * STATES
-MEMORY_SIZE = 1 + 2 * (_LENGTH + MOST_ELEMENTS) + 5 * _LENGTH + 4 * _MATRIX + STATES + 2 * SENT
+_EXPECTED = 4
+MEMORY_SIZE = 1 + 2 * (_LENGTH + MOST_ELEMENTS) + 5 * _LENGTH + 4 * _MATRIX + STATES + 2 * SENT + _EXPECTED
 
 
 class Assumptions(NamedTuple):
@@ -119,6 +120,7 @@ class State(NamedTuple):
         work: scratch, shape (5, length of the mean).
         matrices: scratch, shape (3, STATES, STATES).
         gain: scratch, shape (STATES,).
+        expected: external force foreseen for the last cycle and its two derivatives, and 1 if there was one.
     """
 
     started: Array
@@ -132,6 +134,7 @@ class State(NamedTuple):
     work: Array
     matrices: Array
     gain: Array
+    expected: Array
 
 
 @kernel
@@ -156,6 +159,7 @@ def state_of(memory: Array) -> State:
         memory[work:matrices].reshape((5, _LENGTH)),
         memory[matrices:gain].reshape((3, STATES, STATES)),
         memory[gain : gain + STATES],
+        memory[gain + STATES : gain + STATES + _EXPECTED],
     )
 
 
@@ -397,12 +401,41 @@ def supply_of(measured: Array, model: Model) -> float:
     return supply if math.isfinite(supply) else model.plant.supply_pressure
 
 
+@kernel
+def expect(foreseen: Array, period: float, state: State) -> None:
+    """Let the external force change as somebody foresaw it.
+
+    The mean has been predicted with the second derivative held. What the force foreseen does beyond that, over the last cycle,
+    is added, so that the filter estimates only what nobody foresaw.
+
+    Args:
+        foreseen: the force [N] and its two derivatives; NaN if nobody foresees it.
+        period: time since the last cycle [s].
+        state: changed in place.
+    """
+    expected, y = state.expected, state.mean
+    known = math.isfinite(foreseen[0] + foreseen[1] + foreseen[2])
+    if known and expected[3] == 1.0:
+        y[EXTERNAL] += foreseen[0] - expected[0] - period * (expected[1] + 0.5 * period * expected[2])
+        y[EXTERNAL_RATE] += foreseen[1] - expected[1] - period * expected[2]
+        y[EXTERNAL_CURVATURE] += foreseen[2] - expected[2]
+    elif expected[3] == 0.0 and known:
+        y[EXTERNAL_RATE] += foreseen[1]
+        y[EXTERNAL_CURVATURE] += foreseen[2]
+    elif expected[3] == 1.0:
+        y[EXTERNAL_CURVATURE] = 0.0
+    expected[3] = 1.0 if known else 0.0
+    for i in range(3):
+        expected[i] = foreseen[i] if known else 0.0
+
+
 @njit(error_model="numpy")
-def observe(measured: Array, model: Model, p: Assumptions, state: State) -> bool:
+def observe(measured: Array, foreseen: Array, model: Model, p: Assumptions, state: State) -> bool:
     """Take in one more measurement, a period after the last.
 
     Args:
         measured: readings in the order of ``SENSED``, shape (7,); the velocity is not used.
+        foreseen: external force foreseen for now [N] and its two derivatives; NaN where nothing is foreseen.
         model: the rig as known, and the time since the last measurement.
         p: the filter's assumptions.
         state: changed in place.
@@ -415,8 +448,10 @@ def observe(measured: Array, model: Model, p: Assumptions, state: State) -> bool
         if not math.isfinite(sum_read):
             return False
         start(measured, model, p, state)
+        expect(foreseen, model.period, state)
         return True
     advance(supply_of(measured, model), model, p, state)
+    expect(foreseen, model.period, state)
     position = state.mean[X]
     correct(measured[sensors.POSITION], X, 1.0, 0.0, p.position_noise, state)
     correct(measured[sensors.LOAD_PRESSURE], PL, 1.0, 0.0, p.pressure_noise, state)

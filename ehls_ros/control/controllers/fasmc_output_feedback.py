@@ -3,13 +3,7 @@
 The sliding surface (26), (27) is the paper's. Its law (34) needs velocity, friction and disturbance without delay or noise.
 Here :mod:`ehls_ros.control.state_estimator` supplies them from position, load pressure, spool and force, for the moment the
 command acts: friction from its GMS elements, and the external force and its rates in place of the adapted D of (38).
-
-(34) takes the rates at one moment and holds the command for a cycle. Here the command is chosen for the cycle as a whole:
-between its own arrival and that of the next command it takes the predicted s to 1/(1 + reaching_rate T) of itself. s is
-nearly linear in the command, so two trials are enough. This is s' = -K s stepped backwards, and it tends to (34) as T goes
-to 0. The paper's K of 8.8e4 1/s would remove all of s in one cycle, noise included.
-
-The reference is extrapolated by its derivatives. The velocity reading is not used and may be NaN.
+:mod:`ehls_ros.control.reaching` chooses the command for the whole cycle. The velocity reading is not used and may be NaN.
 """
 
 import math
@@ -20,36 +14,16 @@ import numpy as np
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control import state_estimator
 from ehls_ros.control.controllers import base
-from ehls_ros.control.controllers.base import Model, saturate
-from ehls_ros.control.state_estimator import (
-    CELL_OFFSET,
-    EXTERNAL,
-    LEAST_DROP,
-    VALVE_GAIN,
-    Assumptions,
-    State,
-    foresee,
-    move,
-    observe,
-    rates,
-    send,
-    state_of,
-    supply_of,
-)
-from ehls_ros.physics import sensors
-from ehls_ros.physics.plant import PL, XV, V, X
+from ehls_ros.control.controllers.base import FORESEEN, Model
+from ehls_ros.control.reaching import Surface, answer
+from ehls_ros.control.state_estimator import Assumptions, observe, state_of, supply_of
 from ehls_ros.schema import quantity
 
 FOLLOWS = "force"
 FRICTION = False
 FRICTION_MODEL = state_estimator.FRICTION_MODEL
 NEEDS = ("position", "load_pressure", "spool_position", "force")
-
-TRIALS = 2
-"""Commands whose outcome is predicted before one is sent."""
-
-STEEPEST = 3.0
-"""Largest factor, either way, between the slope of s over the command and that of the valve's flow alone."""
+PREVIEW = True
 
 
 class Parameters(NamedTuple):
@@ -127,77 +101,15 @@ def assumptions(p: Parameters) -> Assumptions:
 
 
 @kernel
-def pressure_error(y: Array, wanted: float, area: float) -> float:
-    """Return (26) [MPa] of a mean, with the force as the load cell reads it."""
-    return (y[PL] - (wanted - y[CELL_OFFSET]) / area) * 1e-6
-
-
-@kernel
-def sliding_variable(error: float, error_rate: float, p: Parameters) -> float:
-    """Return (27) [MPa/s]."""
-    return p.xi * error_rate + p.k / (1.0 + math.exp(-p.g * error)) - 0.5 * p.k  # (27)
-
-
-@kernel
-def foreseen_variable(ahead: float, r: Array, supply: float, p: Parameters, model: Model, state: State) -> float:
-    """Return s of the predicted mean, ``ahead`` [s] from now."""
-    area, rate = model.plant.piston_area, state.work[0]
-    wanted = r[0] + ahead * (r[1] + 0.5 * ahead * r[2])
-    wanted_rate = r[1] + ahead * r[2]
-    rates(state.foreseen, state.foreseen_mode, 0.0, supply, model, assumptions(p), rate)
-    error_rate = (rate[PL] - wanted_rate / area) * 1e-6
-    return sliding_variable(pressure_error(state.foreseen, wanted, area), error_rate, p)
-
-
-@kernel
-def command_for(r: Array, supply: float, p: Parameters, model: Model, state: State) -> float:
-    """Return the spool command [m] of the law before it is limited."""
-    plant, period, taken = model.plant, model.period, assumptions(p)
-    foresee(supply, model, taken, state)
-    s = foreseen_variable(p.command_delay, r, supply, p, model, state)
-    target = s / (1.0 + p.reaching_rate * period)
-    side = 1.0 if state.foreseen[XV] >= 0.0 else -1.0
-    drop = max(supply - side * state.foreseen[PL], LEAST_DROP * plant.supply_pressure)
-    flow_gain = plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt(drop / plant.oil_density)
-    opened = plant.valve_gain * (1.0 + state.foreseen[VALVE_GAIN]) * -math.expm1(-plant.valve_bandwidth * period)
-    usual = p.xi * 4.0 * plant.bulk_modulus / plant.total_volume * flow_gain * opened * 1e-6
-    slope, tried, outcome = usual, 0.0, 0.0
-    wanted = state.commands[0]
-    for trial in range(TRIALS):
-        if trial > 0:
-            foresee(supply, model, taken, state)
-        command = saturate(wanted, model.spool_limit)
-        move(state.foreseen, state.foreseen_mode, command, supply, period, model, taken, state.work)
-        s = foreseen_variable(p.command_delay + period, r, supply, p, model, state)
-        if trial > 0 and command != tried:
-            found = (s - outcome) / (command - tried)
-            slope = min(max(found, usual / STEEPEST), usual * STEEPEST)
-        tried, outcome = command, s
-        wanted = command + (target - s) / slope
-    return wanted
-
-
-@kernel
 def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Array, status: Array) -> float:
     """Return the spool command [m]."""
     status[:] = 0.0
-    state = state_of(memory)
-    if not observe(m, model, assumptions(p), state):
+    state, taken = state_of(memory), assumptions(p)
+    if not observe(m, r[FORESEEN:], model, taken, state):
         status[base.SATURATED] = 1.0
         return 0.0
-    wanted = command_for(r, supply_of(m, model), p, model, state)
-    command = saturate(wanted, model.spool_limit)
-    send(command, state)
-
-    y, area = state.mean, model.plant.piston_area
-    error = pressure_error(y, r[0], area)
-    rates(y, state.mode, 0.0, supply_of(m, model), model, assumptions(p), state.work[0])
-    status[base.E3] = error
-    status[base.S] = sliding_variable(error, (state.work[0, PL] - r[1] / area) * 1e-6, p)
-    status[base.ALPHA] = status[base.BETA] = 1.0
-    status[base.DELTA] = y[EXTERNAL] + p.coupling_stiffness * y[X] + p.coupling_damping * y[V]
-    status[base.FORCE_ERROR] = m[sensors.FORCE] - r[0]
-    status[base.SATURATED] = 1.0 if wanted != command else 0.0
+    surface = Surface(p.k, p.g, p.xi, p.reaching_rate)
+    command = answer(m, r, supply_of(m, model), surface, model, taken, state, status)
     # From numbers out of range the filter cannot recover: it starts again from the next measurement.
     if not math.isfinite(memory.sum()):
         memory[:] = 0.0

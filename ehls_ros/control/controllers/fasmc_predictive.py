@@ -1,0 +1,130 @@
+"""Finite-time adaptive sliding mode force control that foresees friction and disturbance by rate and model.
+
+As in :mod:`~ehls_ros.control.controllers.fasmc_output_feedback`, a filter predicts the state to when the command acts, friction
+elements included, and the command is chosen for the whole cycle. Two things differ. What the law knows of the rig comes from
+the rig file: its sensors' noise, the command's delay, the coupling to the actuator under test. And the filter's bandwidth for
+the external force follows how restless that force is (:mod:`ehls_ros.control.unrest`): nothing is assumed of its size or its
+period, so that one tuning serves quiet rigs and rough ones. A force that is foreseen, by a companion, is taken out of the
+force to be estimated: what remains is quieter, and so is the filter.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.control import state_estimator, unrest
+from ehls_ros.control.controllers import base
+from ehls_ros.control.controllers.base import FORESEEN, Model
+from ehls_ros.control.reaching import Surface, answer
+from ehls_ros.control.state_estimator import (
+    EXTERNAL_RATE,
+    Assumptions,
+    State,
+    observe,
+    state_of,
+    supply_of,
+)
+from ehls_ros.control.unrest import Habits, external_noise
+from ehls_ros.physics.plant import V
+from ehls_ros.schema import quantity
+
+FOLLOWS = "force"
+FRICTION = False
+FRICTION_MODEL = state_estimator.FRICTION_MODEL
+NEEDS = ("position", "load_pressure", "spool_position", "force")
+PREVIEW = True
+
+LEAST_POSITION_NOISE, LEAST_PRESSURE_NOISE, LEAST_SPOOL_NOISE, LEAST_FORCE_NOISE = 1e-9, 10.0, 1e-9, 0.03
+"""Lower bounds of the sensors' standard deviations [m, Pa, m, N]: no model is better than that."""
+
+
+class Parameters(NamedTuple):
+    """Tuning of the law, and what the filter expects of the rig; k, g and xi are the paper's."""
+
+    k: Annotated[
+        float, quantity("MPa/s", "slope of the sliding surface: speed of a large error is k/2", minimum=0.1, maximum=1e3)
+    ] = 12.0
+    g: Annotated[float, quantity("1/MPa", "steepness of the sliding surface near zero error", minimum=0.1, maximum=1e4)] = 13.0
+    xi: Annotated[float, quantity("1", "weight of the error's rate in the sliding variable", minimum=1e-3, maximum=1e3)] = 1.0
+    reaching_rate: Annotated[float, quantity("1/s", "rate at which s is removed", minimum=0.0, maximum=1e6)] = 300.0
+    motion_noise: Annotated[
+        float,
+        quantity("N s^1/2", "force missing in the model of the motion, root of its spectral density", minimum=0.0, maximum=1e6),
+    ] = 0.5
+    oil_noise: Annotated[
+        float,
+        quantity(
+            "Pa/s^1/2", "pressure rate missing in the model of the flow, root of its spectral density", minimum=0.0, maximum=1e9
+        ),
+    ] = 500.0
+    valve_noise: Annotated[
+        float,
+        quantity(
+            "m/s^1/2", "spool rate missing in the model of the valve, root of its spectral density", minimum=0.0, maximum=1.0
+        ),
+    ] = 1e-6
+    least_noise: Annotated[
+        float, quantity("N/s^5/2", "noise of a resting external force's second derivative", minimum=0.0, maximum=1e15)
+    ] = 1e6
+    rate_noise: Annotated[
+        float,
+        quantity("1/s^3/2", "that noise over the rms of the force's rate", minimum=0.0, maximum=1e6),
+    ] = 30.0
+    unrest_memory: Annotated[float, quantity("s", "time over which that rms is taken", minimum=1e-3, maximum=1e3)] = 0.5
+    reversal_factor: Annotated[
+        float, quantity("1", "factor of the noise after a reversal of the motion", minimum=1.0, maximum=1e3)
+    ] = 5.0
+    reversal_travel: Annotated[
+        float, quantity("m", "travel after a reversal for which it holds", minimum=0.0, maximum=1.0)
+    ] = 1.7e-3
+    gain_noise: Annotated[float, quantity("1/s^1/2", "noise of the valve's gain", minimum=0.0, maximum=1e3)] = 0.05
+    flow_noise: Annotated[float, quantity("Pa/s^3/2", "noise of the flow's error", minimum=0.0, maximum=1e12)] = 1e7
+    offset_noise: Annotated[float, quantity("N/s^1/2", "noise of the load cell's offset", minimum=0.0, maximum=1e6)] = 30.0
+
+
+def memory(p: Parameters) -> Array:
+    """Return a filter before its first measurement, and an external force at rest."""
+    return np.zeros(state_estimator.MEMORY_SIZE + unrest.PARTS)
+
+
+@kernel
+def assumptions(state: State, restless: Array, p: Parameters, model: Model) -> Assumptions:
+    """Return the parameters of the filter for the next cycle, and let the unrest take in the estimate there is."""
+    habits = Habits(p.least_noise, p.rate_noise, p.unrest_memory, p.reversal_factor, p.reversal_travel)
+    rate = state.mean[EXTERNAL_RATE] - state.expected[1]
+    noise = external_noise(rate, state.mean[V], model.period, habits, restless)
+    return Assumptions(
+        model.coupling_stiffness,
+        model.coupling_damping,
+        model.command_delay,
+        max(model.noise.position, LEAST_POSITION_NOISE),
+        max(model.noise.load_pressure, LEAST_PRESSURE_NOISE),
+        max(model.noise.spool_position, LEAST_SPOOL_NOISE),
+        max(model.noise.force, LEAST_FORCE_NOISE),
+        p.motion_noise,
+        p.oil_noise,
+        p.valve_noise,
+        noise,
+        p.gain_noise,
+        p.flow_noise,
+        p.offset_noise,
+    )
+
+
+@kernel
+def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Array, status: Array) -> float:
+    """Return the spool command [m]."""
+    status[:] = 0.0
+    state = state_of(memory)
+    taken = assumptions(state, memory[state_estimator.MEMORY_SIZE :], p, model)
+    if not observe(m, r[FORESEEN:], model, taken, state):
+        status[base.SATURATED] = 1.0
+        return 0.0
+    surface = Surface(p.k, p.g, p.xi, p.reaching_rate)
+    command = answer(m, r, supply_of(m, model), surface, model, taken, state, status)
+    # From numbers out of range the filter cannot recover: it starts again from the next measurement.
+    if not math.isfinite(memory.sum()):
+        memory[:] = 0.0
+    return command

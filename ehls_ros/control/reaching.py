@@ -1,0 +1,136 @@
+"""The paper's sliding surface for a command that is held for a cycle and arrives late.
+
+(34) takes the rates at one moment and holds the command for a cycle. Here the command is chosen for the cycle as a whole:
+between its own arrival and that of the next command it takes the predicted s to 1/(1 + reaching_rate T) of itself. s is
+nearly linear in the command, so two trials are enough. This is s' = -K s stepped backwards, and it tends to (34) as T goes
+to 0. The paper's K of 8.8e4 1/s would remove all of s in one cycle, noise included.
+
+The reference is extrapolated by its derivatives.
+"""
+
+import math
+from typing import NamedTuple
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.control.controllers import base
+from ehls_ros.control.controllers.base import Model, saturate
+from ehls_ros.control.state_estimator import (
+    CELL_OFFSET,
+    EXTERNAL,
+    LEAST_DROP,
+    VALVE_GAIN,
+    Assumptions,
+    State,
+    foresee,
+    move,
+    rates,
+    send,
+)
+from ehls_ros.physics import sensors
+from ehls_ros.physics.plant import PL, XV, V, X
+
+TRIALS = 2
+"""Commands whose outcome is predicted before one is sent."""
+
+STEEPEST = 3.0
+"""Largest factor, either way, between the slope of s over the command and that of the valve's flow alone."""
+
+
+class Surface(NamedTuple):
+    """The sliding surface and how fast it is reached; k, g and xi are the paper's.
+
+    Attributes:
+        k: speed of a large error is k/2 [MPa/s].
+        g: steepness near zero error [1/MPa].
+        xi: weight of the error's rate [1].
+        reaching_rate: rate at which s is removed [1/s].
+    """
+
+    k: float
+    g: float
+    xi: float
+    reaching_rate: float
+
+
+@kernel
+def pressure_error(y: Array, wanted: float, area: float) -> float:
+    """Return (26) [MPa] of a mean, with the force as the load cell reads it."""
+    return (y[PL] - (wanted - y[CELL_OFFSET]) / area) * 1e-6
+
+
+@kernel
+def sliding_variable(error: float, error_rate: float, surface: Surface) -> float:
+    """Return (27) [MPa/s]."""
+    return surface.xi * error_rate + surface.k / (1.0 + math.exp(-surface.g * error)) - 0.5 * surface.k  # (27)
+
+
+@kernel
+def foreseen_variable(
+    ahead: float, r: Array, supply: float, surface: Surface, model: Model, p: Assumptions, state: State
+) -> float:
+    """Return s of the predicted mean, ``ahead`` [s] from now."""
+    area, rate = model.plant.piston_area, state.work[0]
+    wanted = r[0] + ahead * (r[1] + 0.5 * ahead * r[2])
+    wanted_rate = r[1] + ahead * r[2]
+    rates(state.foreseen, state.foreseen_mode, 0.0, supply, model, p, rate)
+    error_rate = (rate[PL] - wanted_rate / area) * 1e-6
+    return sliding_variable(pressure_error(state.foreseen, wanted, area), error_rate, surface)
+
+
+@kernel
+def command_for(r: Array, supply: float, surface: Surface, model: Model, p: Assumptions, state: State) -> float:
+    """Return the spool command [m] of the law before it is limited."""
+    plant, period = model.plant, model.period
+    foresee(supply, model, p, state)
+    s = foreseen_variable(p.command_delay, r, supply, surface, model, p, state)
+    target = s / (1.0 + surface.reaching_rate * period)
+    side = 1.0 if state.foreseen[XV] >= 0.0 else -1.0
+    drop = max(supply - side * state.foreseen[PL], LEAST_DROP * plant.supply_pressure)
+    flow_gain = plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt(drop / plant.oil_density)
+    opened = plant.valve_gain * (1.0 + state.foreseen[VALVE_GAIN]) * -math.expm1(-plant.valve_bandwidth * period)
+    usual = surface.xi * 4.0 * plant.bulk_modulus / plant.total_volume * flow_gain * opened * 1e-6
+    slope, tried, outcome = usual, 0.0, 0.0
+    wanted = state.commands[0]
+    for trial in range(TRIALS):
+        if trial > 0:
+            foresee(supply, model, p, state)
+        command = saturate(wanted, model.spool_limit)
+        move(state.foreseen, state.foreseen_mode, command, supply, period, model, p, state.work)
+        s = foreseen_variable(p.command_delay + period, r, supply, surface, model, p, state)
+        if trial > 0 and command != tried:
+            found = (s - outcome) / (command - tried)
+            slope = min(max(found, usual / STEEPEST), usual * STEEPEST)
+        tried, outcome = command, s
+        wanted = command + (target - s) / slope
+    return wanted
+
+
+@kernel
+def answer(
+    m: Array, r: Array, supply: float, surface: Surface, model: Model, p: Assumptions, state: State, status: Array
+) -> float:
+    """Return the spool command [m] for the estimate there is, remember it as sent, and fill the status.
+
+    Args:
+        m: readings in the order of ``SENSED``.
+        r: what the law follows, as :mod:`ehls_ros.control.controllers.base` has it.
+        supply: supply pressure [Pa].
+        surface: the sliding surface.
+        model: the rig as known.
+        p: the filter's assumptions.
+        state: the filter.
+        status: written.
+    """
+    wanted = command_for(r, supply, surface, model, p, state)
+    command = saturate(wanted, model.spool_limit)
+    send(command, state)
+    y, area = state.mean, model.plant.piston_area
+    error = pressure_error(y, r[0], area)
+    rates(y, state.mode, 0.0, supply, model, p, state.work[0])
+    status[base.E3] = error
+    status[base.S] = sliding_variable(error, (state.work[0, PL] - r[1] / area) * 1e-6, surface)
+    status[base.ALPHA] = status[base.BETA] = 1.0
+    status[base.DELTA] = y[EXTERNAL] + p.coupling_stiffness * y[X] + p.coupling_damping * y[V]
+    status[base.FORCE_ERROR] = m[sensors.FORCE] - r[0]
+    status[base.SATURATED] = 1.0 if wanted != command else 0.0
+    return command
