@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.control.adaptation import area, flow, valve
+from ehls_ros.control.adaptation import area, flow, friction, valve
 from ehls_ros.control.controllers.base import Model
 from ehls_ros.physics import sensors
 from ehls_ros.physics.composition import compiled
+from ehls_ros.physics.friction import gms
 from ehls_ros.physics.parameters import Plant
 
 VALVE, FLOW, AREA, STAGES = range(4)
@@ -30,6 +31,9 @@ class Basis(NamedTuple):
         bank: delays to compare, with the bandwidth in use.
         fading: what remains of the weight of a reading after a cycle.
         settled: cycles after an interruption before the valve's state counts.
+        friction: its friction.
+        travel: motion back after which a reversal counts [m].
+        level: friction level in use, over the rig file's.
     """
 
     plant: Plant
@@ -37,6 +41,9 @@ class Basis(NamedTuple):
     bank: valve.Bank
     fading: float
     settled: float
+    friction: gms.Parameters
+    travel: float
+    level: float
 
 
 class Memory(NamedTuple):
@@ -49,6 +56,7 @@ class Memory(NamedTuple):
         valve, flow, area: sums of the stages.
         counts: weights of their rows, shape (STAGES, 1).
         row: scratch.
+        elements, track, ring: of :func:`ehls_ros.control.adaptation.friction.follow`.
     """
 
     flags: Array
@@ -59,6 +67,9 @@ class Memory(NamedTuple):
     area: Array
     counts: Array
     row: Array
+    elements: Array
+    track: Array
+    ring: Array
 
 
 def memory(basis: Basis) -> Memory:
@@ -73,6 +84,9 @@ def memory(basis: Basis) -> Memory:
         np.zeros((area.ROW, area.ROW)),
         np.zeros((STAGES, 1)),
         np.zeros(columns),
+        np.zeros((4, len(basis.friction.element_stiffness))),
+        np.zeros(friction.TRACKED),
+        np.zeros((friction.RING, friction.SIGNALS)),
     )
 
 
@@ -81,6 +95,8 @@ def interrupt(memory: Memory) -> None:
     memory.flags[SINCE] = 0.0
     memory.past[:] = 0.0
     memory.block[:] = 0.0
+    memory.track[:] = 0.0
+    memory.elements[:] = 0.0
 
 
 def basis_of(model: Model, reach: float, forgetting: float) -> Basis:
@@ -96,7 +112,10 @@ def basis_of(model: Model, reach: float, forgetting: float) -> Basis:
     count = math.ceil((1.0 + reach) * cycles) + valve.EXTRA + 1 - first
     plant = model.plant
     bank = valve.Bank(first, count, plant.valve_bandwidth, plant.valve_gain, model.period)
-    return Basis(plant, model.command_delay, bank, math.exp(-model.period / forgetting), float(bank.settled))
+    fading = math.exp(-model.period / forgetting)
+    sliding = model.friction if isinstance(model.friction, gms.Parameters) else friction.NONE
+    way = friction.travel(sliding)
+    return Basis(plant, model.command_delay, bank, fading, float(bank.settled), sliding, way, 1.0)
 
 
 def relined(basis: Basis, bandwidth: float, memory: Memory) -> Basis:
@@ -105,6 +124,13 @@ def relined(basis: Basis, bandwidth: float, memory: Memory) -> Basis:
     memory.flags[SINCE] = 0.0
     bank = basis.bank._replace(bandwidth=bandwidth)
     return basis._replace(bank=bank, settled=float(bank.settled))
+
+
+def relevelled(basis: Basis, level: float, memory: Memory) -> Basis:
+    """Return a basis with another friction level in use, over the rig file's; the forces go with it."""
+    memory.elements[::2] *= level / basis.level
+    memory.ring[:, friction.FRICTION :] *= level / basis.level
+    return basis._replace(level=level)
 
 
 @kernel
@@ -133,6 +159,11 @@ def _take_one(measured: Array, basis: Basis, memory: Memory) -> None:
     if math.isfinite(force + pressure):
         few = memory.row[: area.ROW]
         area.compare(force, pressure, plant.piston_area, basis.fading, few, memory.area, counts[AREA])
+    if not math.isfinite(force):
+        force = plant.piston_area * pressure
+    friction.follow(
+        position, force, basis.level, basis.bank.period, basis.friction, basis.travel, memory.elements, memory.track, memory.ring
+    )
 
 
 @kernel

@@ -13,10 +13,12 @@ class Named(NamedTuple):
     Attributes:
         words: what it is called.
         unit: ``""`` for one that is told relative to the rig file; else the unit of its estimate.
+        rough: standard error with which it is worth using, over the others'.
     """
 
     words: str
     unit: str = ""
+    rough: float = 1.0
 
 
 COEFFICIENTS = {
@@ -26,7 +28,8 @@ COEFFICIENTS = {
     "discharge_coefficient": Named("discharge coefficient"),
     "bulk_modulus": Named("bulk modulus over volume"),
     "piston_area": Named("piston area"),
-    "friction_level": Named("friction level"),
+    "friction_level": Named("friction level", rough=3.0),
+    "viscous_coefficient": Named("viscous friction"),
 }
 """What is looked for, by name."""
 
@@ -87,7 +90,7 @@ class HandedOver:
     def judge(self, latest: Estimated | None, caution: Caution) -> None:
         """Choose where to go from the latest estimate; None: there is none."""
         self._latest = latest
-        if latest is None or not latest.std <= caution.certain * self._size:
+        if latest is None or not latest.std <= self._named.rough * caution.certain * self._size:
             return
         if abs(latest.value - self._aim) > caution.significance * latest.std or self._aim != self._nominal:
             reach = max(caution.reach, self._least_reach) * self._size
@@ -103,7 +106,7 @@ class HandedOver:
     def told(self, caution: Caution) -> str:
         """Return the sentence for the user."""
         name, latest = self._named.words, self._latest
-        if latest is None or not latest.std <= caution.certain * self._size:
+        if latest is None or not latest.std <= self._named.rough * caution.certain * self._size:
             how = "" if latest is None else f" better than ± {self._amount(latest.std / self._relative(latest.value))}"
             return f"{name}: this run does not tell it{how}; the rig file's is used"
         about = latest.meaning or f"the rig file's {name}"
@@ -139,8 +142,9 @@ def corrected(model: Model, original: Model, values: dict[str, float]) -> Model:
     """
     plant, friction = original.plant, original.friction
     changed = {name: getattr(plant, name) * value for name, value in values.items() if name in plant._fields}
-    level = values["friction_level"]
-    scaled = {name: getattr(friction, name) * level for name in SCALED if name in friction._fields}
+    scaled = {name: getattr(friction, name) * values["friction_level"] for name in SCALED if name in friction._fields}
+    if "viscous_coefficient" in friction._fields:
+        scaled["viscous_coefficient"] = friction.viscous_coefficient * values["viscous_coefficient"]
     return model._replace(
         plant=model.plant._replace(**changed),
         friction=model.friction._replace(**scaled),

@@ -3,13 +3,17 @@
 import math
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.adaptation import area, evidence, flow, valve
+from ehls_ros.control.adaptation import area, evidence, flow, friction, valve
 from ehls_ros.control.adaptation.evidence import AREA, FLOW, SPOOL_READ, VALVE
 from ehls_ros.control.adaptation.hand_over import COEFFICIENTS, Caution, Estimated, HandedOver, corrected, differs
 from ehls_ros.control.controllers.base import Model
+from ehls_ros.physics.friction import gms
 
 SOLVED_EVERY = 50
 """Cycles between two solutions."""
+
+LEVEL_OFF = 0.02
+"""Relative error of the friction level in use from which on it is replaced."""
 
 BANDWIDTH_OFF, BANDWIDTH_CERTAIN = 0.03, 0.01
 """Relative error of the bandwidth in use from which on it is replaced, and how certain it must be."""
@@ -18,19 +22,24 @@ BANDWIDTH_OFF, BANDWIDTH_CERTAIN = 0.03, 0.01
 class Search:
     """What a rig file has wrong, as far as the cycles told."""
 
-    def __init__(self, original: Model, caution: Caution, forgetting: float) -> None:
+    def __init__(
+        self, original: Model, caution: Caution, forgetting: float, around: friction.Surroundings | None = None
+    ) -> None:
         """Start from what the rig file says.
 
         Args:
             original: that.
             caution: how estimates are used.
             forgetting: time constant with which readings are forgotten [s].
+            around: surroundings of the piston; None: not known, so that the friction cannot be told.
         """
         self._original = original
         self._caution = caution
         self._basis = evidence.basis_of(original, caution.reach, forgetting)
         self._memory = evidence.memory(self._basis)
         self._take = evidence.evidence_kernel().take
+        known = around is not None and isinstance(original.friction, gms.Parameters)
+        self._reversals = friction.Reversals(original, around, forgetting) if known and around is not None else None
         self._unsolved = 0
         self._coefficients = {
             name: HandedOver(name, original.command_delay if named.unit else 1.0, original.period)
@@ -40,6 +49,8 @@ class Search:
     def interrupt(self) -> None:
         """Let what is half gathered not count."""
         evidence.interrupt(self._memory)
+        if self._reversals is not None:
+            self._reversals.interrupt()
 
     def take(self, measured: Array, command: Array) -> None:
         """Take in cycles: readings in the order of ``SENSED``, shape (n, 7), and spool commands [m], shape (n,)."""
@@ -48,6 +59,8 @@ class Search:
 
     def corrected(self, model: Model, cycles: int) -> Model:
         """Return a model with what was found so far, after some more cycles."""
+        if self._reversals is not None:
+            self._reversals.look(self._memory.track, self._memory.ring, self._basis.level)
         if self._unsolved >= SOLVED_EVERY:
             self.solve()
         duration = cycles * self._original.period
@@ -86,7 +99,22 @@ class Search:
         through = flow.find(self._original, self._memory.flow, self._memory.counts[FLOW, 0])
         if through is not None:
             self._flow(through, size, found)
+        self._friction(found)
         return found
+
+    def _friction(self, found: dict[str, Estimated]) -> None:
+        """Add what the reversals tell, and bring the level in use up to it."""
+        if self._reversals is None:
+            return
+        first, used = self._reversals.found(1), self._basis.level
+        if first is not None and first.level > 0.0 and abs(first.level / used - 1.0) > max(LEVEL_OFF, first.level_std):
+            # The slope over the level holds near it only.
+            self._basis = evidence.relevelled(self._basis, first.level, self._memory)
+            self._reversals.forget(self._memory.track[friction.SEEN])
+        sliding = self._reversals.found()
+        if sliding is not None:
+            found["friction_level"] = Estimated(sliding.level, sliding.level_std)
+            found["viscous_coefficient"] = Estimated(sliding.viscous, sliding.viscous_std)
 
     def _flow(self, through: flow.Found, size: area.Found | None, found: dict[str, Estimated]) -> None:
         """Add what the flow tells; without a load cell, per piston area."""

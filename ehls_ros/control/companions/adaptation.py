@@ -10,6 +10,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.control.adaptation.friction import Surroundings
 from ehls_ros.control.adaptation.hand_over import Caution
 from ehls_ros.control.adaptation.search import Search
 from ehls_ros.control.companions.base import Past, Setting, Upcoming
@@ -50,7 +51,8 @@ class Adaptation:
         self._wait = p.wait
         self._next = 0
         self._started: int | None = None
-        self._search = Search(setting.model, Caution(p.reach, p.rate, p.certain, p.significance), p.forgetting)
+        caution = Caution(p.reach, p.rate, p.certain, p.significance)
+        self._search = Search(setting.model, caution, p.forgetting, _surroundings(setting))
 
     @property
     def search(self) -> Search:
@@ -85,6 +87,16 @@ class Adaptation:
 
     def save(self) -> None:
         """Store nothing: the rig file to write is in the run's folder."""
+
+
+def _surroundings(setting: Setting) -> Surroundings | None:
+    """Return what holds the piston beside its load, as the law knows it; None where that is not known."""
+    if setting.actuator == "force":
+        return Surroundings(0.0, 0.0)
+    # A law that was made before rig files knew the coupling has it among its parameters.
+    knows = setting.model if setting.model.coupling_stiffness > 0.0 else setting.tuning
+    stiffness, damping = (getattr(knows, name, 0.0) for name in ("coupling_stiffness", "coupling_damping"))
+    return Surroundings(stiffness, damping) if stiffness > 0.0 else None
 
 
 def build(p: Any, setting: Setting) -> Adaptation:
