@@ -33,6 +33,7 @@ class Basis(NamedTuple):
         settled: cycles after an interruption before the valve's state counts.
         friction: its friction.
         travel: motion back after which a reversal counts [m].
+        half: of :func:`ehls_ros.control.adaptation.friction.follow`.
         level: friction level in use, over the rig file's.
     """
 
@@ -43,6 +44,7 @@ class Basis(NamedTuple):
     settled: float
     friction: gms.Parameters
     travel: float
+    half: int
     level: float
 
 
@@ -114,8 +116,9 @@ def basis_of(model: Model, reach: float, forgetting: float) -> Basis:
     bank = valve.Bank(first, count, plant.valve_bandwidth, plant.valve_gain, model.period)
     fading = math.exp(-model.period / forgetting)
     sliding = model.friction if isinstance(model.friction, gms.Parameters) else friction.NONE
-    way = friction.travel(sliding)
-    return Basis(plant, model.command_delay, bank, fading, float(bank.settled), sliding, way, 1.0)
+    way = friction.BACK * friction.travel(sliding)
+    half = friction.half_of(model.noise.position, model.period, sliding)
+    return Basis(plant, model.command_delay, bank, fading, float(bank.settled), sliding, way, half, 1.0)
 
 
 def relined(basis: Basis, bandwidth: float, memory: Memory) -> Basis:
@@ -162,7 +165,16 @@ def _take_one(measured: Array, basis: Basis, memory: Memory) -> None:
     if not math.isfinite(force):
         force = plant.piston_area * pressure
     friction.follow(
-        position, force, basis.level, basis.bank.period, basis.friction, basis.travel, memory.elements, memory.track, memory.ring
+        position,
+        force,
+        basis.level,
+        basis.bank.period,
+        basis.friction,
+        basis.travel,
+        basis.half,
+        memory.elements,
+        memory.track,
+        memory.ring,
     )
 
 

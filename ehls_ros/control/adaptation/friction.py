@@ -1,17 +1,17 @@
-"""The friction's level and viscous coefficient, from what the force does at reversals of the motion.
+"""The friction's level and viscous coefficient, from what the force does after reversals of the motion.
 
-Over a window around a reversal the force that the balance (3) leaves is friction and the unknown external force:
+Over a short window the force that the balance (3) leaves is friction and the unknown external force:
 
     Ac pL - (ks + kc) x - (B0 + cc) v - m x'' - m g = F(level) + sigma_f v + d(t)
 
-At a reversal the friction changes by twice its level within the travel of its elements. The external force is smooth beside
-that, so in a window little longer than the change it is a polynomial, and what is odd at the reversal is friction. The
-elements (6), (8) follow the measured position all the time, at the level in use and at one a little higher; the difference
-is the level's regressor. All signals go through the same filter, so that a differentiated reading is as late and as smooth as
-the others.
+After a reversal the elements are strained the other way, and after a known travel they break away: the friction stops growing.
+When it does tells the level, whatever the external force is, as long as that has no corner there: within the window it is a
+polynomial. The elements (6), (8) follow the measured position all the time, at the level in use and at one a little higher; the
+difference is the level's regressor. All signals go through the same filter, so that a differentiated reading is as late and as
+smooth as the others.
 
-A reversal of whatever causes the external force, such as the friction of the actuator under test, is no polynomial. Then
-polynomials of different degree disagree, and their disagreement is part of the standard error.
+The actuator under test has a friction of its own, which breaks away at nearly the same time and moves the far end of the
+coupling. This cannot be told from the loader's friction, so the standard error is never below what it may be.
 """
 
 import math
@@ -38,23 +38,26 @@ and the last reversal: when it was, and when the motion back was long enough; it
 HIGHER_BY = 1.02
 """The higher level over that in use."""
 
-HALF = 5
-"""Cycles by which the velocity, and so the friction, is behind."""
+MOST_HALF = 10
+"""Longest average of the position, in cycles, of which the velocity is formed."""
 
-BACK = 1.25
-"""Motion back after which a reversal counts, over that after which all elements slip again."""
+VELOCITY_NOISE = 0.15
+"""Largest noise of the velocity, over the Stribeck velocity, which it has to resolve."""
 
-LONGER = 1.3
-"""Half of a window over the time from the reversal until that."""
+BACK = 1.3
+"""Motion back after which a reversal counts, over that at which the last element breaks away."""
 
-SHORTEST = 25
+AROUND = 0.5
+"""Half of a window over the time from the reversal to the break-away."""
+
+SHORTEST = 12
 """Least half of a window, in cycles."""
 
-DEGREES = ((3, 4, 5), (6, 7, 8))
-"""Of the polynomials that the external force may be; the second three where the first leave much more."""
+WIDTH = 8
+"""Half of a window over the filter's width."""
 
-MUCH_MORE = 3.0
-"""Least ratio of the residuals for that."""
+DEGREES = (2, 3, 4)
+"""Of the polynomials that the external force may be."""
 
 VISCOUS_KNOWN = 0.3
 """Standard deviation of the viscous coefficient's relative error before anything is measured."""
@@ -62,8 +65,14 @@ VISCOUS_KNOWN = 0.3
 POINTS = 60
 """About how many points a window is thinned out to."""
 
+LEAST_LEFT = 0.05
+"""Least force that is left, for the weights [N]."""
+
 REVERSALS = 2
-"""Fewest reversals of which a mean is formed."""
+"""Fewest reversals that tell anything."""
+
+COUPLED_FLOOR = 0.03
+"""Least standard error of the level where the actuator under test has a friction of its own."""
 
 FLOOR, VISCOUS_FLOOR = 5e-3, 1e-2
 """Least standard errors of level and viscous coefficient, relative."""
@@ -94,8 +103,16 @@ class Surroundings(NamedTuple):
 
 
 def travel(friction: gms.Parameters) -> float:
-    """Return the motion back after which a reversal counts [m]."""
-    return 2.0 * BACK * gms.break_away(friction)
+    """Return the motion back at which the last element breaks away [m]."""
+    return 2.0 * gms.break_away(friction) * friction.coulomb_force / friction.static_force
+
+
+def half_of(noise: float, period: float, friction: gms.Parameters) -> int:
+    """Return how many readings of the position a velocity is formed of on either side, from their noise [m]."""
+    for half in range(1, MOST_HALF):
+        if noise * math.sqrt(2.0 / half) <= VELOCITY_NOISE * friction.stribeck_velocity * (half + 1) * period:
+            return half
+    return MOST_HALF
 
 
 @kernel
@@ -126,6 +143,7 @@ def follow(
     period: float,
     p: gms.Parameters,
     longest: float,
+    half: int,
     elements: Array,
     track: Array,
     ring: Array,
@@ -139,6 +157,7 @@ def follow(
         period: of the cycles [s].
         p: the rig file's friction.
         longest: motion back after which a reversal counts [m].
+        half: readings on either side of which a velocity is formed.
         elements: forces [N] and modes at both levels, shape (4, elements); updated.
         track: by the indices above; updated.
         ring: signals of the last cycles, shape (RING, SIGNALS); updated.
@@ -152,14 +171,14 @@ def follow(
     track[SEEN] += 1.0
     if now == 0:
         track[FURTHEST], track[FURTHEST_AT], track[REVERSED_AT] = position, 0.0, -1.0
-    if now > 2 * HALF:
+    if now > 2 * half:
         ahead = behind = 0.0
-        for i in range(HALF):
+        for i in range(half):
             ahead += ring[(now - i) % RING, POSITION]
-            behind += ring[(now - 2 * HALF + i) % RING, POSITION]
-        velocity = (ahead - behind) / (HALF * (HALF + 1) * period)
-        late = (now - HALF) % RING
-        moved = ring[late, POSITION] - ring[(now - HALF - 1) % RING, POSITION]
+            behind += ring[(now - 2 * half + i) % RING, POSITION]
+        velocity = (ahead - behind) / (half * (half + 1) * period)
+        late = (now - half) % RING
+        moved = ring[late, POSITION] - ring[(now - half - 1) % RING, POSITION]
         ring[late, FRICTION] = _slide(moved, velocity, level, period, p, elements[0], elements[1])
         ring[late, HIGHER] = _slide(moved, velocity, HIGHER_BY * level, period, p, elements[2], elements[3])
     if track[DIRECTION] == 0.0:
@@ -187,27 +206,30 @@ class Reversals:
         self._model = model
         self._surroundings = surroundings
         self._forgetting = forgetting
+        self._travel = travel(model.friction)
         self._taken = -1.0
+        self._seen = 0
         self._weight = 0.0
-        self._sum = np.zeros((len(DEGREES[0]), 2))
-        self._squares = np.zeros((len(DEGREES[0]), 2))
+        self._sums = np.zeros((3, len(DEGREES), 2))
 
     def look(self, track: Array, ring: Array, level: float) -> None:
         """Take in the last reversal once its window is complete; ``level`` is that in use."""
-        reversed_at, now = track[REVERSED_AT], track[SEEN]
-        if reversed_at <= self._taken:
+        reversed_at, turned_at, now = int(track[REVERSED_AT]), int(track[TURNED_AT]), int(track[SEEN])
+        if reversed_at <= self._taken or turned_at - reversed_at >= RING // 4:
             return
-        half = max(math.ceil(LONGER * (track[TURNED_AT] - reversed_at)), SHORTEST)
+        back = ring[np.arange(reversed_at, turned_at + 1) % RING, POSITION]
+        gone = int(np.argmax(np.abs(back - back[0]) >= level * self._travel)) or turned_at - reversed_at
+        half = max(int(AROUND * gone), SHORTEST)
         # Wider windows are smoothed more: what is looked for in them is slower.
-        width = max(half // 16, 2) * 2 + 1
-        margin = half + width
-        if now < reversed_at + margin + HALF + 1:
+        width = max(half // (2 * WIDTH), 1) * 2 + 1
+        margin, centre = half + width, reversed_at + gone
+        if now < centre + margin + MOST_HALF + 1:
             return
         self._taken = reversed_at
-        if reversed_at - margin < 2 * HALF or now - reversed_at + margin >= RING:
+        if centre - margin < 2 * MOST_HALF or now - centre + margin >= RING:
             return
-        rows = np.arange(int(reversed_at) - margin, int(reversed_at) + margin + 1) % RING
-        self._add(self._fit(ring[rows], level, width), 2.0 * half * self._model.period)
+        rows = np.arange(centre - margin, centre + margin + 1) % RING
+        self._add(*self._fit(ring[rows], level, width), 2.0 * half * self._model.period)
 
     def interrupt(self) -> None:
         """Let the count of cycles start again."""
@@ -217,28 +239,35 @@ class Reversals:
         """Start again, at another level in use from cycle ``now`` on."""
         self._taken = now
         self._weight = 0.0
-        self._sum[:] = self._squares[:] = 0.0
+        self._sums[:] = 0.0
 
-    def found(self, fewest: int = REVERSALS) -> Found | None:
-        """Return what the reversals tell together; None while they are fewer than ``fewest``."""
-        if self._weight < 0.9 * fewest:
+    def latest(self) -> Found | None:
+        """Return what the reversals since the level in use changed tell together; None before the first."""
+        if self._weight == 0.0:
             return None
-        mean = self._sum / self._weight
-        scatter = np.maximum(self._squares / self._weight - mean**2, 0.0).max(axis=0) / max(self._weight - 1.0, 0.5)
-        disagreement = mean.var(axis=0, ddof=1)
-        level, viscous = mean.mean(axis=0)
-        std = np.sqrt(scatter + disagreement + np.square((FLOOR, VISCOUS_FLOOR)))
-        return Found(float(level), float(std[0]), float(viscous), float(std[1]))
+        weights, means, squares = self._sums
+        means, squares = means / weights, squares / weights
+        share = weights / weights.sum(axis=0)
+        value = (share * means).sum(axis=0)
+        scatter = (share * np.maximum(squares - means**2, 0.0)).sum(axis=0) / max(self._weight - 1.0, 1.0)
+        disagreement = (share * (means - value) ** 2).sum(axis=0)
+        floor = COUPLED_FLOOR if self._surroundings.stiffness > 0.0 else FLOOR
+        std = np.sqrt(scatter + disagreement + np.square((floor, VISCOUS_FLOOR)))
+        return Found(float(value[0]), float(std[0]), float(value[1]), float(std[1]))
 
-    def _add(self, values: Array, duration: float) -> None:
+    def found(self) -> Found | None:
+        """Return what the reversals tell together; None while they are too few."""
+        return self.latest() if self._seen >= REVERSALS else None
+
+    def _add(self, values: Array, weights: Array, duration: float) -> None:
         # A reversal is forgotten by the time that reversals take, so that rare ones count as long.
         fading = math.exp(-duration / self._forgetting)
+        self._seen += 1
         self._weight = fading * self._weight + 1.0
-        self._sum = fading * self._sum + values
-        self._squares = fading * self._squares + values**2
+        self._sums = fading * self._sums + weights * np.stack((np.ones_like(values), values, values**2))
 
-    def _fit(self, window: Array, level: float, width: int) -> Array:
-        """Return level and viscous coefficient over the rig file's for each degree, shape (DEGREES, 2)."""
+    def _fit(self, window: Array, level: float, width: int) -> tuple[Array, Array]:
+        """Return level and viscous coefficient over the rig file's for each degree, shape (DEGREES, 2), and their weights."""
         plant, friction, around = self._model.plant, self._model.friction, self._surroundings
         period = self._model.period
         smooth = _twice_averaged(window, width)
@@ -259,28 +288,22 @@ class Reversals:
             - viscous
         )
         slope = (higher - sliding) / ((HIGHER_BY - 1.0) * level)
-        smoothly = legvander(np.linspace(-1.0, 1.0, len(missing)), DEGREES[-1][-1])
+        smoothly = legvander(np.linspace(-1.0, 1.0, len(missing)), DEGREES[-1])
         regressors = np.column_stack((slope, viscous, smoothly))
-        low, high = (_solved(regressors, missing, degrees) for degrees in DEGREES)
-        better = high if high[1] * MUCH_MORE < low[1] else low
-        return better[0] + (level, 1.0)
+        fits = [_solved(regressors[:, : degree + 3], missing) for degree in DEGREES]
+        # What explains the window better counts more.
+        weights = np.array([1.0 / max(left, LEAST_LEFT) ** 2 for _, left in fits])
+        return np.array([values for values, _ in fits]) + (level, 1.0), (weights / weights.sum())[:, np.newaxis]
 
 
-def _solved(regressors: Array, missing: Array, degrees: tuple[int, ...]) -> tuple[Array, float]:
-    """Return level and viscous coefficient for each degree, shape (degrees, 2), and what the highest degree leaves [N]."""
-    values, left = np.empty((len(degrees), 2)), 0.0
-    for row, degree in zip(values, degrees, strict=True):
-        used = regressors[:, : degree + 3]
-        left = _left(used, missing, np.linalg.lstsq(used, missing, rcond=None)[0])
-        # What is left is as structured as the friction: all points together count as one.
-        known = np.zeros((1, used.shape[1]))
-        known[0, 1] = left * math.sqrt(len(missing)) / VISCOUS_KNOWN
-        row[:] = np.linalg.lstsq(np.vstack((used, known)), np.append(missing, 0.0), rcond=None)[0][:2]
-    return values, left
-
-
-def _left(regressors: Array, missing: Array, values: Array) -> float:
-    return float(np.sqrt(np.mean((missing - regressors @ values) ** 2)))
+def _solved(regressors: Array, missing: Array) -> tuple[Array, float]:
+    """Return errors of level and viscous coefficient, shape (2,), and what is left [N]."""
+    values = np.linalg.lstsq(regressors, missing, rcond=None)[0]
+    left = float(np.sqrt(np.mean((missing - regressors @ values) ** 2)))
+    # What is left is as structured as the friction: all points together count as one.
+    known = np.zeros((1, regressors.shape[1]))
+    known[0, 1] = left * math.sqrt(len(missing)) / VISCOUS_KNOWN
+    return np.linalg.lstsq(np.vstack((regressors, known)), np.append(missing, 0.0), rcond=None)[0][:2], left
 
 
 def _twice_averaged(window: Array, width: int) -> Array:

@@ -106,7 +106,7 @@ class Search:
         """Add what the reversals tell, and bring the level in use up to it."""
         if self._reversals is None:
             return
-        first, used = self._reversals.found(1), self._basis.level
+        first, used = self._reversals.latest(), self._basis.level
         if first is not None and first.level > 0.0 and abs(first.level / used - 1.0) > max(LEVEL_OFF, first.level_std):
             # The slope over the level holds near it only.
             self._basis = evidence.relevelled(self._basis, first.level, self._memory)
