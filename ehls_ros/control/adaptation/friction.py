@@ -47,7 +47,7 @@ VELOCITY_NOISE = 0.15
 BACK = 1.3
 """Motion back after which a reversal counts, over that at which the last element breaks away."""
 
-AROUND = 0.5
+AROUND = 0.8
 """Half of a window over the time from the reversal to the break-away."""
 
 SHORTEST = 12
@@ -71,7 +71,7 @@ LEAST_LEFT = 0.05
 REVERSALS = 2
 """Fewest reversals that tell anything."""
 
-COUPLED_FLOOR = 0.03
+COUPLED_FLOOR = 0.04
 """Least standard error of the level where the actuator under test has a friction of its own."""
 
 FLOOR, VISCOUS_FLOOR = 5e-3, 1e-2
@@ -210,7 +210,7 @@ class Reversals:
         self._taken = -1.0
         self._seen = 0
         self._weight = 0.0
-        self._sums = np.zeros((3, len(DEGREES), 2))
+        self._sums = np.zeros((4, len(DEGREES), 2))
 
     def look(self, track: Array, ring: Array, level: float) -> None:
         """Take in the last reversal once its window is complete; ``level`` is that in use."""
@@ -245,29 +245,34 @@ class Reversals:
         """Return what the reversals since the level in use changed tell together; None before the first."""
         if self._weight == 0.0:
             return None
-        weights, means, squares = self._sums
-        means, squares = means / weights, squares / weights
+        weights = self._sums[0]
+        means, squares, own = self._sums[1:] / weights
         share = weights / weights.sum(axis=0)
         value = (share * means).sum(axis=0)
         scatter = (share * np.maximum(squares - means**2, 0.0)).sum(axis=0) / max(self._weight - 1.0, 1.0)
         disagreement = (share * (means - value) ** 2).sum(axis=0)
         floor = COUPLED_FLOOR if self._surroundings.stiffness > 0.0 else FLOOR
-        std = np.sqrt(scatter + disagreement + np.square((floor, VISCOUS_FLOOR)))
+        # A window tells little of the viscous friction, and always the same way: its own variance does not average out.
+        lasting = (0.0, float((share * own).sum(axis=0)[1]))
+        std = np.sqrt(scatter + disagreement + np.square((floor, VISCOUS_FLOOR)) + lasting)
         return Found(float(value[0]), float(std[0]), float(value[1]), float(std[1]))
 
     def found(self) -> Found | None:
         """Return what the reversals tell together; None while they are too few."""
         return self.latest() if self._seen >= REVERSALS else None
 
-    def _add(self, values: Array, weights: Array, duration: float) -> None:
+    def _add(self, values: Array, variance: Array, weights: Array, duration: float) -> None:
         # A reversal is forgotten by the time that reversals take, so that rare ones count as long.
         fading = math.exp(-duration / self._forgetting)
         self._seen += 1
         self._weight = fading * self._weight + 1.0
-        self._sums = fading * self._sums + weights * np.stack((np.ones_like(values), values, values**2))
+        self._sums = fading * self._sums + weights * np.stack((np.ones_like(values), values, values**2, variance))
 
-    def _fit(self, window: Array, level: float, width: int) -> tuple[Array, Array]:
-        """Return level and viscous coefficient over the rig file's for each degree, shape (DEGREES, 2), and their weights."""
+    def _fit(self, window: Array, level: float, width: int) -> tuple[Array, Array, Array]:
+        """Return level and viscous coefficient over the rig file's for each degree, their variance, and the degrees' weights.
+
+        The shapes are (DEGREES, 2), the same, and (DEGREES, 1).
+        """
         plant, friction, around = self._model.plant, self._model.friction, self._surroundings
         period = self._model.period
         smooth = _twice_averaged(window, width)
@@ -292,18 +297,21 @@ class Reversals:
         regressors = np.column_stack((slope, viscous, smoothly))
         fits = [_solved(regressors[:, : degree + 3], missing) for degree in DEGREES]
         # What explains the window better counts more.
-        weights = np.array([1.0 / max(left, LEAST_LEFT) ** 2 for _, left in fits])
-        return np.array([values for values, _ in fits]) + (level, 1.0), (weights / weights.sum())[:, np.newaxis]
+        weights = np.array([1.0 / max(left, LEAST_LEFT) ** 2 for *_, left in fits])
+        values, variance = np.array([fit[0] for fit in fits]), np.array([fit[1] for fit in fits])
+        return values + (level, 1.0), variance, (weights / weights.sum())[:, np.newaxis]
 
 
-def _solved(regressors: Array, missing: Array) -> tuple[Array, float]:
-    """Return errors of level and viscous coefficient, shape (2,), and what is left [N]."""
-    values = np.linalg.lstsq(regressors, missing, rcond=None)[0]
-    left = float(np.sqrt(np.mean((missing - regressors @ values) ** 2)))
+def _solved(regressors: Array, missing: Array) -> tuple[Array, Array, float]:
+    """Return errors of level and viscous coefficient, their variance, both of shape (2,), and what is left [N]."""
+    free = np.linalg.lstsq(regressors, missing, rcond=None)[0]
+    left = float(np.sqrt(np.mean((missing - regressors @ free) ** 2)))
     # What is left is as structured as the friction: all points together count as one.
+    together = max(left, LEAST_LEFT) * math.sqrt(len(missing))
     known = np.zeros((1, regressors.shape[1]))
-    known[0, 1] = left * math.sqrt(len(missing)) / VISCOUS_KNOWN
-    return np.linalg.lstsq(np.vstack((regressors, known)), np.append(missing, 0.0), rcond=None)[0][:2], left
+    known[0, 1] = together / VISCOUS_KNOWN
+    inverse = np.linalg.pinv(np.vstack((regressors, known)))
+    return inverse[:2, :-1] @ missing, together**2 * np.sum(inverse[:2] ** 2, axis=1), left
 
 
 def _twice_averaged(window: Array, width: int) -> Array:

@@ -37,7 +37,7 @@ class Parameters(NamedTuple):
     significance: Annotated[
         float,
         quantity("1", "standard errors by which an estimate must differ from the rig file to be used", minimum=1.0, maximum=10.0),
-    ] = 3.0
+    ] = 2.5
     forgetting: Annotated[float, quantity("s", "time constant with which readings are forgotten", minimum=1.0, maximum=1e6)] = (
         30.0
     )
