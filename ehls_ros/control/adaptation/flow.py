@@ -16,15 +16,18 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.control.adaptation.least_squares import gather, solve, whole
+from ehls_ros.control.adaptation.least_squares import audible, gather, solve, whole
 from ehls_ros.control.controllers.base import Model, Noise
 from ehls_ros.physics.parameters import Plant
 
 BLOCK = 10
 """Cycles in a block."""
 
-ROW = 5
-"""Entries of a row: volumes of motion, compression, leakage and offset, and the volume through the valve [m^3]."""
+MOTION, COMPRESSION, LEAKAGE, OFFSET, VALVE, ROW = range(6)
+"""Volumes in a row [m^3]: of motion, compression, leakage and the offset, and that through the valve; and their number."""
+
+LEAST_MOTION = 0.1
+"""Least ratio of area and discharge coefficient to the rig file's that is believed."""
 
 STARTED, THROUGH, LEAKED, LAST_FLOW, LAST_PRESSURE, FIRST_POSITION, FIRST_PRESSURE, OPEN = range(8)
 """Where an open block holds its cycles, volumes [m^3], last flow [m^3/s] and pressure [Pa], and its start; its length."""
@@ -109,38 +112,41 @@ def balance(
     block[LAST_FLOW], block[LAST_PRESSURE] = flow, pressure
     if block[STARTED] <= BLOCK:
         return
-    row[0] = plant.piston_area * (position - block[FIRST_POSITION])
-    row[1] = plant.total_volume / (4.0 * plant.bulk_modulus) * (pressure - block[FIRST_PRESSURE])
-    row[2] = block[LEAKED]
-    row[3] = OFFSET_FLOW * BLOCK * period
-    row[4] = block[THROUGH]
+    row[MOTION] = plant.piston_area * (position - block[FIRST_POSITION])
+    row[COMPRESSION] = plant.total_volume / (4.0 * plant.bulk_modulus) * (pressure - block[FIRST_PRESSURE])
+    row[LEAKAGE] = block[LEAKED]
+    row[OFFSET] = OFFSET_FLOW * BLOCK * period
+    row[VALVE] = block[THROUGH]
     gather(row, fading, sums, count)
     begin(position, pressure, flow, block)
 
 
 def find(model: Model, sums: Array, count: float) -> Found | None:
     """Return the flow that explains the blocks, against the rig file's ``model``; None where they do not tell it."""
+    sums, noise = whole(sums), _noise(model.plant, model.noise)
+    unit = np.eye(ROW - 1)
+    free = audible(np.diag(sums)[:-1], count, noise)
     # A rig without leakage in its file has no size for it.
-    used = [0, 1, 2, 3, 4] if model.plant.leakage_coefficient > 0.0 else [0, 1, 3, 4]
-    prior = np.array([0.0, 0.0, 1.0 / LEAKAGE_KNOWN, 0.0])
-    centre = np.array([0.0, 0.0, 1.0, 0.0])
-    kept = used[:-1]
-    sums = whole(sums)[np.ix_(used, used)]
-    # About the rig file's leakage, so that the prior means it.
-    shift = np.eye(len(used))
-    shift[:-1, -1] = -centre[kept]
-    sums = shift.T @ sums @ shift
-    fit = solve(sums, count, _noise(model.plant, model.noise)[kept], prior[kept])
-    if fit is None or fit.values[0] <= 0.1:
+    free[LEAKAGE] = model.plant.leakage_coefficient > 0.0
+    if not free[MOTION]:
         return None
-    motion, compressed = fit.values[0], fit.values[1]
-    unit = np.eye(len(kept))
-    return Found(
-        1.0 / motion,
-        math.hypot(fit.std(unit[0]) / motion**2, FLOW_FLOOR),
-        compressed / motion,
-        math.hypot(fit.std(unit[1] - compressed / motion * unit[0]) / motion, COMPRESSION_FLOOR),
-    )
+    # About the rig file's leakage, which is known to some degree, and its compression where it is not told.
+    expected = unit[LEAKAGE] + (0.0 if free[COMPRESSION] else unit[COMPRESSION])
+    shift = np.eye(ROW)
+    shift[:-1, -1] = -expected
+    kept = np.flatnonzero(free)
+    both = np.append(kept, ROW - 1)
+    prior = unit[LEAKAGE] / LEAKAGE_KNOWN
+    fit = solve((shift.T @ sums @ shift)[np.ix_(both, both)], count, noise[kept], prior[kept])
+    if fit is None or fit.values[MOTION] <= LEAST_MOTION:
+        return None
+    motion = fit.values[MOTION]
+    discharge_std = math.hypot(fit.std(unit[MOTION, kept]) / motion**2, FLOW_FLOOR)
+    if not free[COMPRESSION]:
+        return Found(1.0 / motion, discharge_std, 1.0 / motion, math.inf)
+    ratio = fit.values[COMPRESSION] / motion
+    ratio_std = fit.std((unit[COMPRESSION] - ratio * unit[MOTION])[kept]) / motion
+    return Found(1.0 / motion, discharge_std, ratio, math.hypot(ratio_std, COMPRESSION_FLOOR))
 
 
 def _noise(plant: Plant, noise: Noise) -> Array:

@@ -29,7 +29,7 @@ COEFFICIENTS = {
     "bulk_modulus": Named("bulk modulus over volume"),
     "piston_area": Named("piston area"),
     "friction_level": Named("friction level", rough=3.0),
-    "viscous_coefficient": Named("viscous friction"),
+    "viscous_coefficient": Named("viscous friction", rough=2.0),
 }
 """What is looked for, by name."""
 

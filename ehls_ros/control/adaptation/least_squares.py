@@ -49,6 +49,12 @@ def whole(sums: Array) -> Array:
     return np.tril(sums) + np.tril(sums, -1).T
 
 
+def audible(squares: Array, count: float, noise: Array) -> Array:
+    """Tell which regressors, by the sums of their squares, are more than their noise of a variance ``noise``; shape (n,)."""
+    heard: Array = count * noise <= LARGEST_NOISE * squares
+    return heard
+
+
 def solve(sums: Array, count: float, noise: Array, prior: Array) -> Fit | None:
     """Solve for the coefficients of the regressors.
 
@@ -60,13 +66,13 @@ def solve(sums: Array, count: float, noise: Array, prior: Array) -> Fit | None:
         prior: how well each coefficient is known to be zero, one over its standard deviation, shape (n,).
 
     Returns:
-        The solution; None where the rows do not tell the coefficients apart, or are too few.
+        The solution; None where the rows do not tell the coefficients apart, are too few, or hold little but noise.
     """
     n = len(sums) - 1
-    if count < 4.0 * n:
-        return None
     squares, products = sums[:n, :n], sums[:n, n]
-    removed = np.minimum(count * noise, LARGEST_NOISE * np.diag(squares))
+    if count < 4.0 * n or not np.all(audible(np.diag(squares), count, noise)):
+        return None
+    removed = count * noise
     # In units of the regressors' own sizes, as they differ by many powers of ten.
     size = np.sqrt(np.diag(squares))
     if not np.all(size > 0.0):
