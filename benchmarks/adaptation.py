@@ -64,10 +64,9 @@ class Watched(ClosedLoop):
 def errors_of(spec: Spec) -> tuple[Errors, dict[str, float | str]]:
     """Run an experiment; return its errors and what its companions say."""
     loop = Watched(spec)
-    wanted = []
+    wanted: list[Array] = []
     try:
-        for block in loop.blocks():
-            wanted.append(block.reference[:, 0])
+        wanted.extend(block.reference[:, 0] for block in loop.blocks())
     except Implausible:
         return Errors(math.inf, math.inf), loop.company.report()
     error = np.abs(np.array(loop.forces) - np.concatenate(wanted))

@@ -3,6 +3,7 @@
 The companion goes by readings and commands alone, so a recording tells the same as it saw, over DDS and on a rig too.
 """
 
+from itertools import pairwise
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -71,10 +72,7 @@ def _stretches(trajectory: Trajectory, period: float) -> list[Past]:
     command = _signal(trajectory, "valve_command_m")
     cuts = np.flatnonzero((np.diff(cycles) != 1) | (cycles[1:] % STRIDE == 0)) + 1
     bounds = [0, *cuts.tolist(), len(cycles)]
-    return [
-        _past(int(cycles[first]), measured[first:last], command[first:last])
-        for first, last in zip(bounds[:-1], bounds[1:], strict=True)
-    ]
+    return [_past(int(cycles[first]), measured[first:last], command[first:last]) for first, last in pairwise(bounds)]
 
 
 def _signal(trajectory: Trajectory, name: str) -> Array:

@@ -136,7 +136,9 @@ def test_without_a_spool_sensor_the_product_of_gain_and_discharge_coefficient_is
     assert last.plant.valve_gain == model.plant.valve_gain
     assert last.plant.discharge_coefficient == pytest.approx(model.plant.discharge_coefficient / 0.9, rel=0.01)
     told = one.report()
-    assert told["discharge_coefficient_told"].startswith("the rig file's discharge coefficient times valve gain seems 10 % low")
+    assert str(told["discharge_coefficient_told"]).startswith(
+        "the rig file's discharge coefficient times valve gain seems 10 % low"
+    )
     assert told["valve_gain_told"] == "valve gain: this run does not tell it; the rig file's is used"
 
 

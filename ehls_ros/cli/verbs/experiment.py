@@ -88,7 +88,11 @@ def _adapted(spec: Spec, folder: RunFolder, trajectory: Trajectory) -> tuple[str
     text = found.text()
     if text:
         folder.rig_adapted.write_text(text, encoding="utf-8")
-    where = f"rig file with that                {folder.rig_adapted}" if text else "rig file                          nothing to change"
+    where = (
+        f"rig file with that                {folder.rig_adapted}"
+        if text
+        else "rig file                          nothing to change"
+    )
     return (*found.sentences, where)
 
 

@@ -37,7 +37,7 @@ def compare(force: float, pressure: float, area: float, fading: float, row: Arra
 
 
 def find(model: Model, sums: Array, count: float) -> Found | None:
-    """Return the area that explains the load cell, against the rig file's ``model``; None where the pressure does not tell it."""
+    """Return the area that explains the load cell; None where the pressure does not tell it. ``model`` is the rig file's."""
     noise = np.array([(model.plant.piston_area * model.noise.load_pressure) ** 2, 0.0])
     fit = solve(whole(sums), count, noise, np.array([0.0, 1.0 / OFFSET_KNOWN]))
     if fit is None or fit.values[0] <= 0.0:

@@ -76,10 +76,10 @@ class Memory(NamedTuple):
 
 def memory(basis: Basis) -> Memory:
     """Return the memory before the first cycle."""
-    columns = valve.columns(basis.bank.count)
+    columns = valve.columns(basis.bank.delays)
     return Memory(
         np.zeros(FLAGS),
-        np.zeros((2, basis.bank.first + basis.bank.count)),
+        np.zeros((2, basis.bank.first + basis.bank.delays)),
         np.zeros(flow.OPEN),
         np.zeros((columns, columns)),
         np.zeros((flow.ROW, flow.ROW)),

@@ -101,7 +101,8 @@ def balance(
         fading: what remains of earlier blocks' weight.
         block: the open block, shape (OPEN,); updated.
         row: scratch, shape (ROW,).
-        sums, count: of :func:`~ehls_ros.control.adaptation.least_squares.gather`.
+        sums: of :func:`~ehls_ros.control.adaptation.least_squares.gather`.
+        count: of the same.
     """
     if block[STARTED] == 0.0 or not math.isfinite(position + pressure + flow):
         begin(position, pressure, flow, block)

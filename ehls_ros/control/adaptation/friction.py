@@ -1,4 +1,4 @@
-"""The friction's level and viscous coefficient, from what the force does after reversals of the motion.
+"""The friction's level and viscous coefficient and the mass, from what the force does after reversals of the motion.
 
 Over a short window the force that the balance (3) leaves is friction and the unknown external force:
 
@@ -59,8 +59,11 @@ WIDTH = 8
 DEGREES = (2, 3, 4)
 """Of the polynomials that the external force may be."""
 
-VISCOUS_KNOWN = 0.3
-"""Standard deviation of the viscous coefficient's relative error before anything is measured."""
+KNOWN = 0.3
+"""Standard deviation of the relative errors of viscous coefficient and mass before anything is measured."""
+
+LEVEL, VISCOUS, MASS, SOUGHT = range(4)
+"""Where an estimate holds what; and its length."""
 
 POINTS = 60
 """About how many points a window is thinned out to."""
@@ -74,20 +77,18 @@ REVERSALS = 2
 COUPLED_FLOOR = 0.04
 """Least standard error of the level where the actuator under test has a friction of its own."""
 
-FLOOR, VISCOUS_FLOOR = 5e-3, 1e-2
-"""Least standard errors of level and viscous coefficient, relative."""
+FLOORS = (5e-3, 1e-2, 1e-2)
+"""Least standard errors, relative."""
 
 NONE = gms.Parameters(1.0, 1.0, 1.0, 1.0, 0.0, (1.0,), (1.0,), 1.0)
 """In place of a friction model whose level is not looked for."""
 
 
 class Found(NamedTuple):
-    """Friction level and viscous coefficient over the rig file's, with standard errors."""
+    """Friction level, viscous coefficient and mass over the rig file's, and their standard errors, shape (SOUGHT,) each."""
 
-    level: float
-    level_std: float
-    viscous: float
-    viscous_std: float
+    values: Array
+    std: Array
 
 
 class Surroundings(NamedTuple):
@@ -210,7 +211,7 @@ class Reversals:
         self._taken = -1.0
         self._seen = 0
         self._weight = 0.0
-        self._sums = np.zeros((4, len(DEGREES), 2))
+        self._sums = np.zeros((4, len(DEGREES), SOUGHT))
 
     def look(self, track: Array, ring: Array, level: float) -> None:
         """Take in the last reversal once its window is complete; ``level`` is that in use."""
@@ -251,11 +252,13 @@ class Reversals:
         value = (share * means).sum(axis=0)
         scatter = (share * np.maximum(squares - means**2, 0.0)).sum(axis=0) / max(self._weight - 1.0, 1.0)
         disagreement = (share * (means - value) ** 2).sum(axis=0)
-        floor = COUPLED_FLOOR if self._surroundings.stiffness > 0.0 else FLOOR
-        # A window tells little of the viscous friction, and always the same way: its own variance does not average out.
-        lasting = (0.0, float((share * own).sum(axis=0)[1]))
-        std = np.sqrt(scatter + disagreement + np.square((floor, VISCOUS_FLOOR)) + lasting)
-        return Found(float(value[0]), float(std[0]), float(value[1]), float(std[1]))
+        floors = np.array(FLOORS)
+        if self._surroundings.stiffness > 0.0:
+            floors[LEVEL] = COUPLED_FLOOR
+        # A window tells little of the other two, and always the same way: its own variance does not average out.
+        lasting = (share * own).sum(axis=0)
+        lasting[LEVEL] = 0.0
+        return Found(value, np.sqrt(scatter + disagreement + floors**2 + lasting))
 
     def found(self) -> Found | None:
         """Return what the reversals tell together; None while they are too few."""
@@ -269,9 +272,9 @@ class Reversals:
         self._sums = fading * self._sums + weights * np.stack((np.ones_like(values), values, values**2, variance))
 
     def _fit(self, window: Array, level: float, width: int) -> tuple[Array, Array, Array]:
-        """Return level and viscous coefficient over the rig file's for each degree, their variance, and the degrees' weights.
+        """Return what is sought over the rig file's for each degree, the variance of it, and the degrees' weights.
 
-        The shapes are (DEGREES, 2), the same, and (DEGREES, 1).
+        The shapes are (DEGREES, SOUGHT), the same, and (DEGREES, 1).
         """
         plant, friction, around = self._model.plant, self._model.friction, self._surroundings
         period = self._model.period
@@ -283,35 +286,36 @@ class Reversals:
         thin = slice(None, None, max(len(smooth) // POINTS, 1))
         position, force, sliding, higher = smooth[thin].T
         velocity, acceleration = velocity[thin], acceleration[thin]
-        viscous = friction.viscous_coefficient * velocity
+        viscous, inertia = friction.viscous_coefficient * velocity, plant.moving_mass * acceleration
         missing = (
             force
             - (plant.spring_stiffness + around.stiffness) * position
             - (plant.viscous_damping + around.damping) * velocity
-            - plant.moving_mass * (acceleration + plant.gravity)
+            - plant.moving_mass * plant.gravity
+            - inertia
             - sliding
             - viscous
         )
         slope = (higher - sliding) / ((HIGHER_BY - 1.0) * level)
         smoothly = legvander(np.linspace(-1.0, 1.0, len(missing)), DEGREES[-1])
-        regressors = np.column_stack((slope, viscous, smoothly))
-        fits = [_solved(regressors[:, : degree + 3], missing) for degree in DEGREES]
+        regressors = np.column_stack((slope, viscous, inertia, smoothly))
+        fits = [_solved(regressors[:, : SOUGHT + degree + 1], missing) for degree in DEGREES]
         # What explains the window better counts more.
         weights = np.array([1.0 / max(left, LEAST_LEFT) ** 2 for *_, left in fits])
         values, variance = np.array([fit[0] for fit in fits]), np.array([fit[1] for fit in fits])
-        return values + (level, 1.0), variance, (weights / weights.sum())[:, np.newaxis]
+        return values + np.array([level, 1.0, 1.0]), variance, (weights / weights.sum())[:, np.newaxis]
 
 
 def _solved(regressors: Array, missing: Array) -> tuple[Array, Array, float]:
-    """Return errors of level and viscous coefficient, their variance, both of shape (2,), and what is left [N]."""
+    """Return the errors of what is sought, their variance, both of shape (SOUGHT,), and what is left [N]."""
     free = np.linalg.lstsq(regressors, missing, rcond=None)[0]
     left = float(np.sqrt(np.mean((missing - regressors @ free) ** 2)))
     # What is left is as structured as the friction: all points together count as one.
     together = max(left, LEAST_LEFT) * math.sqrt(len(missing))
-    known = np.zeros((1, regressors.shape[1]))
-    known[0, 1] = together / VISCOUS_KNOWN
-    inverse = np.linalg.pinv(np.vstack((regressors, known)))
-    return inverse[:2, :-1] @ missing, together**2 * np.sum(inverse[:2] ** 2, axis=1), left
+    known = np.zeros((2, regressors.shape[1]))
+    known[0, VISCOUS] = known[1, MASS] = together / KNOWN
+    inverse = np.linalg.pinv(np.vstack((regressors, known)))[:SOUGHT]
+    return inverse[:, :-2] @ missing, together**2 * np.sum(inverse**2, axis=1), left
 
 
 def _twice_averaged(window: Array, width: int) -> Array:

@@ -30,6 +30,7 @@ COEFFICIENTS = {
     "piston_area": Named("piston area"),
     "friction_level": Named("friction level", rough=3.0),
     "viscous_coefficient": Named("viscous friction", rough=2.0),
+    "moving_mass": Named("moving mass", rough=2.0),
 }
 """What is looked for, by name."""
 
@@ -107,7 +108,11 @@ class HandedOver:
         """Return the sentence for the user."""
         name, latest = self._named.words, self._latest
         if latest is None or not latest.std <= self._named.rough * caution.certain * self._size:
-            how = "" if latest is None else f" better than ± {self._amount(latest.std / self._relative(latest.value))}"
+            how = (
+                ""
+                if latest is None or not math.isfinite(latest.std)
+                else f" better than ± {self._amount(latest.std / self._relative(latest.value))}"
+            )
             return f"{name}: this run does not tell it{how}; the rig file's is used"
         about = latest.meaning or f"the rig file's {name}"
         std = self._amount(latest.std / self._relative(latest.value) ** 2)
@@ -161,8 +166,7 @@ def corrected_rig(rig: Rig, original: Model, values: dict[str, float]) -> Rig:
     model = corrected(original, original, values)
     delay = model.command_delay
     effects = tuple(
-        EffectUse(use.name, use.parameters._replace(delay=delay)) if use.name == "command_delay" else use
-        for use in rig.effects
+        EffectUse(use.name, use.parameters._replace(delay=delay)) if use.name == "command_delay" else use for use in rig.effects
     )
     return rig._replace(plant=model.plant, friction=model.friction, effects=effects)
 

@@ -1,8 +1,10 @@
 """Least squares with forgetting, from sums that grow by a row at a time."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array, kernel
 
@@ -41,7 +43,7 @@ class Fit(NamedTuple):
 
     def std(self, direction: Array) -> float:
         """Return the standard error of a linear combination of the coefficients, by their weights, shape (n,)."""
-        return float(np.sqrt(max(direction @ self.covariance @ direction, 0.0)))
+        return math.sqrt(max(float(direction @ self.covariance @ direction), 0.0))
 
 
 def whole(sums: Array) -> Array:
@@ -49,9 +51,9 @@ def whole(sums: Array) -> Array:
     return np.tril(sums) + np.tril(sums, -1).T
 
 
-def audible(squares: Array, count: float, noise: Array) -> Array:
+def audible(squares: Array, count: float, noise: Array) -> NDArray[np.bool_]:
     """Tell which regressors, by the sums of their squares, are more than their noise of a variance ``noise``; shape (n,)."""
-    heard: Array = count * noise <= LARGEST_NOISE * squares
+    heard: NDArray[np.bool_] = count * noise <= LARGEST_NOISE * squares
     return heard
 
 
@@ -80,7 +82,7 @@ def solve(sums: Array, count: float, noise: Array, prior: Array) -> Fit | None:
     information = (squares - np.diag(removed)) / np.outer(size, size)
     try:
         rough = np.linalg.solve(information + 1e-12 * np.eye(n), products / size)
-        variance = _variance(squares, products, sums[n, n], rough / size, count)
+        variance = _variance(squares, products, float(sums[n, n]), rough / size, count)
         known = variance * (prior / size) ** 2
         inverse = np.linalg.inv(information + np.diag(known))
     except np.linalg.LinAlgError:
@@ -88,11 +90,11 @@ def solve(sums: Array, count: float, noise: Array, prior: Array) -> Fit | None:
     values = inverse @ (products / size) / size
     if not np.all(np.isfinite(values)) or not np.all(np.diag(inverse) > 0.0):
         return None
-    variance = _variance(squares, products, sums[n, n], values, count)
+    variance = _variance(squares, products, float(sums[n, n]), values, count)
     return Fit(values, variance * inverse / np.outer(size, size), float(np.sqrt(variance)))
 
 
 def _variance(squares: Array, products: Array, total: float, values: Array, count: float) -> float:
     """Return the mean square of what remains, never below the rounding of its sum."""
-    remains = total - 2.0 * values @ products + values @ squares @ values
-    return float(max(remains, 1e-14 * total) / (count - len(values)))
+    remains = total - 2.0 * float(values @ products) + float(values @ squares @ values)
+    return max(remains, 1e-14 * total) / (count - len(values))

@@ -12,6 +12,9 @@ from ehls_ros.physics.friction import gms
 SOLVED_EVERY = 50
 """Cycles between two solutions."""
 
+REVERSALS_TELL = ("friction_level", "viscous_coefficient", "moving_mass")
+"""Names of what is sought in reversals, in the order of :mod:`ehls_ros.control.adaptation.friction`."""
+
 LEVEL_OFF = 0.02
 """Relative error of the friction level in use from which on it is replaced."""
 
@@ -64,7 +67,8 @@ class Search:
         if self._unsolved >= SOLVED_EVERY:
             self.solve()
         duration = cycles * self._original.period
-        if not any([each.move(duration, self._caution) for each in self._coefficients.values()]):
+        moved = [each.move(duration, self._caution) for each in self._coefficients.values()]
+        if not any(moved):
             return model
         return corrected(model, self._original, self.values())
 
@@ -107,21 +111,25 @@ class Search:
         if self._reversals is None:
             return
         first, used = self._reversals.latest(), self._basis.level
-        if first is not None and first.level > 0.0 and abs(first.level / used - 1.0) > max(LEVEL_OFF, first.level_std):
-            # The slope over the level holds near it only.
-            self._basis = evidence.relevelled(self._basis, first.level, self._memory)
-            self._reversals.forget(self._memory.track[friction.SEEN])
+        if first is not None:
+            level, std = float(first.values[friction.LEVEL]), float(first.std[friction.LEVEL])
+            if level > 0.0 and abs(level / used - 1.0) > max(LEVEL_OFF, std):
+                # The slope over the level holds near it only.
+                self._basis = evidence.relevelled(self._basis, level, self._memory)
+                self._reversals.forget(self._memory.track[friction.SEEN])
         sliding = self._reversals.found()
         if sliding is not None:
-            found["friction_level"] = Estimated(sliding.level, sliding.level_std)
-            found["viscous_coefficient"] = Estimated(sliding.viscous, sliding.viscous_std)
+            for name, value, std in zip(REVERSALS_TELL, sliding.values, sliding.std, strict=True):
+                found[name] = Estimated(float(value), float(std))
 
     def _flow(self, through: flow.Found, size: area.Found | None, found: dict[str, Estimated]) -> None:
         """Add what the flow tells; without a load cell, per piston area."""
         usable = size is not None and size.area_std <= self._caution.certain
         scale, scale_std = (size.area, size.area_std) if size is not None and usable else (1.0, 0.0)
         spool_read = self._memory.flags[SPOOL_READ] == 1.0
-        parts = ["discharge coefficient"] + ([] if spool_read else ["times valve gain"]) + ([] if usable else ["over piston area"])
+        parts = (
+            ["discharge coefficient"] + ([] if spool_read else ["times valve gain"]) + ([] if usable else ["over piston area"])
+        )
         meaning = f"the rig file's {' '.join(parts)}" if len(parts) > 1 else ""
         discharge = through.discharge * scale
         found["discharge_coefficient"] = Estimated(

@@ -41,14 +41,14 @@ class Bank(NamedTuple):
 
     Attributes:
         first: the smallest, in cycles.
-        count: how many.
+        delays: how many.
         bandwidth: the valve's, with which the spool is computed [rad/s].
         gain: the rig file's valve gain.
         period: of the cycles [s].
     """
 
     first: int
-    count: int
+    delays: int
     bandwidth: float
     gain: float
     period: float
@@ -56,7 +56,7 @@ class Bank(NamedTuple):
     @property
     def settled(self) -> int:
         """Cycles until the state at the start is forgotten."""
-        return math.ceil(SETTLED / self.bandwidth / self.period) + self.first + self.count
+        return math.ceil(SETTLED / self.bandwidth / self.period) + self.first + self.delays
 
 
 class Found(NamedTuple):
@@ -88,7 +88,7 @@ def follow(command: float, bank: Bank, past: Array) -> None:
     Args:
         command: spool command of the cycle [m].
         bank: the delays.
-        past: spools [m] and their slopes omega dz/domega [m], the newest first, shape (2, first + count); updated.
+        past: spools [m] and their slopes omega dz/domega [m], the newest first, shape (2, first + delays); updated.
     """
     decay = math.exp(-bank.bandwidth * bank.period)
     missing = bank.gain * command - past[0, 0]
@@ -111,11 +111,11 @@ def spool_at(delay: float, bank: Bank, past: Array) -> float:
 @kernel
 def compare(spool: float, bank: Bank, past: Array, fading: float, row: Array, sums: Array, count: Array) -> None:
     """Take in one reading of the spool [m]; ``row`` is scratch."""
-    for i in range(bank.count):
+    for i in range(bank.delays):
         row[i] = past[0, bank.first + i]
-        row[bank.count + i] = past[1, bank.first + i]
-    row[2 * bank.count] = OFFSET
-    row[2 * bank.count + 1] = spool
+        row[bank.delays + i] = past[1, bank.first + i]
+    row[2 * bank.delays] = OFFSET
+    row[2 * bank.delays + 1] = spool
     gather(row, fading, sums, count)
 
 
@@ -124,10 +124,10 @@ def find(bank: Bank, sums: Array, count: float) -> Found | None:
     sums = whole(sums)
     # Inside its pair first: a delay beyond the bank counts only where none is.
     candidates: list[tuple[bool, float, int, Fit]] = []
-    for i in range(bank.count - 1):
+    for i in range(bank.delays - 1):
         pick = np.zeros((len(sums), 5))
         pick[i, 0] = pick[i + 1, 1] = 1.0
-        pick[bank.count + i, 2] = pick[bank.count + i + 1, 2] = 0.5
+        pick[bank.delays + i, 2] = pick[bank.delays + i + 1, 2] = 0.5
         pick[-2, 3] = pick[-1, 4] = 1.0
         fit = solve(pick.T @ sums @ pick, count, np.zeros(4), np.array([0.0, 0.0, 1.0 / BANDWIDTH_KNOWN, 0.0]))
         if fit is None or fit.values[0] + fit.values[1] <= 0.0:

@@ -1,4 +1,4 @@
-"""What the rig file has wrong, found while running: valve gain, bandwidth and delay, discharge coefficient, bulk modulus, area.
+"""What the rig file has wrong, found while running: valve gain, bandwidth and delay, flow, area and friction.
 
 The controller is given a corrected model, within a reach and a rate that keep its margins; the user is told what the rig file
 seems to have wrong. :mod:`ehls_ros.control.adaptation` has the regressions.
@@ -29,14 +29,14 @@ class Parameters(NamedTuple):
     reach: Annotated[
         float, quantity("1", "largest change of a coefficient from the rig file's, relative", minimum=0.0, maximum=0.3)
     ] = 0.3
-    rate: Annotated[float, quantity("1/s", "largest relative change of a coefficient in a second", above=0.0, maximum=10.0)] = 0.2
+    rate: Annotated[float, quantity("1/s", "largest relative change in a second", above=0.0, maximum=10.0)] = 0.2
     wait: Annotated[float, quantity("s", "time before anything changes", minimum=0.0, maximum=1e6)] = 1.0
     certain: Annotated[
         float, quantity("1", "largest relative standard error of an estimate that is used", above=0.0, maximum=0.3)
     ] = 0.03
     significance: Annotated[
         float,
-        quantity("1", "standard errors by which an estimate must differ from the rig file to be used", minimum=1.0, maximum=10.0),
+        quantity("1", "standard errors by which an estimate must differ to be used", minimum=1.0, maximum=10.0),
     ] = 2.5
     forgetting: Annotated[float, quantity("s", "time constant with which readings are forgotten", minimum=1.0, maximum=1e6)] = (
         30.0
