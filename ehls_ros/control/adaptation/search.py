@@ -1,6 +1,7 @@
 """The stages together: from readings to estimates, and to the model that a controller is given."""
 
 import math
+from collections.abc import Mapping
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.adaptation import area, evidence, flow, friction, valve
@@ -9,8 +10,8 @@ from ehls_ros.control.adaptation.hand_over import COEFFICIENTS, Caution, Estimat
 from ehls_ros.control.controllers.base import Model
 from ehls_ros.physics.friction import gms
 
-SOLVED_EVERY = 50
-"""Cycles between two solutions."""
+TURNS = 10
+"""Calls in which every stage is solved once, one stage in one call, so that no cycle waits for all of them."""
 
 REVERSALS_TELL = ("friction_level", "viscous_coefficient", "moving_mass")
 """Names of what is sought in reversals, in the order of :mod:`ehls_ros.control.adaptation.friction`."""
@@ -43,7 +44,7 @@ class Search:
         self._take = evidence.evidence_kernel().take
         known = around is not None and isinstance(original.friction, gms.Parameters)
         self._reversals = friction.Reversals(original, around, forgetting) if known and around is not None else None
-        self._unsolved = 0
+        self._turn = 0
         self._coefficients = {
             name: HandedOver(name, original.command_delay if named.unit else 1.0, original.period)
             for name, named in COEFFICIENTS.items()
@@ -58,14 +59,21 @@ class Search:
     def take(self, measured: Array, command: Array) -> None:
         """Take in cycles: readings in the order of ``SENSED``, shape (n, 7), and spool commands [m], shape (n,)."""
         self._take(measured, command, self._basis, self._memory)
-        self._unsolved += len(command)
 
     def corrected(self, model: Model, cycles: int) -> Model:
         """Return a model with what was found so far, after some more cycles."""
-        if self._reversals is not None:
-            self._reversals.look(self._memory.track, self._memory.ring, self._basis.level)
-        if self._unsolved >= SOLVED_EVERY:
-            self.solve()
+        self._turn = (self._turn + 1) % TURNS
+        match self._turn:
+            case 1:
+                self._judge(self._valve())
+            case 4:
+                self._judge(self._area_and_flow())
+            case 7:
+                self._judge(self._friction())
+            case _ if self._reversals is not None:
+                self._reversals.look(self._memory.track, self._memory.ring, self._basis.level)
+            case _:
+                pass
         duration = cycles * self._original.period
         moved = [each.move(duration, self._caution) for each in self._coefficients.values()]
         if not any(moved):
@@ -90,26 +98,28 @@ class Search:
 
     def solve(self) -> None:
         """Estimate all coefficients from what was gathered."""
-        self._unsolved = 0
-        found = self._estimates()
-        for name, each in self._coefficients.items():
-            each.judge(found.get(name), self._caution)
+        for found in (self._valve(), self._area_and_flow(), self._friction()):
+            self._judge(found)
 
-    def _estimates(self) -> dict[str, Estimated]:
-        found = self._valve()
-        size = area.find(self._original, self._memory.area, self._memory.counts[AREA, 0])
+    def _judge(self, found: Mapping[str, Estimated | None]) -> None:
+        for name, estimated in found.items():
+            self._coefficients[name].judge(estimated, self._caution)
+
+    def _area_and_flow(self) -> dict[str, Estimated | None]:
+        size = area.find(self._original, self._memory.area, float(self._memory.counts[AREA, 0]))
+        through = flow.find(self._original, self._memory.flow, float(self._memory.counts[FLOW, 0]))
+        found: dict[str, Estimated | None] = dict.fromkeys(("piston_area", "discharge_coefficient", "bulk_modulus"))
         if size is not None:
             found["piston_area"] = Estimated(size.area, size.area_std)
-        through = flow.find(self._original, self._memory.flow, self._memory.counts[FLOW, 0])
         if through is not None:
             self._flow(through, size, found)
-        self._friction(found)
         return found
 
-    def _friction(self, found: dict[str, Estimated]) -> None:
-        """Add what the reversals tell, and bring the level in use up to it."""
+    def _friction(self) -> dict[str, Estimated | None]:
+        """Return what the reversals tell, and bring the level in use up to it."""
+        found: dict[str, Estimated | None] = dict.fromkeys(REVERSALS_TELL)
         if self._reversals is None:
-            return
+            return found
         first, used = self._reversals.latest(), self._basis.level
         if first is not None:
             level, std = float(first.values[friction.LEVEL]), float(first.std[friction.LEVEL])
@@ -121,8 +131,9 @@ class Search:
         if sliding is not None:
             for name, value, std in zip(REVERSALS_TELL, sliding.values, sliding.std, strict=True):
                 found[name] = Estimated(float(value), float(std))
+        return found
 
-    def _flow(self, through: flow.Found, size: area.Found | None, found: dict[str, Estimated]) -> None:
+    def _flow(self, through: flow.Found, size: area.Found | None, found: dict[str, Estimated | None]) -> None:
         """Add what the flow tells; without a load cell, per piston area."""
         usable = size is not None and size.area_std <= self._caution.certain
         scale, scale_std = (size.area, size.area_std) if size is not None and usable else (1.0, 0.0)
@@ -140,11 +151,11 @@ class Search:
             relative = math.hypot(through.compression_std / through.compression, scale_std / scale)
             found["bulk_modulus"] = Estimated(modulus, modulus * relative)
 
-    def _valve(self) -> dict[str, Estimated]:
+    def _valve(self) -> dict[str, Estimated | None]:
         bank = self._basis.bank
-        found = valve.find(bank, self._memory.valve, self._memory.counts[VALVE, 0])
+        found = valve.find(bank, self._memory.valve, float(self._memory.counts[VALVE, 0]))
         if found is None:
-            return {}
+            return dict.fromkeys(("valve_gain", "valve_bandwidth", "command_delay"))
         scale = bank.bandwidth / self._original.plant.valve_bandwidth
         certain = found.bandwidth_std < BANDWIDTH_CERTAIN and found.bandwidth > 0.0
         if certain and abs(found.bandwidth - 1.0) > BANDWIDTH_OFF:
