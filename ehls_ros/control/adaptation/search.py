@@ -10,7 +10,7 @@ from ehls_ros.control.adaptation.hand_over import COEFFICIENTS, Caution, Estimat
 from ehls_ros.control.controllers.base import Model
 from ehls_ros.physics.friction import gms
 
-TURNS = 10
+TURNS = 20
 """Calls in which every stage is solved once, one stage in one call, so that no cycle waits for all of them."""
 
 REVERSALS_TELL = ("friction_level", "viscous_coefficient", "moving_mass")
@@ -66,9 +66,9 @@ class Search:
         match self._turn:
             case 1:
                 self._judge(self._valve())
-            case 4:
-                self._judge(self._area_and_flow())
             case 7:
+                self._judge(self._area_and_flow())
+            case 13:
                 self._judge(self._friction())
             case _ if self._reversals is not None:
                 self._reversals.look(self._memory.track, self._memory.ring, self._basis.level)
