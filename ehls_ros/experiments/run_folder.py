@@ -16,7 +16,16 @@ from ehls_ros.experiments.spec import Spec, spec_to_mapping
 from ehls_ros.experiments.yaml_files import spec_text
 from ehls_ros.recording.reason import reason
 
-HOLDS = ("spec.yaml", "bag", "metrics.json", "report.html", "logs", "load_cycles.csv", "programme_state.json")
+HOLDS = (
+    "spec.yaml",
+    "bag",
+    "metrics.json",
+    "report.html",
+    "logs",
+    "load_cycles.csv",
+    "programme_state.json",
+    "rig_adapted.yaml",
+)
 """Files and folders of a run."""
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -85,6 +94,11 @@ class RunFolder(NamedTuple):
     def spec(self) -> Path:
         """The spec with all files it names written out."""
         return self.path / "spec.yaml"
+
+    @property
+    def rig_adapted(self) -> Path:
+        """The rig file with what adaptation found."""
+        return self.path / "rig_adapted.yaml"
 
     @property
     def logs(self) -> Path:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from ehls_ros.cli.configured import Configured
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.adapting import adapted
 from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import Implausible, run_as_far_as_it_goes
@@ -75,10 +76,27 @@ def run(options: Namespace) -> int:
             metrics = metrics._replace(warnings=(str(done.failure),))
         folder.write_metrics(metrics)
         write_experiment_report(done.trajectory, metrics, folder.report, read_events(folder.bag))
-    _print(spec, metrics, done.trajectory, machine=options.json)
+        found = _adapted(spec, folder, done.trajectory)
+    _print(spec, metrics, done.trajectory, found, machine=options.json)
     if done.failure is not None:
         raise done.failure
     return 0
+
+
+def _adapted(spec: Spec, folder: RunFolder, trajectory: Trajectory) -> tuple[str, ...]:
+    """Write the rig file that adaptation leaves, if there is anything to change; return what the user is told of it."""
+    found = adapted(spec, trajectory)
+    if found is None:
+        return ()
+    text = found.text()
+    if text:
+        folder.rig_adapted.write_text(text, encoding="utf-8")
+    where = (
+        f"rig file with that                {folder.rig_adapted}"
+        if text
+        else "rig file                          nothing to change"
+    )
+    return (*found.sentences, where)
 
 
 class _Done(NamedTuple):
@@ -115,7 +133,7 @@ def _over_dds(spec: Spec, folder: RunFolder, options: Namespace, progress: Calla
     return _Done(read_bag(folder.bag), wall)
 
 
-def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, *, machine: bool) -> None:
+def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, found: tuple[str, ...], *, machine: bool) -> None:
     wall = metrics.wall_s or float("nan")
     print(f"{spec.settings.title}")
     position_error = 1e3 * steady_error(trajectory, "position_m", "position_reference_m")
@@ -148,6 +166,8 @@ def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, *, machine: boo
         print(f"  too slow for real time: {ADVICE}")
     print(f"  bag                             {metrics.bag}")
     print(f"  report                          {metrics.report}")
+    for sentence in found:
+        print(f"  {sentence}")
     for warning in metrics.warnings:
         print(f"  warning: {warning}")
     sys.stdout.flush()

@@ -1,0 +1,45 @@
+"""The piston's area, from load cell and load pressure: F = Ac pL + o.
+
+A load cell's offset is known to be small, so a constant force tells the area too.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.control.adaptation.least_squares import gather, solve, whole
+from ehls_ros.control.controllers.base import Model
+
+ROW = 3
+"""Entries of a row: the force of the rig file's area [N], the offset's size [N], the load cell's force [N]."""
+
+OFFSET_KNOWN = 20.0
+"""Standard deviation of a load cell's offset [N]."""
+
+FLOOR = 5e-4
+"""Least standard error of the area: linearity of the two sensors."""
+
+
+class Found(NamedTuple):
+    """Piston area over the rig file's, and its standard error."""
+
+    area: float
+    area_std: float
+
+
+@kernel
+def compare(force: float, pressure: float, area: float, fading: float, row: Array, sums: Array, count: Array) -> None:
+    """Take in a reading of the load cell [N] and one of the load pressure [Pa]; ``area`` is the rig file's [m^2]."""
+    row[0], row[1], row[2] = area * pressure, 1.0, force
+    gather(row, fading, sums, count)
+
+
+def find(model: Model, sums: Array, count: float) -> Found | None:
+    """Return the area that explains the load cell; None where the pressure does not tell it. ``model`` is the rig file's."""
+    noise = np.array([(model.plant.piston_area * model.noise.load_pressure) ** 2, 0.0])
+    fit = solve(whole(sums), count, noise, np.array([0.0, 1.0 / OFFSET_KNOWN]))
+    if fit is None or fit.values[0] <= 0.0:
+        return None
+    return Found(float(fit.values[0]), math.hypot(fit.std(np.array([1.0, 0.0])), FLOOR))

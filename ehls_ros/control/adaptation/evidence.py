@@ -1,0 +1,211 @@
+"""What the cycles tell of every stage, gathered by one compiled function."""
+
+import math
+from collections.abc import Callable
+from types import ModuleType
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.control.adaptation import area, flow, friction, valve
+from ehls_ros.control.controllers.base import Model
+from ehls_ros.physics import sensors
+from ehls_ros.physics.composition import compiled
+from ehls_ros.physics.friction import gms
+from ehls_ros.physics.parameters import Plant
+
+VALVE, FLOW, AREA, STAGES = range(4)
+"""Indices of the stages' counts; and their number."""
+
+SINCE, SPOOL_READ, FLAGS = range(3)
+"""Where the flags hold the cycles since the last interruption, and whether the spool was ever read; their number."""
+
+
+class Basis(NamedTuple):
+    """What the rig file says, which all estimates are relative to.
+
+    Attributes:
+        plant: its coefficients.
+        delay: of the command [s].
+        bank: delays to compare, with the bandwidth in use.
+        fading: what remains of the weight of a reading after a cycle.
+        settled: cycles after an interruption before the valve's state counts.
+        friction: its friction.
+        travel: motion back after which a reversal counts [m].
+        half: of :func:`ehls_ros.control.adaptation.friction.follow`.
+        level: friction level in use, over the rig file's.
+    """
+
+    plant: Plant
+    delay: float
+    bank: valve.Bank
+    fading: float
+    settled: float
+    friction: gms.Parameters
+    travel: float
+    half: int
+    level: float
+
+
+class Memory(NamedTuple):
+    """What was gathered; every array is updated in place.
+
+    Attributes:
+        flags: by the indices above.
+        past: of :func:`ehls_ros.control.adaptation.valve.follow`.
+        block: of :func:`ehls_ros.control.adaptation.flow.balance`.
+        valve, flow, area: sums of the stages.
+        counts: weights of their rows, shape (STAGES, 1).
+        row: scratch.
+        elements, track, ring: of :func:`ehls_ros.control.adaptation.friction.follow`.
+    """
+
+    flags: Array
+    past: Array
+    block: Array
+    valve: Array
+    flow: Array
+    area: Array
+    counts: Array
+    row: Array
+    elements: Array
+    track: Array
+    ring: Array
+
+
+def memory(basis: Basis) -> Memory:
+    """Return the memory before the first cycle."""
+    columns = valve.columns(basis.bank.delays)
+    return Memory(
+        np.zeros(FLAGS),
+        np.zeros((2, basis.bank.first + basis.bank.delays)),
+        np.zeros(flow.OPEN),
+        np.zeros((columns, columns)),
+        np.zeros((flow.ROW, flow.ROW)),
+        np.zeros((area.ROW, area.ROW)),
+        np.zeros((STAGES, 1)),
+        np.zeros(columns),
+        np.zeros((4, len(basis.friction.element_stiffness))),
+        np.zeros(friction.TRACKED),
+        np.zeros((friction.RING, friction.SIGNALS)),
+    )
+
+
+def interrupt(memory: Memory) -> None:
+    """Let what is half gathered not count."""
+    memory.flags[SINCE] = 0.0
+    memory.past[:] = 0.0
+    memory.block[:] = 0.0
+    memory.track[:] = 0.0
+    memory.elements[:] = 0.0
+
+
+def basis_of(model: Model, reach: float, forgetting: float) -> Basis:
+    """Return what a rig file says.
+
+    Args:
+        model: the rig file's.
+        reach: largest relative change of a delay that is looked for.
+        forgetting: time constant with which readings are forgotten [s].
+    """
+    cycles = model.command_delay / model.period
+    first = max(math.floor((1.0 - reach) * cycles) - 1, 0)
+    count = math.ceil((1.0 + reach) * cycles) + valve.EXTRA + 1 - first
+    plant = model.plant
+    bank = valve.Bank(first, count, plant.valve_bandwidth, plant.valve_gain, model.period)
+    fading = math.exp(-model.period / forgetting)
+    sliding = model.friction if isinstance(model.friction, gms.Parameters) else friction.NONE
+    way = friction.BACK * friction.travel(sliding)
+    half = friction.half_of(model.noise.position, model.period, sliding)
+    return Basis(plant, model.command_delay, bank, fading, float(bank.settled), sliding, way, half, 1.0)
+
+
+def relined(basis: Basis, bandwidth: float, memory: Memory) -> Basis:
+    """Return a basis with another bandwidth of the valve [rad/s]; what was gathered of the valve does not count."""
+    memory.valve[:] = memory.counts[VALVE] = memory.past[:] = 0.0
+    memory.flags[SINCE] = 0.0
+    bank = basis.bank._replace(bandwidth=bandwidth)
+    return basis._replace(bank=bank, settled=float(bank.settled))
+
+
+def relevelled(basis: Basis, level: float, memory: Memory) -> Basis:
+    """Return a basis with another friction level in use, over the rig file's; the forces go with it."""
+    memory.elements[::2] *= level / basis.level
+    memory.ring[:, friction.FRICTION :] *= level / basis.level
+    return basis._replace(level=level)
+
+
+@kernel
+def _take_one(measured: Array, basis: Basis, memory: Memory) -> None:
+    plant, counts, flags = basis.plant, memory.counts, memory.flags
+    position, pressure = measured[sensors.POSITION], measured[sensors.LOAD_PRESSURE]
+    spool, force, supply = measured[sensors.SPOOL], measured[sensors.FORCE], measured[sensors.SUPPLY_PRESSURE]
+    settled = flags[SINCE] >= basis.settled
+    if math.isfinite(spool):
+        if flags[SPOOL_READ] == 0.0:
+            flags[SPOOL_READ] = 1.0
+            memory.flow[:, :] = 0.0
+            counts[FLOW, 0] = 0.0
+        if settled:
+            valve.compare(spool, basis.bank, memory.past, basis.fading, memory.row, memory.valve, counts[VALVE])
+    elif flags[SPOOL_READ] == 0.0 and settled:
+        spool = valve.spool_at(basis.delay, basis.bank, memory.past)
+    if not math.isfinite(supply):
+        supply = plant.supply_pressure
+    through = flow.valve_flow(spool, pressure, supply, plant)
+    fading = basis.fading**flow.BLOCK
+    scratch = memory.row[: flow.ROW]
+    flow.balance(
+        position, pressure, through, plant, basis.bank.period, fading, memory.block, scratch, memory.flow, counts[FLOW]
+    )
+    if math.isfinite(force + pressure):
+        few = memory.row[: area.ROW]
+        area.compare(force, pressure, plant.piston_area, basis.fading, few, memory.area, counts[AREA])
+    if not math.isfinite(force):
+        force = plant.piston_area * pressure
+    friction.follow(
+        position,
+        force,
+        basis.level,
+        basis.bank.period,
+        basis.friction,
+        basis.travel,
+        basis.half,
+        memory.elements,
+        memory.track,
+        memory.ring,
+    )
+
+
+@kernel
+def take(measured: Array, command: Array, basis: Basis, memory: Memory) -> None:
+    """Take in cycles.
+
+    Args:
+        measured: readings in the order of ``SENSED``, shape (n, 7).
+        command: spool commands [m], shape (n,).
+        basis: what the rig file says.
+        memory: what was gathered.
+    """
+    for i in range(len(command)):
+        _take_one(measured[i], basis, memory)
+        memory.flags[SINCE] += 1.0
+        if math.isfinite(command[i]):
+            valve.follow(command[i], basis.bank, memory.past)
+
+
+class _Taking(NamedTuple):
+    """The compiled entry."""
+
+    take: Callable[..., None]
+
+
+def build() -> _Taking:
+    """Build the compiled entry."""
+    return _Taking(take)
+
+
+def evidence_kernel() -> ModuleType:
+    """Return a module whose ``take`` is compiled."""
+    return compiled(build, {"take": "measured, command, basis, memory"})

@@ -1,0 +1,157 @@
+"""The volume balance (2): discharge coefficient and bulk modulus, from spool, pressure and position.
+
+Over a block of cycles the oil that the valve lets through moves the piston, is compressed, and leaks:
+
+    Cd w int q dt = Ac dx + Vt/(4 beta_e) dpL + Ctc int pL dt,    q = sqrt((ps - sgn(xv) pL)/rho) xv
+
+so no reading is differentiated, and the velocity's is not needed. With the rig file's coefficients on both sides, the
+regression tells Ac/Cd, Vt/(beta_e Cd) and Ctc/Cd relative to the rig file, and an offset, the spool's bias. The area is known
+from the load cell. Valve area gradient and density are part of what is called the discharge coefficient, the volume of the
+bulk modulus: only the products are seen.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.control.adaptation.least_squares import audible, gather, solve, whole
+from ehls_ros.control.controllers.base import Model, Noise
+from ehls_ros.physics.parameters import Plant
+
+BLOCK = 10
+"""Cycles in a block."""
+
+MOTION, COMPRESSION, LEAKAGE, OFFSET, VALVE, ROW = range(6)
+"""Volumes in a row [m^3]: of motion, compression, leakage and the offset, and that through the valve; and their number."""
+
+LEAST_MOTION = 0.1
+"""Least ratio of area and discharge coefficient to the rig file's that is believed."""
+
+STARTED, THROUGH, LEAKED, LAST_FLOW, LAST_PRESSURE, FIRST_POSITION, FIRST_PRESSURE, OPEN = range(8)
+"""Where an open block holds its cycles, volumes [m^3], last flow [m^3/s] and pressure [Pa], and its start; its length."""
+
+OFFSET_FLOW = 1e-6
+"""Size of the offset for the sums [m^3/s]."""
+
+LEAKAGE_KNOWN = 1.0
+"""Standard deviation of the leakage's relative error before anything is measured."""
+
+FLOW_FLOOR, COMPRESSION_FLOOR = 1e-3, 1e-2
+"""Least standard errors of discharge coefficient and bulk modulus: what the trapezoidal rule over a cycle leaves."""
+
+LEAST_DROP = 0.01
+"""Least pressure drop over the valve that counts, as a fraction of the supply pressure."""
+
+
+class Found(NamedTuple):
+    """What the flow turns out to be, over the rig file's, with standard errors.
+
+    Attributes:
+        discharge, discharge_std: discharge coefficient per piston area.
+        compression, compression_std: volume over bulk modulus, per piston area.
+    """
+
+    discharge: float
+    discharge_std: float
+    compression: float
+    compression_std: float
+
+
+@kernel
+def valve_flow(spool: float, pressure: float, supply: float, plant: Plant) -> float:
+    """Return the flow (1) [m^3/s]; NaN where the drop is too small to tell it."""
+    drop = supply - math.copysign(pressure, spool * pressure)
+    if drop < LEAST_DROP * plant.supply_pressure:
+        return math.nan
+    return plant.discharge_coefficient * plant.valve_area_gradient * spool * math.sqrt(drop / plant.oil_density)
+
+
+@kernel
+def begin(position: float, pressure: float, flow: float, block: Array) -> None:
+    """Open a block at a reading; without it if that is not finite."""
+    block[STARTED] = 1.0 if math.isfinite(position + pressure + flow) else 0.0
+    block[THROUGH] = block[LEAKED] = 0.0
+    block[LAST_FLOW], block[LAST_PRESSURE] = flow, pressure
+    block[FIRST_POSITION], block[FIRST_PRESSURE] = position, pressure
+
+
+@kernel
+def balance(
+    position: float,
+    pressure: float,
+    flow: float,
+    plant: Plant,
+    period: float,
+    fading: float,
+    block: Array,
+    row: Array,
+    sums: Array,
+    count: Array,
+) -> None:
+    """Take in one cycle.
+
+    Args:
+        position: [m].
+        pressure: load pressure [Pa].
+        flow: through the valve by the rig file's coefficients [m^3/s].
+        plant: the rig file's coefficients.
+        period: of the cycles [s].
+        fading: what remains of earlier blocks' weight.
+        block: the open block, shape (OPEN,); updated.
+        row: scratch, shape (ROW,).
+        sums: of :func:`~ehls_ros.control.adaptation.least_squares.gather`.
+        count: of the same.
+    """
+    if block[STARTED] == 0.0 or not math.isfinite(position + pressure + flow):
+        begin(position, pressure, flow, block)
+        return
+    block[STARTED] += 1.0
+    block[THROUGH] += 0.5 * period * (flow + block[LAST_FLOW])
+    block[LEAKED] += 0.5 * period * plant.leakage_coefficient * (pressure + block[LAST_PRESSURE])
+    block[LAST_FLOW], block[LAST_PRESSURE] = flow, pressure
+    if block[STARTED] <= BLOCK:
+        return
+    row[MOTION] = plant.piston_area * (position - block[FIRST_POSITION])
+    row[COMPRESSION] = plant.total_volume / (4.0 * plant.bulk_modulus) * (pressure - block[FIRST_PRESSURE])
+    row[LEAKAGE] = block[LEAKED]
+    row[OFFSET] = OFFSET_FLOW * BLOCK * period
+    row[VALVE] = block[THROUGH]
+    gather(row, fading, sums, count)
+    begin(position, pressure, flow, block)
+
+
+def find(model: Model, sums: Array, count: float) -> Found | None:
+    """Return the flow that explains the blocks, against the rig file's ``model``; None where they do not tell it."""
+    sums, noise = whole(sums), _noise(model.plant, model.noise)
+    unit = np.eye(ROW - 1)
+    free = audible(np.diag(sums)[:-1], count, noise)
+    # A rig without leakage in its file has no size for it.
+    free[LEAKAGE] = model.plant.leakage_coefficient > 0.0
+    if not free[MOTION]:
+        return None
+    # About the rig file's leakage, which is known to some degree, and its compression where it is not told.
+    expected = unit[LEAKAGE] + (0.0 if free[COMPRESSION] else unit[COMPRESSION])
+    shift = np.eye(ROW)
+    shift[:-1, -1] = -expected
+    kept = np.flatnonzero(free)
+    both = np.append(kept, ROW - 1)
+    prior = unit[LEAKAGE] / LEAKAGE_KNOWN
+    fit = solve((shift.T @ sums @ shift)[np.ix_(both, both)], count, noise[kept], prior[kept])
+    if fit is None or fit.values[MOTION] <= LEAST_MOTION:
+        return None
+    motion = fit.values[MOTION]
+    discharge_std = math.hypot(fit.std(unit[MOTION, kept]) / motion**2, FLOW_FLOOR)
+    if not free[COMPRESSION]:
+        return Found(1.0 / motion, discharge_std, 1.0 / motion, math.inf)
+    ratio = fit.values[COMPRESSION] / motion
+    ratio_std = fit.std((unit[COMPRESSION] - ratio * unit[MOTION])[kept]) / motion
+    return Found(1.0 / motion, discharge_std, ratio, math.hypot(ratio_std, COMPRESSION_FLOOR))
+
+
+def _noise(plant: Plant, noise: Noise) -> Array:
+    """Return the variance of each regressor's noise, a difference of two readings."""
+    moved = plant.piston_area * noise.position
+    compressed = plant.total_volume / (4.0 * plant.bulk_modulus) * noise.load_pressure
+    return 2.0 * np.array([moved, compressed, 0.0, 0.0]) ** 2

@@ -1,0 +1,326 @@
+"""The friction's level and viscous coefficient and the mass, from what the force does after reversals of the motion.
+
+Over a short window the force that the balance (3) leaves is friction and the unknown external force:
+
+    Ac pL - (ks + kc) x - (B0 + cc) v - m x'' - m g = F(level) + sigma_f v + d(t)
+
+After a reversal the elements are strained the other way, and after a known travel they break away: the friction stops growing.
+When it does tells the level, whatever the external force is, as long as that has no corner there: within the window it is a
+polynomial. The elements (6), (8) follow the measured position all the time, at the level in use and at one a little higher; the
+difference is the level's regressor. All signals go through the same filter, so that a differentiated reading is as late and as
+smooth as the others.
+
+The actuator under test has a friction of its own, which breaks away at nearly the same time and moves the far end of the
+coupling. This cannot be told from the loader's friction, so the standard error is never below what it may be.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.control.controllers.base import Model
+from ehls_ros.physics.friction import gms
+from ehls_ros.physics.friction.gms import level as sliding_level
+
+RING = 4096
+"""Cycles that are kept."""
+
+POSITION, FORCE, FRICTION, HIGHER, SIGNALS = range(5)
+"""Columns of the ring: position [m], driving force [N], friction at the level in use and at the higher one [N]."""
+
+SEEN, DIRECTION, FURTHEST, FURTHEST_AT, REVERSED_AT, TURNED_AT, TRACKED = range(7)
+"""Where the track holds how many cycles were seen on end, the motion's direction, its furthest position [m] and when that was,
+and the last reversal: when it was, and when the motion back was long enough; its length."""
+
+HIGHER_BY = 1.02
+"""The higher level over that in use."""
+
+MOST_HALF = 10
+"""Longest average of the position, in cycles, of which the velocity is formed."""
+
+VELOCITY_NOISE = 0.15
+"""Largest noise of the velocity, over the Stribeck velocity, which it has to resolve."""
+
+BACK = 1.3
+"""Motion back after which a reversal counts, over that at which the last element breaks away."""
+
+AROUND = 0.8
+"""Half of a window over the time from the reversal to the break-away."""
+
+SHORTEST = 12
+"""Least half of a window, in cycles."""
+
+WIDTH = 8
+"""Half of a window over the filter's width."""
+
+DEGREES = (2, 3, 4)
+"""Of the polynomials that the external force may be."""
+
+KNOWN = 0.3
+"""Standard deviation of the relative errors of viscous coefficient and mass before anything is measured."""
+
+LEVEL, VISCOUS, MASS, SOUGHT = range(4)
+"""Where an estimate holds what; and its length."""
+
+POINTS = 60
+"""About how many points a window is thinned out to."""
+
+LEAST_LEFT = 0.05
+"""Least force that is left, for the weights [N]."""
+
+REVERSALS = 2
+"""Fewest reversals that tell anything."""
+
+COUPLED_FLOOR = 0.04
+"""Least standard error of the level where the actuator under test has a friction of its own."""
+
+FLOORS = (5e-3, 1e-2, 1e-2)
+"""Least standard errors, relative."""
+
+NONE = gms.Parameters(1.0, 1.0, 1.0, 1.0, 0.0, (1.0,), (1.0,), 1.0)
+"""In place of a friction model whose level is not looked for."""
+
+
+class Found(NamedTuple):
+    """Friction level, viscous coefficient and mass over the rig file's, and their standard errors, shape (SOUGHT,) each."""
+
+    values: Array
+    std: Array
+
+
+class Surroundings(NamedTuple):
+    """What the balance depends on beside the plant.
+
+    Attributes:
+        stiffness: of the coupling to the actuator under test [N/m].
+        damping: of it [N s/m].
+    """
+
+    stiffness: float
+    damping: float
+
+
+def travel(friction: gms.Parameters) -> float:
+    """Return the motion back at which the last element breaks away [m]."""
+    return 2.0 * gms.break_away(friction) * friction.coulomb_force / friction.static_force
+
+
+def half_of(noise: float, period: float, friction: gms.Parameters) -> int:
+    """Return how many readings of the position a velocity is formed of on either side, from their noise [m]."""
+    for half in range(1, MOST_HALF):
+        if noise * math.sqrt(2.0 / half) <= VELOCITY_NOISE * friction.stribeck_velocity * (half + 1) * period:
+            return half
+    return MOST_HALF
+
+
+@kernel
+def _slide(moved: float, velocity: float, level: float, period: float, p: gms.Parameters, forces: Array, mode: Array) -> float:
+    """Move the elements on by a cycle, at a level over the rig file's; return their sum [N]."""
+    s = level * sliding_level(velocity, p)
+    direction = 1.0 if velocity > 0.0 else -1.0
+    total = 0.0
+    for i in range(len(p.element_stiffness)):
+        most = direction * p.element_weight[i] * s
+        if mode[i] * velocity < 0.0:
+            mode[i] = 0.0
+        if mode[i] == 0.0:
+            forces[i] += p.element_stiffness[i] * moved  # (6)
+            if direction * forces[i] > direction * most:
+                forces[i], mode[i] = most, direction
+        else:
+            forces[i] += (most - forces[i]) * -math.expm1(-level * p.attraction_rate / s * period)  # (8)
+        total += forces[i]
+    return total
+
+
+@kernel
+def follow(
+    position: float,
+    force: float,
+    level: float,
+    period: float,
+    p: gms.Parameters,
+    longest: float,
+    half: int,
+    elements: Array,
+    track: Array,
+    ring: Array,
+) -> None:
+    """Take in one cycle.
+
+    Args:
+        position: [m]; where it or the force is not finite, all starts anew.
+        force: driving force [N].
+        level: friction level in use, over the rig file's.
+        period: of the cycles [s].
+        p: the rig file's friction.
+        longest: motion back after which a reversal counts [m].
+        half: readings on either side of which a velocity is formed.
+        elements: forces [N] and modes at both levels, shape (4, elements); updated.
+        track: by the indices above; updated.
+        ring: signals of the last cycles, shape (RING, SIGNALS); updated.
+    """
+    if not math.isfinite(position + force):
+        track[SEEN] = track[DIRECTION] = 0.0
+        elements[:, :] = 0.0
+        return
+    now = int(track[SEEN])
+    ring[now % RING, POSITION], ring[now % RING, FORCE] = position, force
+    track[SEEN] += 1.0
+    if now == 0:
+        track[FURTHEST], track[FURTHEST_AT], track[REVERSED_AT] = position, 0.0, -1.0
+    if now > 2 * half:
+        ahead = behind = 0.0
+        for i in range(half):
+            ahead += ring[(now - i) % RING, POSITION]
+            behind += ring[(now - 2 * half + i) % RING, POSITION]
+        velocity = (ahead - behind) / (half * (half + 1) * period)
+        late = (now - half) % RING
+        moved = ring[late, POSITION] - ring[(now - half - 1) % RING, POSITION]
+        ring[late, FRICTION] = _slide(moved, velocity, level, period, p, elements[0], elements[1])
+        ring[late, HIGHER] = _slide(moved, velocity, HIGHER_BY * level, period, p, elements[2], elements[3])
+    if track[DIRECTION] == 0.0:
+        if abs(position - track[FURTHEST]) > longest:
+            track[DIRECTION] = 1.0 if position > track[FURTHEST] else -1.0
+    elif track[DIRECTION] * (track[FURTHEST] - position) > longest:
+        track[REVERSED_AT], track[TURNED_AT] = track[FURTHEST_AT], now
+        track[DIRECTION] = -track[DIRECTION]
+        track[FURTHEST], track[FURTHEST_AT] = position, now
+    if track[DIRECTION] * (position - track[FURTHEST]) >= 0.0 and track[DIRECTION] != 0.0:
+        track[FURTHEST], track[FURTHEST_AT] = position, now
+
+
+class Reversals:
+    """What the reversals so far tell, forgetting old ones."""
+
+    def __init__(self, model: Model, surroundings: Surroundings, forgetting: float) -> None:
+        """Start with none.
+
+        Args:
+            model: the rig file's.
+            surroundings: of the piston.
+            forgetting: time constant with which reversals are forgotten [s].
+        """
+        self._model = model
+        self._surroundings = surroundings
+        self._forgetting = forgetting
+        self._travel = travel(model.friction)
+        self._taken = -1.0
+        self._seen = 0
+        self._weight = 0.0
+        self._sums = np.zeros((4, len(DEGREES), SOUGHT))
+
+    def look(self, track: Array, ring: Array, level: float) -> None:
+        """Take in the last reversal once its window is complete; ``level`` is that in use."""
+        reversed_at, turned_at, now = int(track[REVERSED_AT]), int(track[TURNED_AT]), int(track[SEEN])
+        if reversed_at <= self._taken or turned_at - reversed_at >= RING // 4:
+            return
+        back = ring[np.arange(reversed_at, turned_at + 1) % RING, POSITION]
+        gone = int(np.argmax(np.abs(back - back[0]) >= level * self._travel)) or turned_at - reversed_at
+        half = max(int(AROUND * gone), SHORTEST)
+        # Wider windows are smoothed more: what is looked for in them is slower.
+        width = max(half // (2 * WIDTH), 1) * 2 + 1
+        margin, centre = half + width, reversed_at + gone
+        if now < centre + margin + MOST_HALF + 1:
+            return
+        self._taken = reversed_at
+        if centre - margin < 2 * MOST_HALF or now - centre + margin >= RING:
+            return
+        rows = np.arange(centre - margin, centre + margin + 1) % RING
+        self._add(*self._fit(ring[rows], level, width), 2.0 * half * self._model.period)
+
+    def interrupt(self) -> None:
+        """Let the count of cycles start again."""
+        self._taken = -1.0
+
+    def forget(self, now: float) -> None:
+        """Start again, at another level in use from cycle ``now`` on."""
+        self._taken = now
+        self._weight = 0.0
+        self._sums[:] = 0.0
+
+    def latest(self) -> Found | None:
+        """Return what the reversals since the level in use changed tell together; None before the first."""
+        if self._weight == 0.0:
+            return None
+        weights = self._sums[0]
+        means, squares, own = self._sums[1:] / weights
+        share = weights / weights.sum(axis=0)
+        value = (share * means).sum(axis=0)
+        scatter = (share * np.maximum(squares - means**2, 0.0)).sum(axis=0) / max(self._weight - 1.0, 1.0)
+        disagreement = (share * (means - value) ** 2).sum(axis=0)
+        floors = np.array(FLOORS)
+        if self._surroundings.stiffness > 0.0:
+            floors[LEVEL] = COUPLED_FLOOR
+        # A window tells little of the other two, and always the same way: its own variance does not average out.
+        lasting = (share * own).sum(axis=0)
+        lasting[LEVEL] = 0.0
+        return Found(value, np.sqrt(scatter + disagreement + floors**2 + lasting))
+
+    def found(self) -> Found | None:
+        """Return what the reversals tell together; None while they are too few."""
+        return self.latest() if self._seen >= REVERSALS else None
+
+    def _add(self, values: Array, variance: Array, weights: Array, duration: float) -> None:
+        # A reversal is forgotten by the time that reversals take, so that rare ones count as long.
+        fading = math.exp(-duration / self._forgetting)
+        self._seen += 1
+        self._weight = fading * self._weight + 1.0
+        self._sums = fading * self._sums + weights * np.stack((np.ones_like(values), values, values**2, variance))
+
+    def _fit(self, window: Array, level: float, width: int) -> tuple[Array, Array, Array]:
+        """Return what is sought over the rig file's for each degree, the variance of it, and the degrees' weights.
+
+        The shapes are (DEGREES, SOUGHT), the same, and (DEGREES, 1).
+        """
+        plant, friction, around = self._model.plant, self._model.friction, self._surroundings
+        period = self._model.period
+        smooth = _twice_averaged(window, width)
+        bent = window[2 * width :, POSITION] - 2.0 * window[width:-width, POSITION] + window[: -2 * width, POSITION]
+        acceleration = bent / (width * period) ** 2
+        velocity = (smooth[2:, POSITION] - smooth[:-2, POSITION]) / (2.0 * period)
+        smooth = smooth[1:-1]
+        thin = slice(None, None, max(len(smooth) // POINTS, 1))
+        position, force, sliding, higher = smooth[thin].T
+        velocity, acceleration = velocity[thin], acceleration[thin]
+        viscous, inertia = friction.viscous_coefficient * velocity, plant.moving_mass * acceleration
+        missing = (
+            force
+            - (plant.spring_stiffness + around.stiffness) * position
+            - (plant.viscous_damping + around.damping) * velocity
+            - plant.moving_mass * plant.gravity
+            - inertia
+            - sliding
+            - viscous
+        )
+        slope = (higher - sliding) / ((HIGHER_BY - 1.0) * level)
+        smoothly = legvander(np.linspace(-1.0, 1.0, len(missing)), DEGREES[-1])
+        regressors = np.column_stack((slope, viscous, inertia, smoothly))
+        fits = [_solved(regressors[:, : SOUGHT + degree + 1], missing) for degree in DEGREES]
+        # What explains the window better counts more.
+        weights = np.array([1.0 / max(left, LEAST_LEFT) ** 2 for *_, left in fits])
+        values, variance = np.array([fit[0] for fit in fits]), np.array([fit[1] for fit in fits])
+        return values + np.array([level, 1.0, 1.0]), variance, (weights / weights.sum())[:, np.newaxis]
+
+
+def _solved(regressors: Array, missing: Array) -> tuple[Array, Array, float]:
+    """Return the errors of what is sought, their variance, both of shape (SOUGHT,), and what is left [N]."""
+    free = np.linalg.lstsq(regressors, missing, rcond=None)[0]
+    left = float(np.sqrt(np.mean((missing - regressors @ free) ** 2)))
+    # What is left is as structured as the friction: all points together count as one.
+    together = max(left, LEAST_LEFT) * math.sqrt(len(missing))
+    known = np.zeros((2, regressors.shape[1]))
+    known[0, VISCOUS] = known[1, MASS] = together / KNOWN
+    inverse = np.linalg.pinv(np.vstack((regressors, known)))[:SOUGHT]
+    return inverse[:, :-2] @ missing, together**2 * np.sum(inverse**2, axis=1), left
+
+
+def _twice_averaged(window: Array, width: int) -> Array:
+    """Return columns averaged over ``width`` rows, twice; shorter by twice ``width`` - 1 rows at both ends together."""
+    for _ in range(2):
+        total = np.vstack((np.zeros(window.shape[1]), np.cumsum(window - window[0], axis=0)))
+        window = (total[width:] - total[:-width]) / width + window[0]
+    return window

@@ -1,0 +1,86 @@
+"""What the companion ``adaptation`` found in a run, from its recording: sentences, and the rig file to write.
+
+The companion goes by readings and commands alone, so a recording tells the same as it saw, over DDS and on a rig too.
+"""
+
+from itertools import pairwise
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.adaptation.hand_over import corrected_rig
+from ehls_ros.control.companions.adaptation import STRIDE, Adaptation
+from ehls_ros.control.companions.base import PLACE, Past
+from ehls_ros.control.controllers.base import ROW, STATUS_SIZE, model_of
+from ehls_ros.experiments.spec import Spec, company_of
+from ehls_ros.experiments.yaml_files import rig_text
+from ehls_ros.physics.rig import Rig, rig_to_mapping
+from ehls_ros.recording.topics import LOADER_STATE
+from ehls_ros.trajectory import Trajectory
+
+NAME = "adaptation"
+"""Of the companion."""
+
+
+class Adapted(NamedTuple):
+    """What a run told of its rig file.
+
+    Attributes:
+        sentences: for the user.
+        rig: the controller's rig with what was handed over; None where that is nothing.
+    """
+
+    sentences: tuple[str, ...]
+    rig: Rig | None
+
+    def text(self) -> str:
+        """Return the rig file to write; empty where there is nothing to change."""
+        if self.rig is None:
+            return ""
+        heading = "".join(f"# {sentence}\n" for sentence in ("Found by adaptation while running:", *self.sentences))
+        return heading + rig_text(rig_to_mapping(self.rig))
+
+
+def adapted(spec: Spec, trajectory: Trajectory) -> Adapted | None:
+    """Return what a run told of the controller's rig file; None where nothing adapted.
+
+    Args:
+        spec: the experiment.
+        trajectory: its recording.
+    """
+    used = tuple(use for use in spec.companions if use.name == NAME)
+    if not used:
+        return None
+    original = model_of(spec.controller_rig, spec.settings.control_period)
+    company = company_of(spec._replace(companions=used), original, spec.settings.title)
+    adaptation = cast(Adaptation, company.members[NAME])
+    model = original
+    for past in _stretches(trajectory, original.period):
+        model = adaptation.done(past, model)
+    report = adaptation.report()
+    sentences = tuple(str(told) for told in report.values() if isinstance(told, str))
+    search = adaptation.search
+    rig = corrected_rig(spec.controller_rig, original, search.values()) if search.changed() else None
+    return Adapted(sentences, rig)
+
+
+def _stretches(trajectory: Trajectory, period: float) -> list[Past]:
+    """Cut a recording where the companion is called, and where cycles are missing."""
+    cycles = np.round(trajectory.time_s / period).astype(int)
+    measured = np.column_stack([_signal(trajectory, name) for name in LOADER_STATE.signals.values()])
+    command = _signal(trajectory, "valve_command_m")
+    cuts = np.flatnonzero((np.diff(cycles) != 1) | (cycles[1:] % STRIDE == 0)) + 1
+    bounds = [0, *cuts.tolist(), len(cycles)]
+    return [_past(int(cycles[first]), measured[first:last], command[first:last]) for first, last in pairwise(bounds)]
+
+
+def _signal(trajectory: Trajectory, name: str) -> Array:
+    values = trajectory.signals.get(name)
+    return np.full(len(trajectory.time_s), np.nan) if values is None else values
+
+
+def _past(first: int, measured: Array, command: Array) -> Past:
+    n = len(command)
+    nothing = np.full((n, max(ROW, PLACE, STATUS_SIZE)), np.nan)
+    return Past(first, nothing[:, :ROW], nothing[:, :3], nothing[:, :PLACE], measured, command, nothing[:, :STATUS_SIZE])
