@@ -12,12 +12,14 @@ import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control import state_estimator, unrest
 from ehls_ros.control.controllers import base
 from ehls_ros.control.controllers.base import FORESEEN, Model
 from ehls_ros.control.reaching import Surface, answer
+from ehls_ros.control.reaching import tracking as surface_tracking
 from ehls_ros.control.state_estimator import (
     EXTERNAL_RATE,
     Assumptions,
@@ -76,9 +78,9 @@ class Parameters(NamedTuple):
     reversal_factor: Annotated[
         float, quantity("1", "factor of the noise after a reversal of the motion", minimum=1.0, maximum=1e3)
     ] = 5.0
-    reversal_travel: Annotated[
-        float, quantity("m", "travel after a reversal for which it holds", minimum=0.0, maximum=1.0)
-    ] = 1.7e-3
+    reversal_travel: Annotated[float, quantity("m", "travel after a reversal for which it holds", minimum=0.0, maximum=1.0)] = (
+        1.7e-3
+    )
     gain_noise: Annotated[float, quantity("1/s^1/2", "noise of the valve's gain", minimum=0.0, maximum=1e3)] = 0.05
     flow_noise: Annotated[float, quantity("Pa/s^3/2", "noise of the flow's error", minimum=0.0, maximum=1e12)] = 1e7
     offset_noise: Annotated[float, quantity("N/s^1/2", "noise of the load cell's offset", minimum=0.0, maximum=1e6)] = 30.0
@@ -87,6 +89,11 @@ class Parameters(NamedTuple):
 def memory(p: Parameters) -> Array:
     """Return a filter before its first measurement, and an external force at rest."""
     return np.zeros(state_estimator.MEMORY_SIZE + unrest.PARTS)
+
+
+def tracking(omega: Array, p: Parameters, model: Model) -> NDArray[np.complex128]:
+    """Return the response of the force to the reference at some frequencies [rad/s], of a rig as it is known."""
+    return surface_tracking(omega, Surface(p.k, p.g, p.xi, p.reaching_rate), model.period, model.command_delay)
 
 
 @kernel
