@@ -58,7 +58,7 @@ class Parameters(NamedTuple):
     ] = 0.2
     force_bandwidth: Annotated[
         float, quantity("Hz", "to which the law's estimate of the external force is believed", minimum=0.1, maximum=1e3)
-    ] = 60.0
+    ] = 80.0
     forgetting: Annotated[
         float, quantity("1", "part of what is known that a load cycle makes doubtful", minimum=0.0, maximum=0.5)
     ] = 0.02

@@ -3,8 +3,8 @@
 An error that repeats with the load cycle is e = x + n: x repeats, n is new in each cycle. x is estimated from all cycles by a
 Kalman filter with one variance per coordinate. Coordinates are the cycle's samples or its harmonics. The variance R of n is
 learnt from what the cycles have not in common, the variance P of x from R, from how many cycles were seen and from how well the
-effect of a correction is known. What may be noise is not corrected: x is shrunk by its significance, 1 - 4 P / |x|^2, which is
-0 until two cycles have shown what repeats. So the noise that a correction holds falls with the number of cycles n as n^-1/2, to
+effect of a correction is known. What may be noise is not corrected: of x counts what stands out from its own standard
+deviation, which is not known before two cycles have shown what repeats. So the noise that a correction holds falls with the number of cycles n as n^-1/2, to
 the bound set by the forgetting.
 
 A correction dc changes x by T dc, with T0 and W from :mod:`ehls_ros.control.learning.robustness`: x := x + T0 dc,
@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array
 from ehls_ros.control.learning.robustness import Design, Spectrum
 
-SIGNIFICANT = 4.0
-"""Squared error, over its own variance, below which nothing is corrected: two standard deviations."""
+DOUBTFUL, CERTAIN = 2.0, 4.0
+"""Squared error, over its own variance, up to which nothing is corrected, and from which all of it is."""
 
 LEAST_VARIANCE = 1e-12
 """Lower bound of a variance [N^2]: what is simulated without noise repeats exactly."""
@@ -36,6 +36,9 @@ TRANSITION = 4.0
 
 SMOOTH = 1.0
 """Frequency on either side within which the response is alike [Hz]."""
+
+PACE = 0.3
+"""Part of the noise's variance that one load cycle makes out."""
 
 REMEMBERED = 0.7
 """Part of the evidence on the response that outlives a load cycle."""
@@ -84,6 +87,7 @@ class Learner(ABC):
         self._turning[-1] *= size % 2
         self._anew = False
         self._estimate_is_of: bool | None = None
+        self._noise_is_settled = False
         self.spectrum: Spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
         self.table = np.zeros((size + 1, 3))
         self._response, self._doubt = design.response, design.uncertainty
@@ -129,8 +133,7 @@ class Learner(ABC):
         elif self._anew:
             self._estimate, self._variance, self._anew = seen, self._noise.copy(), False
         else:
-            if self._change is not None:
-                self._identify(spectrum - self._error, self._change)
+            self._compare(spectrum - self._error)
             self._follow(seen)
         self._error, self._change = spectrum, None
 
@@ -144,6 +147,7 @@ class Learner(ABC):
         if self._estimate_is_of:
             self._estimate = self._estimate + 0.5 * missed
             self._noise = np.maximum(noise, LEAST_VARIANCE)
+            self._noise_is_settled = True
             self._variance = 0.5 * self._noise
         else:
             # What the transition adds to the difference is no noise.
@@ -151,15 +155,23 @@ class Learner(ABC):
             self._noise = np.maximum(np.minimum(noise, TRANSITION * float(np.median(noise))), LEAST_VARIANCE)
             self._variance = self._noise.copy()
 
+    def _compare(self, difference: Spectrum) -> None:
+        """Learn the response and the noise from how the error differs from that of the load cycle before."""
+        if self._change is not None:
+            before = self._response
+            self._identify(difference, self._change)
+            self._estimate = self._estimate + self.coordinates((self._response - before) * self._change)
+            difference = difference - self._response * self._change
+        noise = 0.5 * _mean(np.abs(self.coordinates(difference)) ** 2, self.AROUND)
+        pace = PACE if self._noise_is_settled else 1.0
+        self._noise = np.maximum(self._noise + pace * (noise - self._noise), LEAST_VARIANCE)
+        self._noise_is_settled = True
+
     def _follow(self, seen: Coordinates) -> None:
         """Correct the estimate by one more load cycle."""
         missed = seen - self._estimate
         self._variance = self._variance / (1.0 - self._forgetting)
-        total = self._variance + self._noise
-        share = _mean(np.abs(missed) ** 2, self.AROUND) / _mean(total, self.AROUND)
-        pace = max(1.0 / self.cycles, self._forgetting)
-        self._noise = np.maximum(self._noise * (1.0 + pace * (share - 1.0)), LEAST_VARIANCE)
-        weight = self._variance / total
+        weight = self._variance / (self._variance + self._noise)
         self._estimate = self._estimate + weight * missed
         self._variance = self._variance * (1.0 - weight)
 
@@ -187,7 +199,8 @@ class Learner(ABC):
         if self._anew or not np.any(np.isfinite(self._noise)):
             return bool(np.any(self.spectrum))
         size = np.maximum(_mean(np.abs(self._estimate) ** 2, self.NEAR), LEAST_VARIANCE)
-        kept = np.maximum(1.0 - SIGNIFICANT * _mean(self._variance, self.NEAR) / size, 0.0)
+        certainty = size / np.maximum(_mean(self._variance, self.NEAR), LEAST_VARIANCE)
+        kept = np.clip((certainty - DOUBTFUL) / (CERTAIN - DOUBTFUL), 0.0, 1.0)
         inverse = self.design.inverse(self._response, self._doubt)
         change = -self.design.robustness * inverse * self.spectrum_of(kept * self._estimate)
         effect = self._response * change
