@@ -28,7 +28,10 @@ from ehls_ros.schema import quantity, text
 ACTUATOR = False
 
 FORESEEN_SHARE = 0.2
-"""Bandwidth to which the law's estimate is believed once most of the force is foreseen and its filter is quiet, over that before."""
+"""Bandwidth to which the law's estimate is believed once most of the force is foreseen, over that before: its filter is quieter."""
+
+FOREIGN = "was learnt on another programme: it is neither used nor written"
+"""What is said of such a file."""
 
 WHOLE = 1e-6
 """Part of a control cycle by which a load cycle may miss a whole number of them."""
@@ -170,8 +173,9 @@ class Learning:
     def report(self) -> Mapping[str, float | str]:
         """Return what has been learnt in the present block, and why nothing is corrected where nothing is."""
         lesson = None if self._turn is None else self._lessons.get(self._turn.block)
+        file: dict[str, float | str] = {"file": FOREIGN} if self._foreign else {}
         if lesson is None:
-            return {"repetitions": 0.0, "state": self._why}
+            return {"repetitions": 0.0, "state": self._why, **file}
         filters = lesson.learners.reference.design
         return {
             "repetitions": float(lesson.cycles),
@@ -182,6 +186,7 @@ class Learning:
             "designed_rate": filters.rate,
             "worst_rate": filters.worst,
             "bandwidth_hz": filters.bandwidth,
+            **file,
         }
 
     def save(self) -> None:
@@ -247,14 +252,12 @@ class Learning:
         self._refuse_file(turn.block)
         size = len(cycle.columns)
         self._lessons[turn.block] = Lesson(cycle, self._learners(size, cycle.period * self._period))
-        if not self._foreign:
-            self._why = "the load cycle has not been seen often enough"
+        self._why = "the load cycle has not been seen often enough"
 
     def _refuse_file(self, block: int) -> None:
         """Leave the file alone where it holds another programme's."""
         if block in self._unproven:
             self._foreign = True
-            self._why = f"{self._p.file} was learnt on another programme: it is neither used nor written"
 
     def _learners(self, size: int, period: float) -> Learners:
         reference = self._learner(design(self._loop, size, period, self._p.gain), size, period)

@@ -4,14 +4,14 @@ An error that repeats with the load cycle is e = x + n: x repeats, n is new in e
 Kalman filter with one variance per coordinate. Coordinates are the cycle's samples or its harmonics. The variance R of n is
 learnt from what the cycles have not in common, the variance P of x from R, from how many cycles were seen and from how well the
 effect of a correction is known. What may be noise is not corrected: of x counts what stands out from its own standard
-deviation, which is not known before two cycles have shown what repeats. So the noise that a correction holds falls with the number of cycles n as n^-1/2, to
-the bound set by the forgetting.
+deviation, which is not known before two cycles have shown what repeats. So the noise that a correction holds falls with the
+number of cycles n as n^-1/2, to the bound set by the forgetting.
 
 A correction dc changes x by T dc, with T0 and W from :mod:`ehls_ros.control.learning.robustness`: x := x + T0 dc,
 P := P + |W T0 dc|^2.
 
-Source: Anderson, Moore, Optimal Filtering, 1979, section 3.1; fading memory, section 6.2; the repeated correction as in Bristow,
-Tharayil, Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26, 2006.
+Source: Anderson, Moore, Optimal Filtering, 1979, section 3.1; fading memory, section 6.2; the repeated correction as in
+Bristow, Tharayil, Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26, 2006.
 """
 
 import math
@@ -110,7 +110,7 @@ class Learner(ABC):
 
     @abstractmethod
     def noise_per_harmonic(self, variance: float, harmonics: int) -> float:
-        """Return the mean square of the noise's ``rfft`` at one of so many harmonics, from its variance in these coordinates."""
+        """Return the mean square of the noise's ``rfft`` at one of so many harmonics, from its variance here."""
 
     def narrow(self, design: Design) -> None:
         """Learn with other filters from now on."""
@@ -178,8 +178,8 @@ class Learner(ABC):
     def _identify(self, difference: Spectrum, change: Spectrum) -> None:
         """Learn the response from what a change of the correction did.
 
-        The response is alike at neighbouring frequencies, within :data:`SMOOTH`. What is known of it beforehand counts as much as
-        its uncertainty over the noise says.
+        The response is alike at neighbouring frequencies, within :data:`SMOOTH`. What is known of it beforehand counts as much
+        as its uncertainty over the noise says.
         """
         design = self.design
         learnt = design.robustness > 0.0

@@ -1,8 +1,8 @@
 """What is learnt of the load cycle of one block of a programme.
 
-Two things repeat. The force error, as measured, is cancelled by a correction of the reference; and for a law that takes a foreseen
-force, the external force that it estimates is handed to it before it comes. The force is learnt first, since it changes the
-error: the reference is corrected from the cycle on that had it.
+Two things repeat. The force error, as measured, is cancelled by a correction of the reference; and for a law that takes a
+foreseen force, the external force that it estimates is handed to it before it comes. The force is learnt first, since it
+changes the error: the reference is corrected from the cycle on that had it.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array
 from ehls_ros.control.controllers.base import FORESEEN, ROW
 from ehls_ros.control.learning.base import Learner
-from ehls_ros.control.learning.robustness import Design
 from ehls_ros.control.learning.repetition import ERROR, EXTERNAL, POSITION, WANTED, LoadCycle
 from ehls_ros.control.learning.repetition import FORESEEN as FORESEEN_FORCE
+from ehls_ros.control.learning.robustness import Design
 
 SAME = 0.02
 """Largest difference between two references that count as the same, over their size."""

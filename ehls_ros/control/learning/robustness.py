@@ -1,7 +1,7 @@
 """Learning filters for a force loop that is known with an uncertainty.
 
-From load cycle to load cycle a correction c of the reference changes the repeated error by e := e + T dc, T being the response of
-the force to the reference. With dc = -Q L e the error at one frequency becomes 1 - Q L T of itself. T is known as
+From load cycle to load cycle a correction c of the reference changes the repeated error by e := e + T dc, T being the response
+of the force to the reference. With dc = -Q L e the error at one frequency becomes 1 - Q L T of itself. T is known as
 T0 (1 + W D), |D| <= 1, so what remains is at most
 
     rho = Q (|1 - L T0| + |L T0| W)
@@ -89,8 +89,8 @@ class Design(NamedTuple):
 def force_loop(law: ControllerLaw, tuning: Any, model: Model, uncertainty: float) -> Callable[[Array], Loop]:
     """Return a function from frequencies [rad/s] to the loop of a law.
 
-    A law that says by ``tracking`` how the force follows the reference is believed up to errors of its coefficients. One that does
-    not may lie anywhere between a force that is the reference and one that follows it with the valve's lag and the delay.
+    A law that says by ``tracking`` how the force follows the reference is believed up to errors of its coefficients. One that
+    does not may lie anywhere between a force that is the reference and one that follows it with the valve's lag and the delay.
 
     Args:
         law: its file.
