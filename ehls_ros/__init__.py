@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from ehls_ros.api.identification import FrictionResult, RigResult, identify
     from ehls_ros.api.recordings import Recording, load
     from ehls_ros.api.simulation import Simulation, rig, save_rig, simulate
+    from ehls_ros.api.verification import VerificationResult, verify
     from ehls_ros.errors import BadInput, WorkFailed
     from ehls_ros.estimate import Estimate
     from ehls_ros.experiments.metrics import Metrics, evaluate
@@ -35,6 +36,7 @@ __all__ = [
     "Simulation",
     "Simulator",
     "Spec",
+    "VerificationResult",
     "WorkFailed",
     "campaign",
     "diagnose",
@@ -44,6 +46,7 @@ __all__ = [
     "rig",
     "save_rig",
     "simulate",
+    "verify",
 ]
 
 _HOME = {
@@ -52,6 +55,7 @@ _HOME = {
     "ehls_ros.api.identification": ("FrictionResult", "RigResult", "identify"),
     "ehls_ros.api.recordings": ("Recording", "load"),
     "ehls_ros.api.simulation": ("Simulation", "rig", "save_rig", "simulate"),
+    "ehls_ros.api.verification": ("VerificationResult", "verify"),
     "ehls_ros.errors": ("BadInput", "WorkFailed"),
     "ehls_ros.estimate": ("Estimate",),
     "ehls_ros.experiments.metrics": ("Metrics", "evaluate"),

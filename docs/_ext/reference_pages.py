@@ -88,6 +88,7 @@ API: Mapping[str, tuple[str, ...]] = {
     "Simulation": ("simulate", "Simulation", "campaign", "CampaignResult"),
     "Diagnosis": ("diagnose", "DiagnosisResult"),
     "Identification": ("identify", "FrictionResult", "RigResult", "Estimate"),
+    "Verification": ("verify", "VerificationResult"),
     "Rigs": ("rig", "save_rig", "Rig"),
     "More": ("evaluate", "Metrics", "Spec", "Simulator"),
     "Errors": ("BadInput", "WorkFailed"),
@@ -110,6 +111,11 @@ RECORDS = (
     "ehls_ros.identification.result.Identification",
     "ehls_ros.identification.rig_result.RigIdentification",
     "ehls_ros.experiments.campaign.results.CampaignResults",
+    "ehls_ros.experiments.verification.results.Verification",
+    "ehls_ros.experiments.verification.results.JudgedBlock",
+    "ehls_ros.experiments.verification.results.Cyclic",
+    "ehls_ros.experiments.verification.results.NonCyclic",
+    "ehls_ros.experiments.verification.results.Quantity",
 )
 """What public results are made of."""
 

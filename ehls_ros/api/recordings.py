@@ -13,7 +13,7 @@ from ehls_ros.api.arguments import check_kind
 from ehls_ros.api.figures import figure
 from ehls_ros.api.files import written
 from ehls_ros.errors import one_of
-from ehls_ros.experiments.metrics import evaluate_controlled
+from ehls_ros.experiments.causal_limit import evaluate_recording
 from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.recording import load as formats
 from ehls_ros.recording.bag_writer import write_trajectory
@@ -114,7 +114,7 @@ class Recording(Trajectory):
         Raises:
             BadInput: the file cannot be written.
         """
-        return written(path, lambda file: write_experiment_report(self, evaluate_controlled(self), file, name=self.name))
+        return written(path, lambda file: write_experiment_report(self, evaluate_recording(self), file, name=self.name))
 
     def save(self, path: str | Path) -> Path:
         """Write a CSV file, or a bag where the path does not end in ``.csv``, and return its path.

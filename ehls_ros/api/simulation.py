@@ -10,6 +10,7 @@ from ehls_ros.api.arguments import check_kind
 from ehls_ros.api.files import written
 from ehls_ros.api.recordings import Recording, with_methods
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import Metrics, evaluate
@@ -117,7 +118,7 @@ def simulate(
     made = _changed(spec, rig, controller_rig, {key: value for key, value in changes.items() if value is not None})
     with progress_bar(made.settings.title, shown=progress) as bar:
         trajectory, failure = run_as_far_as_it_goes(made, bar)
-    metrics = evaluate(trajectory)
+    metrics = with_causal_limit(evaluate(trajectory), trajectory)
     if failure is not None:
         metrics = metrics._replace(warnings=(str(failure),))
     return with_methods(Simulation, trajectory, made.settings.title, metrics=metrics, spec=made)

@@ -4,8 +4,10 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import NamedTuple
 
+from ehls_ros.control import servo_model
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import ControllerLaw
+from ehls_ros.control.disturbances import position_servo
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import FrictionObserver
 from ehls_ros.physics.composition import compiled
@@ -27,6 +29,11 @@ def observer_kernel(name: str, model: str) -> ModuleType:
 def law_itself(law: ControllerLaw) -> ControllerLaw:
     """Return a controller's file: its functions need no building."""
     return law
+
+
+def servo_kernel() -> ModuleType:
+    """Return a module whose ``foresee`` is the compiled motion to come of a position servo and the loader."""
+    return compiled(servo_model.build, {"foresee": "rows, commands, both"}, {"law": position_servo})
 
 
 class Observer(NamedTuple):

@@ -299,6 +299,7 @@ class ClosedLoop:
                     f"the run ended at {(first + lost.row) * period:g} s of {spec.settings.duration:g} s: {lost.what}"
                 )
             first += count
+        self.company.save()
 
     def _run(self, first: int, record: Array, reference: Array, disturbance: Array, random: Generator) -> None:
         given = Given(random.standard_normal((len(record), len(SENSED))), reference, disturbance)

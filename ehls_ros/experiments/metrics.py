@@ -42,6 +42,8 @@ class Metrics(NamedTuple):
         bag, report: paths of the recording and of the report.
         convergence_band_n: half width of the band [N].
         oscillation_n: half the distance between smallest and largest error [N].
+        causal_limit_n: largest true error that is to be expected of the best controller without foresight [N], see
+            :mod:`ehls_ros.control.limits`; NaN where it was not asked for or cannot be said.
         warnings: one sentence per reason why the run is of little use.
     """
 
@@ -59,6 +61,7 @@ class Metrics(NamedTuple):
     report: str | None = None
     convergence_band_n: float = math.nan
     oscillation_n: float = math.nan
+    causal_limit_n: float = math.nan
     warnings: tuple[str, ...] = ()
 
 

@@ -324,6 +324,11 @@ def company_of(spec: Spec, model: Model, where: str, law: str | None = None, tun
     return Company({use.name: COMPANIONS.load(use.name).build(use.parameters, setting) for use in spec.companions})
 
 
+def uses_actuator(spec: Spec) -> bool:
+    """Tell whether a companion of the controller uses the command of the actuator under test."""
+    return any(COMPANIONS.load(use.name).ACTUATOR for use in spec.companions)
+
+
 def signal_kind(disturbance: str) -> str:
     """Return what the signal of a disturbance is: a ``"force"`` or the ``"position"`` of a servo."""
     return "position" if DISTURBANCES.load(disturbance).REACTS else "force"

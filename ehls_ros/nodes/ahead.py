@@ -8,9 +8,13 @@ from typing import Any
 from rosgraph_msgs.msg import Clock
 
 from ehls_msgs.msg import LoaderState
+from ehls_ros.control.references.base import SampledReference
+from ehls_ros.experiments.loop import sampled
+from ehls_ros.experiments.spec import signal_kind, uses_actuator
 from ehls_ros.nodes.codec import NANOSECONDS
 from ehls_ros.nodes.control import CLOCK_TOPIC, OK, PATIENCE, WAIT, ControlNode
-from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, newest_qos
+from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class, newest_qos
+from ehls_ros.recording.topics import ACTUATOR_REFERENCE
 
 LEAD = 200
 """Cycles by which a signal of time alone runs ahead; far more than the cycles between two clock messages."""
@@ -29,6 +33,8 @@ class AheadNode(ControlNode):
 
     lead = LEAD
     answers = False
+    tells_actuator = False
+    """Whether it also publishes the actuator's command where a companion of the spec's controller uses that."""
 
     def open_outbox(self) -> Outbox:
         """Compile what the rows need and return the publisher."""
@@ -47,6 +53,12 @@ class AheadNode(ControlNode):
         """Open the topics."""
         self.period_ns = self.spec.settings.control_period * NANOSECONDS
         self.outbox = self.open_outbox()
+        self.actuator: tuple[Outbox, SampledReference] | None = None
+        if self.tells_actuator and uses_actuator(self.spec):
+            disturbance = self.spec.disturbance
+            topic = ACTUATOR_REFERENCE[signal_kind(disturbance.name)]
+            signal = sampled(disturbance.signal, self.spec.settings.control_period)
+            self.actuator = Outbox(self, message_class(topic.type), topic.name), signal
         if self.lead == 1:
             self.progress = Inbox(self, LoaderState, "loader_state")
         elif self.lockstep:
@@ -70,6 +82,8 @@ class AheadNode(ControlNode):
         self.waiter.destroy()
         self.progress.destroy()
         self.outbox.destroy()
+        if self.actuator is not None:
+            self.actuator[0].destroy()
 
     def start(self) -> None:
         """Publish the rows needed before the first snapshot."""
@@ -102,7 +116,11 @@ class AheadNode(ControlNode):
 
     def _publish_to(self, cycle: int, state: tuple[Any, ...] | None) -> None:
         while self.next <= cycle:
-            self.outbox.send(self.epoch_ns + round(self.next * self.period_ns), self.next, *self.row(self.next, state))
+            stamp = self.epoch_ns + round(self.next * self.period_ns)
+            if self.actuator is not None:
+                told, signal = self.actuator
+                told.send(stamp, self.next, *signal.row(self.next).tolist())
+            self.outbox.send(stamp, self.next, *self.row(self.next, state))
             self.next += 1
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:

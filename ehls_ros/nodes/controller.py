@@ -5,26 +5,28 @@
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from std_msgs.msg import Bool
 
 from ehls_msgs.msg import ControllerStatus, FrictionEstimate, LoaderState, ValveCommand
+from ehls_ros.arrays import Array
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.controllers.base import SATURATED, STATUS_TO_SI, model_of
-from ehls_ros.control.cycles import Cycles, Ready
+from ehls_ros.control.controllers.base import FORESEEN, SATURATED, STATUS_TO_SI, model_of
+from ehls_ros.control.cycles import KEPT, Cycles, Ready
 from ehls_ros.control.friction_estimator import FrictionEstimator
-from ehls_ros.experiments.spec import check_law
+from ehls_ros.experiments.loop import sampled
+from ehls_ros.experiments.spec import check_law, company_of, signal_kind, uses_actuator
 from ehls_ros.nodes.control import OK, PATIENCE, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class
 from ehls_ros.physics import sensors
 from ehls_ros.physics.rig import SENSED
-from ehls_ros.recording.topics import DRIVING, REFERENCE_TOPICS
+from ehls_ros.recording.topics import ACTUATOR_REFERENCE, DRIVING, REFERENCE_TOPICS
 from ehls_ros.schema import quantity
 
 TURN = 0.005
@@ -76,7 +78,10 @@ class ControllerNode(ControlNode):
     def prepare(self) -> None:
         """Compile the law and open the topics."""
         period = self.spec.settings.control_period
-        self.controller = Controller(self.law, self.tuning, model_of(self.spec.controller_rig, period))
+        model = model_of(self.spec.controller_rig, period)
+        self.company = company_of(self.spec, model, self.get_name(), self.law, self.tuning)
+        self.controller = Controller(self.law, self.tuning, model, self.company)
+        self.signal = sampled(self.spec.reference, period)
         self.static_friction = FrictionEstimator("stribeck", self.spec.controller_rig, period)
         self.cycles = Cycles(friction=self.kind.FRICTION, patience=self.friction_patience)
         self.fallbacks = 0
@@ -91,6 +96,9 @@ class ControllerNode(ControlNode):
         self.status = Outbox(self, ControllerStatus, "controller_status", sender=sender)
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
         self.driving = Inbox(self, Bool, DRIVING.name, control_qos(1), _is_true)
+        actuator = ACTUATOR_REFERENCE[signal_kind(self.spec.disturbance.name)]
+        self.actuator = Inbox(self, message_class(actuator.type), actuator.name) if uses_actuator(self.spec) else None
+        self.actuator_rows: dict[int, Sequence[float]] = {}
         self.driven = True
         self.answered: tuple[float, ...] = ()
         self.command = 0.0
@@ -102,15 +110,16 @@ class ControllerNode(ControlNode):
             "estimate": Waiter([self.states, self.friction]),
         }
         self.measured = np.zeros(7)
-        self.wanted = np.zeros(3)
+        self.wanted = np.zeros(FORESEEN)
         self.estimate = np.zeros(2)
 
     def release(self) -> None:
         """Close the topics."""
         for waiter in self.arrivals.values():
             waiter.destroy()
-        for inbox in (self.states, self.reference, self.friction, self.driving):
+        for inbox in filter(None, (self.states, self.reference, self.friction, self.driving, self.actuator)):
             inbox.destroy()
+        self.company.save()
         for outbox in (self.commands, self.status):
             outbox.destroy()
 
@@ -151,12 +160,32 @@ class ControllerNode(ControlNode):
         elif fallback:
             self.estimate[:] = self.static_friction.update(ready.measured[sensors.VELOCITY], ready.elapsed)[:2]
             self.fallbacks += 1
-        command = self.controller.step(self.measured, self.wanted, self.estimate, ready.elapsed)
+        place = self.signal.place(ready.cycle, 1)[0] if self.company else None
+        actuator = self._actuator_row(ready.cycle)
+        command = self.controller.step(self.measured, self.wanted, self.estimate, ready.elapsed, ready.cycle, place, actuator)
         self.commands.send(ready.stamp_ns, ready.cycle, command)
         self.answered, self.command = (ready.stamp_ns, ready.cycle, *ready.measured), command
         values = (self.controller.status * STATUS_TO_SI).tolist()
         self.saturated = values[SATURATED] != 0.0
         self.status.send(ready.stamp_ns, ready.cycle, *values[:SATURATED], self.saturated, fallback)
+
+    def _actuator_row(self, cycle: int) -> Array | None:
+        """Return the actuator's command at a cycle and its derivatives; None if nobody uses or tells it.
+
+        It is sent before the reference of the same cycle, but another topic may overtake it: in lockstep it is waited for.
+        """
+        if self.actuator is None:
+            return None
+        until = time.perf_counter() + (PATIENCE if self.lockstep else 0.0)
+        while True:
+            while (message := self.actuator.take()) is not None:
+                self.actuator_rows[message[1]] = message[2:5]
+            if cycle in self.actuator_rows or time.perf_counter() >= until:
+                break
+        row = self.actuator_rows.pop(cycle, None)
+        if len(self.actuator_rows) > KEPT:
+            self.actuator_rows = {k: values for k, values in self.actuator_rows.items() if k > cycle}
+        return None if row is None else np.array(row)
 
     def _without(self, unmeasured: list[str]) -> str:
         """Return which laws of the same kind need none of these readings."""
@@ -171,6 +200,7 @@ class ControllerNode(ControlNode):
             "friction_fallbacks": self.fallbacks,
             "tuned_at_cycle": self.tuned_at,
             "saturated": self.saturated,
+            **self.company.report(),
             **self.latency.figures(),
         }
         unmeasured = [name for name in self.kind.NEEDS if np.isnan(self.measured[SENSED.index(name)])]

@@ -31,6 +31,8 @@ class Parameters(NamedTuple):
 class ReferenceNode(AheadNode):
     """Publishes the spec's reference."""
 
+    tells_actuator = True
+
     def __init__(self) -> None:
         """Declare the parameters."""
         super().__init__("reference_node")

@@ -77,6 +77,14 @@ POSITION_REFERENCE = _cycle_topic(
 REFERENCE_TOPICS: Mapping[str, Topic] = MappingProxyType({"force": FORCE_REFERENCE, "position": POSITION_REFERENCE})
 """The reference topic by the quantity that the controller follows; a run has one of them."""
 
+ACTUATOR_REFERENCE: Mapping[str, Topic] = MappingProxyType(
+    {
+        kind: Topic("actuator_reference", topic.type, depth=DEPTH, transient_local=True)
+        for kind, topic in REFERENCE_TOPICS.items()
+    }
+)
+"""The command of the actuator under test, ahead of the cycles, by what it is."""
+
 DISTURBANCE = _cycle_topic(
     "disturbance",
     "ehls_msgs/msg/Disturbance",

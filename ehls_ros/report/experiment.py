@@ -13,7 +13,7 @@ from ehls_ros.report import page
 from ehls_ros.report import run_figures as drawn
 from ehls_ros.report import run_planes as planes
 from ehls_ros.report.decimation import BUCKETS
-from ehls_ros.report.page import MISSING_NUMBER, number
+from ehls_ros.report.page import MISSING_NUMBER, limit_text, number
 from ehls_ros.report.run_signals import error_of, known
 from ehls_ros.report.run_statistics import sampling_sentence, statistics
 from ehls_ros.trajectory import Trajectory, steady_error
@@ -143,6 +143,7 @@ def _facts(trajectory: Trajectory, metrics: Metrics | None) -> list[tuple[str, s
         band, followed = _with_unit(metrics.convergence_band_n, "N"), math.isfinite(metrics.max_error_n)
         items += [
             ("Largest error, last half", _with_unit(metrics.max_error_n, "N")),
+            ("Causal limit of it", "" if math.isnan(metrics.causal_limit_n) else limit_text(metrics.causal_limit_n)),
             ("RMS error, last half", _with_unit(metrics.rms_error_n, "N")),
             ("Outside bound (44), last half", "" if outside is None else f"{number(outside)} cycles"),
             ("Convergence", _with_unit(metrics.convergence_s, "s") or ("not converged" if followed else "")),

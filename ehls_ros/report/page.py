@@ -95,6 +95,13 @@ def number(value: object, digits: int = 3) -> str:
     return f"{value:,.{max(digits - 1 - magnitude, 0)}f}".replace(",", "\u202f")
 
 
+def limit_text(limit: float) -> str:
+    """Return a causal limit [N] for a table: to a tenth of a newton, as no sensor tells less; "unknown" if NaN."""
+    if math.isnan(limit):
+        return "unknown"
+    return f"{limit:.1f} N" if limit >= LEAST_LIMIT else f"<{LEAST_LIMIT:g} N"
+
+
 def signed(value: float, digits: int = 3) -> str:
     """Write a change with its sign."""
     return f"{'+' if value > 0 else '−' if value < 0 else '±'}{number(abs(value), digits)}"
@@ -163,6 +170,9 @@ def facts(items: Iterable[tuple[str, str]]) -> str:
     cells = "".join(f"<div><dt>{escape(label)}</dt><dd>{escape(value)}</dd></div>" for label, value in items)
     return f'<dl class="facts">{cells}</dl>'
 
+
+LEAST_LIMIT = 0.1
+"""Causal limits below this are shown as such [N]."""
 
 Row = Sequence[str | Entry]
 """A row of a table: one text or entry a cell."""

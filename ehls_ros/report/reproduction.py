@@ -74,20 +74,21 @@ def _table3(cells: Sequence[CellResult]) -> list[str]:
         page.paragraph(
             "Largest error in the steady half of each run, in N and in % of 10 kN, with the paper's below it."
             f" {WORSE}marks errors larger than the paper's; – where the paper has no number."
+            " The causal limit is what no controller without foresight can be expected to stay below."
         ),
-        _by_cell(cells, _error_entry),
+        _by_cell(cells, _error_entry, ["causal limit", *findings.causal_limits(cells)]),
         page.paragraph(f"Convergence time. {findings.convergence_remark(cells)}"),
         _by_cell(cells, _convergence_entry),
     ]
 
 
-def _by_cell(cells: Sequence[CellResult], entry: Callable[[CellResult], Entry]) -> str:
-    """Make a table with a row per controller and a column per reference and disturbance."""
+def _by_cell(cells: Sequence[CellResult], entry: Callable[[CellResult], Entry], *more: Row) -> str:
+    """Make a table with a row per controller, a column per reference and disturbance, and further rows."""
     places = findings.places_of(cells)
     entries = {cell.cell: entry(cell) for cell in cells}
     controllers = dict.fromkeys(cell.controller for cell in cells)
     rows = [[controller, *(entries.get(Cell(controller, *place), "–") for place in places)] for controller in controllers]
-    return page.table(["", *(place_name(*place) for place in places)], rows)
+    return page.table(["", *(place_name(*place) for place in places)], [*rows, *more])
 
 
 def _error_entry(cell: CellResult) -> Entry:

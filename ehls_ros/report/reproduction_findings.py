@@ -10,7 +10,7 @@ import numpy as np
 
 from ehls_ros.experiments.reproduction.paper import FASMC_1, FASMC_2, FULL_SCALE, SIC, Cell
 from ehls_ros.experiments.reproduction.results import CellResult, Place, Reduction, Results, Searches, TriedWidth
-from ehls_ros.report.page import listed, number
+from ehls_ros.report.page import limit_text, listed, number
 from ehls_ros.trajectory import Trajectory
 
 Runs = Mapping[Cell, Trajectory]
@@ -117,6 +117,15 @@ def ranking(cells: Sequence[CellResult]) -> tuple[int, int]:
 def places_of(cells: Sequence[CellResult]) -> list[Place]:
     """Give the columns of Table 3 in their order."""
     return list(dict.fromkeys(Place(cell.reference, cell.disturbance) for cell in cells))
+
+
+def causal_limits(cells: Sequence[CellResult]) -> list[str]:
+    """Give the causal limit in each column of Table 3, the smallest of its controllers' runs, as text."""
+    known: dict[Place, list[float]] = {place: [] for place in places_of(cells)}
+    for cell in cells:
+        if not math.isnan(cell.causal_limit_n):
+            known[Place(cell.reference, cell.disturbance)].append(cell.causal_limit_n)
+    return [limit_text(min(limits, default=math.nan)) for limits in known.values()]
 
 
 def converges_later(cell: CellResult) -> bool | None:

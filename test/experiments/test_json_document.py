@@ -44,7 +44,7 @@ SCHEMA = {
     Steady: "max_error_n rms_error_n trouble",
     CellResult: (
         "controller reference disturbance max_error_n rms_error_n relative_percent paper_percent convergence_s"
-        " convergence_band_n oscillation_n paper_convergence_s"
+        " convergence_band_n oscillation_n paper_convergence_s causal_limit_n"
     ),
 }
 """Keys of ``diagnosis.json`` and of a cell of ``table3.json``: scripts read them, so they change only on purpose."""

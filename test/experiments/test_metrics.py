@@ -177,6 +177,7 @@ def test_json_has_the_contracts_keys():
         "report",
         "convergence_band_n",
         "oscillation_n",
+        "causal_limit_n",
         "warnings",
     ]
 

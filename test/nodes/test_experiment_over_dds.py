@@ -122,7 +122,7 @@ def test_the_run_folder_holds_what_the_contract_says(over_dds):
     assert metrics == json.loads((spec.parent / "run" / "metrics.json").read_text())
     assert set(metrics) == {
         "max_error_n", "rms_error_n", "convergence_s", "cycles", "missed_cycles", "duration_s", "wall_s", "bag", "report",
-        "convergence_band_n", "oscillation_n", "warnings",
+        "convergence_band_n", "oscillation_n", "causal_limit_n", "warnings",
         "cycles_per_second_asked", "cycles_per_second_reached", "in_real_time",
     }  # fmt: skip
     assert metrics["cycles"] == 501

@@ -293,12 +293,13 @@ def test_every_cell_has_the_papers_number_beside_ours(report):
 
 def test_convergence_stands_beside_the_papers(report):
     cells = list(make_cells())
-    cells[0] = cells[0]._replace(convergence_s=0.9)
+    cells[0] = cells[0]._replace(convergence_s=0.9, causal_limit_n=12.34)
     cells[1] = cells[1]._replace(convergence_s=None)
     cells[2] = cells[2]._replace(paper_convergence_s=None)
     cells[4] = cells[4]._replace(convergence_s=None, oscillation_n=120.0)
     text = report(make_results(cells=tuple(cells)))
-    _, sic, fasmc, gms = rows(text, "Table 3")[4:]
+    limits, _, sic, fasmc, gms = rows(text, "Table 3")[4:]
+    assert limits == ["causal limit", "12.3 N", *["unknown"] * (len(PLACES) - 1)]
     assert sic[1:] == ["▲ 0.900 s | paper 0.8 s", "not reached, ±400 N | paper 0.8 s"]
     assert fasmc[1:] == ["0.600 s | paper –", "0.600 s | paper 0.8 s"]
     assert gms[1:] == ["▲ not reached, ±120 N | paper 0.8 s", "0.600 s | paper 0.8 s"]

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from ehls_ros.cli.configured import Configured
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import Implausible, run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
@@ -22,6 +23,7 @@ from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import write_trajectory
 from ehls_ros.recording.events import read_events
 from ehls_ros.report.experiment import write_experiment_report
+from ehls_ros.report.page import limit_text
 from ehls_ros.trajectory import Trajectory, steady_error
 
 HELP = "Run an experiment over DDS, record a bag, print metrics and write a report."
@@ -67,7 +69,8 @@ def run(options: Namespace) -> int:
         folder.write_spec(spec)
         with progress_bar(spec.settings.title) as progress:
             done = (_in_process if options.in_process else _over_dds)(spec, folder, options, progress)
-        metrics = evaluate(done.trajectory)._replace(wall_s=done.wall_s, bag=str(folder.bag), report=str(folder.report))
+        metrics = with_causal_limit(evaluate(done.trajectory), done.trajectory)
+        metrics = metrics._replace(wall_s=done.wall_s, bag=str(folder.bag), report=str(folder.report))
         if done.failure is not None:
             metrics = metrics._replace(warnings=(str(done.failure),))
         folder.write_metrics(metrics)
@@ -128,6 +131,7 @@ def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, *, machine: boo
             case seconds:
                 convergence = f"after {seconds:.2f} s"
         print(f"  largest error in the last half  {metrics.max_error_n:10.1f} N")
+        print(f"  causal limit of it              {limit_text(metrics.causal_limit_n):>10}")
         print(f"  rms error in the last half      {metrics.rms_error_n:10.1f} N")
         print(f"  convergence                     {convergence:>12}")
         of_reference = f"{100.0 * CONVERGENCE_BAND:g} % of the largest reference"

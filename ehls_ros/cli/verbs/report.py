@@ -4,7 +4,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.metrics import evaluate_controlled
+from ehls_ros.experiments.causal_limit import evaluate_recording
 from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.recording.columns import read_columns
 from ehls_ros.recording.events import read_events
@@ -29,7 +29,7 @@ def run(options: Namespace) -> int:
     events = [] if options.columns or holds_tables(recording) else read_events(recording)
     out: Path = options.out or (data.parent if recording == data else data) / "report.html"
     try:
-        write_experiment_report(trajectory, evaluate_controlled(trajectory), out, events, name=data.resolve().name)
+        write_experiment_report(trajectory, evaluate_recording(trajectory), out, events, name=data.resolve().name)
     except OSError as error:
         raise BadInput(f"the report cannot be written ({error.strerror})", str(out), "a writable place (--out)") from None
     print(out)

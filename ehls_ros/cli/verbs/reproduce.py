@@ -21,6 +21,7 @@ from ehls_ros.experiments.reproduction.results import (
 from ehls_ros.experiments.reproduction.study import compile_everything, reproduce
 from ehls_ros.progress import progress_bar
 from ehls_ros.report.reproduction import write_reproduction_report
+from ehls_ros.report.reproduction_findings import causal_limits
 
 HELP = "Run the paper's simulation study again: table3.json, and a report with the paper's number beside ours."
 
@@ -62,6 +63,7 @@ def _print(results: Results, folder: Path) -> None:
         table.add_column(heading, justify="right" if heading else "left")
     for controller in paper.CONTROLLERS:
         table.add_row(controller, *(_shown(cell) for cell in results.cells if cell.controller == controller))
+    table.add_row("causal limit", *causal_limits(results.cells))
     Console(file=sys.stdout, width=None if sys.stdout.isatty() else 140).print(table)
     print(f"wall time {results.wall_s:.1f} s, and {results.compile_s:.1f} s to compile or load the kernels")
     print(f"  table   {folder / TABLE}")

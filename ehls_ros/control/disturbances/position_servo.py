@@ -9,17 +9,23 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from ehls_ros.arrays import Array, in_python
+from ehls_ros.arrays import Array, in_python, kernel
 from ehls_ros.control.controllers.base import saturate
 from ehls_ros.control.disturbances.base import DISPLACEMENT, ROW, VELOCITY
 from ehls_ros.control.references.base import SampledReference
 from ehls_ros.physics.effects.coupling_stiffness import Parameters as Coupling
+from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL, V, X
 from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.schema import quantity
 
 REACTS = True
+
+
+MovingMass = Annotated[float, quantity("kg", "moving mass of the servo", above=0.0, maximum=1e5)]
+SupplyPressure = Annotated[float, quantity("Pa", "supply pressure of the servo", above=0.0, maximum=1e8)]
+PositionGain = Annotated[float, quantity("1/s", "velocity per position error", minimum=0.0, maximum=1e3)]
 
 
 class Parameters(NamedTuple):
@@ -29,9 +35,33 @@ class Parameters(NamedTuple):
         2e6
     )
     damping: Annotated[float, quantity("N s/m", "damping of beam and hinges", minimum=0.0, maximum=1e5)] = 2e3
-    moving_mass: Annotated[float, quantity("kg", "moving mass of the servo", above=0.0, maximum=1e5)] = 70.0
-    supply_pressure: Annotated[float, quantity("Pa", "supply pressure of the servo", above=0.0, maximum=1e8)] = 2.1e7
-    position_gain: Annotated[float, quantity("1/s", "velocity per position error", minimum=0.0, maximum=1e3)] = 30.0
+    moving_mass: MovingMass = 70.0
+    supply_pressure: SupplyPressure = 2.1e7
+    position_gain: PositionGain = 30.0
+
+
+def servo_plant(plant: Plant, moving_mass: float, supply_pressure: float) -> Plant:
+    """Return a servo's coefficients: valve and cylinder are the loader's, without its spring and its weight."""
+    return plant._replace(supply_pressure=supply_pressure, moving_mass=moving_mass, spring_stiffness=0.0, gravity=0.0)
+
+
+@kernel
+def servo_command(wanted: float, wanted_velocity: float, x: float, load_pressure: float, gain: float, plant: Plant) -> float:
+    """Return the spool command of the position loop [m]: proportional, with the motion's flow fed forward.
+
+    Args:
+        wanted: position wanted [m].
+        wanted_velocity: its rate [m/s].
+        x: the servo's position [m].
+        load_pressure: its load pressure [Pa].
+        gain: velocity per position error [1/s].
+        plant: its coefficients.
+    """
+    velocity = wanted_velocity + gain * (wanted - x)
+    drop = plant.supply_pressure - math.copysign(1.0, velocity) * load_pressure
+    root = math.sqrt(max(drop, 0.01 * plant.supply_pressure) / plant.oil_density)
+    spool = plant.piston_area * velocity / (plant.discharge_coefficient * plant.valve_area_gradient * root)
+    return spool / plant.valve_gain
 
 
 def loader_effects(p: Parameters) -> tuple[EffectUse, ...]:
@@ -44,9 +74,7 @@ class PositionServo:
 
     def __init__(self, p: Parameters, signal: SampledReference, rig: Rig, period: float) -> None:
         """Build the servo from the loader's kind of valve and cylinder."""
-        plant = rig.plant._replace(
-            supply_pressure=p.supply_pressure, moving_mass=p.moving_mass, spring_stiffness=0.0, gravity=0.0
-        )
+        plant = servo_plant(rig.plant, p.moving_mass, p.supply_pressure)
         self._parameters = p
         self._signal = signal
         self._rig = rig._replace(plant=plant, effects=(), sensors={})
@@ -65,14 +93,11 @@ class PositionServo:
         return self._now()
 
     def _command(self, cycle: int) -> float:
-        """Return the spool command of the position loop: proportional, with the motion's flow fed forward."""
+        """Return the spool command of the position loop within the valve's limit [m]."""
         plant, y = self._rig.plant, self._servo.y
-        wanted, wanted_velocity, _ = self._signal.row(cycle)
-        velocity = wanted_velocity + self._parameters.position_gain * (wanted - y[X])
-        drop = plant.supply_pressure - math.copysign(1.0, velocity) * y[PL]
-        root = math.sqrt(max(drop, 0.01 * plant.supply_pressure) / plant.oil_density)
-        spool = plant.piston_area * velocity / (plant.discharge_coefficient * plant.valve_area_gradient * root)
-        limited: float = in_python(saturate)(spool / plant.valve_gain, self._rig.limits.spool)
+        wanted, velocity, _ = self._signal.row(cycle)
+        command = in_python(servo_command)(wanted, velocity, y[X], y[PL], self._parameters.position_gain, plant)
+        limited: float = in_python(saturate)(command, self._rig.limits.spool)
         return limited
 
     def _now(self) -> Array:

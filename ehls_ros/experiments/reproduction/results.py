@@ -3,6 +3,7 @@
 An error is the largest of the steady half of a run [N], infinite where the run diverged. ``table3.json`` has the cells alone.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ class CellResult(NamedTuple):
         convergence_band_n: half width of the band of a converged error [N].
         oscillation_n: half the distance between smallest and largest steady error [N].
         paper_convergence_s: the paper's convergence time [s]; None where it has none.
+        causal_limit_n: causal limit of the largest error [N]; NaN where it cannot be said.
     """
 
     controller: str
@@ -36,6 +38,7 @@ class CellResult(NamedTuple):
     convergence_band_n: float
     oscillation_n: float
     paper_convergence_s: float | None
+    causal_limit_n: float = math.nan
 
     @property
     def cell(self) -> Cell:

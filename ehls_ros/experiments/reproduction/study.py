@@ -9,6 +9,7 @@ import numpy as np
 
 from ehls_ros import __version__
 from ehls_ros.control.bounds import force_error_bound
+from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.reproduction import (
     choices,
@@ -127,7 +128,7 @@ def reproduce(
 
 def cell_result(cell: Cell, trajectory: Trajectory) -> CellResult:
     """Return one cell of Table 3 from its run."""
-    metrics = evaluate(trajectory)
+    metrics = with_causal_limit(evaluate(trajectory), trajectory)
     return CellResult(
         *cell,
         max_error_n=metrics.max_error_n,
@@ -138,6 +139,7 @@ def cell_result(cell: Cell, trajectory: Trajectory) -> CellResult:
         convergence_band_n=metrics.convergence_band_n,
         oscillation_n=metrics.oscillation_n,
         paper_convergence_s=paper.CONVERGENCE[cell],
+        causal_limit_n=metrics.causal_limit_n,
     )
 
 

@@ -1,0 +1,117 @@
+"""Dynamic force verification of a recording, as an object: the work of `ehls verify`."""
+
+from dataclasses import dataclass, fields
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ehls_ros.api.figures import figure
+from ehls_ros.api.files import written
+from ehls_ros.api.recordings import Columns, Data, as_recording
+from ehls_ros.api.simulation import RigSource
+from ehls_ros.api.simulation import rig as rig_of
+from ehls_ros.errors import BadInput, one_of
+from ehls_ros.experiments.verification.results import CERTIFIES_NOTHING, Cyclic, Verification
+from ehls_ros.experiments.verification.verify import Given, verify_recording
+from ehls_ros.report.verification import answer, write_verification_report
+from ehls_ros.report.verification_figures import trend
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from plotly.graph_objects import Figure
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class VerificationResult(Verification):
+    """How well the force of a recording follows its reference, block by block. It certifies nothing.
+
+    Attributes:
+        name: what was verified.
+    """
+
+    name: str
+
+    @property
+    def sentence(self) -> str:
+        """The result in a sentence."""
+        return answer(self)[0]
+
+    def to_pandas(self) -> "DataFrame":
+        """Return a table, one row per quantity of each cyclic block: means over its cycles, uncertainty expanded, k = 2."""
+        from pandas import DataFrame  # noqa: PLC0415 - half a second that only tables cost
+
+        columns = ["block", "quantity", "unit", "reference", "measured", "error", "uncertainty", "error_percent"]
+        rows = [
+            (block.name, q.name, q.unit, q.reference, q.measured, q.error, q.uncertainty.expanded, q.percent)
+            for block in self.blocks
+            if isinstance(block.found, Cyclic)
+            for q in block.found.quantities
+        ]
+        return DataFrame(rows, columns=columns)
+
+    def plot(self, block: str | None = None) -> "Figure":
+        """Draw the peaks and valleys of every cycle of a block.
+
+        Args:
+            block: its name; None: the first cyclic one.
+
+        Raises:
+            BadInput: there is no cyclic block of that name.
+        """
+        cyclic = {one.name: one.found for one in self.blocks if isinstance(one.found, Cyclic)}
+        chosen = block or next(iter(cyclic), "")
+        if chosen not in cyclic:
+            raise BadInput(f"there is no cyclic block {chosen!r}", self.name, one_of(chosen, cyclic))
+        return figure(trend(cyclic[chosen]))
+
+    def report(self, path: str | Path) -> Path:
+        """Write the HTML report that `ehls verify` writes, and return its path.
+
+        Raises:
+            BadInput: the file cannot be written.
+        """
+        return written(path, lambda file: write_verification_report(self, file, self.name))
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"<{type(self).__name__} {self.name}: {len(self.blocks)} blocks>"
+
+    def _repr_html_(self) -> str:
+        table = self.to_pandas().to_html(index=False, float_format="{:.4g}".format)
+        said = "".join(f"<li>{escape(remark)}</li>" for remark in (CERTIFIES_NOTHING, *self.remarks))
+        return f"<p><b>{escape(self.sentence)}</b></p>{table}<ul>{said}</ul>"
+
+
+def verify(
+    data: Data,
+    rig: RigSource | None = None,
+    *,
+    columns: Columns | None = None,
+    inertia_mass: float | None = None,
+    cell_uncertainty: float | None = None,
+    settling: int | None = None,
+) -> VerificationResult:
+    """Verify the force of a cyclic test, block by block.
+
+    Args:
+        data: the recording, or its path; with ``force_n`` and ``force_reference_n``.
+        rig: the rig as its file describes it, or that file, for resolution, noise and lag of its sensors. None: the one in the
+            recording, if any.
+        columns: names and units of the data's own, for paths.
+        inertia_mass: mass between load cell and specimen [kg]; None: its inertia is not corrected.
+        cell_uncertainty: expanded uncertainty (k = 2) of the load cell's calibration [% of reading]; None counts as zero.
+        settling: cycles to leave out at the start of each stretch of a block; None: until the error is that of the later half.
+
+    Returns:
+        The verification: ``blocks`` with peak, valley, mean, range, amplitude and phase, their errors and uncertainties,
+        harmonic distortion and repeatability. A block that does not repeat has its error over time alone, and says why.
+
+    Raises:
+        BadInput: the data or the rig cannot be read, force or reference is missing, or inertia is to be corrected without
+            a position.
+    """
+    recording = as_recording(data, columns)
+    given = Given(None if rig is None else rig_of(rig), inertia_mass, cell_uncertainty, settling)
+    found = verify_recording(recording, given, recording.name)
+    own = {field.name: getattr(found, field.name) for field in fields(Verification)}
+    return VerificationResult(**own, name=recording.name)

@@ -1,0 +1,443 @@
+"""The causal limit: how small the force error of any controller can be on a rig, with its sensors and its delay.
+
+A command sent in a cycle acts after the delay and shows at the next sample. What the disturbance changes the force by until
+then cannot be undone; what of it the past does not tell remains, whatever the law. That part is computed here for the best
+linear predictor. Its equations are (1) to (3), linear:
+
+    x' = v,   m v' = F - (B0 + sigma_f + cc) v - (ks + kc + k) x - d,   F' = -4 beta/Vt (Ac^2 v + (Ctc + Kc) F)
+
+with the force F = Ac pL, the disturbance d = fd - kc xd - cc vd as the loader feels it, and Kc by how much less flows through
+the open valve per pressure, its mean over the last half. The command, and with it the spool, is known and drops out of the
+error of the prediction. Position, velocity, load pressure and force are read with white noise of their sensors' deviation, and
+resolution/sqrt(12) in quadrature. k is the friction's contact: 0 while it slides, the stiffness of presliding while it sticks,
+after each reversal. Noise acts all the time, a servo jerks at its reversals; the limit is the lower one of the two states. A
+rigid contact counts as sliding.
+
+The predictor takes the first or second derivative of d for a random walk, of an intensity q. A Kalman filter follows for each
+q; its error is the sum of two parts. The noise of the sensors gives one part, of a covariance S by Lyapunov's equation; the
+experiment's own disturbance the other, which is computed cycle by cycle by driving the filter with it. A large q follows the
+disturbance and lets the noise through. q is not a guess: it, and the derivative, are those for which the expected largest sum
+of the last half is smallest, so that no other q gives less on this disturbance. Over N correlated cycles, with deviations s_i
+and unforeseen changes b_i, the largest is expected at
+
+    int_0^inf 1 - prod_i P(|b_i + s_i z| < a)^(1/c) da,   c = sum over all j of rho_j^2
+
+with z Gaussian and rho_j the correlation of the noise's part over j cycles.
+
+Friction changes its slope at a reversal of the motion, from sliding to sticking. The deviation s_v of the predicted velocity
+leaves the time of it uncertain by s_v/|v'|, and friction rises at k |v'| t after it, so within t of the reversal it is
+uncertain by k s_v t. The force this makes within the horizon is added to the s_i of the cycles in which d turns.
+
+What it assumes: a linear rig whose model is known exactly, Gaussian noise, a valve without limits, and a linear predictor with
+one tuning for the run that knows nothing of the disturbance but its past: neither a period nor the command of the actuator
+under test. Lag and delay of the sensors, and effects other than the coupling and the delay of the command, are left out, which
+makes the limit lower. It is an expectation: the largest error of a single run scatters about it by 10 to 20 %. A controller
+that is told what comes, or has learnt it, can go below it, down to the noise's own share; below that only with a filter that
+is slower than this disturbance allows.
+
+Source: Anderson, Moore, Optimal Filtering, 1979, chapters 4 and 6; Leadbetter, Lindgren, Rootzén, Extremes and Related
+Properties of Random Sequences and Processes, 1983, chapter 4; the doubling of the Riccati equation: Chu, Fan, Lin, Wang,
+International Journal of Control 77, 2004.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+from scipy.optimize import minimize_scalar
+from scipy.special import erf
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.disturbances.base import DISPLACEMENT, FORCE, FORCE_RATE, VELOCITY
+from ehls_ros.physics.parameters import Plant, Sensor
+from ehls_ros.physics.rig import EffectiveRig, Rig
+
+X, V, F, D = range(4)
+"""Where the predictor's state holds x m/T^2, v m/T, F and d, all in N; derivatives of d times powers of T follow."""
+
+READINGS = (("position", X), ("velocity", V), ("load_pressure", F), ("force", F))
+"""The sensors that tell the force or the motion, with the state they read."""
+
+ORDERS = (1, 2)
+"""Derivatives of d that are taken for a random walk."""
+
+LEAST_DROP = 0.01
+"""Lower bound of the pressure drop over the valve, as a fraction of the supply pressure."""
+
+EXACT = 1e-3
+"""Deviation of a perfect sensor's reading, in the scale of the state [N]; it stands for rounding."""
+
+WEAKEST, STRONGEST, STEPS = -5.0, 3.0, 5
+"""Range and number of the intensities tried before the best is refined: powers of ten of the force readings' deviation."""
+
+LEVELS = 64
+"""Levels into which the unforeseen changes are sorted."""
+
+TINY = 1e-12
+"""Smallest force that is told from none [N]."""
+
+FORGOTTEN = 1e-12
+"""What has decayed to this fraction is forgotten."""
+
+WARM_UP = 500
+"""Cycles before the last half in which the filter settles."""
+
+SEARCHED = 20000
+"""Most cycles on which the best intensity is sought; the limit is that of all of the last half."""
+
+DOUBLINGS = 40
+"""Most doublings of the cycles a sum goes over."""
+
+PRECISE = 0.1
+"""Precision to which the best intensity is sought, in powers of ten."""
+
+
+class CausalLimit(NamedTuple):
+    """The causal limit.
+
+    Attributes:
+        largest: expected largest force error of the last half [N].
+        rms: rms of the force error of the same predictor [N]; one made for the rms reaches up to a third less.
+        noise_share: expected largest error that the sensors' noise alone makes through the same predictor [N]; what is left
+            once the disturbance is foreseen or learnt.
+        unforeseen: largest change of the force that the past of the disturbance does not tell, without noise [N].
+        reversal: deviation of the force within the horizon by the friction at a reversal [N].
+        horizon: time from a reading to the first sample that the command made of it can change [s].
+        order: derivative of the disturbance that the best predictor takes for a random walk.
+        intensity: root of the spectral density of that derivative's rate [N/s^(order + 1/2)].
+        sticking: whether the limit is that of a friction that sticks.
+    """
+
+    largest: float
+    rms: float
+    noise_share: float
+    unforeseen: float
+    reversal: float
+    horizon: float
+    order: int
+    intensity: float
+    sticking: bool
+
+
+class _Case(NamedTuple):
+    """What all predictors of one rig and disturbance share.
+
+    Attributes:
+        dynamics: the rates of x, v, F per cycle, with d as last column, shape (3, 4).
+        reads: state that each sensor reads, shape (sensors,).
+        deviations: of the readings [N], shape (sensors,).
+        ahead: cycles of the horizon.
+        felt: d at each cycle and its change over it, shape (n, 2) [N].
+        late: number of cycles of the last half.
+        turning: whether d turns within the horizon of a cycle of the last half, shape (late,).
+        contact: stiffness of the friction's contact times T^2/m.
+    """
+
+    dynamics: Array
+    reads: Array
+    deviations: Array
+    ahead: int
+    felt: Array
+    late: int
+    turning: NDArray[np.bool_]
+    contact: float
+
+
+class _Outcome(NamedTuple):
+    """What one predictor comes to [N]; as in :class:`CausalLimit`."""
+
+    largest: float
+    rms: float
+    noise_share: float
+    unforeseen: float
+    reversal: float
+
+
+def causal_limit(
+    rig: Rig, period: float, disturbance: Array, *, flow_pressure: float = 0.0, velocity_read: bool = True
+) -> CausalLimit:
+    """Return the causal limit of a rig under a disturbance.
+
+    Args:
+        rig: the rig as it is, with the effects ``command_delay`` and ``coupling_stiffness`` where it has them.
+        period: control period [s].
+        disturbance: force [N], its rate [N/s], displacement [m] and velocity [m/s] of the actuator under test in each cycle,
+            finite, shape (n, 4); the error is that of the last half.
+        flow_pressure: mean flow-pressure coefficient Kc of the valve, see :func:`flow_pressure` [m^3/(s Pa)]; 0: closed.
+        velocity_read: whether the controllers may use the reading of the velocity.
+
+    Returns:
+        The limit; infinite if no predictor follows the disturbance in finite numbers.
+
+    Raises:
+        ValueError: fewer cycles than 8 are given, or one is not finite.
+    """
+    if len(disturbance) < 8 or not np.all(np.isfinite(disturbance)):
+        raise ValueError("expected at least 8 rows of finite numbers")
+    case = _case(rig.effective(), period, disturbance, flow_pressure, velocity_read=velocity_read)
+    held = case.dynamics.copy()
+    held[V, X] -= case.contact
+    sticking = case._replace(dynamics=held)
+    found = [_best(sticking, order) for order in ORDERS]
+    found.append(_best(case, min(found, key=lambda best: best.outcome.largest).order))
+    best = min(found, key=lambda one: one.outcome.largest)
+    outcome = best.outcome if case.late <= SEARCHED else _tried(best.case, best.order, best.intensity)
+    density = best.intensity * period ** -(best.order + 0.5)
+    return CausalLimit(*outcome, case.ahead * period, best.order, density, best.case is sticking)
+
+
+def horizon_cycles(delay: float, period: float) -> int:
+    """Return the cycles from a reading to the first sample that the command made of it can change.
+
+    Args:
+        delay: delay of the command [s].
+        period: control period [s].
+    """
+    return math.floor(delay / period + 1e-7) + 1
+
+
+def flow_pressure(spool: Array, load_pressure: Array, plant: Plant) -> float:
+    """Return the mean flow-pressure coefficient of the valve, -dQL/dpL of (1) [m^3/(s Pa)].
+
+    Args:
+        spool: spool displacement [m], shape (n,).
+        load_pressure: pL [Pa], shape (n,).
+        plant: the rig's coefficients.
+    """
+    drop = np.maximum(plant.supply_pressure - np.sign(spool) * load_pressure, LEAST_DROP * plant.supply_pressure)
+    per_root = plant.discharge_coefficient * plant.valve_area_gradient / (2.0 * math.sqrt(plant.oil_density))
+    return float(np.mean(per_root * np.abs(spool) / np.sqrt(drop)))  # (1)
+
+
+def expected_largest(changes: Array, deviations: Array, counts: Array) -> float:
+    """Return the expected largest |change + deviation * Gaussian| over independent cycles.
+
+    Args:
+        changes: known part of a cycle's error, shape (levels,).
+        deviations: deviation of its random part in the same unit, not all 0, shape (levels,).
+        counts: number of such cycles, whole or not, shape (levels,).
+    """
+    limit = float(np.max(np.abs(changes) + 8.0 * deviations))
+    amplitude = np.linspace(0.0, limit, 257)[:, np.newaxis]
+    scale = math.sqrt(2.0) * np.maximum(deviations, FORGOTTEN * limit)
+    inside = 0.5 * (erf((amplitude - changes) / scale) + erf((amplitude + changes) / scale))
+    with np.errstate(divide="ignore"):
+        below = np.exp(np.log(np.clip(inside, 0.0, 1.0)) @ counts)
+    return float(np.trapezoid(1.0 - below, amplitude[:, 0]))
+
+
+def _case(rig: EffectiveRig, period: float, disturbance: Array, flow_pressure: float, *, velocity_read: bool) -> _Case:
+    plant, mass = rig.plant, rig.plant.moving_mass
+    delay, stiffness, damping = _surroundings(rig)
+    ahead, late = horizon_cycles(delay, period), len(disturbance) // 2
+    rows = disturbance[-min(len(disturbance), late + ahead + WARM_UP) :]
+    value = rows[:, FORCE] - stiffness * rows[:, DISPLACEMENT] - damping * rows[:, VELOCITY]
+    change = (rows[:, FORCE_RATE] - stiffness * rows[:, VELOCITY]) * period
+    turns = np.zeros(len(rows))
+    turns[1:] = change[1:] * change[:-1] < 0.0
+    contact = float(rig.friction_law.stiffness(rig.friction))
+    to_force = {"position": mass / period**2, "velocity": mass / period, "load_pressure": plant.piston_area, "force": 1.0}
+    used = [(name, state) for name, state in READINGS if velocity_read or name != "velocity"]
+    return _Case(
+        dynamics=_dynamics(rig, period, stiffness, damping, flow_pressure),
+        reads=np.asarray([state for _, state in used]),
+        deviations=np.asarray([max(_noise(rig, name) * to_force[name], EXACT) for name, _ in used]),
+        ahead=ahead,
+        felt=np.stack((value, change), axis=1),
+        late=late,
+        turning=np.convolve(turns, np.ones(ahead))[len(rows) - late : len(rows)] > 0.0,
+        contact=contact * period**2 / mass if math.isfinite(contact) else 0.0,
+    )
+
+
+def _surroundings(rig: EffectiveRig) -> tuple[float, float, float]:
+    """Return the delay of the command [s], and stiffness [N/m] and damping [N s/m] of the coupling; of two delays the last."""
+    delay, stiffness, damping = 0.0, 0.0, 0.0
+    for use in rig.effects:
+        if use.name == "command_delay":
+            delay = use.parameters.delay
+        elif use.name == "coupling_stiffness":
+            stiffness, damping = stiffness + use.parameters.stiffness, damping + use.parameters.damping
+    return delay, stiffness, damping
+
+
+def _noise(rig: EffectiveRig, name: str) -> float:
+    """Return the deviation of a reading, its rounding included, in the reading's unit."""
+    sensor = rig.sensors.get(name, Sensor())
+    return math.hypot(sensor.noise_std, sensor.resolution / math.sqrt(12.0)) / sensor.gain
+
+
+def _dynamics(rig: EffectiveRig, period: float, stiffness: float, damping: float, flow_pressure: float) -> Array:
+    plant, mass = rig.plant, rig.plant.moving_mass
+    rates = np.zeros((3, 4))
+    rates[X, V] = rates[V, F] = 1.0
+    rates[V, D] = -1.0
+    rates[V, X] = -(plant.spring_stiffness + stiffness) * period**2 / mass  # (3)
+    rates[V, V] = -(plant.viscous_damping + rig.friction.viscous_coefficient + damping) * period / mass
+    hydraulic = 4.0 * plant.bulk_modulus / plant.total_volume
+    rates[F, V] = -hydraulic * plant.piston_area**2 * period**2 / mass  # (2)
+    rates[F, F] = -hydraulic * (plant.leakage_coefficient + flow_pressure) * period
+    return rates
+
+
+class _Best(NamedTuple):
+    """The best predictor of an order: the case, its order, its intensity [N per cycle^1/2], and what it comes to."""
+
+    case: _Case
+    order: int
+    intensity: float
+    outcome: _Outcome
+
+
+def _best(whole: _Case, order: int) -> _Best:
+    """Return the predictor of an order whose largest error is smallest."""
+    case = _newest(whole)
+    unit = float(np.sum(case.deviations[case.reads == F] ** -2.0)) ** -0.5
+    outcomes: dict[float, _Outcome] = {}
+
+    def largest(power: float) -> float:
+        outcomes[float(power)] = outcome = _tried(case, order, unit * 10.0 ** float(power))
+        return outcome.largest
+
+    powers = np.linspace(WEAKEST, STRONGEST, STEPS)
+    best = int(np.argmin([largest(power) for power in powers]))
+    around = powers[max(best - 1, 0)], powers[min(best + 1, STEPS - 1)]
+    minimize_scalar(largest, bounds=around, method="bounded", options={"xatol": PRECISE})
+    power = min(outcomes, key=lambda tried: outcomes[tried].largest)
+    return _Best(whole, order, unit * 10.0**power, outcomes[power])
+
+
+def _newest(case: _Case) -> _Case:
+    """Return the case with no more than :data:`SEARCHED` of the newest cycles, for the search."""
+    late = min(case.late, SEARCHED)
+    return case._replace(felt=case.felt[-(late + case.ahead + WARM_UP) :], late=late, turning=case.turning[-late:])
+
+
+def _tried(case: _Case, order: int, intensity: float) -> _Outcome:
+    """Return what a predictor comes to; infinite where its numbers are beyond their precision and it diverges."""
+    with np.errstate(all="ignore"):
+        outcome = _outcome(case, order, intensity)
+    return outcome if math.isfinite(outcome.largest) else _Outcome(math.inf, math.inf, math.inf, math.inf, math.inf)
+
+
+def _outcome(case: _Case, order: int, intensity: float) -> _Outcome:
+    """Return what the predictor of an order and an intensity comes to."""
+    predictor = _predictor(case, order, intensity)
+    covariance = _sum(predictor.recursion, (predictor.gain * case.deviations**2) @ predictor.gain.T)
+    ahead = np.linalg.matrix_power(predictor.transition, case.ahead)
+    force, speed = ahead[F], ahead[V]
+    variance = float(force @ covariance @ force)
+    weight = covariance @ force
+    correlated = 2.0 * float(weight @ _sum(predictor.recursion.T, np.outer(force, force)) @ weight) / variance**2 - 1.0
+    # What a unit of d's slope within the horizon makes of the force, times the slope that friction is uncertain by.
+    reversal = abs(float(force[D + 1])) * case.contact * math.sqrt(float(speed @ covariance @ speed))
+    deviations = np.sqrt(variance + np.where(case.turning, reversal**2, 0.0))
+    changes = np.abs(_unforeseen(case, predictor))
+    level, spread, counts = _levels(changes, deviations)
+    return _Outcome(
+        largest=expected_largest(level, spread, counts / correlated),
+        rms=math.sqrt(float(np.mean(changes**2 + deviations**2))),
+        noise_share=expected_largest(np.zeros(len(level)), spread, counts / correlated),
+        unforeseen=float(np.max(changes)),
+        reversal=reversal,
+    )
+
+
+class _Predictor(NamedTuple):
+    """A stationary Kalman filter; its state is x, v, F, d and the derivatives of d.
+
+    Attributes:
+        transition: of the state over a cycle, shape (n, n).
+        gain: of the readings' surprise, shape (n, sensors).
+        left: what a correction leaves of an error, shape (n, n).
+        recursion: of the corrected error from cycle to cycle, shape (n, n).
+    """
+
+    transition: Array
+    gain: Array
+    left: Array
+    recursion: Array
+
+
+def _predictor(case: _Case, order: int, intensity: float) -> _Predictor:
+    size = D + order + 1
+    rates = np.zeros((size, size))
+    rates[:D, : D + 1] = case.dynamics
+    for state in range(D, size - 1):
+        rates[state, state + 1] = 1.0
+    # Van Loan: transition and covariance over a cycle by one exponential.
+    both = np.zeros((2 * size, 2 * size))
+    both[:size, :size], both[size:, size:] = -rates, rates.T
+    both[size - 1, 2 * size - 1] = intensity**2
+    exponential = expm(both)
+    transition = np.ascontiguousarray(exponential[size:, size:].T)
+    added = transition @ exponential[:size, size:]
+    reading = np.eye(size)[case.reads]
+    information = reading.T @ (reading / case.deviations[:, np.newaxis] ** 2)
+    predicted = _riccati(transition, information, 0.5 * (added + added.T))
+    seen = predicted @ reading.T
+    gain = np.linalg.solve(reading @ seen + np.diag(case.deviations**2), seen.T).T
+    left = np.eye(size) - gain @ reading
+    return _Predictor(transition, gain, left, left @ transition)
+
+
+def _riccati(transition: Array, information: Array, added: Array) -> Array:
+    """Return the stationary covariance of the prediction, by doubling the number of cycles in each step."""
+    a, g, h, one = transition.T, information, added, np.eye(len(transition))
+    for _ in range(DOUBLINGS):
+        solved = np.linalg.solve(one + g @ h, np.hstack((a, g)))
+        within, through = solved[:, : len(a)], solved[:, len(a) :]
+        more = a.T @ h @ within
+        g = g + a @ through @ a.T
+        h, a = h + 0.5 * (more + more.T), a @ within
+        if np.max(np.abs(more)) <= FORGOTTEN * np.max(np.abs(h)):
+            break
+    return h
+
+
+def _sum(step: Array, first: Array) -> Array:
+    """Return the sum over j of step^j first (step^j)', the solution of Lyapunov's equation."""
+    total, power = first, step
+    for _ in range(DOUBLINGS):
+        more = power @ total @ power.T
+        total, power = total + more, power @ power
+        if np.max(np.abs(more)) <= FORGOTTEN * np.max(np.abs(total)):
+            break
+    return total
+
+
+def _unforeseen(case: _Case, predictor: _Predictor) -> Array:
+    """Return what d does to the force over the horizon beyond its prediction, without noise, shape (late,) [N]."""
+    transition, cycles = predictor.transition, len(case.felt)
+    # The filter starts in the midst of the run: it knows value and slope of d there, and follows what differs from these.
+    value, change = case.felt[0]
+    trend = np.stack((value + change * np.arange(cycles), np.full(cycles, change)), axis=1)
+    moved = np.zeros((cycles, len(transition)))
+    moved[:, :D] = (case.felt - trend) @ transition[:D, D : D + 2].T
+    # errors[k + 1] = recursion errors[k] + left moved[k]: sums over 1, 2, 4, ... cycles.
+    errors = np.zeros_like(moved)
+    errors[1:] = moved[:-1] @ predictor.left.T
+    power, stride = predictor.recursion, 1
+    while stride < cycles and np.max(np.abs(power)) > FORGOTTEN:
+        errors[stride:] += errors[:-stride] @ power.T
+        power, stride = power @ power, 2 * stride
+    kept = cycles - case.ahead
+    ahead = errors[:kept]
+    for cycle in range(case.ahead):
+        ahead = ahead @ transition.T + moved[cycle : cycle + kept]
+    return ahead[-case.late :, F]
+
+
+def _levels(changes: Array, deviations: Array) -> tuple[Array, Array, Array]:
+    """Return the cycles sorted into levels of their change, each with its mean change, its deviation and its count."""
+    usual = float(np.min(deviations))
+    top = float(np.max(changes))
+    level = np.minimum((changes * (LEVELS / max(top, TINY))).astype(np.int64), LEVELS - 1)
+    level += np.where(deviations > usual, LEVELS, 0)
+    counts = np.bincount(level, minlength=2 * LEVELS)
+    filled = counts > 0
+    means = np.bincount(level, changes, 2 * LEVELS)[filled] / counts[filled]
+    spread = np.where(np.arange(2 * LEVELS) < LEVELS, usual, float(np.max(deviations)))[filled]
+    return means, spread, counts[filled].astype(np.float64)

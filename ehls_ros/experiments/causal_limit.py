@@ -1,0 +1,118 @@
+"""The causal limit of an experiment: what :mod:`ehls_ros.control.limits` says of a run's rig, disturbance and delay."""
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.limits import CausalLimit, causal_limit, flow_pressure
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.loop import run_in_process
+from ehls_ros.experiments.metrics import Metrics, evaluate_controlled
+from ehls_ros.experiments.spec import Spec, spec_from_mapping
+from ehls_ros.recording.topics import DISTURBANCE
+from ehls_ros.trajectory import Trajectory
+
+MOST_MISSING = 0.05
+"""Fraction of cycles without a sample up to which the disturbance is taken as straight in between."""
+
+LEAST_CYCLES = 100
+"""Fewest cycles of which a limit can be said."""
+
+
+class LimitOfRun(NamedTuple):
+    """The causal limit of a run.
+
+    Attributes:
+        limit: None where nothing can be said.
+        reason: why not; else empty.
+    """
+
+    limit: CausalLimit | None
+    reason: str = ""
+
+
+def limit_of_spec(spec: Spec) -> LimitOfRun:
+    """Return the causal limit of an experiment, which is run in this process for what its disturbance does."""
+    reason = _nothing_to_say(spec)
+    return LimitOfRun(None, reason) if reason else _limit(spec, run_in_process(spec))
+
+
+def limit_of_run(run: Trajectory) -> LimitOfRun:
+    """Return the causal limit of a run.
+
+    The disturbance is the recorded one, and with it whatever the actuator under test answered to the loader in that run.
+    The reading of the velocity counts where the run's controller uses it.
+
+    Args:
+        run: a recording whose metadata hold rig and spec.
+    """
+    given, rig = run.metadata.get("spec"), run.metadata.get("rig")
+    if not isinstance(given, dict) or not isinstance(rig, dict):
+        return LimitOfRun(None, "the recording does not tell rig and experiment")
+    try:
+        spec = spec_from_mapping({**given, "rig": rig}, "the recording", Path())
+    except BadInput as error:
+        return LimitOfRun(None, f"the recording's experiment cannot be read: {error}")
+    reason = _nothing_to_say(spec)
+    return LimitOfRun(None, reason) if reason else _limit(spec, run)
+
+
+def with_causal_limit(metrics: Metrics, run: Trajectory) -> Metrics:
+    """Return the metrics of a run with its causal limit beside the error."""
+    limit = limit_of_run(run).limit
+    return metrics._replace(causal_limit_n=math.nan if limit is None else limit.largest)
+
+
+def evaluate_recording(run: Trajectory) -> Metrics | None:
+    """Evaluate a recording, its causal limit included; None where it has no reference."""
+    metrics = evaluate_controlled(run)
+    return None if metrics is None else with_causal_limit(metrics, run)
+
+
+def _nothing_to_say(spec: Spec) -> str:
+    """Return why an experiment has no causal limit; empty if it has one."""
+    if CONTROLLERS.load(spec.controller.name).FOLLOWS != "force":
+        return "the reference is a position, not a force"
+    rig = spec.loader_rig().effective()
+    if rig.piston_mass() > 0.0:
+        return "the load is separate from the piston"
+    return ""
+
+
+def _limit(spec: Spec, run: Trajectory) -> LimitOfRun:
+    disturbing = tuple(DISTURBANCE.signals.values())
+    if not all(signal in run for signal in disturbing):
+        return LimitOfRun(None, "what disturbed the rig was not recorded")
+    if len(run) < LEAST_CYCLES:
+        return LimitOfRun(None, f"{len(run)} cycles are too few")
+    rows = np.stack([run[signal] for signal in disturbing], axis=1)
+    known = np.all(np.isfinite(rows), axis=1)
+    if np.mean(~known) > MOST_MISSING:
+        return LimitOfRun(None, "what disturbed the rig is missing in too many cycles")
+    if not np.all(known):
+        cycles = np.arange(len(rows))
+        rows = np.stack([np.interp(cycles, cycles[known], column[known]) for column in rows.T], axis=1)
+    rig = spec.loader_rig()
+    limit = causal_limit(
+        rig,
+        spec.settings.control_period,
+        rows,
+        flow_pressure=_flow_pressure(spec, run),
+        velocity_read="velocity" in CONTROLLERS.load(spec.controller.name).NEEDS,
+    )
+    if not math.isfinite(limit.largest):
+        return LimitOfRun(None, "the disturbance is not finite or beyond the precision of the numbers")
+    return LimitOfRun(limit)
+
+
+def _flow_pressure(spec: Spec, run: Trajectory) -> float:
+    """Return the valve's mean flow-pressure coefficient of the last half; 0, which is that at null, where it was not read."""
+    if "spool_m" not in run or "load_pressure_pa" not in run:
+        return 0.0
+    half = len(run) // 2
+    spool, pressure = run["spool_m"][half:], run["load_pressure_pa"][half:]
+    known = np.isfinite(spool) & np.isfinite(pressure)
+    return flow_pressure(spool[known], pressure[known], spec.rig.effective().plant) if np.any(known) else 0.0

@@ -1,0 +1,288 @@
+"""The load cycles of a block: which are complete, settled and like the others, and what each of them measures."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+from ehls_ros.experiments.verification.blocks import Block
+from ehls_ros.experiments.verification.sine_fit import Columns, Complex, basis
+from ehls_ros.experiments.verification.waveform import Waveform
+from ehls_ros.samples import Mask
+from ehls_ros.trajectory import Trajectory
+
+MOST_HARMONICS = 10
+"""Harmonics that a cycle is fitted with where it has samples enough."""
+
+FEWEST_SAMPLES = 16
+"""Samples that a cycle must have."""
+
+WIDEST_GAP = 0.05
+"""Largest part of a cycle without a sample, beyond the usual distance of two, with which it still counts as complete."""
+
+OTHER_LENGTH = 0.2
+"""Relative difference from the usual number of samples beyond which a cycle was held up, or is of another frequency."""
+
+UNLIKE = 0.01
+"""Difference of a cycle's reference from the usual one, as a fraction of its amplitude, beyond which it is another cycle."""
+
+SETTLED = 3.0
+"""Deviation from the later half's median cycle up to which a cycle has settled, in median deviations of that half."""
+
+SMALL = 1e-4
+"""Deviation that has settled in any case, as a fraction of the reference's amplitude."""
+
+FEW = 4
+"""Cycles of a stretch below which the settled ones cannot be told, and the first is left out."""
+
+
+@dataclass(frozen=True)
+class Cycles:
+    """What each complete cycle of a block measures. Arrays have one row per cycle, in order of time.
+
+    Attributes:
+        harmonics: number of harmonics fitted.
+        stretch: index of the stretch.
+        begin_s: time of the first sample [s].
+        first, stop: samples of the recording.
+        frequency: [Hz].
+        samples: number of samples.
+        force_mean, reference_mean: constant parts of the fits [N].
+        force, reference: coefficients of the harmonics, shape (cycles, harmonics) [N].
+        position: coefficients of the measured position, likewise [m]; NaN where a cycle lacks it.
+        peak, valley: of the measured waveform [N].
+        reference_peak, reference_valley: of the reference [N].
+        missed_peak, missed_valley: mean residual of the fit before, at and after them, shape (cycles, 3) [N].
+        variance: of a sample's residual of the force [N^2].
+        position_variance: of the components of the position's fundamental [m^2], by the fit.
+        of_mean, of_harmonic, of_peak, of_valley: variance of these results per variance of a sample.
+        offered: cycles begun in the block, complete or not.
+    """
+
+    harmonics: int
+    stretch: Array
+    begin_s: Array
+    first: Array
+    stop: Array
+    frequency: Array
+    samples: Array
+    force_mean: Array
+    reference_mean: Array
+    force: Complex
+    reference: Complex
+    position: Complex
+    peak: Array
+    valley: Array
+    reference_peak: Array
+    reference_valley: Array
+    missed_peak: Array
+    missed_valley: Array
+    variance: Array
+    position_variance: Array
+    of_mean: Array
+    of_harmonic: Array
+    of_peak: Array
+    of_valley: Array
+    offered: int
+
+    def __len__(self) -> int:
+        """Return the number of cycles."""
+        return len(self.begin_s)
+
+    def only(self, kept: Mask) -> "Cycles":
+        """Return some of the cycles."""
+        chosen = {f.name: getattr(self, f.name)[kept] for f in fields(self) if f.name not in {"harmonics", "offered"}}
+        return replace(self, **chosen)
+
+
+def cycles_of(run: Trajectory, block: Block) -> Cycles | str:
+    """Return the complete cycles of a block, or the reason why it has none.
+
+    Args:
+        run: the recording, with ``force_n`` and ``force_reference_n``.
+        block: the block.
+    """
+    cut = [
+        (index, begin, stop)
+        for index, stretch in enumerate(block.stretches)
+        for begin, stop in _edges(stretch.position, stretch.samples.start)
+    ]
+    if not cut:
+        return "its reference does not repeat"
+    known = np.isfinite(run["force_n"]) & np.isfinite(run["force_reference_n"])
+    counts = np.array([stop - begin for _, begin, stop in cut])
+    usual = float(np.median(counts))
+    if usual < FEWEST_SAMPLES:
+        return f"a cycle has {usual:.0f} samples, and {FEWEST_SAMPLES} are needed"
+    harmonics = min(MOST_HARMONICS, (int(usual) // 2 - 1) // 2)
+    rows = [
+        _cycle(run, index, (begin, stop), place, kept, harmonics)
+        for index, begin, stop in cut
+        if abs(stop - begin - usual) <= OTHER_LENGTH * usual
+        for place, kept in [_complete(block, index, (begin, stop), known)]
+        if kept is not None
+    ]
+    if 2 * len(rows) < len(cut):
+        return f"{len(cut) - len(rows)} of its {len(cut)} cycles are incomplete, were held up, or differ in length"
+    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return Cycles(harmonics=harmonics, offered=len(cut), **columns)
+
+
+def _edges(position: Array, start: int) -> Iterator[tuple[int, int]]:
+    """Yield the first sample and the one after the last of every cycle between the ends of a stretch."""
+    known = np.flatnonzero(np.isfinite(position))
+    if len(known) < 2:
+        return
+    turn = np.floor(position[known] + 1e-9).astype(np.int64)
+    steps = np.flatnonzero(np.diff(turn)) + 1
+    # The first and last cycle are whole only where the stretch begins and ends at an edge.
+    spacing = float(np.median(np.diff(position[known])))
+    edges = steps.tolist()
+    if position[known[0]] - turn[0] <= 1.5 * spacing:
+        edges.insert(0, 0)
+    if turn[-1] + 1 - position[known[-1]] <= 1.5 * spacing:
+        edges.append(len(known))
+    for low, high in pairwise(edges):
+        yield start + int(known[low]), start + int(known[high - 1]) + 1
+
+
+def _complete(block: Block, index: int, ends: tuple[int, int], known: Mask) -> tuple[Array, Mask | None]:
+    """Return a cycle's positions and which of its samples are known; None for those of a cycle with a gap."""
+    begin, stop = ends
+    stretch = block.stretches[index]
+    place = stretch.position[begin - stretch.samples.start : stop - stretch.samples.start]
+    kept = known[begin:stop] & np.isfinite(place)
+    if int(kept.sum()) < FEWEST_SAMPLES:
+        return place, None
+    inside = place[kept] - np.floor(place[kept][0] + 1e-9)
+    spacing = 1.0 / len(place)
+    steps = np.diff(inside, prepend=0.0, append=1.0)
+    whole = float(steps.max()) <= WIDEST_GAP + 2.0 * spacing and bool(np.all(steps[1:-1] > 0.0))
+    return place, kept if whole else None
+
+
+def _cycle(run: Trajectory, index: int, ends: tuple[int, int], place: Array, kept: Mask, harmonics: int) -> dict[str, object]:
+    """Measure one cycle."""
+    here = slice(*ends)
+    at = place[kept]
+    force, reference = run["force_n"][here][kept], run["force_reference_n"][here][kept]
+    columns = Columns.at(at, harmonics)
+    fit = columns.fit(np.column_stack([force, reference]))
+    asked = Waveform.of(at, reference)
+    measured, values = asked.following(at, force, fit.coefficient[0, 0], fit.coefficient[1, 0], float(fit.mean[1]), columns)
+    residual = force - values
+    (top, peak), (bottom, valley) = measured.extreme(at, values, 1.0), measured.extreme(at, values, -1.0)
+    spread = basis(np.array([top, bottom]), harmonics)
+    leverage = np.einsum("ij,jk,ik->i", spread, columns.inverse, spread)
+    position, position_variance = _position(run, here, place, harmonics)
+    time = run.time_s[here][kept]
+    return {
+        "stretch": index,
+        "begin_s": time[0],
+        "first": ends[0],
+        "stop": ends[1],
+        "frequency": (at[-1] - at[0]) / (time[-1] - time[0]),
+        "samples": len(at),
+        "force_mean": fit.mean[0],
+        "reference_mean": fit.mean[1],
+        "force": fit.coefficient[0],
+        "reference": fit.coefficient[1],
+        "position": position,
+        "peak": peak,
+        "valley": valley,
+        "reference_peak": asked.extreme(at, reference, 1.0)[1],
+        "reference_valley": asked.extreme(at, reference, -1.0)[1],
+        "missed_peak": _missed(at, residual, top, harmonics),
+        "missed_valley": _missed(at, residual, bottom, harmonics),
+        "variance": measured.variance,
+        "position_variance": position_variance,
+        "of_mean": columns.inverse[0, 0],
+        "of_harmonic": np.diag(columns.inverse)[1:].max(),
+        "of_peak": leverage[0],
+        "of_valley": leverage[1],
+    }
+
+
+def _missed(at: Array, residual: Array, place: float, harmonics: int) -> Array:
+    """Return the mean residual before, at and after a place in the cycle, over half a period of the highest harmonic in all.
+
+    Returns:
+        Shape (3,); 0 where there is no sample.
+    """
+    third = 0.5 / harmonics / 3.0
+    away = (at - place + 0.5) % 1.0 - 0.5
+    parts = [residual[np.abs(away - shift * third) <= 0.5 * third] for shift in (-1, 0, 1)]
+    return np.array([part.mean() if part.size else 0.0 for part in parts])
+
+
+def _position(run: Trajectory, here: slice, place: Array, harmonics: int) -> tuple[Complex, float]:
+    none = np.full(harmonics, np.nan + 0j), np.nan
+    if "position_m" not in run:
+        return none
+    values = run["position_m"][here]
+    kept = np.isfinite(values) & np.isfinite(place)
+    if 2 * int(kept.sum()) < len(values) or int(kept.sum()) < FEWEST_SAMPLES:
+        return none
+    columns = Columns.at(place[kept], harmonics, drifting=True)
+    fit = columns.fit(values[kept][:, None])
+    return fit.coefficient[0], float(fit.variance[0] * np.diag(columns.inverse)[1:3].max())
+
+
+# --- which of them count ------------------------------------------------------------------------
+
+
+def has_fundamental(cycles: Cycles) -> bool:
+    """Tell whether the reference moves at the frequency of the cycle."""
+    return float(np.median(np.abs(cycles.reference[:, 0]))) > UNLIKE * float(
+        np.median(cycles.reference_peak - cycles.reference_valley)
+    )
+
+
+def alike(cycles: Cycles) -> Mask:
+    """Return which cycles have the usual reference."""
+    usual = np.median(cycles.reference[:, 0].real) + 1j * np.median(cycles.reference[:, 0].imag)
+    tolerance = UNLIKE * abs(usual)
+    same: Mask = (np.abs(cycles.reference[:, 0] - usual) <= tolerance) & (
+        np.abs(cycles.reference_mean - np.median(cycles.reference_mean)) <= tolerance
+    )
+    return same
+
+
+def settled(cycles: Cycles, left_out: int | None = None) -> tuple[Mask, bool]:
+    """Return which cycles come after the transient at the start of their stretch.
+
+    Args:
+        cycles: the cycles of a block.
+        left_out: cycles to leave out at the start of each stretch; None: as many as differ from the later half's, half of them
+            at most.
+
+    Returns:
+        Which have settled, and whether the transients had ended by the middle of every stretch.
+    """
+    mask = np.ones(len(cycles), dtype=bool)
+    in_time = True
+    for index in np.unique(cycles.stretch):
+        rows = np.flatnonzero(cycles.stretch == index)
+        skipped = left_out
+        if skipped is None:
+            skipped = _transient(cycles, rows)
+            in_time = in_time and (len(rows) < FEW or skipped < len(rows) // 2)
+        mask[rows[:skipped]] = False
+    return mask, in_time
+
+
+def _transient(cycles: Cycles, rows: NDArray[np.intp]) -> int:
+    """Return how many cycles at the start of a stretch have not settled."""
+    if len(rows) < FEW:
+        return 1 if len(rows) > 1 else 0
+    half = len(rows) // 2
+    error = (cycles.force - cycles.reference)[rows, 0]
+    mean = (cycles.force_mean - cycles.reference_mean)[rows]
+    late = np.median(error[half:].real) + 1j * np.median(error[half:].imag)
+    off = np.hypot(np.abs(error - late), mean - np.median(mean[half:]))
+    size = abs(np.median(cycles.reference[rows, 0].real) + 1j * np.median(cycles.reference[rows, 0].imag))
+    inside = off <= max(SETTLED * float(np.median(off[half:])), SMALL * size)
+    return int(np.argmax(inside)) if inside[:half].any() else half

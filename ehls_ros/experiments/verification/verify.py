@@ -1,0 +1,396 @@
+"""Dynamic force verification of a recording.
+
+In substance after ASTM E467 and ISO 4965: end levels, span, amplitude and phase of a cyclic force against what is asked for,
+with the errors relative to the span, the repeatability over cycles, and the inertia of what moves between load cell and
+specimen.
+Those compare an independent dynamometer in place of the specimen; here the rig's own force signal is compared with its command.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.verification.blocks import BLOCK, Block, blocks_of
+from ehls_ros.experiments.verification.cycles import Cycles, alike, cycles_of, has_fundamental, settled
+from ehls_ros.experiments.verification.inertia import correct
+from ehls_ros.experiments.verification.results import (
+    Cyclic,
+    Distortion,
+    Harmonic,
+    JudgedBlock,
+    NonCyclic,
+    OneCycle,
+    Quantity,
+    Refused,
+    Repeatability,
+    Trend,
+    Verification,
+)
+from ehls_ros.experiments.verification.uncertainty import COVERAGE, TypeB, Uncertainty, of_mean, of_resolution, student
+from ehls_ros.experiments.verification.waveform import BETWEEN
+from ehls_ros.physics.parameters import Sensor
+from ehls_ros.physics.rig import Rig, rig_from_mapping
+from ehls_ros.samples import Mask
+from ehls_ros.trajectory import Trajectory
+
+STEADY = 1e-3
+"""Drift over the judged cycles, as a fraction of the range, beyond which a force that clearly drifts has not settled."""
+
+MOST_UNLIKE = 0.2
+"""Part of the cycles with another reference from which on a block is not judged by its cycles."""
+
+
+class Given(NamedTuple):
+    """What a verification is told beside the recording.
+
+    Attributes:
+        rig: the rig, for resolution, noise and lag of its sensors; None: that of the recording's metadata.
+        inertia_mass: mass between load cell and specimen [kg]; None: no correction.
+        cell_uncertainty: expanded uncertainty (k = 2) of the load cell's calibration [% of reading]; None: not known.
+        settling: cycles to leave out at the start of each stretch; None: as many as the data show.
+    """
+
+    rig: Rig | None = None
+    inertia_mass: float | None = None
+    cell_uncertainty: float | None = None
+    settling: int | None = None
+
+
+def verify_recording(run: Trajectory, given: Given, name: str) -> Verification:
+    """Verify the force of a recording, block by block.
+
+    Args:
+        run: the recording.
+        given: what else is known.
+        name: what errors call the recording.
+
+    Raises:
+        BadInput: force or reference was not recorded, a value is out of range, or inertia is to be corrected without a
+            position.
+    """
+    _check(run, given, name)
+    rig = given.rig or _recorded_rig(run.metadata)
+    blocks = blocks_of(run)
+    return Verification(
+        blocks=tuple(_judged(run, block, given, rig) for block in blocks),
+        remarks=tuple(_remarks(run, given, rig)),
+        inertia_mass_kg=given.inertia_mass,
+        cell_uncertainty_percent=given.cell_uncertainty,
+    )
+
+
+def _check(run: Trajectory, given: Given, name: str) -> None:
+    for signal, why in (("force_n", "the measured force"), ("force_reference_n", "what it is compared with")):
+        if signal not in run or not np.isfinite(run[signal]).any():
+            raise BadInput(f"there is no {signal}, {why}", name, "a recording of a force-controlled test with both")
+    for value, what in ((given.inertia_mass, "the inertia mass"), (given.cell_uncertainty, "the cell's uncertainty")):
+        if value is not None and not (math.isfinite(value) and value >= 0.0):
+            raise BadInput(f"{what} is {value:g}", name, "a number, 0 or more")
+    if given.settling is not None and given.settling < 0:
+        raise BadInput(f"the number of settling cycles is {given.settling}", name, "0 or more")
+    if given.inertia_mass is not None and ("position_m" not in run or not np.isfinite(run["position_m"]).any()):
+        what = "the inertia of a mass cannot be corrected: no position_m was recorded, and without it there is no acceleration"
+        raise BadInput(what, name, "a recording with the position, or no inertia mass")
+
+
+def _recorded_rig(metadata: Mapping[str, Any]) -> Rig | None:
+    """Return the rig of a recording's metadata; None where it has none that can be read."""
+    try:
+        return rig_from_mapping(metadata["rig"], "metadata") if "rig" in metadata else None
+    except BadInput:
+        return None
+
+
+def _remarks(run: Trajectory, given: Given, rig: Rig | None) -> Iterator[str]:
+    yield from run.preparation.remarks
+    if BLOCK not in run:
+        yield "The recording has no programme: it is judged as one block, by its own reference."
+    if rig is None:
+        yield "No rig file was given: resolution, noise and lag of the sensors are not in the uncertainty."
+    elif "force" not in rig.sensors:
+        yield "The rig file says nothing of the force sensor: its resolution and noise count as zero."
+    if given.cell_uncertainty is None:
+        yield "The load cell's calibration uncertainty was not told and counts as zero: uncertainties here are too small by it."
+    if given.inertia_mass is None:
+        yield "The inertia of the mass between load cell and specimen is not corrected: no mass was told."
+
+
+def _judged(run: Trajectory, block: Block, given: Given, rig: Rig | None) -> JudgedBlock:
+    parts = [stretch.samples for stretch in block.stretches]
+    known = [np.isfinite(run["force_n"][part]) & np.isfinite(run["force_reference_n"][part]) for part in parts]
+    total = sum(len(part) for part in known)
+    present = sum(int(part.sum()) for part in known)
+    return JudgedBlock(
+        name=block.name,
+        number=block.number,
+        begin_s=float(run.time_s[parts[0].start] - run.time_s[0]),
+        duration_s=float(sum(run.time_s[part.stop - 1] - run.time_s[part.start] for part in parts)),
+        missing_percent=100.0 * (1.0 - present / total),
+        found=_found(run, block, given, rig) if present else Refused("no sample has both force and reference"),
+    )
+
+
+def _found(run: Trajectory, block: Block, given: Given, rig: Rig | None) -> Cyclic | NonCyclic:
+    cycles = cycles_of(run, block)
+    if isinstance(cycles, str):
+        return _over_time(run, block, cycles)
+    if not has_fundamental(cycles):
+        return _over_time(run, block, "its reference has no part at the frequency of the cycle")
+    usual = alike(cycles)
+    if np.mean(~usual) > MOST_UNLIKE:
+        reason = f"the reference of {int(np.sum(~usual))} of its {len(cycles)} cycles differs from the usual one"
+        return _over_time(run, block, reason)
+    late, in_time = settled(cycles.only(usual), given.settling)
+    judged = usual.copy()
+    judged[np.flatnonzero(usual)[~late]] = False
+    if not judged.any():
+        return _over_time(run, block, f"none of its {len(cycles)} cycles is left after those in which it settles")
+    return _over_cycles(run, cycles, judged, (int(np.sum(usual)), in_time), given, rig)
+
+
+def _over_time(run: Trajectory, block: Block, reason: str) -> NonCyclic:
+    parts = [run["force_n"][stretch.samples] - run["force_reference_n"][stretch.samples] for stretch in block.stretches]
+    error, half = np.concatenate(parts), np.concatenate([part[len(part) // 2 :] for part in parts])
+    error, half = error[np.isfinite(error)], half[np.isfinite(half)]
+    half = half if half.size else error
+    return NonCyclic(
+        reason=reason,
+        samples=int(error.size),
+        mean_error_n=float(error.mean()),
+        rms_error_n=float(np.sqrt(np.mean(error**2))),
+        max_error_n=float(np.abs(error).max()),
+        last_half_rms_error_n=float(np.sqrt(np.mean(half**2))),
+        last_half_max_error_n=float(np.abs(half).max()),
+    )
+
+
+# --- a block by its cycles -----------------------------------------------------------------------
+
+
+def _over_cycles(run: Trajectory, every: Cycles, judged: Mask, told: tuple[int, bool], given: Given, rig: Rig | None) -> Cyclic:
+    usual, in_time = told
+    cycles = every.only(judged)
+    sensor = rig.sensors.get("force", Sensor()) if rig is not None else Sensor()
+    known = TypeB(sensor.noise_std, of_resolution(sensor.resolution), (given.cell_uncertainty or 0.0) / 100.0 / COVERAGE)
+    frequency = float(cycles.frequency.mean())
+    amplitude, phase = _fundamental(cycles, known)
+    harmonics, distortion = _harmonics(cycles, known)
+    position = rig.sensors.get("position", Sensor()) if rig is not None else Sensor()
+    mass, repeated = given.inertia_mass, _repeatability(cycles)
+    return Cyclic(
+        frequency_hz=frequency,
+        cycles_judged=len(cycles),
+        cycles_settling=usual - len(cycles),
+        cycles_incomplete=every.offered - len(every),
+        cycles_unlike=len(every) - usual,
+        passes=len(np.unique(every.stretch)),
+        settled=in_time and _steady(cycles, repeated),
+        peak=_end_level(cycles, "peak", known),
+        valley=_end_level(cycles, "valley", known),
+        mean=_mean(cycles, known),
+        range=_range(cycles, known),
+        amplitude=amplitude,
+        phase=phase,
+        delay_s=-phase.error / 360.0 / frequency,
+        sensor_phase_deg=math.nan if rig is None else _sensor_phase(sensor, frequency),
+        distortion=distortion,
+        harmonics=harmonics,
+        repeatability=repeated,
+        inertia=None if mass is None else correct(cycles, mass, of_resolution(position.resolution), amplitude, phase),
+        trend=Trend(
+            np.arange(1.0, len(every) + 1.0), judged, every.peak, every.valley, every.reference_peak, every.reference_valley
+        ),
+        last=_last(run, cycles),
+    )
+
+
+def _span(cycles: Cycles) -> float:
+    return float(np.mean(cycles.reference_peak - cycles.reference_valley))
+
+
+def _of_fit(cycles: Cycles, leverage: Array) -> float:
+    return math.sqrt(float(np.mean(cycles.variance * leverage)) / len(cycles))
+
+
+def _of_noise(cycles: Cycles, known: TypeB, leverage: Array) -> float:
+    return known.noise * math.sqrt(float(np.mean(leverage)) / len(cycles))
+
+
+def _uncertainty(
+    cycles: Cycles, values: Array, leverage: Array, known: TypeB, reading: float, missed: float = 0.0
+) -> Uncertainty:
+    """Combine what is known of a mean over cycles.
+
+    Args:
+        cycles: the cycles.
+        values: the quantity less its reference in each cycle, shape (cycles,) [N].
+        leverage: its variance per variance of a sample in each cycle, shape (cycles,).
+        known: type B.
+        reading: what the calibration's uncertainty is a fraction of [N].
+        missed: what the fit misses where the quantity is read [N].
+    """
+    return Uncertainty(
+        repeatability=of_mean(values),
+        fit=_of_fit(cycles, leverage),
+        noise=_of_noise(cycles, known, leverage),
+        resolution=known.resolution,
+        cell=known.cell * abs(reading),
+        waveform=abs(missed),
+    )
+
+
+def _missed(cycles: Cycles, name: str) -> float:
+    """Return how far the fitted waveform is from the samples around an extreme, less what their noise makes of it [N]."""
+    parts = getattr(cycles, f"missed_{name}")
+    noise = float(np.mean(cycles.variance * 6.0 * cycles.harmonics / cycles.samples)) / len(cycles)
+    return math.sqrt(max(float(np.max(parts.mean(axis=0) ** 2)) - 4.0 * noise, 0.0))
+
+
+def _between(cycles: Cycles) -> float:
+    """Return how far an extreme between two samples may be from its interpolation [N]."""
+    return BETWEEN * (2.0 * math.pi / float(cycles.samples.mean())) ** 4 * float(np.abs(cycles.force[:, 0]).mean())
+
+
+def _end_level(cycles: Cycles, name: str, known: TypeB) -> Quantity:
+    values, references = getattr(cycles, name), getattr(cycles, f"reference_{name}")
+    measured, reference = float(values.mean()), float(references.mean())
+    missed = math.hypot(_missed(cycles, name), _between(cycles))
+    leverage = getattr(cycles, f"of_{name}")
+    return Quantity(
+        name,
+        "n",
+        reference,
+        measured,
+        _span(cycles),
+        _uncertainty(cycles, values - references, leverage, known, measured, missed),
+    )
+
+
+def _mean(cycles: Cycles, known: TypeB) -> Quantity:
+    measured, reference = float(cycles.force_mean.mean()), float(cycles.reference_mean.mean())
+    values = cycles.force_mean - cycles.reference_mean
+    return Quantity(
+        "mean", "n", reference, measured, _span(cycles), _uncertainty(cycles, values, cycles.of_mean, known, measured)
+    )
+
+
+def _range(cycles: Cycles, known: TypeB) -> Quantity:
+    values, references = cycles.peak - cycles.valley, cycles.reference_peak - cycles.reference_valley
+    measured, reference = float(values.mean()), float(references.mean())
+    missed = math.hypot(_missed(cycles, "peak"), _missed(cycles, "valley"), 2.0 * _between(cycles))
+    twice = known._replace(resolution=math.sqrt(2.0) * known.resolution)
+    leverage = cycles.of_peak + cycles.of_valley
+    return Quantity(
+        "range",
+        "n",
+        reference,
+        measured,
+        reference,
+        _uncertainty(cycles, values - references, leverage, twice, measured, missed),
+    )
+
+
+def _fundamental(cycles: Cycles, known: TypeB) -> tuple[Quantity, Quantity]:
+    """Return amplitude and phase of the fitted sine."""
+    force, reference = cycles.force[:, 0], cycles.reference[:, 0]
+    # Each cycle's force turned to where its reference is at phase zero: what is left is amplitude and phase error.
+    turned = force * np.conj(reference) / np.abs(reference)
+    mean = complex(turned.mean())
+    size, asked = abs(mean), float(np.abs(reference).mean())
+    along = turned * (np.conj(mean) / size if size else 1.0)
+    amplitude = Quantity(
+        "amplitude",
+        "n",
+        asked,
+        size,
+        asked,
+        _uncertainty(cycles, along.real - np.abs(reference), cycles.of_harmonic, known, size),
+    )
+    across = _uncertainty(cycles, along.imag, cycles.of_harmonic, known, 0.0)
+    if not size:
+        nothing = Uncertainty(math.nan, math.nan)
+        return amplitude, Quantity("phase", "deg", 0.0, math.nan, None, nothing)
+    in_degrees = Uncertainty(*(math.degrees(part / size) for part in across))
+    return amplitude, Quantity("phase", "deg", 0.0, math.degrees(np.angle(mean)), None, in_degrees)
+
+
+def _harmonics(cycles: Cycles, known: TypeB) -> tuple[tuple[Harmonic, ...], Distortion]:
+    """Return the harmonics and the total distortion; noise, which adds to every amplitude, is taken off again."""
+    force, reference = cycles.force.mean(axis=0), np.abs(cycles.reference.mean(axis=0))
+    fit = max(_of_fit(cycles, cycles.of_harmonic), _of_noise(cycles, known, cycles.of_harmonic))
+    error = cycles.force - cycles.reference
+    std = np.array([np.nanmax([of_mean(column, 2), fit]) for column in error.T])
+    size = np.sqrt(np.maximum(np.abs(force) ** 2 - 2.0 * std**2, 0.0))
+    expanded = COVERAGE * np.hypot(std, known.resolution)
+    first, asked = size[0], reference[0]
+    rows = tuple(
+        Harmonic(
+            order=k + 1,
+            reference_n=float(reference[k]),
+            measured_n=float(size[k]),
+            expanded_n=float(expanded[k]),
+            percent=100.0 * float(size[k] / first) if first else math.nan,
+            reference_percent=100.0 * float(reference[k] / asked),
+        )
+        for k in range(cycles.harmonics)
+    )
+    if not first:
+        return rows, Distortion(math.nan, math.nan, math.nan)
+    # The sum of squares has a variance of 4 A^2 u^2 + 4 u^4 a harmonic.
+    total = float(np.sum(np.abs(force[1:]) ** 2 - 2.0 * std[1:] ** 2))
+    spread = COVERAGE * math.sqrt(float(np.sum(4.0 * size[1:] ** 2 * std[1:] ** 2 + 4.0 * std[1:] ** 4)))
+    thd = math.sqrt(max(total, 0.0))
+    above = math.sqrt(max(total + spread, 0.0)) - thd
+    below = thd - math.sqrt(max(total - spread, 0.0))
+    # Steps of the converter make harmonics of up to the square root of two times their rms in all.
+    uncertain = math.hypot(max(above, below), COVERAGE * math.sqrt(2.0) * known.resolution)
+    asked_for = float(np.sqrt(np.sum(reference[1:] ** 2)) / asked)
+    return rows, Distortion(100.0 * thd / first, 100.0 * asked_for, 100.0 * uncertain / first)
+
+
+def _repeatability(cycles: Cycles) -> Repeatability:
+    several = len(cycles) > 1
+    peak, valley = cycles.peak - cycles.reference_peak, cycles.valley - cycles.reference_valley
+    spread = [float(np.std(values, ddof=1)) if several else math.nan for values in (peak, valley, peak - valley)]
+    of_peak, of_valley, of_range = spread
+    return Repeatability(of_peak, of_valley, of_range, *_drift(peak), *_drift(valley))
+
+
+def _steady(cycles: Cycles, found: Repeatability) -> bool:
+    """Tell whether peaks and valleys stay where they are over the cycles; too few cycles do not tell otherwise."""
+    least = STEADY * _span(cycles) / len(cycles)
+    return not any(
+        abs(drift) > max(expanded, least)
+        for drift, expanded in (
+            (found.peak_drift_n_per_cycle, found.peak_drift_expanded_n_per_cycle),
+            (found.valley_drift_n_per_cycle, found.valley_drift_expanded_n_per_cycle),
+        )
+    )
+
+
+def _drift(values: Array) -> tuple[float, float]:
+    """Return the slope of the straight line through the cycles, and its expanded uncertainty [N/cycle]."""
+    if len(values) < 3:
+        return math.nan, math.nan
+    centred = np.arange(len(values)) - 0.5 * (len(values) - 1)
+    squares = float(centred @ centred)
+    slope = float(centred @ values) / squares
+    residual = values - values.mean() - slope * centred
+    freedom = len(values) - 2
+    return slope, COVERAGE * student(freedom) * math.sqrt(float(residual @ residual) / freedom / squares)
+
+
+def _sensor_phase(sensor: Sensor, frequency: float) -> float:
+    """Return the phase that lag and delay of a sensor make at a frequency [°]."""
+    lag = math.atan(2.0 * math.pi * frequency / sensor.bandwidth) if sensor.bandwidth > 0.0 else 0.0
+    return -math.degrees(lag) - 360.0 * frequency * sensor.delay
+
+
+def _last(run: Trajectory, cycles: Cycles) -> OneCycle:
+    here = slice(int(cycles.first[-1]), int(cycles.stop[-1]))
+    time = run.time_s[here]
+    return OneCycle(time - time[0], run["force_n"][here].copy(), run["force_reference_n"][here].copy())

@@ -1,0 +1,248 @@
+"""The report of a dynamic force verification: a part for each block, with its table and figures."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ehls_ros.experiments.verification.results import (
+    CERTIFIES_NOTHING,
+    Cyclic,
+    Inertia,
+    JudgedBlock,
+    NonCyclic,
+    Quantity,
+    Refused,
+    Verification,
+)
+from ehls_ros.report import page
+from ehls_ros.report import verification_figures as drawn
+from ehls_ros.report.page import MISSING_NUMBER, Row, number, signed
+
+SYMBOLS = {"n": "N", "deg": "°"}
+"""Units of quantities as they are shown."""
+
+MOST_DRAWN = 12
+"""Blocks whose figures are drawn; the tables have all of them."""
+
+NOTES = (
+    "Peak, valley and range are those of the reference, delayed and scaled, plus the harmonics fitted to what remains.",
+    "Mean, amplitude and phase are those of the fitted sine. Each is the mean over the cycles that were judged.",
+    "Errors are measured less reference; a negative phase is a lag.",
+    "Percentages are of the reference's range, and those of the amplitude of its amplitude.",
+    "Uncertainties are expanded, k = 2; few cycles are enlarged by Student's factor.",
+    "Scatter, fit and noise are three estimates of the same, the random part: the largest counts.",
+)
+
+
+def answer(found: Verification) -> tuple[str, bool | None]:
+    """Return the result in a sentence, and None for the data tell no verdict: limits are those of the user's standard."""
+    cyclic = [block for block in found.blocks if isinstance(block.found, Cyclic)]
+    others = len(found.blocks) - len(cyclic)
+    if not cyclic:
+        [first, *more] = found.blocks
+        reason = first.found.reason if isinstance(first.found, NonCyclic | Refused) else ""
+        rest = f" and {len(more)} more" if more else ""
+        return f"No block was judged by its cycles: {first.name}{rest} ({reason}).", None
+    amplitude, lag = _largest(cyclic, "amplitude"), _largest(cyclic, "phase")
+    ranged = _largest(cyclic, "range")
+    single = len(cyclic) == 1
+    judged = "The block was judged by its" if single else f"{len(cyclic)} blocks were judged by their"
+    said = (
+        f"{judged} cycles: range off by {'' if single else 'at most '}{_percent(ranged)}, amplitude by {_percent(amplitude)}, "
+        f"phase by {signed(lag.error)}° ± {number(lag.uncertainty.expanded, 2)}°"
+    )
+    rest = f"; {others} {'is' if others == 1 else 'are'} not cyclic" if others else ""
+    return f"{said}{rest}. This certifies nothing.", None
+
+
+def _largest(blocks: list[JudgedBlock], name: str) -> Quantity:
+    found: list[Quantity] = [getattr(block.found, name) for block in blocks]
+    return max(found, key=lambda q: np.nan_to_num(abs(q.error if q.relative_to is None else q.percent)))
+
+
+def _percent(quantity: Quantity) -> str:
+    return f"{signed(quantity.percent)} ± {number(quantity.expanded_percent, 2)} %"
+
+
+def write_verification_report(found: Verification, path: Path, source: str = "") -> None:
+    """Write one self-contained HTML file that shows a verification.
+
+    Args:
+        found: the verification.
+        path: file to write; its folder must exist.
+        source: what was verified, for the line below the heading.
+    """
+    sentence, good = answer(found)
+    cyclic = [block for block in found.blocks if isinstance(block.found, Cyclic)]
+    pictured = {id(block) for block in cyclic[:MOST_DRAWN]}
+    left = len(cyclic) - len(pictured)
+    parts = [
+        ("Blocks", [_overview(found)] if len(found.blocks) > 1 else []),
+        *((block.name.capitalize(), list(_block(block, figures=id(block) in pictured))) for block in found.blocks),
+        (
+            "How it was made",
+            [
+                page.bullets((*NOTES, *found.remarks)),
+                page.paragraph(f"Figures of {left} more blocks are left out.") if left else "",
+            ],
+        ),
+    ]
+    page.write_page(
+        path,
+        title="Dynamic force verification",
+        subtitle=source,
+        blocks=[page.verdict(sentence, good=good), page.paragraph(CERTIFIES_NOTHING), *page.sections(parts)],
+    )
+
+
+def _overview(found: Verification) -> str:
+    header = [
+        "",
+        "frequency [Hz]",
+        "cycles",
+        "peak [%]",
+        "valley [%]",
+        "mean [%]",
+        "amplitude [%]",
+        "phase [°]",
+        "distortion [%]",
+    ]
+    rows: list[Row] = []
+    for block in found.blocks:
+        one = block.found
+        if isinstance(one, Cyclic):
+            errors = [_error(q) for q in (one.peak, one.valley, one.mean, one.amplitude, one.phase)]
+            rows.append(
+                [
+                    block.name,
+                    number(one.frequency_hz, 4),
+                    number(one.cycles_judged),
+                    *errors,
+                    number(one.distortion.measured_percent),
+                ]
+            )
+        else:
+            rows.append([block.name, MISSING_NUMBER, "0", *[MISSING_NUMBER] * 6])
+    return page.table(header, rows)
+
+
+def _error(quantity: Quantity) -> str:
+    """Write an error with its expanded uncertainty, in percent or degrees."""
+    if quantity.relative_to is None:
+        return f"{signed(quantity.error)} ± {number(quantity.uncertainty.expanded, 2)}"
+    return f"{signed(quantity.percent)} ± {number(quantity.expanded_percent, 2)}"
+
+
+def _block(block: JudgedBlock, *, figures: bool) -> Iterator[str]:
+    missing = f"{number(block.missing_percent)} % of its samples lack force or reference" if block.missing_percent else ""
+    one = block.found
+    if isinstance(one, Refused):
+        yield page.paragraph(f"Not judged: {one.reason}.")
+        return
+    if isinstance(one, NonCyclic):
+        yield page.paragraph(f"Judged by its error over time, for {one.reason}.")
+        yield page.facts(
+            [
+                ("Start, length", f"{number(block.begin_s)} s, {number(block.duration_s)} s"),
+                ("Samples", number(one.samples)),
+                ("Mean error", f"{number(one.mean_error_n)} N"),
+                ("RMS error", f"{number(one.rms_error_n)} N"),
+                ("Largest error", f"{number(one.max_error_n)} N"),
+                ("RMS error, last half", f"{number(one.last_half_rms_error_n)} N"),
+                ("Largest error, last half", f"{number(one.last_half_max_error_n)} N"),
+            ]
+        )
+        yield page.paragraph(f"{missing}.") if missing else ""
+        return
+    yield page.facts(_facts(block, one))
+    yield page.bullets(_said(one, missing))
+    yield _quantities(one)
+    yield _cells(one)
+    if isinstance(one.inertia, Inertia):
+        yield _inertia(one.inertia)
+    if figures:
+        yield page.figures([drawn.one_cycle(one)])
+        yield page.figures([drawn.trend(one), drawn.harmonics(one)], columns=2)
+
+
+def _facts(block: JudgedBlock, one: Cyclic) -> list[tuple[str, str]]:
+    repeated, thd = one.repeatability, one.distortion
+    return [
+        ("Start, length", f"{number(block.begin_s)} s, {number(block.duration_s)} s"),
+        ("Frequency", f"{number(one.frequency_hz, 4)} Hz"),
+        ("Cycles judged", number(one.cycles_judged)),
+        ("Passes", number(one.passes)),
+        ("Scatter of peaks", _in(repeated.peak_std_n, "N")),
+        ("Scatter of valleys", _in(repeated.valley_std_n, "N")),
+        ("Scatter of the range", _in(repeated.range_std_n, "N")),
+        ("Drift of peaks", _drift(repeated.peak_drift_n_per_cycle, repeated.peak_drift_expanded_n_per_cycle)),
+        ("Drift of valleys", _drift(repeated.valley_drift_n_per_cycle, repeated.valley_drift_expanded_n_per_cycle)),
+        ("Harmonic distortion", f"{number(thd.measured_percent)} ± {number(thd.expanded_percent, 2)} %"),
+        ("Distortion of the reference", f"{number(thd.reference_percent if thd.reference_percent > 1e-6 else 0.0)} %"),
+        ("Delay", _in(1e3 * one.delay_s, "ms")),
+    ]
+
+
+def _in(value: float, unit: str) -> str:
+    return f"{number(value)} {unit}" if math.isfinite(value) else MISSING_NUMBER
+
+
+def _drift(value: float, expanded: float) -> str:
+    return f"{signed(value)} ± {number(expanded, 2)} N/cycle" if math.isfinite(value) else MISSING_NUMBER
+
+
+def _said(one: Cyclic, missing: str) -> Iterator[str]:
+    """Yield what was left out and why."""
+    for count, why in (
+        (one.cycles_settling, "at the start of their stretch, before the force has settled"),
+        (one.cycles_incomplete, "for missing samples, a hold, or another length"),
+        (one.cycles_unlike, "for another reference than the others'"),
+    ):
+        if count:
+            yield f"{number(count)} {'cycle is' if count == 1 else 'cycles are'} left out {why}."
+    if not one.settled:
+        yield "The force has not settled: the cycles that are judged still change."
+    if one.cycles_judged == 1:
+        yield "One cycle tells nothing of repeatability: the uncertainty is that of the fit."
+    if missing:
+        yield f"{missing}."
+    if math.isfinite(one.sensor_phase_deg) and one.sensor_phase_deg:
+        yield f"Of the phase, {signed(one.sensor_phase_deg)}° are the force sensor's own, by the rig file; it is not corrected."
+    if isinstance(one.inertia, Refused):
+        yield f"The load cell's inertia is not corrected: {one.inertia.reason}."
+
+
+def _quantities(one: Cyclic) -> str:
+    header = ["", "reference", "measured", "error", "error [%]"]
+    rows: list[Row] = []
+    for q in one.quantities:
+        unit = SYMBOLS[q.unit]
+        share = MISSING_NUMBER if q.relative_to is None else _error(q)
+        error = f"{signed(q.error)} ± {number(q.uncertainty.expanded, 2)} {unit}"
+        rounded = 0.0 if abs(q.reference) < 1e-3 * q.uncertainty.expanded else q.reference
+        rows.append([q.name, f"{number(rounded, 5)} {unit}", f"{number(q.measured, 5)} {unit}", error, share])
+    return page.table(header, rows)
+
+
+def _cells(one: Cyclic) -> str:
+    """Make the budget: standard uncertainties by their origin."""
+    header = ["standard uncertainty of", "scatter (A)", "fit (A)", "noise (B)", "resolution (B)", "cell (B)", "waveform (B)",
+              "combined"]  # fmt: skip
+    rows: list[Row] = []
+    for q in one.quantities:
+        unit = SYMBOLS[q.unit]
+        rows.append([q.name, *(_in(part, unit) for part in (*q.uncertainty, q.uncertainty.standard))])
+    return page.table(header, rows)
+
+
+def _inertia(found: Inertia) -> str:
+    amplitude, phase = found.amplitude, found.phase
+    return page.paragraph(
+        f"Inertia of {number(found.mass_kg)} kg between load cell and specimen: {number(found.force_n)} ± "
+        f"{number(found.force_expanded_n, 2)} N at the fundamental, {number(found.percent)} % of the amplitude, at "
+        f"{signed(found.phase_deg)}° to the measured force. Without it, the specimen's amplitude is off by "
+        f"{signed(amplitude.error)} ± {number(amplitude.uncertainty.expanded, 2)} N ({_percent(amplitude)}), its phase by "
+        f"{signed(phase.error)}° ± {number(phase.uncertainty.expanded, 2)}°."
+    )
