@@ -28,7 +28,7 @@ from ehls_ros.schema import quantity, text
 ACTUATOR = False
 
 FORESEEN_SHARE = 0.2
-"""Bandwidth to which the law's estimate is believed once most of the force is foreseen, over that before: its filter is quieter."""
+"""Bandwidth to which the law's estimate is believed once most of the force is foreseen, over that before; its filter is slower."""
 
 FOREIGN = "was learnt on another programme: it is neither used nor written"
 """What is said of such a file."""
@@ -108,7 +108,7 @@ class Learning:
         count = self._places.together(first, place)
         turn = self._places.turn(first, place[0])
         lesson = None if turn is None else self._lessons.get(turn.block)
-        if lesson is None or not lesson.applied:
+        if lesson is None or not (lesson.applied or lesson.foresees):
             return count
         return min(count, LOOK - (first % LOOK))
 
@@ -118,7 +118,7 @@ class Learning:
         if turn != self._turn:
             self._begin(turn)
         lesson = None if turn is None else self._lessons.get(turn.block)
-        if turn is None or lesson is None or not lesson.applied:
+        if turn is None or lesson is None or not (lesson.applied or lesson.foresees):
             return
         rows = upcoming.rows
         at = self._places.phases(upcoming.first, upcoming.place, turn) * lesson.size
@@ -127,20 +127,18 @@ class Learning:
         wanted = lesson.wanted[low]
         wanted += part * (lesson.wanted[low + 1] - wanted)
         differs = np.abs(rows[:, 0] - wanted) > lesson.tolerance
-        count = len(rows)
-        if differs.any():
+        count = 0 if lesson.stale else len(rows)
+        if count and differs.any():
             count = int(np.argmax(differs))
             lesson.stale = True
             self._why = f"the reference of block {turn.block} is another one than was learnt"
             self._refuse_file(turn.block)
-        table = lesson.table[low[:count]]
-        table += part[:count, np.newaxis] * (lesson.table[low[:count] + 1] - table)
-        rows[:count, :FORESEEN] += table[:, :FORESEEN]
-        if self._foresees:
-            before = rows[:count, FORESEEN:]
-            rows[:count, FORESEEN:] = np.where(
-                np.isnan(table[:, FORESEEN:]), before, table[:, FORESEEN:] + np.nan_to_num(before)
-            )
+        table = lesson.table[low]
+        table += part[:, np.newaxis] * (lesson.table[low + 1] - table)
+        rows[:count, :FORESEEN] += table[:count, :FORESEEN]
+        if lesson.foresees:
+            before = rows[:, FORESEEN:]
+            rows[:, FORESEEN:] = table[:, FORESEEN:] + np.where(np.isnan(before), 0.0, before)
         self._added += count
 
     def done(self, past: Past, model: Model) -> Model:
@@ -159,7 +157,7 @@ class Learning:
         rows[:, repetition.FORESEEN] = np.where(np.isnan(foreseen), 0.0, foreseen) if self._foresees else 0.0
         recorder.add(past.first, rows)
         lesson = self._lessons.get(turn.block)
-        if lesson is not None and lesson.applied and (past.first + len(rows)) % LOOK == 0:
+        if lesson is not None and (lesson.applied or lesson.foresees) and (past.first + len(rows)) % LOOK == 0:
             self._look(turn, lesson, model)
         if recorder.full():
             self._end(turn, model)
@@ -206,7 +204,8 @@ class Learning:
         if recent is None or self._usual != turn._replace(number=turn.number - 1):
             return
         errors = self._errors(LoadCycle(float(LOOK), recent), model)
-        grown = [float(np.sqrt(np.mean(error**2))) > limit for error, limit in zip(errors, lesson.limits, strict=True)]
+        limits = np.array([np.inf, lesson.limits[1]]) if lesson.stale else lesson.limits
+        grown = [float(np.sqrt(np.mean(error**2))) > limit for error, limit in zip(errors, limits, strict=True)]
         if any(grown):
             lesson.paused = True
             what = "the force error" if grown[0] else "the external force"
@@ -250,8 +249,14 @@ class Learning:
     def _anew(self, turn: Turn, cycle: LoadCycle) -> None:
         """Start to learn a block's load cycle. The one that shows the reference holds a transition, and does not count."""
         self._refuse_file(turn.block)
-        size = len(cycle.columns)
-        self._lessons[turn.block] = Lesson(cycle, self._learners(size, cycle.period * self._period))
+        size, before = len(cycle.columns), self._lessons.get(turn.block)
+        learners = self._learners(size, cycle.period * self._period)
+        lesson = Lesson(cycle, learners)
+        if before is not None and before.foresees and before.size == size and before.period == cycle.period:
+            # The actuator under test moves on as it did, whatever the reference is.
+            lesson = Lesson(cycle, learners._replace(force=before.learners.force))
+            lesson.limits[1] = before.limits[1]
+        self._lessons[turn.block] = lesson
         self._why = "the load cycle has not been seen often enough"
 
     def _refuse_file(self, block: int) -> None:

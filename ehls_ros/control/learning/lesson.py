@@ -81,7 +81,7 @@ class Lesson:
         table: what is added to the law's rows at the samples, the first again at the end, shape (size + 1, ROW).
         active: whether there is anything to add.
         paused: whether it is not added, as the error has grown.
-        stale: whether it is not added, as the reference is another one at present.
+        stale: whether the reference is not corrected, as it is another one at present.
         limits: rms over :data:`LOOK` samples of the two errors above which they have grown.
         first_error, last_error: largest repeatable error in the first load cycle that counted, and in the last [N].
     """
@@ -100,11 +100,17 @@ class Lesson:
         self.limits = np.full(2, np.inf)
         self._largest = np.zeros(2)
         self.first_error = self.last_error = 0.0
+        self._combine()
 
     @property
     def applied(self) -> bool:
         """Whether the table is added."""
         return self.active and not self.paused and not self.stale
+
+    @property
+    def foresees(self) -> bool:
+        """Whether that part of the table is added that foresees the external force: another reference does not change it."""
+        return self.active and not self.paused and bool(np.isfinite(self.table[0, FORESEEN]))
 
     @property
     def cycles(self) -> int:
