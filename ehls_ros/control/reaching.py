@@ -151,12 +151,14 @@ def tracking(omega: Array, surface: Surface, period: float, delay: float) -> NDA
         period: of the cycles [s].
         delay: of a command on its way to the valve [s].
     """
-    turning, slope = 1j * omega, surface.k * surface.g / (4.0 * surface.xi)
+    turning: NDArray[np.complex128] = 1j * omega
+    slope = surface.k * surface.g / (4.0 * surface.xi)
     kept = 1.0 / (1.0 + surface.reaching_rate * period)
 
     def extrapolated(ahead: float) -> NDArray[np.complex128]:
         rate = turning * (1.0 + turning * ahead)
-        return rate + slope * (1.0 + turning * ahead * (1.0 + 0.5 * turning * ahead))
+        value: NDArray[np.complex128] = rate + slope * (1.0 + turning * ahead * (1.0 + 0.5 * turning * ahead))
+        return value
 
     wanted = extrapolated(delay + period) - kept * extrapolated(delay)
     reached = np.exp(turning * (delay + period)) - kept * np.exp(turning * delay)

@@ -17,7 +17,7 @@ from ehls_ros.control.controllers.base import DELTA, FORESEEN, Model
 from ehls_ros.control.learning import repetition, storage
 from ehls_ros.control.learning.base import Learner
 from ehls_ros.control.learning.harmonics import Harmonics
-from ehls_ros.control.learning.lesson import LOOK, Coupling, Errors, Learners, Lesson, errors_of
+from ehls_ros.control.learning.lesson import LOOK, Coupling, Errors, Learners, Lesson, errors_of, recent_errors
 from ehls_ros.control.learning.repetition import LoadCycle, Places, Recorder, Turn
 from ehls_ros.control.learning.robustness import Design, design, estimator_loop, force_loop
 from ehls_ros.control.learning.waveform import Waveform
@@ -28,7 +28,7 @@ from ehls_ros.schema import quantity, text
 ACTUATOR = False
 
 FORESEEN_SHARE = 0.2
-"""Bandwidth to which the law's estimate is believed once most of the force is foreseen, over that before; its filter is slower."""
+"""Bandwidth to which the law's estimate is believed once most of the force is foreseen, over that before."""
 
 FOREIGN = "was learnt on another programme: it is neither used nor written"
 """What is said of such a file."""
@@ -122,24 +122,32 @@ class Learning:
             return
         rows = upcoming.rows
         at = self._places.phases(upcoming.first, upcoming.place, turn) * lesson.size
-        low = at.astype(np.int64)
-        part = at - low
-        wanted = lesson.wanted[low]
-        wanted += part * (lesson.wanted[low + 1] - wanted)
-        differs = np.abs(rows[:, 0] - wanted) > lesson.tolerance
-        count = 0 if lesson.stale else len(rows)
-        if count and differs.any():
-            count = int(np.argmax(differs))
-            lesson.stale = True
-            self._why = f"the reference of block {turn.block} is another one than was learnt"
-            self._refuse_file(turn.block)
+        if len(rows) == 1:
+            # In a node, for each cycle.
+            low = int(at[0])
+            self._add(rows[0], lesson, turn, low, float(at[0]) - low)
+            return
+        for row, low, part in zip(rows, at.astype(np.int64), at % 1.0, strict=True):
+            self._add(row, lesson, turn, int(low), float(part))
+
+    def _add(self, row: Array, lesson: Lesson, turn: Turn, low: int, part: float) -> None:
+        """Add to one row what has been learnt, ``part`` of the way from sample ``low`` to the next."""
+        if not lesson.stale:
+            wanted = lesson.wanted[low] + part * (lesson.wanted[low + 1] - lesson.wanted[low])
+            if abs(row[0] - wanted) > lesson.tolerance:
+                lesson.stale = True
+                self._why = f"the reference of block {turn.block} is another one than was learnt"
+                self._refuse_file(turn.block)
         table = lesson.table[low]
-        table += part[:, np.newaxis] * (lesson.table[low + 1] - table)
-        rows[:count, :FORESEEN] += table[:count, :FORESEEN]
+        if part != 0.0:
+            table = table + part * (lesson.table[low + 1] - table)
+        if not lesson.stale:
+            row[:FORESEEN] += table[:FORESEEN]
+            self._added += 1
         if lesson.foresees:
-            before = rows[:, FORESEEN:]
-            rows[:, FORESEEN:] = table[:, FORESEEN:] + np.where(np.isnan(before), 0.0, before)
-        self._added += count
+            if math.isnan(row[FORESEEN]):
+                row[FORESEEN:] = 0.0
+            row[FORESEEN:] += table[FORESEEN:]
 
     def done(self, past: Past, model: Model) -> Model:
         """Record what happened; learn from a load cycle once it is complete."""
@@ -147,15 +155,16 @@ class Learning:
         if turn is None:
             return model
         recorder, measured = self._recorder, past.measured
-        rows = np.empty((len(past.rows), repetition.COLUMNS))
+        rows = recorder.add(past.first, len(past.rows))
         rows[:, repetition.PHASE] = self._places.phases(past.first, past.place, turn)
         rows[:, repetition.WANTED] = past.wanted[:, 0]
         rows[:, repetition.ERROR] = measured[:, sensors.FORCE] - past.wanted[:, 0]
-        rows[:, repetition.EXTERNAL] = past.status[:, DELTA] if self._foresees else 0.0
         rows[:, repetition.POSITION] = measured[:, sensors.POSITION]
-        foreseen = past.rows[:, FORESEEN]
-        rows[:, repetition.FORESEEN] = np.where(np.isnan(foreseen), 0.0, foreseen) if self._foresees else 0.0
-        recorder.add(past.first, rows)
+        if self._foresees:
+            rows[:, repetition.EXTERNAL] = past.status[:, DELTA]
+            rows[:, repetition.FORESEEN] = past.rows[:, FORESEEN]
+        else:
+            rows[:, repetition.EXTERNAL :] = 0.0
         lesson = self._lessons.get(turn.block)
         if lesson is not None and (lesson.applied or lesson.foresees) and (past.first + len(rows)) % LOOK == 0:
             self._look(turn, lesson, model)
@@ -203,17 +212,20 @@ class Learning:
         recent = self._recorder.latest(LOOK)
         if recent is None or self._usual != turn._replace(number=turn.number - 1):
             return
-        errors = self._errors(LoadCycle(float(LOOK), recent), model)
-        limits = np.array([np.inf, lesson.limits[1]]) if lesson.stale else lesson.limits
-        grown = [float(np.sqrt(np.mean(error**2))) > limit for error, limit in zip(errors, limits, strict=True)]
+        limits = (math.inf, lesson.limits[1]) if lesson.stale else lesson.limits
+        grown = [
+            rms > limit for rms, limit in zip(recent_errors(recent, self._known(model), self._period), limits, strict=True)
+        ]
         if any(grown):
             lesson.paused = True
             what = "the force error" if grown[0] else "the external force"
             self._why = f"{what} is no longer what it was in the load cycles before"
 
+    def _known(self, model: Model) -> Coupling:
+        return Coupling(model.coupling_stiffness, model.coupling_damping) if self._foresees else Coupling(0.0, 0.0)
+
     def _errors(self, cycle: LoadCycle, model: Model) -> Errors:
-        known = Coupling(model.coupling_stiffness, model.coupling_damping) if self._foresees else Coupling(0.0, 0.0)
-        return errors_of(cycle, known, self._period)
+        return errors_of(cycle, self._known(model), self._period)
 
     def _end(self, turn: Turn, model: Model) -> None:
         """Learn from the load cycle that ends."""

@@ -5,6 +5,7 @@ foreseen force, the external force that it estimates is handed to it before it c
 changes the error: the reference is corrected from the cycle on that had it.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -202,7 +203,24 @@ def errors_of(cycle: LoadCycle, coupling: Coupling, period: float) -> Errors:
     position = columns[:, POSITION]
     velocity = np.gradient(position, period * cycle.period / len(position))
     external = columns[:, EXTERNAL] - coupling.stiffness * position - coupling.damping * velocity
-    return Errors(columns[:, ERROR], columns[:, FORESEEN_FORCE] - external)
+    foreseen = columns[:, FORESEEN_FORCE]
+    return Errors(columns[:, ERROR], np.where(np.isnan(foreseen), 0.0, foreseen) - external)
+
+
+def recent_errors(rows: Array, coupling: Coupling, period: float) -> tuple[float, float]:
+    """Return the rms of both errors in some control cycles on end [N].
+
+    Args:
+        rows: as a recorder has them, shape (n, COLUMNS), n at least 2.
+        coupling: what is known of it.
+        period: of the control cycles [s].
+    """
+    position, force = rows[:, POSITION], rows[:, ERROR]
+    velocity = (position[-1] - position[0]) / (period * (len(rows) - 1))
+    foresight = rows[:, FORESEEN_FORCE] - rows[:, EXTERNAL] + coupling.stiffness * position
+    foresight += coupling.damping * velocity
+    missed = 0.0 if math.isnan(foresight[0]) else math.sqrt(foresight @ foresight / len(rows))
+    return math.sqrt(force @ force / len(rows)), missed
 
 
 def _alike(error: Array, expected: Array) -> bool:

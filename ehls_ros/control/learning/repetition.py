@@ -18,9 +18,9 @@ LONGEST = 200_000
 ROUNDING = 1e-6
 """Part of a load cycle by which a place may be off."""
 
-PHASE, WANTED, ERROR, EXTERNAL, POSITION, FORESEEN, COLUMNS = range(7)
-"""Columns of a record: phase [load cycles], reference [N], force error [N], external force as the law has it [N], position [m],
-foreseen external force [N]; and their number."""
+PHASE, WANTED, ERROR, POSITION, EXTERNAL, FORESEEN, COLUMNS = range(7)
+"""Columns of a record: phase [load cycles], reference [N], force error [N], position [m], external force as the law has it [N],
+foreseen external force, NaN where nothing is foreseen [N]; and their number."""
 
 
 class Turn(NamedTuple):
@@ -64,6 +64,9 @@ class Places:
             place: places in the programme, shape (n, PLACE).
             turn: that load cycle.
         """
+        if len(place) == 1:
+            at = cycle % self._cycles / self._cycles if self._cycles else max(float(place[0, REPETITIONS]) - turn.number, 0.0)
+            return np.array([at])
         if self._cycles:
             return (cycle % self._cycles + np.arange(len(place))) / self._cycles
         phases: Array = np.maximum(place[:, REPETITIONS] - turn.number, 0.0)
@@ -117,24 +120,28 @@ class Recorder:
         """Let this load cycle not count."""
         self.whole = False
 
-    def add(self, cycle: int, rows: Array) -> None:
-        """Take in control cycles on end; cycles missed before them spoil the load cycle.
+    def add(self, cycle: int, count: int) -> Array:
+        """Return the rows for control cycles on end, to be filled; cycles missed before them spoil the load cycle.
 
         Args:
             cycle: number of the first.
-            rows: shape (n, COLUMNS).
+            count: how many.
+
+        Returns:
+            Shape (count, COLUMNS), a view.
         """
-        end = self._count + len(rows)
-        if (self._count > 0 and cycle != self._next) or end > LONGEST:
+        if self._count > 0 and cycle != self._next:
             self.spoil()
-        self._next = cycle + len(rows)
-        if not self.whole:
+        self._next = cycle + count
+        if not self.whole or self._count + count > LONGEST:
+            self.spoil()
             self._count = 0
-            return
+        end = self._count + count
         if end > len(self._rows):
             self._rows = np.concatenate([self._rows, np.empty((max(end, len(self._rows)), COLUMNS))])
-        self._rows[self._count : end] = rows
+        rows = self._rows[self._count : end]
         self._count = end
+        return rows
 
     def latest(self, count: int) -> Array | None:
         """Return the last rows on end, shape (count, COLUMNS); None if fewer are there."""
@@ -155,7 +162,7 @@ class Recorder:
         """Return the load cycle if nothing of it is missing."""
         count, rows = self._count, self._rows
         phase = rows[:count, PHASE]
-        if not self.full() or not np.all(np.isfinite(rows[:count])):
+        if not self.full() or not np.all(np.isfinite(rows[:count, :FORESEEN])):
             return None
         period = (count - 1) / float(phase[-1] - phase[0])
         if phase[0] * period > 1.0 - ROUNDING * period or abs(period - count) > 1.0:
