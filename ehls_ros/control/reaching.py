@@ -151,7 +151,7 @@ def tracking(omega: Array, surface: Surface, period: float, delay: float) -> NDA
         period: of the cycles [s].
         delay: of a command on its way to the valve [s].
     """
-    turning: NDArray[np.complex128] = 1j * omega
+    turning = (1j * omega).astype(np.complex128)
     slope = surface.k * surface.g / (4.0 * surface.xi)
     kept = 1.0 / (1.0 + surface.reaching_rate * period)
 

@@ -182,7 +182,8 @@ class Learning:
         lesson = None if self._turn is None else self._lessons.get(self._turn.block)
         file: dict[str, float | str] = {"file": FOREIGN} if self._foreign else {}
         if lesson is None:
-            return {"repetitions": 0.0, "state": self._why, **file}
+            why = "nothing repeats: neither a period nor a place in a programme" if self._turn is None else self._why
+            return {"repetitions": 0.0, "state": why, **file}
         filters = lesson.learners.reference.design
         return {
             "repetitions": float(lesson.cycles),
