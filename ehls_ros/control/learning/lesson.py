@@ -28,6 +28,9 @@ LOOK = 10
 QUIET = 1e-3
 """Error that is never too large, over the size of the reference."""
 
+FORCE_SHARE = 0.05
+"""Error of the foreseen force that is never too large, over the range of the force on the piston."""
+
 ALIKE = 0.3
 """Rms difference, over the rms, between the error without correction and the one expected, at which what was learnt holds."""
 
@@ -64,10 +67,12 @@ class Errors(NamedTuple):
     Attributes:
         force: measured force less the reference wanted.
         foresight: foreseen external force less the one estimated.
+        pull: force between the piston and the actuator under test, as the law estimates it.
     """
 
     force: Array
     foresight: Array
+    pull: Array
 
 
 class Lesson:
@@ -111,7 +116,7 @@ class Lesson:
     @property
     def foresees(self) -> bool:
         """Whether that part of the table is added that foresees the external force: another reference does not change it."""
-        return self.active and not self.paused and bool(np.isfinite(self.table[0, FORESEEN]))
+        return self.active and not self.paused and self._was_foreseen
 
     @property
     def cycles(self) -> int:
@@ -142,7 +147,8 @@ class Lesson:
         self._combine()
         largest = np.array([_largest_rms(errors.force), _largest_rms(errors.foresight)])
         if self.active:
-            self.limits = np.maximum(freeze * np.maximum(largest, self._largest), self._quiet)
+            quiet = np.array([self._quiet, FORCE_SHARE * float(np.ptp(errors.pull))])
+            self.limits = np.maximum(freeze * np.maximum(largest, self._largest), quiet)
         self._largest = largest
         self.last_error = float(np.max(np.abs(reference.kept(errors.force))))
         if self.cycles == 1:
@@ -154,8 +160,16 @@ class Lesson:
             learner.observe(error, settled=False)
 
     def still_holds(self, errors: Errors) -> bool:
-        """Tell whether a load cycle without correction has the errors that are expected."""
-        return all(_alike(learner.kept(error), learner.without()) for learner, error in self._pairs(errors))
+        """Tell whether a load cycle without correction has the errors that are expected.
+
+        Where a force is foreseen, that force tells: without it the force error is another one than was learnt.
+        """
+        learner, error = list(self._pairs(errors))[-1] if self._was_foreseen else (self.learners.reference, errors.force)
+        return _alike(learner.kept(error), learner.without())
+
+    @property
+    def _was_foreseen(self) -> bool:
+        return bool(np.isfinite(self.table[0, FORESEEN]))
 
     def _pairs(self, errors: Errors) -> Iterator[tuple[Learner, Array]]:
         yield self.learners.reference, errors.force
@@ -166,7 +180,7 @@ class Lesson:
         reference, force, _ = self.learners
         self.table[:, :FORESEEN] = reference.table
         self.table[:, FORESEEN:] = np.nan if force is None or not np.any(force.spectrum) else force.table
-        self.active = bool(np.any(reference.spectrum)) or bool(np.isfinite(self.table[0, FORESEEN]))
+        self.active = bool(np.any(reference.spectrum)) or self._was_foreseen
 
     def stored(self) -> dict[str, NDArray[Any]]:
         """Return what is to be kept, by name."""
@@ -204,7 +218,7 @@ def errors_of(cycle: LoadCycle, coupling: Coupling, period: float) -> Errors:
     velocity = np.gradient(position, period * cycle.period / len(position))
     external = columns[:, EXTERNAL] - coupling.stiffness * position - coupling.damping * velocity
     foreseen = columns[:, FORESEEN_FORCE]
-    return Errors(columns[:, ERROR], np.where(np.isnan(foreseen), 0.0, foreseen) - external)
+    return Errors(columns[:, ERROR], np.where(np.isnan(foreseen), 0.0, foreseen) - external, columns[:, EXTERNAL])
 
 
 def recent_errors(rows: Array, coupling: Coupling, period: float) -> tuple[float, float]:
