@@ -68,11 +68,13 @@ class Errors(NamedTuple):
         force: measured force less the reference wanted.
         foresight: foreseen external force less the one estimated.
         pull: force between the piston and the actuator under test, as the law estimates it.
+        previewed: whether a force was foreseen throughout.
     """
 
     force: Array
     foresight: Array
     pull: Array
+    previewed: bool
 
 
 class Lesson:
@@ -135,13 +137,14 @@ class Lesson:
             errors: of that cycle.
             freeze: error, over the usual one, above which it has grown.
         """
-        reference, force, later = self.learners
+        reference, force, _ = self.learners
         reference.observe(errors.force)
-        if force is not None and later is not None:
+        if force is not None:
             foreseen = bool(np.any(force.spectrum))
+            self._believe(errors)
             force.observe(errors.foresight)
             if force.correct() and not foreseen:
-                force.narrow(later)
+                self._narrow()
                 reference.begin_again()
         reference.correct()
         self._combine()
@@ -156,8 +159,19 @@ class Lesson:
 
     def begin(self, errors: Errors) -> None:
         """See the errors of a load cycle that holds a transition."""
+        self._believe(errors)
         for learner, error in self._pairs(errors):
             learner.observe(error, settled=False)
+
+    def _believe(self, errors: Errors) -> None:
+        """Believe less of the law's estimate where another companion foresees the force, so that the law's filter is slower."""
+        if errors.previewed:
+            self._narrow()
+
+    def _narrow(self) -> None:
+        _, force, later = self.learners
+        if force is not None and later is not None and force.design is not later:
+            force.narrow(later)
 
     def still_holds(self, errors: Errors) -> bool:
         """Tell whether a load cycle without correction has the errors that are expected.
@@ -218,7 +232,9 @@ def errors_of(cycle: LoadCycle, coupling: Coupling, period: float) -> Errors:
     velocity = np.gradient(position, period * cycle.period / len(position))
     external = columns[:, EXTERNAL] - coupling.stiffness * position - coupling.damping * velocity
     foreseen = columns[:, FORESEEN_FORCE]
-    return Errors(columns[:, ERROR], np.where(np.isnan(foreseen), 0.0, foreseen) - external, columns[:, EXTERNAL])
+    absent = np.isnan(foreseen)
+    foresight = np.where(absent, 0.0, foreseen) - external
+    return Errors(columns[:, ERROR], foresight, columns[:, EXTERNAL], not absent.any())
 
 
 def recent_errors(rows: Array, coupling: Coupling, period: float) -> tuple[float, float]:
