@@ -207,6 +207,8 @@ class Learning:
         """Begin a load cycle."""
         self._turn, self._added = turn, 0
         self._recorder.begin()
+        if turn is not None and turn.block in self._lessons:
+            self._lessons[turn.block].turn_begins()
 
     def _look(self, turn: Turn, lesson: Lesson, model: Model) -> None:
         """Stop correcting where the error has grown, in a load cycle that follows a usual one without a gap."""
@@ -264,10 +266,10 @@ class Learning:
         self._refuse_file(turn.block)
         size, before = len(cycle.columns), self._lessons.get(turn.block)
         learners = self._learners(size, cycle.period * self._period)
-        lesson = Lesson(cycle, learners)
+        lesson = Lesson(cycle, learners, self._period)
         if before is not None and before.foresees and before.size == size and before.period == cycle.period:
             # The actuator under test moves on as it did, whatever the reference is.
-            lesson = Lesson(cycle, learners._replace(force=before.learners.force))
+            lesson = Lesson(cycle, learners._replace(force=before.learners.force), self._period)
             lesson.limits[1] = before.limits[1]
         self._lessons[turn.block] = lesson
         self._why = "the load cycle has not been seen often enough"
@@ -294,7 +296,7 @@ class Learning:
         wanted, period = stored["wanted"], float(stored["period"])
         columns = np.zeros((len(wanted), repetition.COLUMNS))
         columns[:, repetition.WANTED] = wanted
-        lesson = Lesson(LoadCycle(period, columns), self._learners(len(wanted), period * self._period))
+        lesson = Lesson(LoadCycle(period, columns), self._learners(len(wanted), period * self._period), self._period)
         if not lesson.restore(stored):
             raise BadInput(f"block {block} was learnt with other parameters", self._p.file, "another file")
         self._lessons[block] = lesson

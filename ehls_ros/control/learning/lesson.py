@@ -18,6 +18,7 @@ from ehls_ros.control.learning.base import Learner
 from ehls_ros.control.learning.repetition import ERROR, EXTERNAL, POSITION, WANTED, LoadCycle
 from ehls_ros.control.learning.repetition import FORESEEN as FORESEEN_FORCE
 from ehls_ros.control.learning.robustness import Design
+from ehls_ros.control.references._blend import quintic
 
 SAME = 0.02
 """Largest difference between two references that count as the same, over their size."""
@@ -27,6 +28,9 @@ LOOK = 10
 
 QUIET = 1e-3
 """Error that is never too large, over the size of the reference."""
+
+FADE = 0.1
+"""Part of a load cycle in which the foreseen force changes from what was learnt before to what is learnt now."""
 
 FORCE_SHARE = 0.05
 """Error of the foreseen force that is never too large, over the range of the force on the piston."""
@@ -94,8 +98,9 @@ class Lesson:
         first_error, last_error: largest repeatable error in the first load cycle that counted, and in the last [N].
     """
 
-    def __init__(self, cycle: LoadCycle, learners: Learners) -> None:
-        """Begin with the reference of a load cycle."""
+    def __init__(self, cycle: LoadCycle, learners: Learners, control_period: float) -> None:
+        """Begin with the reference of a load cycle; ``control_period`` in s."""
+        self.control_period = control_period
         self.period, wanted = cycle.period, cycle.columns[:, WANTED]
         self.size = len(wanted)
         self.wanted = np.append(wanted, wanted[0])
@@ -108,6 +113,8 @@ class Lesson:
         self.limits = np.full(2, np.inf)
         self._largest = np.zeros(2)
         self.first_error = self.last_error = 0.0
+        self._fade = round(FADE * self.size)
+        self._pending: tuple[Array, Array] | None = None
         self._combine()
 
     @property
@@ -147,7 +154,11 @@ class Lesson:
                 self._narrow()
                 reference.begin_again()
         reference.correct()
+        before = self.table.copy()
+        if self._pending is not None:
+            before[: self._fade] = self._pending[1]
         self._combine()
+        self._blend(before, previewed=errors.previewed)
         largest = np.array([_largest_rms(errors.force), _largest_rms(errors.foresight)])
         if self.active:
             quiet = np.array([self._quiet, FORCE_SHARE * float(np.ptp(errors.pull))])
@@ -189,6 +200,35 @@ class Lesson:
         yield self.learners.reference, errors.force
         if self.learners.force is not None:
             yield self.learners.force, errors.foresight
+
+    def turn_begins(self) -> None:
+        """Let a table that has changed begin with the one before, for this load cycle."""
+        if self._pending is None:
+            return
+        first, later = self._pending
+        end = len(first)
+        if np.array_equal(self.table[:end], later, equal_nan=True):
+            self.table[:end] = first
+        else:
+            self.table[:end], self._pending = later, None
+
+    def _blend(self, before: Array, *, previewed: bool) -> None:
+        """Prepare the first samples of the next load cycle: from the force foreseen before to the new one, without a jump."""
+        end = self._fade
+        first, later = self.table[:end].copy(), self.table[:end].copy()
+        share = np.arange(end) / end
+        fade, rate, curvature = quintic(share, 1.0)
+        length = end * self.control_period
+        rate, curvature = rate / length, curvature / length**2
+        old = before[:end, FORESEEN:]
+        if np.isnan(later[:, FORESEEN:]).any() or (np.isnan(old).any() and not previewed):
+            self._pending = None
+            return
+        old = np.nan_to_num(old)
+        value, slope, bend = (later[:, FORESEEN:] - old).T
+        mixed = (fade * value, rate * value + fade * slope, curvature * value + 2.0 * rate * slope + fade * bend)
+        first[:, FORESEEN:] = old + np.column_stack(mixed)
+        self._pending = first, later
 
     def _combine(self) -> None:
         reference, force, _ = self.learners
