@@ -131,11 +131,11 @@ class Run:
 
 
 def trip(run: Run, period: float) -> Array:
-    """Close the valve for a quarter of a load cycle; what counts is the error once it follows again for 0.5 s."""
+    """Close the valve for a quarter of a load cycle; what counts is the error once it follows again for 0.7 s."""
     run.seconds(0.25 * period, valve="closed")
     run.controller.reset()
-    run.seconds(0.5)
-    return run.seconds((AFTER - 0.25) * period - 0.5)
+    run.seconds(0.7)
+    return run.seconds((AFTER - 0.25) * period - 0.7)
 
 
 def change(run: Run, period: float) -> Array:
