@@ -11,6 +11,9 @@ The reference is extrapolated by its derivatives.
 import math
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.controllers import base
 from ehls_ros.control.controllers.base import Model, saturate
@@ -142,3 +145,30 @@ def follow(command: float, own: float, memory: Array) -> float:
     """Put the command [m] that went to the valve in the place of the law's own, which does not depend on it."""
     state_of(memory).commands[0] = command
     return own
+
+
+def tracking(omega: Array, surface: Surface, period: float, delay: float) -> NDArray[np.complex128]:
+    """Return the small-signal response of the force to the reference, of a rig as it is known.
+
+    With F the force, r the reference, h = delay + period and lambda = k g / (4 xi), the cycle's command makes
+    (F' + lambda F)(t + h) - (r' + lambda r) as extrapolated over h equal to 1/(1 + reaching_rate T) of the same over the delay.
+
+    Args:
+        omega: frequencies [rad/s].
+        surface: the sliding surface.
+        period: of the cycles [s].
+        delay: of a command on its way to the valve [s].
+    """
+    turning = (1j * omega).astype(np.complex128)
+    slope = surface.k * surface.g / (4.0 * surface.xi)
+    kept = 1.0 / (1.0 + surface.reaching_rate * period)
+
+    def extrapolated(ahead: float) -> NDArray[np.complex128]:
+        rate = turning * (1.0 + turning * ahead)
+        value: NDArray[np.complex128] = rate + slope * (1.0 + turning * ahead * (1.0 + 0.5 * turning * ahead))
+        return value
+
+    wanted = extrapolated(delay + period) - kept * extrapolated(delay)
+    reached = np.exp(turning * (delay + period)) - kept * np.exp(turning * delay)
+    response: NDArray[np.complex128] = wanted / (reached * (turning + slope))
+    return response

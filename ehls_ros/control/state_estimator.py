@@ -420,6 +420,9 @@ def expect(foreseen: Array, period: float, state: State) -> None:
         y[EXTERNAL] += foreseen[0] - expected[0] - period * (expected[1] + 0.5 * period * expected[2])
         y[EXTERNAL_RATE] += foreseen[1] - expected[1] - period * expected[2]
         y[EXTERNAL_CURVATURE] += foreseen[2] - expected[2]
+    elif expected[3] == 0.0 and known:
+        y[EXTERNAL_RATE] = foreseen[1]
+        y[EXTERNAL_CURVATURE] = foreseen[2]
     elif expected[3] == 1.0:
         y[EXTERNAL_CURVATURE] = 0.0
     expected[3] = 1.0 if known else 0.0

@@ -12,12 +12,14 @@ import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control import reaching, state_estimator, unrest
 from ehls_ros.control.controllers import base
 from ehls_ros.control.controllers.base import FORESEEN, Model
 from ehls_ros.control.reaching import Surface, answer
+from ehls_ros.control.reaching import tracking as surface_tracking
 from ehls_ros.control.state_estimator import (
     EXTERNAL_RATE,
     Assumptions,
@@ -89,6 +91,11 @@ class Parameters(NamedTuple):
 def memory(p: Parameters) -> Array:
     """Return a filter before its first measurement, and an external force at rest."""
     return np.zeros(state_estimator.MEMORY_SIZE + unrest.PARTS)
+
+
+def tracking(omega: Array, p: Parameters, model: Model) -> NDArray[np.complex128]:
+    """Return the response of the force to the reference at some frequencies [rad/s], of a rig as it is known."""
+    return surface_tracking(omega, Surface(p.k, p.g, p.xi, p.reaching_rate), model.period, model.command_delay)
 
 
 @kernel

@@ -1,0 +1,272 @@
+"""What the companion `learning` brings on the emulated rig, and what it costs where something changes.
+
+usage: learning.py [--seeds 8] [--repetitions 20] [--law fasmc_predictive] [--method waveform] [--preview]
+                   [--events-only | --cells-only]
+
+The paper's four experiments with a rig's sensors, config/experiments/measured_*.yaml. Errors are true ones, of the force that
+the piston has, without noise; median and largest of the seeds. The noise's own share is what of the last five load cycles does
+not repeat; the ratio is that of the largest error in these five to it. `loaded` is the first load cycle of another run, from
+rest with what was learnt, over the last, both in their second half and from 0.8 s on. An event's figure is the largest error
+from the event on, over that of the same run without learning.
+"""
+
+import argparse
+import math
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.companions.base import PLACE
+from ehls_ros.control.controller import Controller
+from ehls_ros.control.controllers.base import model_of
+from ehls_ros.control.disturbances import DISTURBANCES
+from ehls_ros.experiments.loop import sampled
+from ehls_ros.experiments.spec import Spec, company_of, spec_from_mapping
+from ehls_ros.physics import sensors
+from ehls_ros.physics.plant import PL, V, X
+from ehls_ros.physics.simulator import Simulator
+
+EXPERIMENTS = Path(__file__).resolve().parent.parent / "config" / "experiments"
+PERIODS = {"constant_fd1": 4.0, "sine_fd1": 4.0, "constant_fd2": 1.0, "sine_fd2": 2.0}
+"""Time after which reference and disturbance both repeat [s]."""
+
+EVENT_EXPERIMENT = "sine_fd2"
+LEARNT = 8
+"""Load cycles before an event."""
+
+RISE = 0.8
+"""Time from rest to the wanted force, at which no correction helps [s]."""
+
+AFTER = 4
+"""Load cycles looked at after it."""
+
+
+class Case(NamedTuple):
+    """What is run.
+
+    Attributes:
+        experiment: of config/experiments, without ``measured_``.
+        law: name of the controller.
+        companions: as in a spec.
+        seed: of the noise.
+        reference: in place of the experiment's.
+    """
+
+    experiment: str
+    law: str
+    companions: Sequence[dict[str, Any]]
+    seed: int
+    reference: dict[str, Any] | None = None
+
+    def spec(self) -> Spec:
+        """Return the experiment."""
+        data = yaml.safe_load((EXPERIMENTS / f"measured_{self.experiment}.yaml").read_text(encoding="utf-8"))
+        data |= {
+            "known_effects": ["command_delay", "coupling_stiffness"],
+            "controller": {"name": self.law},
+            "companions": list(self.companions),
+        }
+        if self.reference is not None:
+            data["reference"] = self.reference
+        return spec_from_mapping(data, self.experiment, EXPERIMENTS)
+
+
+class Run:
+    """A closed loop cycle by cycle, as the nodes step it."""
+
+    def __init__(self, case: Case) -> None:
+        """Start at rest."""
+        spec = self._spec = case.spec()
+        period = self._period = spec.settings.control_period
+        self._simulator = Simulator(spec.loader_rig(), period)
+        self._wanted, self._motion = sampled(spec.reference, period), sampled(spec.disturbance.signal, period)
+        kind = DISTURBANCES.load(spec.disturbance.name)
+        self._servo = kind.build(spec.disturbance.parameters, self._motion, spec.rig, period)
+        model = model_of(spec.controller_rig, period)
+        company = company_of(spec, model, case.experiment)
+        self.controller = Controller(case.law, spec.controller.parameters, model, company)
+        self._random = np.random.default_rng(case.seed)
+        self._row, self._cycle, self._command = self._servo.first(), 0, 0.0
+        self._answered = -1
+        self.scale = 1.0
+
+    def seconds(self, duration: float, *, valve: str = "follows") -> Array:
+        """Run for a while and return the true force error by cycle [N].
+
+        Args:
+            duration: how long [s].
+            valve: what it does: ``follows``; ``closed``, as after a trip; ``held``, as no answer comes.
+        """
+        cycles = round(duration / self._period)
+        error, nowhere = np.empty(cycles), np.full(PLACE, np.nan)
+        for i in range(cycles):
+            k, simulator = self._cycle, self._simulator
+            measured = simulator.measure(self._random.standard_normal(7))
+            measured[sensors.VELOCITY] = math.nan
+            reference = self.scale * self._wanted.row(k)
+            error[i] = self._spec.rig.plant.piston_area * simulator.y[PL] - reference[0]
+            if valve != "held":
+                elapsed, self._answered = k - self._answered, k
+                known = self._motion.row(k)
+                self._command = self.controller.step(measured, reference, np.zeros(2), elapsed, k, nowhere, known)
+            simulator.advance(0.0 if valve == "closed" else self._command, *self._row)
+            self._row = self._servo.following(k, simulator.y[X], simulator.y[V])
+            self._cycle += 1
+        return error
+
+    def soften(self, share: float) -> None:
+        """Let the coupling lose a share of its stiffness."""
+        parameters = self._servo._parameters  # noqa: SLF001 - a specimen that cracks is no feature of the servo
+        softer = parameters._replace(stiffness=(1.0 - share) * parameters.stiffness)
+        self._servo._parameters = softer  # noqa: SLF001
+        use = self._spec.disturbance._replace(parameters=softer)
+        rig = self._spec._replace(disturbance=use).loader_rig()
+        self._simulator.constants = Simulator(rig, self._period).constants
+
+
+def trip(run: Run, period: float) -> Array:
+    """Close the valve for a quarter of a load cycle; what counts is the error once it follows again for 0.7 s."""
+    run.seconds(0.25 * period, valve="closed")
+    run.controller.reset()
+    run.seconds(0.7)
+    return run.seconds((AFTER - 0.25) * period - 0.7)
+
+
+def change(run: Run, period: float) -> Array:
+    """Lower the amplitude by a fifth."""
+    run.scale = 0.8
+    return run.seconds(AFTER * period)
+
+
+def crack(run: Run, period: float) -> Array:
+    """Lower the stiffness by 30 %."""
+    run.soften(0.3)
+    return run.seconds(AFTER * period)
+
+
+def miss(run: Run, period: float) -> Array:
+    """Miss five cycles."""
+    lost = run.seconds(5e-3, valve="held")
+    return np.concatenate([lost, run.seconds(AFTER * period - 5e-3)])
+
+
+EVENTS: dict[str, tuple[float, Callable[[Run, float], Array]]] = {
+    "programme changed": (0.0, change),
+    "trip": (0.4, trip),
+    "stiffness -30 %": (0.4, crack),
+    "5 missed cycles": (0.4, miss),
+}
+"""What happens, and at which part of a load cycle."""
+
+
+def companions(args: argparse.Namespace, period: float, file: str = "") -> list[dict[str, Any]]:
+    """Return the companions of a run with learning."""
+    learning = {"name": "learning", "period": period, "method": args.method, "file": file}
+    return [*alone(args), learning]
+
+
+def alone(args: argparse.Namespace) -> list[dict[str, Any]]:
+    """Return the companions of a run without learning."""
+    return [{"name": "disturbance_preview"}] if args.preview else []
+
+
+def spread(values: Sequence[float]) -> str:
+    """Return median and largest."""
+    return f"{np.median(values):.1f} ({np.max(values):.1f})"
+
+
+def cells(args: argparse.Namespace) -> None:
+    """Print what the repetitions bring."""
+    print("largest true error, N: median (largest) of the seeds\n")
+    print(f"| | without | after 5 repetitions | after {args.repetitions} | noise's own share | ratio | loaded |")
+    print("|---|---|---|---|---|---|---|")
+    for name, period in PERIODS.items():
+        columns: list[list[float]] = [[] for _ in range(6)]
+        for seed in range(args.seeds):
+            bare = Run(Case(name, args.law, alone(args), seed))
+            bare.seconds(period)
+            with tempfile.TemporaryDirectory() as folder:
+                case = Case(name, args.law, companions(args, period, f"{folder}/learnt.npz"), seed)
+                run = Run(case)
+                errors = np.array([run.seconds(period) for _ in range(args.repetitions + 1)])
+                run.controller.company.save()
+                # From rest, with other noise.
+                again = Run(case._replace(seed=seed + 1000)).seconds(period)
+            late = errors[-5:]
+            share = float(np.max(np.abs(late - late.mean(axis=0)))) * math.sqrt(len(late) / (len(late) - 1))
+            largest = np.max(np.abs(errors), axis=1)
+            half = max(errors.shape[1] // 2, round(RISE / 1e-3))
+            found = (
+                float(np.max(np.abs(bare.seconds(3.0 * period)))),
+                float(largest[5]),
+                float(largest[-1]),
+                share,
+                float(largest[-5:].max()) / share,
+                float(np.max(np.abs(again[half:])) / np.max(np.abs(errors[-1, half:]))),
+            )
+            for column, value in zip(columns, found, strict=True):
+                column.append(value)
+        texts = [*map(spread, columns[:4]), *(f"{np.median(column):.2f} ({np.max(column):.2f})" for column in columns[4:])]
+        print(f"| {name} | {' | '.join(texts)} |", flush=True)
+
+
+def events(args: argparse.Namespace) -> None:
+    """Print what learning costs where something changes."""
+    period = PERIODS[EVENT_EXPERIMENT]
+    print(f"\n{EVENT_EXPERIMENT}, after {LEARNT} load cycles: largest error from the event on, N\n")
+    print("| | without learning | with | ratio |")
+    print("|---|---|---|---|")
+    for what, (part, happen) in EVENTS.items():
+        found: list[list[float]] = [[], []]
+        for seed in range(args.seeds):
+            for column, beside in zip(found, (alone(args), companions(args, period)), strict=True):
+                run = Run(Case(EVENT_EXPERIMENT, args.law, beside, seed))
+                run.seconds((LEARNT + part) * period)
+                column.append(float(np.max(np.abs(happen(run, period)))))
+        _print_event(what, found)
+    irregular = {"name": "irregular", "amplitude": 1e4}
+    found = [[], []]
+    rms: list[list[float]] = [[], []]
+    for seed in range(args.seeds):
+        for column, mean, beside in zip(found, rms, (alone(args), companions(args, period)), strict=True):
+            run = Run(Case(EVENT_EXPERIMENT, args.law, beside, seed, irregular))
+            run.seconds(period)
+            error = run.seconds((LEARNT - 1) * period)
+            column.append(float(np.max(np.abs(error))))
+            mean.append(float(np.std(error)))
+    _print_event("irregular reference", found)
+    _print_event("irregular reference, rms", rms)
+
+
+def _print_event(what: str, found: list[list[float]]) -> None:
+    ratios = np.divide(found[1], found[0])
+    print(f"| {what} | {spread(found[0])} | {spread(found[1])} | {np.median(ratios):.2f} ({ratios.max():.2f}) |", flush=True)
+
+
+def main() -> None:
+    """Run everything asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--repetitions", type=int, default=20)
+    parser.add_argument("--law", default="fasmc_predictive")
+    parser.add_argument("--method", default="waveform", choices=("waveform", "harmonics"))
+    parser.add_argument("--preview", action="store_true", help="beside the disturbance's preview")
+    parser.add_argument("--events-only", action="store_true")
+    parser.add_argument("--cells-only", action="store_true")
+    args = parser.parse_args()
+    began = time.monotonic()
+    if not args.events_only:
+        cells(args)
+    if not args.cells_only:
+        events(args)
+    print(f"\n{time.monotonic() - began:.0f} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,316 @@
+"""Learns from load cycle to load cycle what repeats: corrects the reference, and foresees the external force for laws that ask.
+
+The family of ways to learn is :mod:`ehls_ros.control.learning`. A reference that never repeats is left as it is.
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.companions.base import Past, Setting, Upcoming
+from ehls_ros.control.controllers.base import DELTA, FORESEEN, Model
+from ehls_ros.control.learning import repetition, storage
+from ehls_ros.control.learning.base import Learner
+from ehls_ros.control.learning.harmonics import Harmonics
+from ehls_ros.control.learning.lesson import LOOK, Coupling, Errors, Learners, Lesson, errors_of, recent_errors
+from ehls_ros.control.learning.repetition import LoadCycle, Places, Recorder, Turn
+from ehls_ros.control.learning.robustness import Design, design, estimator_loop, force_loop
+from ehls_ros.control.learning.waveform import Waveform
+from ehls_ros.errors import BadInput
+from ehls_ros.physics import sensors
+from ehls_ros.schema import quantity, text
+
+ACTUATOR = False
+
+FORESEEN_SHARE = 0.2
+"""Bandwidth to which the law's estimate is believed once most of the force is foreseen, over that before."""
+
+FOREIGN = "was learnt on another programme: it is neither used nor written"
+"""What is said of such a file."""
+
+WHOLE = 1e-6
+"""Part of a control cycle by which a load cycle may miss a whole number of them."""
+
+
+class Parameters(NamedTuple):
+    """What repeats, how it is learnt, and what stops it."""
+
+    method: Annotated[
+        Literal["waveform", "harmonics"], text("waveform: sample by sample; harmonics: a few numbers for each harmonic")
+    ] = "waveform"
+    period: Annotated[
+        float,
+        quantity(
+            "s", "after which reference and disturbance both repeat; 0: the programme's load cycle", minimum=0.0, maximum=1e3
+        ),
+    ] = 0.0
+    harmonics: Annotated[int, quantity("1", "harmonics that are cancelled by that method", minimum=1, maximum=10_000)] = 50
+    gain: Annotated[
+        float,
+        quantity(
+            "1", "part of the error corrected in a load cycle; 0: designed from the uncertainty", minimum=0.0, maximum=2.0
+        ),
+    ] = 0.0
+    uncertainty: Annotated[
+        float, quantity("1", "relative error of the valve's gain and bandwidth and of the delay", minimum=0.01, maximum=1.0)
+    ] = 0.2
+    force_bandwidth: Annotated[
+        float, quantity("Hz", "to which the law's estimate of the external force is believed", minimum=0.1, maximum=1e3)
+    ] = 80.0
+    forgetting: Annotated[
+        float, quantity("1", "part of what is known that a load cycle makes doubtful", minimum=0.0, maximum=0.5)
+    ] = 0.02
+    freeze: Annotated[
+        float,
+        quantity("1", "error, over the largest usual one, at which nothing is corrected any more", minimum=1.5, maximum=1e3),
+    ] = 4.0
+    file: Annotated[str, text("file to go on from, and to leave what is learnt in; empty: none")] = ""
+
+
+class Learning:
+    """The companion at work."""
+
+    def __init__(self, p: Parameters, setting: Setting) -> None:
+        """Take the parameters and what is known of the controller."""
+        model = setting.model
+        self._p, self._period = p, model.period
+        self._foresees = bool(getattr(setting.law, "PREVIEW", False))
+        self._loop = force_loop(setting.law, setting.tuning, model, p.uncertainty)
+        self._about = {
+            "controller": str(getattr(setting.law, "__name__", "")).rpartition(".")[2],
+            "control_period": f"{model.period:g} s",
+            "method": p.method,
+            "period": f"{p.period:g} s",
+        }
+        self._places = Places(_whole_cycles(p.period, model.period))
+        self._recorder = Recorder()
+        self._lessons: dict[int, Lesson] = {}
+        self._unproven: set[int] = set()
+        self._foreign = False
+        self._turn: Turn | None = None
+        self._usual: Turn | None = None
+        self._settling = True
+        self._added = 0
+        self._why = "no load cycle is complete"
+        if p.period > 0.0:
+            # An impossible gain is refused before anything runs.
+            self._learners(_whole_cycles(p.period, model.period), p.period)
+        for block, stored in storage.read(Path(p.file), self._about).items() if p.file else ():
+            self._restore(block, stored)
+
+    def room(self, first: int, place: Array) -> int:
+        """Return how many cycles may run before :meth:`done`: to the next look at the error, or the end of the load cycle."""
+        count = self._places.together(first, place)
+        turn = self._places.turn(first, place[0])
+        lesson = None if turn is None else self._lessons.get(turn.block)
+        if lesson is None or not (lesson.applied or lesson.foresees):
+            return count
+        return min(count, LOOK - (first % LOOK))
+
+    def ahead(self, upcoming: Upcoming) -> None:
+        """Add what has been learnt to the rows, while the reference is the one it was learnt on."""
+        turn = self._places.turn(upcoming.first, upcoming.place[0])
+        if turn != self._turn:
+            self._begin(turn)
+        lesson = None if turn is None else self._lessons.get(turn.block)
+        if turn is None or lesson is None or not (lesson.applied or lesson.foresees):
+            return
+        rows = upcoming.rows
+        at = self._places.phases(upcoming.first, upcoming.place, turn) * lesson.size
+        if len(rows) == 1:
+            # In a node, for each cycle.
+            low = int(at[0])
+            self._add(rows[0], lesson, turn, low, float(at[0]) - low)
+            return
+        for row, low, part in zip(rows, at.astype(np.int64), at % 1.0, strict=True):
+            self._add(row, lesson, turn, int(low), float(part))
+
+    def _add(self, row: Array, lesson: Lesson, turn: Turn, low: int, part: float) -> None:
+        """Add to one row what has been learnt, ``part`` of the way from sample ``low`` to the next."""
+        if not lesson.stale:
+            wanted = lesson.wanted[low] + part * (lesson.wanted[low + 1] - lesson.wanted[low])
+            if abs(row[0] - wanted) > lesson.tolerance:
+                lesson.stale = True
+                self._why = f"the reference of block {turn.block} is another one than was learnt"
+                self._refuse_file(turn.block)
+        table = lesson.table[low]
+        if part != 0.0:
+            table = table + part * (lesson.table[low + 1] - table)
+        if not lesson.stale:
+            row[:FORESEEN] += table[:FORESEEN]
+            self._added += 1
+        if lesson.foresees:
+            if math.isnan(row[FORESEEN]):
+                row[FORESEEN:] = 0.0
+            row[FORESEEN:] += table[FORESEEN:]
+
+    def done(self, past: Past, model: Model) -> Model:
+        """Record what happened; learn from a load cycle once it is complete."""
+        turn = self._turn
+        if turn is None:
+            return model
+        recorder, measured = self._recorder, past.measured
+        rows = recorder.add(past.first, len(past.rows))
+        rows[:, repetition.PHASE] = self._places.phases(past.first, past.place, turn)
+        rows[:, repetition.WANTED] = past.wanted[:, 0]
+        rows[:, repetition.ERROR] = measured[:, sensors.FORCE] - past.wanted[:, 0]
+        rows[:, repetition.POSITION] = measured[:, sensors.POSITION]
+        if self._foresees:
+            rows[:, repetition.EXTERNAL] = past.status[:, DELTA]
+            rows[:, repetition.FORESEEN] = past.rows[:, FORESEEN]
+        else:
+            rows[:, repetition.EXTERNAL :] = 0.0
+        lesson = self._lessons.get(turn.block)
+        if lesson is not None and (lesson.applied or lesson.foresees) and (past.first + len(rows)) % LOOK == 0:
+            self._look(turn, lesson, model)
+        if recorder.full():
+            self._end(turn, model)
+        return model
+
+    def interrupt(self) -> None:
+        """Let this load cycle and the next whole one not count."""
+        self._recorder.spoil()
+        self._settling, self._usual = True, None
+
+    def report(self) -> Mapping[str, float | str]:
+        """Return what has been learnt in the present block, and why nothing is corrected where nothing is."""
+        lesson = None if self._turn is None else self._lessons.get(self._turn.block)
+        file: dict[str, float | str] = {"file": FOREIGN} if self._foreign else {}
+        if lesson is None:
+            why = "nothing repeats: neither a period nor a place in a programme" if self._turn is None else self._why
+            return {"repetitions": 0.0, "state": why, **file}
+        filters = lesson.learners.reference.design
+        return {
+            "repetitions": float(lesson.cycles),
+            "state": "correcting" if lesson.applied else self._why,
+            "error_before_n": lesson.first_error,
+            "error_now_n": lesson.last_error,
+            "convergence": lesson.last_error / lesson.first_error if lesson.first_error > 0.0 else math.nan,
+            "designed_rate": filters.rate,
+            "worst_rate": filters.worst,
+            "bandwidth_hz": filters.bandwidth,
+            **file,
+        }
+
+    def save(self) -> None:
+        """Write what has been learnt, if there is a file for it that is of this programme."""
+        learnt = {block: lesson.stored() for block, lesson in self._lessons.items() if lesson.active}
+        if self._p.file and learnt and not self._foreign:
+            storage.write(Path(self._p.file), self._about, learnt)
+
+    def _begin(self, turn: Turn | None) -> None:
+        """Begin a load cycle."""
+        self._turn, self._added = turn, 0
+        self._recorder.begin()
+        if turn is not None and turn.block in self._lessons:
+            self._lessons[turn.block].turn_begins()
+
+    def _look(self, turn: Turn, lesson: Lesson, model: Model) -> None:
+        """Stop correcting where the error has grown, in a load cycle that follows a usual one without a gap."""
+        recent = self._recorder.latest(LOOK)
+        if recent is None or self._usual != turn._replace(number=turn.number - 1):
+            return
+        limits = (math.inf, lesson.limits[1]) if lesson.stale else lesson.limits
+        grown = [
+            rms > limit for rms, limit in zip(recent_errors(recent, self._known(model), self._period), limits, strict=True)
+        ]
+        if any(grown):
+            lesson.paused = True
+            what = "the force error" if grown[0] else "the external force"
+            self._why = f"{what} is no longer what it was in the load cycles before"
+
+    def _known(self, model: Model) -> Coupling:
+        return Coupling(model.coupling_stiffness, model.coupling_damping) if self._foresees else Coupling(0.0, 0.0)
+
+    def _errors(self, cycle: LoadCycle, model: Model) -> Errors:
+        return errors_of(cycle, self._known(model), self._period)
+
+    def _end(self, turn: Turn, model: Model) -> None:
+        """Learn from the load cycle that ends."""
+        cycle, settling = self._recorder.complete(), self._settling
+        self._usual = None if cycle is None or settling else turn
+        if cycle is None:
+            return
+        self._settling = False
+        lesson = self._lessons.get(turn.block)
+        if lesson is None or not lesson.is_of(cycle):
+            self._anew(turn, cycle)
+            self._lessons[turn.block].begin(self._errors(cycle, model))
+            return
+        self._unproven.discard(turn.block)
+        if settling:
+            return
+        errors = self._errors(cycle, model)
+        if lesson.stale or lesson.paused:
+            self._judge(lesson, turn, cycle, errors)
+        elif self._added == (len(cycle.columns) if lesson.active else 0):
+            lesson.take(errors, self._p.freeze)
+            self._why = "nothing that repeats stands out from the noise"
+
+    def _judge(self, lesson: Lesson, turn: Turn, cycle: LoadCycle, errors: Errors) -> None:
+        """Take a correction up again, or start anew, after a load cycle without it."""
+        if self._added > 0:
+            return
+        if lesson.stale or lesson.still_holds(errors):
+            lesson.stale = lesson.paused = False
+        else:
+            self._anew(turn, cycle)
+
+    def _anew(self, turn: Turn, cycle: LoadCycle) -> None:
+        """Start to learn a block's load cycle. The one that shows the reference holds a transition, and does not count."""
+        self._refuse_file(turn.block)
+        size, before = len(cycle.columns), self._lessons.get(turn.block)
+        learners = self._learners(size, cycle.period * self._period)
+        lesson = Lesson(cycle, learners, self._period)
+        if before is not None and before.foresees and before.size == size and before.period == cycle.period:
+            # The actuator under test moves on as it did, whatever the reference is.
+            lesson = Lesson(cycle, learners._replace(force=before.learners.force), self._period)
+            lesson.limits[1] = before.limits[1]
+        self._lessons[turn.block] = lesson
+        self._why = "the load cycle has not been seen often enough"
+
+    def _refuse_file(self, block: int) -> None:
+        """Leave the file alone where it holds another programme's."""
+        if block in self._unproven:
+            self._foreign = True
+
+    def _learners(self, size: int, period: float) -> Learners:
+        reference = self._learner(design(self._loop, size, period, self._p.gain), size, period)
+        if not self._foresees:
+            return Learners(reference, None, None)
+        believed = design(estimator_loop(self._p.force_bandwidth), size, period)
+        later = design(estimator_loop(max(FORESEEN_SHARE * self._p.force_bandwidth, 2.0 / period)), size, period)
+        return Learners(reference, self._learner(believed, size, period), later)
+
+    def _learner(self, filters: Design, size: int, period: float) -> Learner:
+        if self._p.method == "harmonics":
+            return Harmonics(filters, size, period, self._p.forgetting, self._p.harmonics)
+        return Waveform(filters, size, period, self._p.forgetting)
+
+    def _restore(self, block: int, stored: Mapping[str, NDArray[Any]]) -> None:
+        wanted, period = stored["wanted"], float(stored["period"])
+        columns = np.zeros((len(wanted), repetition.COLUMNS))
+        columns[:, repetition.WANTED] = wanted
+        lesson = Lesson(LoadCycle(period, columns), self._learners(len(wanted), period * self._period), self._period)
+        if not lesson.restore(stored):
+            raise BadInput(f"block {block} was learnt with other parameters", self._p.file, "another file")
+        self._lessons[block] = lesson
+        self._unproven.add(block)
+
+
+def _whole_cycles(period: float, control_period: float) -> int:
+    cycles = period / control_period
+    if abs(cycles - round(cycles)) > WHOLE * max(cycles, 1.0) or 0.0 < cycles < 8.0 or cycles > repetition.LONGEST:
+        expected = f"a multiple of the control_period, {control_period:g} s, of 8 to {repetition.LONGEST}"
+        raise BadInput(f"period is {period:g} s", "companion learning", f"{expected}, or 0")
+    return round(cycles)
+
+
+def build(p: Parameters, setting: Setting) -> Learning:
+    """Return the companion ready to work."""
+    return Learning(p, setting)

@@ -1,0 +1,260 @@
+"""A correction that grows from load cycle to load cycle: what both ways of learning have in common.
+
+An error that repeats with the load cycle is e = x + n: x repeats, n is new in each cycle. x is estimated from all cycles by a
+Kalman filter with one variance per coordinate. Coordinates are the cycle's samples or its harmonics. The variance R of n is
+learnt from what the cycles have not in common, the variance P of x from R, from how many cycles were seen and from how well the
+effect of a correction is known. What may be noise is not corrected: of x counts what stands out from its own standard
+deviation, which is not known before two cycles have shown what repeats. So the noise that a correction holds falls with the
+number of cycles n as n^-1/2, to the bound set by the forgetting.
+
+A correction dc changes x by T dc, with T0 and W from :mod:`ehls_ros.control.learning.robustness`: x := x + T0 dc,
+P := P + |W T0 dc|^2.
+
+Source: Anderson, Moore, Optimal Filtering, 1979, section 3.1; fading memory, section 6.2; the repeated correction as in
+Bristow, Tharayil, Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26, 2006.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.learning.robustness import Design, Spectrum
+
+DOUBTFUL, CERTAIN = 2.0, 4.0
+"""Squared error, over its own variance, up to which nothing is corrected, and from which all of it is."""
+
+LEAST_VARIANCE = 1e-12
+"""Lower bound of a variance [N^2]: what is simulated without noise repeats exactly."""
+
+TRANSITION = 4.0
+"""Largest variance of the noise, over its median, that is believed after a load cycle with a transition."""
+
+SMOOTH = 1.0
+"""Frequency on either side within which the response is alike [Hz]."""
+
+PACE = 0.3
+"""Part of the noise's variance that one load cycle makes out."""
+
+REMEMBERED = 0.7
+"""Part of the evidence on the response that outlives a load cycle."""
+
+LEAST_DOUBT = 0.1
+"""Uncertainty of a response that has been seen often."""
+
+Coordinates = NDArray[Any]
+"""A signal over a load cycle: its samples, or complex amplitudes of its harmonics."""
+
+
+class Learner(ABC):
+    """One correction, of a reference or of a foreseen force.
+
+    Attributes:
+        design: its filters.
+        size: samples of the load cycle.
+        cycles: load cycles that count.
+        spectrum: the correction as ``rfft`` has it.
+        table: correction and its two derivatives at the samples, the first again at the end, shape (size + 1, 3).
+    """
+
+    NEAR: int
+    """Coordinates on either side over which the significance is taken."""
+
+    AROUND: int
+    """Coordinates on either side over which the noise's variance is."""
+
+    STORED = ("spectrum", "_estimate", "_variance", "_noise", "_response", "_doubt", "_cross", "_power")
+
+    def __init__(self, design: Design, size: int, period: float, forgetting: float) -> None:
+        """Start with no correction.
+
+        Args:
+            design: filters at the harmonics of the load cycle.
+            size: samples of the load cycle.
+            period: its length [s].
+            forgetting: fraction of what is known that one load cycle makes doubtful.
+        """
+        self.design = design
+        self.size = size
+        self.cycles = 0
+        self._forgetting = forgetting
+        self._turning = 2j * math.pi / period * np.arange(size // 2 + 1)
+        # The highest harmonic of an even number of samples has no phase, and so no derivative.
+        self._turning[-1] *= size % 2
+        self._anew = False
+        self._estimate_is_of: bool | None = None
+        self._noise_is_settled = False
+        self.spectrum: Spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
+        self.table = np.zeros((size + 1, 3))
+        self._response, self._doubt = design.response, design.uncertainty
+        self._pool = max(1, round(SMOOTH * period))
+        self._cross: Spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
+        self._power = np.zeros(size // 2 + 1)
+        self._change: Spectrum | None = None
+        self._error: Spectrum = self.spectrum
+        self._estimate: Coordinates = self.coordinates(self.spectrum)
+        self._variance = np.full(self._estimate.shape, np.inf)
+        self._noise = np.full(self._estimate.shape, np.inf)
+
+    @abstractmethod
+    def coordinates(self, spectrum: Spectrum) -> Coordinates:
+        """Return a signal in the coordinates in which it is learnt."""
+
+    @abstractmethod
+    def spectrum_of(self, coordinates: Coordinates) -> Spectrum:
+        """Return a signal's spectrum."""
+
+    @abstractmethod
+    def noise_per_harmonic(self, variance: float, harmonics: int) -> float:
+        """Return the mean square of the noise's ``rfft`` at one of so many harmonics, from its variance here."""
+
+    def narrow(self, design: Design) -> None:
+        """Learn with other filters from now on."""
+        self.design = design
+        self._estimate = self.coordinates(design.robustness * self.spectrum_of(self._estimate))
+        self._response, self._doubt, self._change = design.response, design.uncertainty, None
+
+    def observe(self, error: Array, *, settled: bool = True) -> None:
+        """Take in the error of one load cycle, under the present correction.
+
+        Args:
+            error: shape (size,) [N].
+            settled: whether it repeats; of a cycle with a transition, only that part is used that the next confirms.
+        """
+        spectrum = self.design.robustness * np.fft.rfft(error)
+        seen = self.coordinates(spectrum)
+        self.cycles += settled
+        if self.cycles == 0 or not np.any(np.isfinite(self._noise)):
+            self._first(seen, settled=settled)
+        elif self._anew:
+            self._estimate, self._variance, self._anew = seen, self._noise.copy(), False
+        else:
+            self._compare(spectrum - self._error)
+            self._follow(seen)
+        self._error, self._change = spectrum, None
+
+    def _first(self, seen: Coordinates, *, settled: bool) -> None:
+        """Begin with a load cycle, or learn from the second what is noise."""
+        if self._estimate_is_of is None:
+            self._estimate, self._estimate_is_of = seen, settled
+            return
+        missed = seen - self._estimate
+        noise = 0.5 * _mean(np.abs(missed) ** 2, self.AROUND)
+        if self._estimate_is_of:
+            self._estimate = self._estimate + 0.5 * missed
+            self._noise = np.maximum(noise, LEAST_VARIANCE)
+            self._noise_is_settled = True
+            self._variance = 0.5 * self._noise
+        else:
+            # What the transition adds to the difference is no noise.
+            self._estimate = seen
+            self._noise = np.maximum(np.minimum(noise, TRANSITION * float(np.median(noise))), LEAST_VARIANCE)
+            self._variance = self._noise.copy()
+
+    def _compare(self, difference: Spectrum) -> None:
+        """Learn the response and the noise from how the error differs from that of the load cycle before."""
+        if self._change is not None:
+            before = self._response
+            self._identify(difference, self._change)
+            self._estimate = self._estimate + self.coordinates((self._response - before) * self._change)
+            difference = difference - self._response * self._change
+        noise = 0.5 * _mean(np.abs(self.coordinates(difference)) ** 2, self.AROUND)
+        pace = PACE if self._noise_is_settled else 1.0
+        self._noise = np.maximum(self._noise + pace * (noise - self._noise), LEAST_VARIANCE)
+        self._noise_is_settled = True
+
+    def _follow(self, seen: Coordinates) -> None:
+        """Correct the estimate by one more load cycle."""
+        missed = seen - self._estimate
+        self._variance = self._variance / (1.0 - self._forgetting)
+        weight = self._variance / (self._variance + self._noise)
+        self._estimate = self._estimate + weight * missed
+        self._variance = self._variance * (1.0 - weight)
+
+    def _identify(self, difference: Spectrum, change: Spectrum) -> None:
+        """Learn the response from what a change of the correction did.
+
+        The response is alike at neighbouring frequencies, within :data:`SMOOTH`. What is known of it beforehand counts as much
+        as its uncertainty over the noise says.
+        """
+        design = self.design
+        learnt = design.robustness > 0.0
+        self._cross = REMEMBERED * self._cross + _mean(difference * np.conj(change), self._pool)
+        self._power = REMEMBERED * self._power + _mean(np.abs(change) ** 2, self._pool)
+        # Of both cycles, per harmonic in the band that is learnt.
+        noise = 2.0 * self.noise_per_harmonic(float(np.mean(self._noise)), max(int(np.sum(learnt)), 1))
+        prior = noise / np.maximum(np.abs(design.uncertainty * design.response) ** 2, 1e-12)
+        total = np.maximum(prior + (2 * self._pool + 1) * self._power, 1e-300)
+        cross = (2 * self._pool + 1) * self._cross
+        self._response = (prior * design.response + cross) / total
+        left = np.sqrt(noise / total) / np.maximum(np.abs(self._response), 1e-12)
+        self._doubt = np.clip(left, LEAST_DOUBT, design.uncertainty)
+
+    def correct(self) -> bool:
+        """Change the correction by what is significant; return whether there is any."""
+        if self._anew or not np.any(np.isfinite(self._noise)):
+            return bool(np.any(self.spectrum))
+        size = np.maximum(_mean(np.abs(self._estimate) ** 2, self.NEAR), LEAST_VARIANCE)
+        certainty = size / np.maximum(_mean(self._variance, self.NEAR), LEAST_VARIANCE)
+        kept = np.clip((certainty - DOUBTFUL) / (CERTAIN - DOUBTFUL), 0.0, 1.0)
+        inverse = self.design.inverse(self._response, self._doubt)
+        change = -self.design.robustness * inverse * self.spectrum_of(kept * self._estimate)
+        effect = self._response * change
+        self._estimate = self._estimate + self.coordinates(effect)
+        doubt = np.abs(self.coordinates(self._doubt * effect)) ** 2
+        self._variance = self._variance + _mean(doubt, self.NEAR)
+        self.spectrum, self._change = self.spectrum + change, change
+        self.tabulate()
+        return bool(np.any(self.spectrum))
+
+    def tabulate(self) -> None:
+        """Fill the table from the spectrum."""
+        for column in range(3):
+            self.table[:-1, column] = np.fft.irfft(self._turning**column * self.spectrum, self.size)
+        self.table[-1] = self.table[0]
+
+    def begin_again(self) -> None:
+        """Let the next load cycle alone say what the error is: something else has changed it. The noise remains known."""
+        self._anew = True
+        self._change = None
+
+    def without(self) -> Array:
+        """Return the error that is expected without any correction, as far as it repeats, shape (size,) [N]."""
+        expected: Array = np.fft.irfft(self.spectrum_of(self._estimate) - self._response * self.spectrum, self.size)
+        return expected
+
+    def kept(self, error: Array) -> Array:
+        """Return that part of an error that is looked at, shape (size,) [N]."""
+        part: Array = np.fft.irfft(self.design.robustness * np.fft.rfft(error), self.size)
+        return part
+
+    def stored(self) -> dict[str, NDArray[Any]]:
+        """Return what has been learnt, by name."""
+        return {"cycles": np.array(self.cycles), **{name.strip("_"): getattr(self, name) for name in self.STORED}}
+
+    def restore(self, stored: Mapping[str, NDArray[Any]]) -> bool:
+        """Take up what :meth:`stored` gave; return whether it fits."""
+        values = {name: stored.get(name.strip("_")) for name in self.STORED}
+        if any(value is None or value.shape != getattr(self, name).shape for name, value in values.items()):
+            return False
+        for name, value in values.items():
+            setattr(self, name, value)
+        self.cycles = int(stored["cycles"])
+        self.tabulate()
+        return True
+
+
+def _mean(values: NDArray[Any], reach: int) -> NDArray[Any]:
+    """Return the mean of each value and as many on either side; what lies beyond an end is taken from the other."""
+    reach = min(reach, (len(values) - 1) // 2)
+    if reach == 0:
+        return values
+    padded = np.concatenate([values[-reach:], values, values[:reach]])
+    total = np.concatenate([[0.0], np.cumsum(padded)])
+    width = 2 * reach + 1
+    mean: NDArray[Any] = (total[width:] - total[:-width]) / width
+    return mean if np.iscomplexobj(mean) else np.maximum(mean, 0.0)

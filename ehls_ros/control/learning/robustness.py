@@ -1,0 +1,191 @@
+"""Learning filters for a force loop that is known with an uncertainty.
+
+From load cycle to load cycle a correction c of the reference changes the repeated error by e := e + T dc, T being the response
+of the force to the reference. With dc = -Q L e the error at one frequency becomes 1 - Q L T of itself. T is known as
+T0 (1 + W D), |D| <= 1, so what remains is at most
+
+    rho = Q (|1 - L T0| + |L T0| W)
+
+and the learning converges for every such loop where rho < 1. L = conj(T0) / (|T0|^2 (1 + W^2)) minimises the mean square of
+what remains for a D of random phase; with it rho = Q W (1 + W) / (1 + W^2). Q has no phase. It is 1 as far as rho keeps
+:data:`MARGIN` of 1, and falls to 0 beyond.
+
+Source: Bristow, Tharayil, Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26, 2006, section on
+robust design; the weight from the relative errors of gain, valve bandwidth and delay.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.controllers.base import ControllerLaw, Model
+from ehls_ros.errors import BadInput
+
+Spectrum: TypeAlias = NDArray[np.complex128]
+
+MARGIN = 0.2
+"""Distance of rho from 1, at least."""
+
+ROLL_OFF = 1.5
+"""Frequency at which Q has fallen to 0, over that at which it begins to fall."""
+
+GRID = 512
+"""Frequencies at which the condition is checked, beside those of the harmonics."""
+
+LARGEST = 0.7
+"""Uncertainty at which rho reaches 1 - MARGIN, nearly."""
+
+LEAST_RESPONSE = 0.2
+"""Smallest response that is inverted."""
+
+HOLD = 1.5
+"""Periods by which a sampled law acts late: computed once a period and held for one."""
+
+
+class Loop(NamedTuple):
+    """The force loop as known, at some frequencies.
+
+    Attributes:
+        response: T0, of the force to the reference.
+        uncertainty: W, largest relative error of it.
+    """
+
+    response: Spectrum
+    uncertainty: Array
+
+
+class Design(NamedTuple):
+    """Filters of a repetitive correction, at the harmonics of a load cycle.
+
+    Attributes:
+        response: T0.
+        uncertainty: W.
+        learning: L.
+        robustness: Q, real.
+        rate: what remains of the slowest harmonic that is learnt at full strength, after one repetition, if T = T0.
+        worst: the same for the worst T; below 1 - MARGIN.
+        bandwidth: frequency to which Q is 1 [Hz].
+        gain: L T0 where it was given; 0: from the uncertainty.
+    """
+
+    response: Spectrum
+    uncertainty: Array
+    learning: Spectrum
+    robustness: Array
+    rate: float
+    worst: float
+    bandwidth: float
+    gain: float
+
+    def inverse(self, response: Spectrum, uncertainty: Array) -> Spectrum:
+        """Return L for a response that has become better known."""
+        return learning_filter(Loop(response, uncertainty), self.gain)
+
+
+def force_loop(law: ControllerLaw, tuning: Any, model: Model, uncertainty: float) -> Callable[[Array], Loop]:
+    """Return a function from frequencies [rad/s] to the loop of a law.
+
+    A law that says by ``tracking`` how the force follows the reference is believed up to errors of its coefficients. One that
+    does not may lie anywhere between a force that is the reference and one that follows it with the valve's lag and the delay.
+
+    Args:
+        law: its file.
+        tuning: its parameters.
+        model: what it knows of the rig.
+        uncertainty: relative error of valve gain, valve bandwidth and delay.
+    """
+    tracking = cast(Callable[[Array, Any, Model], Spectrum] | None, getattr(law, "tracking", None))
+
+    def loop(omega: Array) -> Loop:
+        lag = omega / model.plant.valve_bandwidth
+        late = model.command_delay + HOLD * model.period
+        doubt = uncertainty * (1.0 + lag / np.sqrt(1.0 + lag**2) + omega * late)
+        if tracking is not None:
+            return Loop(tracking(omega, tuning, model), doubt)
+        late_response = np.exp(-1j * omega * late) / (1.0 + 1j * lag)
+        return Loop(np.ones(omega.shape, dtype=np.complex128), doubt + np.abs(late_response - 1.0))
+
+    return loop
+
+
+def estimator_loop(bandwidth: float) -> Callable[[Array], Loop]:
+    """Return the loop in which a foreseen force is corrected by what the law estimates beyond it.
+
+    Args:
+        bandwidth: to which the estimate is believed [Hz]; its lag makes it as wrong as may be there.
+    """
+
+    def loop(omega: Array) -> Loop:
+        return Loop(np.ones(omega.shape, dtype=np.complex128), LARGEST * omega / (2.0 * math.pi * bandwidth))
+
+    return loop
+
+
+def remaining(loop: Loop, learning: Spectrum, robustness: Array) -> Array:
+    """Return rho at each frequency."""
+    share = learning * loop.response
+    return robustness * (np.abs(1.0 - share) + np.abs(share) * loop.uncertainty)
+
+
+def design(loop_at: Callable[[Array], Loop], size: int, period: float, gain: float = 0.0) -> Design:
+    """Return the filters for a load cycle.
+
+    Args:
+        loop_at: from :func:`force_loop`.
+        size: samples of the load cycle.
+        period: its length [s].
+        gain: L T0 [1]; 0: designed from the uncertainty.
+
+    Raises:
+        BadInput: with this gain the learning does not converge with :data:`MARGIN`, at no or at hardly any frequency.
+    """
+    base = 2.0 * math.pi / period
+    harmonics = base * np.arange(size // 2 + 1)
+    highest = math.pi * size / period
+    fine = np.geomspace(min(base, 1e-2 * highest), highest, GRID)
+    grid = np.union1d(harmonics, fine)
+    loop = loop_at(grid)
+    learning = learning_filter(loop, gain)
+    bad = np.flatnonzero(remaining(loop, learning, np.ones(grid.shape)) > 1.0 - MARGIN)
+    first = float(grid[bad[0]]) if bad.size else highest
+    if first <= base:
+        what = f"gain {gain:g}: the error of the first harmonic, {1.0 / period:g} Hz, need not fall from cycle to cycle"
+        if gain == 0.0:
+            what = f"the force loop is too uncertain at the first harmonic, {1.0 / period:g} Hz, to learn anything"
+        raise BadInput(what, "companion learning", "gain 0, which designs it, or a smaller uncertainty")
+    edge = first / ROLL_OFF if bad.size else highest
+    if bad.size and edge < base:
+        edge = base
+    robustness = _falling(grid, edge, max(first, edge * 1.0001))
+    full = (robustness == 1.0) & (grid > 0.0)
+    rho = remaining(loop, learning, robustness)
+    rate = np.abs(1.0 - learning * loop.response)
+    at = np.searchsorted(grid, harmonics)
+    return Design(
+        loop.response[at],
+        loop.uncertainty[at],
+        learning[at],
+        robustness[at],
+        float(rate[full].max(initial=0.0)),
+        float(rho.max()),
+        edge / (2.0 * math.pi),
+        gain,
+    )
+
+
+def learning_filter(loop: Loop, gain: float) -> Spectrum:
+    """Return L at each frequency; ``gain`` as of :func:`design`."""
+    inverse = np.conj(loop.response) / np.maximum(np.abs(loop.response) ** 2, LEAST_RESPONSE**2)
+    if gain > 0.0:
+        return gain * inverse
+    return inverse / (1.0 + loop.uncertainty**2)
+
+
+def _falling(omega: Array, begin: float, end: float) -> Array:
+    """Return 1 up to ``begin`` and 0 from ``end`` on, with half a cosine between."""
+    part = np.clip((omega - begin) / (end - begin), 0.0, 1.0)
+    return 0.5 * (1.0 + np.cos(math.pi * part))

@@ -1,0 +1,287 @@
+"""Learning from load cycle to load cycle, on plants whose response is known."""
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ehls_ros.control.companions import learning
+from ehls_ros.control.companions.base import PLACE, Past, Setting, Upcoming
+from ehls_ros.control.controllers import fasmc_output_feedback
+from ehls_ros.control.controllers.base import DELTA, FORESEEN, ROW, STATUS_SIZE, model_of
+from ehls_ros.control.learning.harmonics import Harmonics
+from ehls_ros.control.learning.robustness import MARGIN, Loop, design, remaining
+from ehls_ros.control.learning.waveform import Waveform
+from ehls_ros.errors import BadInput
+from ehls_ros.physics import sensors
+
+PERIOD, SIZE = 1e-3, 500
+TURN = np.arange(SIZE) / SIZE
+
+
+def lag(omega: np.ndarray) -> Loop:
+    return Loop(1.0 / (1.0 + 1j * omega / 300.0), 0.3 + omega / 600.0)
+
+
+FILTERS = design(lag, SIZE, SIZE * PERIOD)
+WAYS = {
+    "waveform": lambda: Waveform(FILTERS, SIZE, SIZE * PERIOD, 0.02),
+    "harmonics": lambda: Harmonics(FILTERS, SIZE, SIZE * PERIOD, 0.02, 60),
+}
+
+
+def repeated(random: np.random.Generator) -> np.ndarray:
+    """Return an error with all harmonics to 100 Hz."""
+    spectrum = np.zeros(SIZE // 2 + 1, dtype=complex)
+    spectrum[1:50] = random.standard_normal((49, 2)) @ [100.0, 100.0j] * 10.0
+    return np.fft.irfft(spectrum, SIZE)
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.9, 2.5, -1.3])
+@pytest.mark.parametrize("way", WAYS)
+def test_every_harmonic_falls_at_least_as_fast_as_designed(way, turned):
+    """The plant is as far from the known one as may be, in a direction of its own; there is no noise."""
+    learner, first = WAYS[way](), repeated(np.random.default_rng(1))
+    truth = FILTERS.response * (1.0 + 0.99 * FILTERS.uncertainty * np.exp(1j * turned))
+    error = first
+    sizes = []
+    for _ in range(7):
+        learner.observe(error)
+        learner.correct()
+        sizes.append(np.abs(np.fft.rfft(error))[1:50])
+        error = first + np.fft.irfft(truth * learner.spectrum, SIZE)
+    # Once on the error that is looked at, and once on the correction.
+    q = FILTERS.robustness**2
+    exact = np.abs(1.0 - q * FILTERS.learning * truth)[1:50]
+    most = (1.0 - q + remaining(Loop(FILTERS.response, FILTERS.uncertainty), FILTERS.learning, q))[1:50]
+    assert np.allclose(sizes[2], exact * sizes[1], rtol=1e-6, atol=1e-6)
+    assert np.all(sizes[2] <= most * sizes[1] + 1e-6)
+    # What a correction did has shown the plant: from then on it falls faster still.
+    full = q[1:50] == 1.0
+    assert full.sum() >= 5
+    assert np.all(sizes[6][full] < 0.02 * sizes[0][full])
+
+
+def test_the_condition_holds_at_all_frequencies_and_uncertainty_costs_bandwidth():
+    bandwidths = []
+    for doubt in (0.1, 0.2, 0.4):
+
+        def loop(omega: np.ndarray, doubt: float = doubt) -> Loop:
+            return Loop(np.exp(-1e-3j * omega), doubt * (1.0 + omega / 300.0))
+
+        found = design(loop, SIZE, SIZE * PERIOD)
+        omega = 2.0 * math.pi * np.arange(SIZE // 2 + 1) / (SIZE * PERIOD)
+        off = np.outer(loop(omega).uncertainty, np.exp(1j * np.linspace(0.0, 6.0, 13)))
+        truth = found.response[:, np.newaxis] * (1.0 + off)
+        left = np.abs(found.robustness[:, np.newaxis] * (1.0 - found.learning[:, np.newaxis] * truth))
+        assert left.max() <= found.worst <= 1.0 - MARGIN
+        assert found.rate < found.worst
+        bandwidths.append(found.bandwidth)
+    assert bandwidths == sorted(bandwidths, reverse=True)
+    assert bandwidths[0] > 2.0 * bandwidths[2]
+
+
+@pytest.mark.parametrize(("gain", "doubt"), [(1.9, 0.2), (0.0, 1.5)])
+def test_what_does_not_converge_is_refused(gain, doubt):
+    with pytest.raises(BadInput, match="first harmonic"):
+        design(lambda omega: Loop(np.ones(omega.shape, dtype=complex), np.full(omega.shape, doubt)), SIZE, SIZE * PERIOD, gain)
+
+
+def test_a_law_says_how_the_force_follows(rig):
+    """Against the difference equation that the law's commands fulfil, of a sine that is extrapolated."""
+    p, model = fasmc_output_feedback.Parameters(), model_of(rig, PERIOD)
+    omega = np.array([20.0, 150.0, 600.0])
+    slope, kept = p.k * p.g / 4.0, 1.0 / (1.0 + p.reaching_rate * PERIOD)
+    found = fasmc_output_feedback.tracking(omega, p, model)
+    for w, response in zip(omega, found, strict=True):
+        k = np.arange(4000)
+        r = np.exp(1j * w * PERIOD * k)
+
+        def wanted(ahead: float, r: np.ndarray = r, w: float = w) -> np.ndarray:
+            rate = 1j * w * r - ahead * w**2 * r
+            return rate + slope * (r + ahead * 1j * w * r - 0.5 * (ahead * w) ** 2 * r)
+
+        surface = np.zeros(len(k) + 2, dtype=complex)
+        for i in k:
+            surface[i + 2] = wanted(2.0 * PERIOD)[i] + kept * (surface[i + 1] - wanted(PERIOD)[i])
+        force = surface[3000] / (1j * w + slope)
+        assert force / np.exp(1j * w * PERIOD * 3000) == pytest.approx(response, rel=1e-6)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_the_noise_that_is_learnt_falls_with_the_root_of_the_cycles(way):
+    random = np.random.default_rng(2)
+    first = repeated(random)
+    left = {}
+    for cycles in (4, 36):
+        squares = []
+        for _ in range(6):
+            learner, error = WAYS[way](), first
+            learner._forgetting = 0.0
+            for _ in range(cycles):
+                learner.observe(error + 3.0 * random.standard_normal(SIZE))
+                learner.correct()
+                error = first + np.fft.irfft(FILTERS.response * learner.spectrum, SIZE)
+            squares.append(np.mean(np.abs(np.fft.rfft(error)[FILTERS.robustness == 1.0]) ** 2))
+        left[cycles] = math.sqrt(np.mean(squares))
+    assert 2.0 < left[4] / left[36] < 5.0
+
+
+def at_once(omega: np.ndarray, tuning: Any, model: Any) -> np.ndarray:
+    """Return the response of a law whose force is its reference."""
+    return np.ones(omega.shape, dtype=complex)
+
+
+class Plant:
+    """A force that follows its reference at once, with an error that repeats, and a companion; by cycles or in stretches."""
+
+    def __init__(self, rig: Any, *, law: Any = None, stretch: int = 1, noise: float = 0.5, **parameters: Any) -> None:
+        self.model = model_of(rig, PERIOD)
+        self.law = SimpleNamespace(__name__="controllers.stub", tracking=at_once) if law is None else law
+        p = learning.Parameters(**{"period": SIZE * PERIOD, "uncertainty": 0.02, **parameters})
+        self.companion = learning.build(p, Setting(self.law, None, self.model, "position"))
+        self.stretch, self.noise, self.cycle = stretch, noise, 0
+        self.random = np.random.default_rng(3)
+        self.added: list[np.ndarray] = []
+
+    def run(self, cycles: int, size: float = 1e3, swing: float = 40.0, pull: float = 500.0, place: Any = None) -> np.ndarray:
+        """Return the true force error of some load cycles."""
+        out, end = [], self.cycle + round(cycles * SIZE)
+        while self.cycle < end:
+            n = min(self.stretch, end - self.cycle)
+            k = np.arange(self.cycle, self.cycle + n)
+            where = np.full((n, PLACE), np.nan) if place is None else place(k)
+            n = self.companion.room(self.cycle, where)
+            k, where = k[:n], where[:n]
+            angle = 2.0 * math.pi * k / SIZE
+            rows = np.full((n, ROW), np.nan)
+            rows[:, :FORESEEN] = np.column_stack([size * np.sin(angle), np.zeros((n, 2))])
+            wanted = rows[:, :FORESEEN].copy()
+            self.companion.ahead(Upcoming(self.cycle, rows, where, np.full((n, 3), np.nan)))
+            self.added.append(rows - np.column_stack([wanted, np.zeros((n, 3))]))
+            error = rows[:, 0] - wanted[:, 0] + swing * np.cos(2.0 * angle) ** 3
+            measured, status = np.zeros((n, 7)), np.zeros((n, STATUS_SIZE))
+            measured[:, sensors.FORCE] = wanted[:, 0] + error + self.noise * self.random.standard_normal(n)
+            status[:, DELTA] = pull * np.sin(angle)
+            self.companion.done(Past(self.cycle, rows, wanted, where, measured, np.zeros(n), status), self.model)
+            out.append(error)
+            self.cycle += n
+        return np.concatenate(out)
+
+    @property
+    def correction(self) -> np.ndarray:
+        return np.concatenate(self.added)
+
+
+@pytest.mark.parametrize("method", ["waveform", "harmonics"])
+def test_beside_a_law_the_error_falls_and_it_is_the_same_in_stretches(rig, method):
+    single, stretches = Plant(rig, method=method), Plant(rig, method=method, stretch=170)
+    before, error = single.run(2), single.run(6)
+    assert np.abs(before).max() > 39.0
+    assert np.abs(error[-SIZE:]).max() < 2.0
+    assert np.array_equal(np.concatenate([stretches.run(2), stretches.run(6)]), np.concatenate([before, error]))
+    report = single.companion.report()
+    assert report["repetitions"] == 7.0
+    assert report["convergence"] < 0.1
+    assert report["state"] == "correcting"
+
+
+def test_a_force_that_repeats_is_foreseen_with_its_derivatives(rig):
+    plant = Plant(rig, law=SimpleNamespace(__name__="stub", tracking=at_once, PREVIEW=True))
+    plant.run(4)
+    angle = 2.0 * math.pi * TURN
+    slow = SIZE * PERIOD / (2.0 * math.pi)
+    foreseen = plant.correction[-SIZE:, FORESEEN:] * [1.0, slow, slow**2]
+    expected = 500.0 * np.column_stack([np.sin(angle), np.cos(angle), -np.sin(angle)])
+    assert np.allclose(foreseen, expected, atol=5.0)
+
+
+def test_missed_cycles_keep_the_phase_and_do_not_count(rig):
+    plant = Plant(rig)
+    plant.run(5)
+    counted = plant.companion.report()["repetitions"]
+    plant.run(0.5)
+    plant.cycle += 5
+    plant.run(0.5 - 5 / SIZE)
+    assert plant.companion.report()["repetitions"] == counted
+    assert np.abs(plant.run(1)).max() < 4.0
+    assert plant.companion.report()["repetitions"] == counted + 1
+
+
+def test_after_a_trip_the_cycle_and_the_next_do_not_count_but_what_is_learnt_stays(rig):
+    plant = Plant(rig)
+    plant.run(5.3)
+    counted = plant.companion.report()["repetitions"]
+    plant.companion.interrupt()
+    assert np.abs(plant.run(1.7)).max() < 4.0
+    assert plant.companion.report()["repetitions"] == counted
+    plant.run(1)
+    assert plant.companion.report()["repetitions"] == counted + 1
+
+
+def test_a_changed_programme_is_left_alone_until_it_is_learnt_and_other_blocks_are_kept(rig):
+    def block(number: int) -> Any:
+        return lambda k: np.column_stack([np.full(len(k), float(number)), k / SIZE])
+
+    plant = Plant(rig, period=0.0)
+    plant.run(5, place=block(1))
+    plant.added.clear()
+    plant.run(1.4, size=1.1e3, place=block(1))
+    # Differs by more than 2 % of the size from where the sine exceeds a fifth.
+    assert np.all(plant.correction[SIZE // 8 :, :FORESEEN] == 0.0)
+    plant.run(3.6, size=1.1e3, place=block(2))
+    assert np.abs(plant.run(1, size=1.1e3, place=block(2))).max() < 4.0
+    plant.run(3, size=1.1e3, place=block(1))
+    assert np.abs(plant.run(1, size=1.1e3, place=block(1))).max() < 4.0
+    assert np.abs(plant.run(1, size=1.1e3, place=block(2))).max() < 4.0
+
+
+def test_an_error_that_grows_stops_the_correction_at_once(rig):
+    plant = Plant(rig)
+    plant.run(6)
+    plant.run(0.5)
+    plant.added.clear()
+    plant.run(0.5, swing=200.0)
+    assert np.all(plant.correction[20:, :FORESEEN] == 0.0)
+    assert "no longer" in str(plant.companion.report()["state"])
+    plant.run(5, swing=200.0)
+    assert np.abs(plant.run(1, swing=200.0)).max() < 20.0
+
+
+def test_what_never_repeats_is_not_corrected(rig):
+    plant = Plant(rig)
+    plant.run(12, swing=0.0)
+    assert np.abs(plant.correction[:, 0]).max() < 1.0
+    wandering = Plant(rig)
+    for turn in range(8):
+        wandering.run(1, size=1e3 + 50.0 * turn)
+    assert np.all(wandering.correction[:, :FORESEEN] == 0.0)
+
+
+def test_what_is_learnt_is_there_the_next_day_and_only_for_its_programme(rig, tmp_path):
+    file = tmp_path / "learnt" / "programme.npz"
+    plant = Plant(rig, file=str(file))
+    plant.run(6)
+    last = np.abs(plant.run(1)).max()
+    plant.companion.save()
+    written = file.read_bytes()
+    assert np.abs(Plant(rig, file=str(file)).run(1)).max() < 1.2 * last
+    other = Plant(rig, file=str(file))
+    assert np.abs(other.run(6, size=2e3)[: SIZE // 8]).max() < 45.0
+    assert "another programme" in str(other.companion.report()["file"])
+    other.companion.save()
+    assert file.read_bytes() == written
+    with pytest.raises(BadInput, match="method waveform"):
+        Plant(rig, file=str(file), method="harmonics")
+    Path(file).write_text("nothing", encoding="utf-8")
+    with pytest.raises(BadInput, match="cannot be read"):
+        Plant(rig, file=str(file))
+
+
+@pytest.mark.parametrize("period", [0.0123456, 5e-3])
+def test_a_period_is_a_whole_number_of_cycles(rig, period):
+    with pytest.raises(BadInput, match="multiple of the control_period"):
+        Plant(rig, period=period)
