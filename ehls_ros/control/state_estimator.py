@@ -406,8 +406,8 @@ def expect(foreseen: Array, period: float, state: State) -> None:
     """Let the external force change as somebody foresaw it.
 
     The mean has been predicted with the second derivative held. What the force foreseen does beyond that, over the last cycle,
-    is added, so that the filter estimates only what nobody foresaw. Where a preview begins, the mean has what the filter found
-    by itself.
+    is added, so that the filter estimates only what nobody foresaw. Where foresight begins, its rates take the place of the
+    estimated ones.
 
     Args:
         foreseen: the force [N] and its two derivatives; NaN if nobody foresees it.
