@@ -10,10 +10,10 @@ from benchmarks.preview import with_preview
 from benchmarks.true_error import true_cycles
 from ehls_ros.control.companions.base import Past, Upcoming
 from ehls_ros.control.company import Company
-from ehls_ros.control.controllers.base import FORESEEN, Model
+from ehls_ros.control.controllers.base import FORESEEN, ROW, Model
 from ehls_ros.control.disturbances.base import DISPLACEMENT, VELOCITY
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.loop import ClosedLoop
+from ehls_ros.experiments.loop import ClosedLoop, sampled
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
 from ehls_ros.recording.yaml_text import read_yaml
 
@@ -94,13 +94,39 @@ def test_a_preview_that_nobody_can_use_is_refused():
     assert "follows a position" in refused(controller="pid", reference={"name": "constant", "value": 0.0}).what
 
 
-def test_it_starts_anew_where_the_command_was_not_known():
-    spec = with_preview("measured_constant_fd2", [PREVIEW])
-    preview = ClosedLoop(spec).company.members["disturbance_preview"]
-    rows, command = np.zeros((40, 6)), np.zeros((40, 3))
+def preview_of(spec: Spec) -> Any:
+    return ClosedLoop(spec).company.members["disturbance_preview"]
+
+
+def upcoming(first: int, command: np.ndarray) -> Upcoming:
+    rows = np.full((len(command), ROW), np.nan)
+    rows[:, :3] = 0.0
+    return Upcoming(first, rows, np.full((len(command), 2), np.nan), command)
+
+
+def test_where_the_command_was_not_known_it_is_believed_again_once_it_has_settled():
+    command = np.zeros((600, 3))
     command[:, 0], command[10:20] = 0.01, np.nan
-    preview.ahead(Upcoming(0, rows, np.full((40, 2), np.nan), command))
-    assert np.isnan(rows[10:20, FORESEEN:]).all()
-    # At rest where it stands, the far end pulls with the spring alone.
-    assert rows[20, FORESEEN] == pytest.approx(-STIFFNESS * 0.01)
-    assert np.isfinite(np.delete(rows, slice(10, 20), axis=0)).all()
+    cycles = upcoming(0, command)
+    preview_of(with_preview("measured_constant_fd2", [PREVIEW])).ahead(cycles)
+    known = np.isfinite(cycles.rows[:, FORESEEN:]).all(axis=1)
+    # 10 time constants of 1/30 s.
+    assert np.flatnonzero(np.diff(known)).tolist() == [9, 20 + 333]
+    # At rest the far end pulls with the spring alone.
+    assert cycles.rows[-1, FORESEEN] == pytest.approx(-STIFFNESS * 0.01, rel=5e-3)
+
+
+@pytest.mark.parametrize("missed", [1, 5])
+def test_cycles_left_out_change_next_to_nothing(missed):
+    spec = with_preview("measured_constant_fd2", [PREVIEW])
+    command = sampled(spec.disturbance.signal, 1e-3).rows(0, 2000)
+    whole, first, second = (
+        upcoming(k, part) for k, part in ((0, command), (0, command[:1500]), (1500 + missed, command[1500 + missed :]))
+    )
+    preview_of(spec).ahead(whole)
+    preview = preview_of(spec)
+    preview.ahead(first)
+    preview.ahead(second)
+    off = np.max(np.abs(second.rows[:, FORESEEN] - whole.rows[1500 + missed :, FORESEEN]))
+    # Of 250 kN.
+    assert off < 5.0
