@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.controller import Controller
+from ehls_ros.control.controller import Controller, Outlook
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.experiments.loop import sampled, simulator_of
@@ -52,7 +52,7 @@ def true_cycles(spec: Spec, added: Array | None = None) -> Cycles:
     for cycle in range(cycles):
         measured = plant.measure(noise[cycle])
         error[cycle] = plant.truth[FORCE] - wanted[cycle, 0]
-        answer = law.step(measured, wanted[cycle], no_friction, cycle=cycle, place=place[cycle], actuator=actuator[cycle])
+        answer = law.step(measured, wanted[cycle], no_friction, outlook=Outlook(cycle, place[cycle], actuator[cycle]))
         command[cycle] += answer
         position, velocity = measured[POSITION], measured[VELOCITY]
         plant.advance(command[cycle], *row)

@@ -9,7 +9,7 @@ import pytest
 
 from ehls_ros.control.companions.base import Past, Upcoming
 from ehls_ros.control.company import Company
-from ehls_ros.control.controller import Controller
+from ehls_ros.control.controller import Controller, Outlook
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORCE_ERROR, Model, model_of
 from ehls_ros.experiments.loop import CHUNK, ClosedLoop, sampled, simulator_of
@@ -97,7 +97,7 @@ def stepped(spec: Spec, **members: Any) -> Controller:
     controller = Controller(spec.controller.name, spec.controller.parameters, model, Company(members))
     for k in range(spec.cycles):
         measured = plant.measure(random.standard_normal(len(SENSED)))
-        command = controller.step(measured, wanted.row(k), np.zeros(2), cycle=k)
+        command = controller.step(measured, wanted.row(k), np.zeros(2), outlook=Outlook(k))
         plant.advance(command, *force.row(k)[:2], 0.0, 0.0)
     return controller
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ehls_ros.control import state_estimator
-from ehls_ros.control.controller import Controller
+from ehls_ros.control.controller import Controller, Outlook
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.unrest import MEAN_SQUARE
 from ehls_ros.experiments.loop import run_in_process, sampled, simulator_of
@@ -42,7 +42,7 @@ class Stepped:
         for k in range(spec.cycles):
             measured = plant.measure(random.standard_normal(len(SENSED)))
             self.errors[k] = plant.truth[SENSED.index("force")] - wanted.row(k)[0]
-            self.commands[k] = self.controller.step(measured, wanted.row(k), np.zeros(2), cycle=k, actuator=actuator[k])
+            self.commands[k] = self.controller.step(measured, wanted.row(k), np.zeros(2), outlook=Outlook(k, None, actuator[k]))
             plant.advance(self.commands[k], *force.row(k)[:2], 0.0, 0.0)
 
     def unforeseen_rate(self) -> float:

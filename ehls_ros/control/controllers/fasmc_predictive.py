@@ -6,6 +6,9 @@ the rig file: its sensors' noise, the command's delay, the coupling to the actua
 the external force follows how restless that force is (:mod:`ehls_ros.control.unrest`): nothing is assumed of its size or its
 period, so that one tuning serves quiet rigs and rough ones. A force that is foreseen, by a companion, is taken out of the
 force to be estimated: what remains is quieter, and so is the filter.
+
+A calm filter has little noise, so the sliding surface may be steep and leave little of an error; a restless one would make its
+noise the force's. So the surface's steepness follows the unrest too.
 """
 
 import math
@@ -50,7 +53,17 @@ class Parameters(NamedTuple):
     k: Annotated[
         float, quantity("MPa/s", "slope of the sliding surface: speed of a large error is k/2", minimum=0.1, maximum=1e3)
     ] = 12.0
-    g: Annotated[float, quantity("1/MPa", "steepness of the sliding surface near zero error", minimum=0.1, maximum=1e4)] = 60.0
+    g: Annotated[
+        float,
+        quantity(
+            "1/MPa", "steepness of the surface near zero error while the disturbance is restless", minimum=0.1, maximum=1e4
+        ),
+    ] = 60.0
+    calm_g: Annotated[float, quantity("1/MPa", "the same while the disturbance is calm", minimum=0.1, maximum=1e4)] = 400.0
+    calm_noise: Annotated[
+        float,
+        quantity("N/s^5/2", "noise of the external force's second derivative half way between both", above=0.0, maximum=1e15),
+    ] = 2e7
     xi: Annotated[float, quantity("1", "weight of the error's rate in the sliding variable", minimum=1e-3, maximum=1e3)] = 1.0
     reaching_rate: Annotated[float, quantity("1/s", "rate at which s is removed", minimum=0.0, maximum=1e6)] = 300.0
     motion_noise: Annotated[
@@ -94,7 +107,7 @@ def memory(p: Parameters) -> Array:
 
 
 def tracking(omega: Array, p: Parameters, model: Model) -> NDArray[np.complex128]:
-    """Return the response of the force to the reference at some frequencies [rad/s], of a rig as it is known."""
+    """Return the response of the force to the reference at some frequencies [rad/s], of a rig as it is known and restless."""
     return surface_tracking(omega, Surface(p.k, p.g, p.xi, p.reaching_rate), model.period, model.command_delay)
 
 
@@ -131,7 +144,8 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     if not observe(m, r[FORESEEN:], model, taken, state):
         status[base.SATURATED] = 1.0
         return 0.0
-    surface = Surface(p.k, p.g, p.xi, p.reaching_rate)
+    restless = taken.external_noise / (taken.external_noise + p.calm_noise)
+    surface = Surface(p.k, p.calm_g + restless * (p.g - p.calm_g), p.xi, p.reaching_rate)
     command = answer(m, r, supply_of(m, model), surface, model, taken, state, status)
     # From numbers out of range the filter cannot recover: it starts again from the next measurement.
     if not math.isfinite(memory.sum()):
