@@ -59,11 +59,11 @@ class Parameters(NamedTuple):
             "1/MPa", "steepness of the surface near zero error while the disturbance is restless", minimum=0.1, maximum=1e4
         ),
     ] = 60.0
-    calm_g: Annotated[float, quantity("1/MPa", "the same while the disturbance is calm", minimum=0.1, maximum=1e4)] = 400.0
+    calm_g: Annotated[float, quantity("1/MPa", "the same while the disturbance is calm", minimum=0.1, maximum=1e4)] = 180.0
     calm_noise: Annotated[
         float,
         quantity("N/s^5/2", "noise of the external force's second derivative half way between both", above=0.0, maximum=1e15),
-    ] = 2e7
+    ] = 3e6
     xi: Annotated[float, quantity("1", "weight of the error's rate in the sliding variable", minimum=1e-3, maximum=1e3)] = 1.0
     reaching_rate: Annotated[float, quantity("1/s", "rate at which s is removed", minimum=0.0, maximum=1e6)] = 300.0
     motion_noise: Annotated[
