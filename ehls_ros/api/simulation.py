@@ -14,7 +14,7 @@ from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import Metrics, evaluate
-from ehls_ros.experiments.spec import Spec, check_spec, load_rig, spec_from_mapping, spec_to_mapping
+from ehls_ros.experiments.spec import Spec, check_spec, load_rig, spec_from_mapping, spec_to_mapping, untold
 from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.physics.rig import EffectUse, Rig, rig_from_mapping, rig_to_mapping
 from ehls_ros.progress import progress_bar
@@ -119,8 +119,8 @@ def simulate(
     with progress_bar(made.settings.title, shown=progress) as bar:
         trajectory, failure = run_as_far_as_it_goes(made, bar)
     metrics = with_causal_limit(evaluate(trajectory), trajectory)
-    if failure is not None:
-        metrics = metrics._replace(warnings=(str(failure),))
+    ended = metrics.warnings if failure is None else (str(failure),)
+    metrics = metrics._replace(warnings=(*ended, *untold(made)))
     return with_methods(Simulation, trajectory, made.settings.title, metrics=metrics, spec=made)
 
 

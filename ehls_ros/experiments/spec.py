@@ -337,6 +337,22 @@ def company_of(spec: Spec, model: Model, where: str, law: str | None = None, tun
     return Company({use.name: COMPANIONS.load(use.name).build(use.parameters, setting) for use in spec.companions})
 
 
+def untold(spec: Spec, law: str | None = None) -> tuple[str, ...]:
+    """Return a sentence per effect of the rig that the controller reckons with and is not told of.
+
+    Args:
+        spec: the experiment.
+        law: name of a controller in place of the experiment's.
+    """
+    name = spec.controller.name if law is None else law
+    acting = {use.name for use in spec.loader_rig().effects}
+    told = {use.name for use in spec.controller_rig.effects}
+    unknown = [effect for effect in getattr(CONTROLLERS.load(name), "KNOWS", ()) if effect in acting - told]
+    return tuple(
+        f"{name} is not told of the rig's {effect} and may lose the force: name it under known_effects" for effect in unknown
+    )
+
+
 def uses_actuator(spec: Spec) -> bool:
     """Tell whether a companion of the controller uses the command of the actuator under test."""
     return any(COMPANIONS.load(use.name).ACTUATOR for use in spec.companions)

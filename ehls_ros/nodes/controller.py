@@ -24,7 +24,7 @@ from ehls_ros.control.controllers.base import FORESEEN, SATURATED, STATUS_TO_SI,
 from ehls_ros.control.cycles import KEPT, Cycles, Ready
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.experiments.loop import sampled
-from ehls_ros.experiments.spec import check_law, company_of, signal_kind, uses_actuator
+from ehls_ros.experiments.spec import check_law, company_of, signal_kind, untold, uses_actuator
 from ehls_ros.nodes.codec import Decoder
 from ehls_ros.nodes.control import OK, PATIENCE, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
@@ -134,6 +134,8 @@ class ControllerNode(ControlNode):
         """Compile the law and open the topics."""
         period = self.spec.settings.control_period
         model = model_of(self.spec.controller_rig, period)
+        for sentence in untold(self.spec, self.law):
+            self.get_logger().warning(sentence)
         self.company = company_of(self.spec, model, self.get_name(), self.law, self.tuning)
         self.controller = Controller(self.law, self.tuning, model, self.company)
         self.signal = sampled(self.spec.reference, period)

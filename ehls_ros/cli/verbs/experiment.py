@@ -17,7 +17,7 @@ from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import Implausible, run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
 from ehls_ros.experiments.run_folder import RunFolder
-from ehls_ros.experiments.spec import Spec, load_spec
+from ehls_ros.experiments.spec import Spec, load_spec, untold
 from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.progress import progress_bar
 from ehls_ros.recording.bag_reader import read_bag
@@ -72,8 +72,8 @@ def run(options: Namespace) -> int:
             done = (_in_process if options.in_process else _over_dds)(spec, folder, options, progress)
         metrics = with_causal_limit(evaluate(done.trajectory), done.trajectory)
         metrics = metrics._replace(wall_s=done.wall_s, bag=str(folder.bag), report=str(folder.report))
-        if done.failure is not None:
-            metrics = metrics._replace(warnings=(str(done.failure),))
+        ended = metrics.warnings if done.failure is None else (str(done.failure),)
+        metrics = metrics._replace(warnings=(*ended, *untold(spec)))
         folder.write_metrics(metrics)
         write_experiment_report(done.trajectory, metrics, folder.report, read_events(folder.bag))
         found = _adapted(spec, folder, done.trajectory)

@@ -15,7 +15,8 @@ without winding up, and finite whatever the measurement; a measurement that is n
 
 A row holds the reference and its first and second derivative, [N, N/s, N/s^2] for a force and [m, m/s, m/s^2] for a position,
 and from :data:`FORESEEN` on the external force that is foreseen, with its first and second derivative [N, N/s, N/s^2]; these
-are NaN where nothing is foreseen. A law that uses them says so with ``PREVIEW = True``.
+are NaN where nothing is foreseen. A law that uses them says so with ``PREVIEW = True``. One that reckons with effects of the rig
+which :class:`Model` tells of names them in ``KNOWS``: it may lose the force where the rig has one that it is not told of.
 
 A law that reckons with the commands under way, or adapts to what its own do, adds a compiled
 
@@ -93,7 +94,7 @@ class Model(NamedTuple):
 
 
 class ControllerLaw(Protocol):
-    """The attributes of one controller's file; ``FRICTION_MODEL``, ``PREVIEW`` and ``follow`` may be absent."""
+    """The attributes of one controller's file; ``FRICTION_MODEL``, ``PREVIEW``, ``KNOWS`` and ``follow`` may be absent."""
 
     Parameters: Any
     FOLLOWS: Literal["force", "position"]

@@ -40,6 +40,7 @@ FRICTION = False
 FRICTION_MODEL = state_estimator.FRICTION_MODEL
 NEEDS = ("position", "load_pressure", "spool_position", "force")
 PREVIEW = True
+KNOWS = ("command_delay", "coupling_stiffness")
 
 follow = reaching.follow
 
