@@ -15,8 +15,8 @@ without winding up, and finite whatever the measurement; a measurement that is n
 
 A row holds the reference and its first and second derivative, [N, N/s, N/s^2] for a force and [m, m/s, m/s^2] for a position,
 and from :data:`FORESEEN` on the external force that is foreseen, with its first and second derivative [N, N/s, N/s^2]; these
-are NaN where nothing is foreseen. A law that uses them says so with ``PREVIEW = True``. One that reckons with effects of the rig
-which :class:`Model` tells of names them in ``KNOWS``: it may lose the force where the rig has one that it is not told of.
+are NaN where nothing is foreseen. A law that uses them says so with ``PREVIEW = True``. One that reckons with effects of the
+rig which :class:`Model` tells of names them in ``KNOWS``: it may lose the force where the rig has one that it is not told of.
 
 A law that reckons with the commands under way, or adapts to what its own do, adds a compiled
 
