@@ -23,7 +23,7 @@ import yaml
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.companions.base import PLACE
-from ehls_ros.control.controller import Controller
+from ehls_ros.control.controller import Controller, Outlook
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.experiments.loop import sampled
@@ -114,7 +114,7 @@ class Run:
             if valve != "held":
                 elapsed, self._answered = k - self._answered, k
                 known = self._motion.row(k)
-                self._command = self.controller.step(measured, reference, np.zeros(2), elapsed, k, nowhere, known)
+                self._command = self.controller.step(measured, reference, np.zeros(2), elapsed, Outlook(k, nowhere, known))
             simulator.advance(0.0 if valve == "closed" else self._command, *self._row)
             self._row = self._servo.following(k, simulator.y[X], simulator.y[V])
             self._cycle += 1

@@ -97,7 +97,7 @@ def stepped(spec: Spec, **members: Any) -> Controller:
     controller = Controller(spec.controller.name, spec.controller.parameters, model, Company(members))
     for k in range(spec.cycles):
         measured = plant.measure(random.standard_normal(len(SENSED)))
-        command = controller.step(measured, wanted.row(k), np.zeros(2), outlook=Outlook(k))
+        command = controller.step(measured, wanted.row(k), np.zeros(2), outlook=Outlook(k, wanted.place(k, 1)[0]))
         plant.advance(command, *force.row(k)[:2], 0.0, 0.0)
     return controller
 

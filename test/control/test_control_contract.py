@@ -67,7 +67,8 @@ def test_a_parameter_is_declared_with_unit_range_and_help(name, declared):
 def test_parameters_survive_a_round_trip(kind):
     for name in FAMILIES[kind].names():
         parameters = FAMILIES[kind].load(name).Parameters
-        values = {"points": [(0.0, 1.0), (1.0, 2.0)]} if "points" in parameters._fields else {}
+        needed = {"points": [(0.0, 1.0), (1.0, 2.0)], "blocks": [{"block": "dwell", "time": 1.0}]}
+        values = {key: value for key, value in needed.items() if key in parameters._fields}
         p = parse(parameters, values, name)
         assert parse(parameters, p._asdict(), name) == p
 

@@ -27,6 +27,8 @@ def make_trajectory(samples: int = 20, *, start_s: float = 0.0) -> Trajectory:
     signals["friction_slipping"] = random.integers(0, 2, (samples, 4)).astype(float)
     signals["saturated"] = random.integers(0, 2, samples).astype(float)
     signals["friction_fallback"] = random.integers(0, 2, samples).astype(float)
+    for name in ("programme_block", "programme_repetition", "programme_load_cycles", "programme_state"):
+        signals[name] = random.integers(0, 5, samples).astype(float)
     signals["response_s"] = random.integers(0, 10**6, samples) / 1e9
     stamps_ns = round(start_s * 1e9) + 10**6 * np.arange(samples)
     return Trajectory(stamps_ns / 1e9, signals, METADATA)

@@ -7,6 +7,7 @@ from ehls_ros.recording.topics import (
     CONTROLLER_STATUS,
     CYCLE_TOPICS,
     DIAGNOSTICS,
+    DRIVER,
     LOADER_STATE,
     REFERENCE_TOPICS,
     RESPONSE,
@@ -40,7 +41,9 @@ def test_every_quantity_a_controller_follows_has_a_topic():
 
 
 def test_every_message_definition_is_recorded():
-    assert {topic.type for topic in CYCLE_TOPICS} == {f"ehls_msgs/msg/{file.stem}" for file in MESSAGE_FILES.iterdir()}
+    assert {topic.type for topic in (*CYCLE_TOPICS, DRIVER)} == {
+        f"ehls_msgs/msg/{file.stem}" for file in MESSAGE_FILES.iterdir()
+    }
 
 
 @pytest.mark.parametrize("topic", TELEMETRY_TOPICS, ids=lambda topic: topic.name)

@@ -50,7 +50,10 @@ class Parameters(NamedTuple):
     title: Annotated[str, text("what the programme is called")] = "programme"
     start: Annotated[float, quantity("N or m", "value before the first block", minimum=-1e6, maximum=1e6)] = 0.0
     transition: Annotated[
-        float, quantity("s", "time of the ramp to a block that begins at another value than the programme stands at", above=0.0)
+        float,
+        quantity(
+            "s", "time of the ramp to a block that begins at another value than the programme stands at", above=0.0, maximum=1e4
+        ),
     ] = 0.5
     hold: Annotated[
         float | None,
