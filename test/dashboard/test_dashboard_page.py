@@ -178,7 +178,7 @@ def test_nothing_is_cut_off_at_the_size_of_a_laptop(tab):
         "[...document.querySelectorAll('.plot')].map(p => { const b = p.getBoundingClientRect();"
         "return [b.left, b.top, b.right, b.bottom]; })"
     )
-    assert len(boxes) == 9
+    assert len(boxes) == 10
     for i, (left, top, right, bottom) in enumerate(boxes):
         assert 0 <= left < right <= 1366
         assert 0 <= top < bottom <= 768

@@ -28,7 +28,9 @@ def recorded(experiment):
     """Return the rig, and an experiment's recording on it."""
     rig = load_rig(CONFIG / "rig_paper_measured.yaml")
     spec = load_spec(CONFIG / "experiments" / f"{experiment}.yaml")
-    return rig, run_in_process(spec._replace(rig=rig, controller_rig=rig))
+    # The rig as it is has no delay; the coupling is the disturbance's.
+    coupling = tuple(use for use in spec.controller_rig.effects if use.name == "coupling_stiffness")
+    return rig, run_in_process(spec._replace(rig=rig, controller_rig=rig.with_effects(coupling)))
 
 
 def through_the_gate(experiment, parameters):
