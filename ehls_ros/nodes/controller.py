@@ -55,6 +55,9 @@ on what else the machine does."""
 FAREWELL = 0.2
 """Longest wait for the others to hear that the node leaves [s]."""
 
+HEARING = 0.5
+"""Time after which a driver that is not heard on the topic of the node's commands counts as one that passes them on [s]."""
+
 HEARD = 100
 """Messages of the driver topic and commands of others that are kept: many cycles more than a node may be behind."""
 
@@ -157,6 +160,9 @@ class ControllerNode(ControlNode):
         self.others = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
         self.drivers: deque[tuple[int, str]] = deque(maxlen=HEARD)
         self.told: deque[tuple[int, float, str]] = deque(maxlen=HEARD)
+        self.heard: set[str] = set()
+        self.relays: set[str] = set()
+        self.named = 0.0
         self.sent = True
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
         self.driving = Inbox(self, Bool, DRIVING.name, control_qos(1), _is_true)
@@ -223,14 +229,33 @@ class ControllerNode(ControlNode):
             self.latency.add(time.perf_counter() - arrived)
 
     def _knows_who_drives(self) -> bool:
-        """Note who drives from which cycle on; return False if the plant's word of that is still under way."""
+        """Note who drives from which cycle on; return False while that is not certain.
+
+        A driver that is never heard on the topic of this node's commands passes them on to the plant: it is no controller.
+        """
         while (message := self.driver.take()) is not None:
             self.drivers.append(message[1:3])
-        return bool(self.drivers) or self.driver.handle.get_publisher_count() == 0
+            self.named = time.perf_counter()
+        if not self.drivers:
+            return bool(self.driver.handle.get_publisher_count() == 0)
+        newest = self.drivers[-1][1]
+        if newest in {"", self.sender} | self.heard | self.relays:
+            return True
+        self._listen()
+        if newest not in self.heard and time.perf_counter() - self.named > HEARING:
+            self.relays.add(newest)
+        return newest in self.heard | self.relays
+
+    def _listen(self) -> None:
+        """Take in what other controllers tell the valve."""
+        while (message := self.others.take()) is not None:
+            self.told.append(message[1:4])
+            self.heard.add(message[3])
 
     def _driver_of(self, cycle: int) -> str:
         """Return the sender whose answer to a cycle the plant wants; empty: the first to come."""
-        return next((sender for first, sender in reversed(self.drivers) if cycle >= first), "")
+        driver = next((sender for first, sender in reversed(self.drivers) if cycle >= first), "")
+        return "" if driver in self.relays else driver
 
     def _told(self, ready: Ready) -> float | None:
         """Return what another controller told the valve since the last answered cycle [m]; None if none did."""
@@ -239,8 +264,7 @@ class ControllerNode(ControlNode):
             return None
         asked = time.perf_counter()
         while True:
-            while (message := self.others.take()) is not None:
-                self.told.append(message[1:4])
+            self._listen()
             told = [(cycle, spool) for cycle, spool, sender in self.told if sender == driver]
             # In lockstep the plant has the command of the last cycle before it opens the next.
             heard = any(cycle >= last for cycle, _ in told) or time.perf_counter() - asked > LOCKSTEP_PATIENCE
