@@ -17,6 +17,10 @@ MEAN_SQUARE, DIRECTION, TRAVEL, PARTS = range(4)
 and its length."""
 
 
+SUDDEN = 0.25
+"""Least mean square of the rate, as a fraction of its present square."""
+
+
 class Habits(NamedTuple):
     """What is expected of the external force.
 
@@ -47,6 +51,8 @@ def external_noise(rate: float, velocity: float, period: float, habits: Habits, 
         unrest: shape (:data:`PARTS`,), zero at the start; changed in place.
     """
     unrest[MEAN_SQUARE] += -math.expm1(-period / habits.memory) * (rate * rate - unrest[MEAN_SQUARE])
+    # No sine's square exceeds twice its mean: one that exceeds it four times is a force that has changed its habits.
+    unrest[MEAN_SQUARE] = max(unrest[MEAN_SQUARE], SUDDEN * rate * rate)
     direction = 1.0 if velocity > 0.0 else -1.0
     if direction != unrest[DIRECTION]:
         unrest[DIRECTION], unrest[TRAVEL] = direction, 0.0

@@ -94,7 +94,7 @@ class Learning:
         self._foreign = False
         self._turn: Turn | None = None
         self._usual: Turn | None = None
-        self._settling = True
+        self._settling, self._interrupted = True, False
         self._added = 0
         self._why = "no load cycle is complete"
         if p.period > 0.0:
@@ -118,7 +118,7 @@ class Learning:
         if turn != self._turn:
             self._begin(turn)
         lesson = None if turn is None else self._lessons.get(turn.block)
-        if turn is None or lesson is None or not (lesson.applied or lesson.foresees):
+        if turn is None or lesson is None or self._interrupted or not (lesson.applied or lesson.foresees):
             return
         rows = upcoming.rows
         at = self._places.phases(upcoming.first, upcoming.place, turn) * lesson.size
@@ -173,7 +173,8 @@ class Learning:
         return model
 
     def interrupt(self) -> None:
-        """Let this load cycle and the next whole one not count."""
+        """Let this load cycle and the next whole one not count, nor be changed: the law comes to rest by itself first."""
+        self._interrupted = self._turn is not None
         self._recorder.spoil()
         self._settling, self._usual = True, None
 
@@ -236,7 +237,7 @@ class Learning:
         self._usual = None if cycle is None or settling else turn
         if cycle is None:
             return
-        self._settling = False
+        self._settling = self._interrupted = False
         lesson = self._lessons.get(turn.block)
         if lesson is None or not lesson.is_of(cycle):
             self._anew(turn, cycle)
