@@ -9,7 +9,7 @@ The reference is extrapolated by its derivatives.
 """
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +32,20 @@ from ehls_ros.control.state_estimator import (
 )
 from ehls_ros.physics import sensors
 from ehls_ros.physics.plant import PL, XV, V, X
+from ehls_ros.schema import quantity
 
 TRIALS = 2
 """Commands whose outcome is predicted before one is sent."""
 
 STEEPEST = 3.0
 """Largest factor, either way, between the slope of s over the command and that of the valve's flow alone."""
+
+
+Slope = Annotated[
+    float, quantity("MPa/s", "slope of the sliding surface: speed of a large error is k/2", minimum=0.1, maximum=1e3)
+]
+RateWeight = Annotated[float, quantity("1", "weight of the error's rate in the sliding variable", minimum=1e-3, maximum=1e3)]
+ReachingRate = Annotated[float, quantity("1/s", "rate at which s is removed", minimum=0.0, maximum=1e6)]
 
 
 class Surface(NamedTuple):

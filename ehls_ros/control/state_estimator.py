@@ -21,7 +21,7 @@ Systems, 1997, section 3.2.
 """
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from numba import njit
 
@@ -35,6 +35,7 @@ from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.physics.friction.gms import level as sliding_level
 from ehls_ros.physics.plant import PL, XV, V, X
 from ehls_ros.physics.valve import load_flow, spool_rate
+from ehls_ros.schema import quantity
 
 FRICTION_MODEL = "gms"
 """The friction model within the filter. Its elements are linear while they stick or slip, which the covariance rests on."""
@@ -67,6 +68,25 @@ _LENGTH = STATES + MOST_ELEMENTS
 _MATRIX = STATES * STATES
 _EXPECTED = 4
 MEMORY_SIZE = 1 + 2 * (_LENGTH + MOST_ELEMENTS) + 5 * _LENGTH + 4 * _MATRIX + STATES + 2 * SENT + _EXPECTED
+
+
+MotionNoise = Annotated[
+    float,
+    quantity("N s^1/2", "force missing in the model of the motion, root of its spectral density", minimum=0.0, maximum=1e6),
+]
+OilNoise = Annotated[
+    float,
+    quantity(
+        "Pa/s^1/2", "pressure rate missing in the model of the flow, root of its spectral density", minimum=0.0, maximum=1e9
+    ),
+]
+ValveNoise = Annotated[
+    float,
+    quantity("m/s^1/2", "spool rate missing in the model of the valve, root of its spectral density", minimum=0.0, maximum=1.0),
+]
+GainNoise = Annotated[float, quantity("1/s^1/2", "noise of the valve's gain", minimum=0.0, maximum=1e3)]
+FlowNoise = Annotated[float, quantity("Pa/s^3/2", "noise of the flow's error", minimum=0.0, maximum=1e12)]
+OffsetNoise = Annotated[float, quantity("N/s^1/2", "noise of the load cell's offset", minimum=0.0, maximum=1e6)]
 
 
 class Assumptions(NamedTuple):

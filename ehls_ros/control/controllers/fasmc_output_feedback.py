@@ -16,9 +16,20 @@ from ehls_ros.arrays import Array, kernel
 from ehls_ros.control import reaching, state_estimator
 from ehls_ros.control.controllers import base
 from ehls_ros.control.controllers.base import FORESEEN, Model
-from ehls_ros.control.reaching import Surface, answer
+from ehls_ros.control.reaching import RateWeight, ReachingRate, Slope, Surface, answer
 from ehls_ros.control.reaching import tracking as surface_tracking
-from ehls_ros.control.state_estimator import Assumptions, observe, state_of, supply_of
+from ehls_ros.control.state_estimator import (
+    Assumptions,
+    FlowNoise,
+    GainNoise,
+    MotionNoise,
+    OffsetNoise,
+    OilNoise,
+    ValveNoise,
+    observe,
+    state_of,
+    supply_of,
+)
 from ehls_ros.schema import quantity
 
 FOLLOWS = "force"
@@ -33,12 +44,10 @@ follow = reaching.follow
 class Parameters(NamedTuple):
     """Tuning of the law, and the filter's assumptions; k, g and xi are the paper's."""
 
-    k: Annotated[
-        float, quantity("MPa/s", "slope of the sliding surface: speed of a large error is k/2", minimum=0.1, maximum=1e3)
-    ] = 12.0
+    k: Slope = 12.0
     g: Annotated[float, quantity("1/MPa", "steepness of the sliding surface near zero error", minimum=0.1, maximum=1e4)] = 13.0
-    xi: Annotated[float, quantity("1", "weight of the error's rate in the sliding variable", minimum=1e-3, maximum=1e3)] = 1.0
-    reaching_rate: Annotated[float, quantity("1/s", "rate at which s is removed", minimum=0.0, maximum=1e6)] = 300.0
+    xi: RateWeight = 1.0
+    reaching_rate: ReachingRate = 300.0
     command_delay: Annotated[float, quantity("s", "time a command takes to the valve", minimum=0.0, maximum=0.05)] = 1e-3
     coupling_stiffness: Annotated[
         float, quantity("N/m", "stiffness between the piston and its surroundings", minimum=0.0, maximum=1e9)
@@ -54,28 +63,15 @@ class Parameters(NamedTuple):
     ] = 1.1e3
     spool_noise: Annotated[float, quantity("m", "standard deviation of a spool reading", above=0.0, maximum=1e-2)] = 1.05e-6
     force_noise: Annotated[float, quantity("N", "standard deviation of a load cell reading", above=0.0, maximum=1e5)] = 2.3
-    motion_noise: Annotated[
-        float,
-        quantity("N s^1/2", "force missing in the model of the motion, root of its spectral density", minimum=0.0, maximum=1e6),
-    ] = 0.5
-    oil_noise: Annotated[
-        float,
-        quantity(
-            "Pa/s^1/2", "pressure rate missing in the model of the flow, root of its spectral density", minimum=0.0, maximum=1e9
-        ),
-    ] = 500.0
-    valve_noise: Annotated[
-        float,
-        quantity(
-            "m/s^1/2", "spool rate missing in the model of the valve, root of its spectral density", minimum=0.0, maximum=1.0
-        ),
-    ] = 1e-6
+    motion_noise: MotionNoise = 0.5
+    oil_noise: OilNoise = 500.0
+    valve_noise: ValveNoise = 1e-6
     external_noise: Annotated[
         float, quantity("N/s^5/2", "noise of the external force's second derivative", minimum=0.0, maximum=1e15)
     ] = 1.3e8
-    gain_noise: Annotated[float, quantity("1/s^1/2", "noise of the valve's gain", minimum=0.0, maximum=1e3)] = 0.05
-    flow_noise: Annotated[float, quantity("Pa/s^3/2", "noise of the flow's error", minimum=0.0, maximum=1e12)] = 1e7
-    offset_noise: Annotated[float, quantity("N/s^1/2", "noise of the load cell's offset", minimum=0.0, maximum=1e6)] = 30.0
+    gain_noise: GainNoise = 0.05
+    flow_noise: FlowNoise = 1e7
+    offset_noise: OffsetNoise = 30.0
 
 
 def memory(p: Parameters) -> Array:

@@ -21,12 +21,18 @@ from ehls_ros.arrays import Array, kernel
 from ehls_ros.control import reaching, state_estimator, unrest
 from ehls_ros.control.controllers import base
 from ehls_ros.control.controllers.base import FORESEEN, Model
-from ehls_ros.control.reaching import Surface, answer
+from ehls_ros.control.reaching import RateWeight, ReachingRate, Slope, Surface, answer
 from ehls_ros.control.reaching import tracking as surface_tracking
 from ehls_ros.control.state_estimator import (
     EXTERNAL_RATE,
     Assumptions,
+    FlowNoise,
+    GainNoise,
+    MotionNoise,
+    OffsetNoise,
+    OilNoise,
     State,
+    ValveNoise,
     observe,
     state_of,
     supply_of,
@@ -51,9 +57,7 @@ LEAST_POSITION_NOISE, LEAST_PRESSURE_NOISE, LEAST_SPOOL_NOISE, LEAST_FORCE_NOISE
 class Parameters(NamedTuple):
     """Tuning of the law, and what the filter expects of the rig; k, g and xi are the paper's."""
 
-    k: Annotated[
-        float, quantity("MPa/s", "slope of the sliding surface: speed of a large error is k/2", minimum=0.1, maximum=1e3)
-    ] = 12.0
+    k: Slope = 12.0
     g: Annotated[
         float,
         quantity(
@@ -65,24 +69,11 @@ class Parameters(NamedTuple):
         float,
         quantity("N/s^5/2", "noise of the external force's second derivative half way between both", above=0.0, maximum=1e15),
     ] = 3e6
-    xi: Annotated[float, quantity("1", "weight of the error's rate in the sliding variable", minimum=1e-3, maximum=1e3)] = 1.0
-    reaching_rate: Annotated[float, quantity("1/s", "rate at which s is removed", minimum=0.0, maximum=1e6)] = 300.0
-    motion_noise: Annotated[
-        float,
-        quantity("N s^1/2", "force missing in the model of the motion, root of its spectral density", minimum=0.0, maximum=1e6),
-    ] = 0.5
-    oil_noise: Annotated[
-        float,
-        quantity(
-            "Pa/s^1/2", "pressure rate missing in the model of the flow, root of its spectral density", minimum=0.0, maximum=1e9
-        ),
-    ] = 500.0
-    valve_noise: Annotated[
-        float,
-        quantity(
-            "m/s^1/2", "spool rate missing in the model of the valve, root of its spectral density", minimum=0.0, maximum=1.0
-        ),
-    ] = 1e-6
+    xi: RateWeight = 1.0
+    reaching_rate: ReachingRate = 300.0
+    motion_noise: MotionNoise = 0.5
+    oil_noise: OilNoise = 500.0
+    valve_noise: ValveNoise = 1e-6
     least_noise: Annotated[
         float, quantity("N/s^5/2", "noise of a resting external force's second derivative", minimum=0.0, maximum=1e15)
     ] = 1e6
@@ -97,9 +88,9 @@ class Parameters(NamedTuple):
     reversal_travel: Annotated[float, quantity("m", "travel after a reversal for which it holds", minimum=0.0, maximum=1.0)] = (
         1.7e-3
     )
-    gain_noise: Annotated[float, quantity("1/s^1/2", "noise of the valve's gain", minimum=0.0, maximum=1e3)] = 0.05
-    flow_noise: Annotated[float, quantity("Pa/s^3/2", "noise of the flow's error", minimum=0.0, maximum=1e12)] = 1e7
-    offset_noise: Annotated[float, quantity("N/s^1/2", "noise of the load cell's offset", minimum=0.0, maximum=1e6)] = 30.0
+    gain_noise: GainNoise = 0.05
+    flow_noise: FlowNoise = 1e7
+    offset_noise: OffsetNoise = 30.0
 
 
 def memory(p: Parameters) -> Array:
