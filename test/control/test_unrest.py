@@ -28,9 +28,15 @@ def test_a_steady_rate_counts_by_its_share_of_the_memory():
     state = settled(0.0)
     for _ in range(500):
         noise = external_noise(2e4, 0.1, 1e-3, HABITS, state)
-    # 0.5 s into a first-order lag of 0.5 s.
-    assert state[MEAN_SQUARE] == pytest.approx(4e8 * (1.0 - math.exp(-1.0)), rel=1e-9)
-    assert noise == pytest.approx(math.hypot(1e6, 300.0 * 2e4 * math.sqrt(1.0 - math.exp(-1.0))), rel=1e-9)
+    # A quarter at once, then 0.499 s of a first-order lag of 0.5 s.
+    share = 1.0 - 0.75 * math.exp(-0.499 / 0.5)
+    assert state[MEAN_SQUARE] == pytest.approx(4e8 * share, rel=1e-9)
+    assert noise == pytest.approx(math.hypot(1e6, 300.0 * 2e4 * math.sqrt(share)), rel=1e-9)
+
+
+def test_a_rate_far_beyond_the_usual_counts_at_once():
+    state = settled(1e3)
+    assert external_noise(1e5, 0.1, 1e-3, HABITS, state) == pytest.approx(math.hypot(1e6, 300.0 * 5e4), rel=1e-9)
 
 
 def test_a_quick_sine_counts_by_its_rms():
@@ -42,9 +48,9 @@ def test_a_quick_sine_counts_by_its_rms():
 
 def test_what_is_remembered_does_not_depend_on_the_period():
     coarse, fine = settled(1e4), settled(1e4)
-    external_noise(3e4, 0.1, 2e-3, HABITS, coarse)
+    external_noise(1.5e4, 0.1, 2e-3, HABITS, coarse)
     for _ in range(2):
-        external_noise(3e4, 0.1, 1e-3, HABITS, fine)
+        external_noise(1.5e4, 0.1, 1e-3, HABITS, fine)
     assert fine == pytest.approx(coarse, rel=1e-12)
 
 
