@@ -66,7 +66,7 @@ class PositionServo(ForceActuator):
     """Turns a position servo's command into the force that its motion will bring to the loader."""
 
     def __init__(self, p: Parameters, model: Model) -> None:
-        """Prepare servo and loader, and compile (or load) their motion."""
+        """Prepare servo and loader; their motion is compiled, or loaded, when it is first asked for."""
         servo = model._replace(plant=servo_plant(model.plant, p.moving_mass, p.supply_pressure))
         self._pair = pair(servo, model, p.position_gain)
         self._foresee = servo_kernel().foresee

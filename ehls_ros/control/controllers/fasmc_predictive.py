@@ -1,14 +1,14 @@
 """Finite-time adaptive sliding mode force control that foresees friction and disturbance by rate and model.
 
 As in :mod:`~ehls_ros.control.controllers.fasmc_output_feedback`, a filter predicts the state to when the command acts, friction
-elements included, and the command is chosen for the whole cycle. Two things differ. What the law knows of the rig comes from
-the rig file: its sensors' noise, the command's delay, the coupling to the actuator under test. And the filter's bandwidth for
+elements included, and the command is chosen for the whole cycle. Three things differ. What the law knows of the rig comes from
+the rig file: its sensors' noise, the command's delay, the coupling to the actuator under test. The filter's bandwidth for
 the external force follows how restless that force is (:mod:`ehls_ros.control.unrest`): nothing is assumed of its size or its
 period, so that one tuning serves quiet rigs and rough ones. A force that is foreseen, by a companion, is taken out of the
 force to be estimated: what remains is quieter, and so is the filter.
 
 A calm filter has little noise, so the sliding surface may be steep and leave little of an error; a restless one would make its
-noise the force's. So the surface's steepness follows the unrest too.
+noise the force's. So, third, the surface's steepness follows the unrest too.
 """
 
 import math
