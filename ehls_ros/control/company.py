@@ -22,6 +22,11 @@ class Company:
         """Tell whether there is any."""
         return bool(self.members)
 
+    def prepare(self) -> None:
+        """Compile, or load, all that the cycles need; nothing else changes."""
+        for member in self.members.values():
+            member.prepare()
+
     def room(self, first: int, place: Array) -> int:
         """Return how many of some cycles to come may run before :meth:`done` is called.
 

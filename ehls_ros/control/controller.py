@@ -46,7 +46,7 @@ class Controller:
     """
 
     def __init__(self, name: str, parameters: Any, model: Model, company: Company | None = None) -> None:
-        """Prepare and compile (or load) the law.
+        """Prepare and compile (or load) the law and what its companions need.
 
         Args:
             name: file name of the controller.
@@ -73,6 +73,7 @@ class Controller:
         self._step(np.zeros(7), np.zeros(ROW), np.zeros(2), parameters, model, self._memory, self.status)
         if self._follow is not None:
             self._follow(0.0, 0.0, self._memory)
+        self.company.prepare()
         self.reset()
 
     def reset(self) -> None:

@@ -26,9 +26,11 @@ from ehls_ros.control.state_estimator import (
     State,
     foresee,
     move,
+    observe,
     rates,
     send,
     state_of,
+    supply_of,
 )
 from ehls_ros.physics import sensors
 from ehls_ros.physics.plant import PL, XV, V, X
@@ -118,21 +120,23 @@ def command_for(r: Array, supply: float, surface: Surface, model: Model, p: Assu
 
 
 @kernel
-def answer(
-    m: Array, r: Array, supply: float, surface: Surface, model: Model, p: Assumptions, state: State, status: Array
-) -> float:
-    """Return the spool command [m] for the estimate there is, remember it as sent, and fill the status.
+def answer(m: Array, r: Array, surface: Surface, model: Model, p: Assumptions, memory: Array, status: Array) -> float:
+    """Return the spool command [m] for what the filter makes of the readings, and remember it as sent.
 
     Args:
         m: readings in the order of ``SENSED``.
         r: what the law follows, as :mod:`ehls_ros.control.controllers.base` has it.
-        supply: supply pressure [Pa].
         surface: the sliding surface.
         model: the rig as known.
         p: the filter's assumptions.
-        state: the filter.
+        memory: the filter, with what else the law remembers behind it; all of it starts anew from numbers out of range.
         status: written.
     """
+    status[:] = 0.0
+    state, supply = state_of(memory), supply_of(m, model)
+    if not observe(m, r[base.FORESEEN :], model, p, state):
+        status[base.SATURATED] = 1.0
+        return 0.0
     wanted = command_for(r, supply, surface, model, p, state)
     command = saturate(wanted, model.spool_limit)
     send(command, state)
@@ -145,6 +149,9 @@ def answer(
     status[base.DELTA] = y[EXTERNAL] + p.coupling_stiffness * y[X] + p.coupling_damping * y[V]
     status[base.FORCE_ERROR] = m[sensors.FORCE] - r[0]
     status[base.SATURATED] = 1.0 if wanted != command else 0.0
+    # From numbers out of range the filter cannot recover: it starts again from the next measurement.
+    if not math.isfinite(memory.sum()):
+        memory[:] = 0.0
     return command
 
 

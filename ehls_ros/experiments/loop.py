@@ -227,6 +227,7 @@ class ClosedLoop:
         law, observer = CONTROLLERS.load(spec.controller.name), OBSERVERS.load(spec.compensation.name)
         model = model_of(believed, period)
         self.company = company_of(spec, model, spec.settings.title)
+        self.company.prepare()
         self._run_compiled = loop_kernel(spec).run
         self._control = Control(
             friction=believed.friction,

@@ -1,7 +1,8 @@
 """One experiment: rig, reference, disturbance, controller, duration, seed."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -242,7 +243,7 @@ def check_spec(spec: Spec, where: str) -> None:
         check_rig(getattr(spec, section), f"{where}: {section}")
     check_serves(OBSERVERS, spec.compensation.name, spec.controller_rig, f"{where}: compensation")
     check_serves(CONTROLLERS, spec.controller.name, spec.controller_rig, f"{where}: controller")
-    company_of(spec, model_of(spec.controller_rig, period), where)
+    _check_companions(spec, where, _setting(spec, model_of(spec.controller_rig, period), where))
     # What disturbs the rig may have a cylinder of its own.
     check_ranges(spec.disturbance.parameters, "plant", f"{where}: disturbance")
     steps = max(1, math.ceil(period / settings.integration_step - 1e-9))
@@ -316,7 +317,7 @@ def _companions(data: Any, where: str, folder: Path) -> tuple[Use, ...]:
 
 
 def company_of(spec: Spec, model: Model, where: str, law: str | None = None, tuning: Any = None) -> Company:
-    """Return an experiment's companions, ready to work.
+    """Return an experiment's companions, ready to work; they read their files.
 
     Args:
         spec: the experiment.
@@ -326,15 +327,38 @@ def company_of(spec: Spec, model: Model, where: str, law: str | None = None, tun
         tuning: its parameters.
 
     Raises:
-        BadInput: a companion cannot work with this controller or rig.
+        BadInput: a companion cannot work with this controller or rig, or with its file.
     """
+    setting = _setting(spec, model, where, law, tuning)
+    _check_companions(spec, where, setting)
+    with _placed(where):
+        return Company({use.name: COMPANIONS.load(use.name).build(use.parameters, setting) for use in spec.companions})
+
+
+def _setting(spec: Spec, model: Model, where: str, law: str | None = None, tuning: Any = None) -> Setting:
+    """Return what companions know before the first cycle; arguments as of :func:`company_of`."""
     name = spec.controller.name if law is None else law
     kind = CONTROLLERS.load(name)
     if spec.companions and kind.FOLLOWS != "force":
         raise BadInput(f"{name} follows a {kind.FOLLOWS}", f"{where}: companions", "none, or a controller that follows a force")
     actuator = signal_kind(spec.disturbance.name)
-    setting = Setting(kind, spec.controller.parameters if tuning is None else tuning, model, actuator)
-    return Company({use.name: COMPANIONS.load(use.name).build(use.parameters, setting) for use in spec.companions})
+    return Setting(kind, spec.controller.parameters if tuning is None else tuning, model, actuator)
+
+
+def _check_companions(spec: Spec, where: str, setting: Setting) -> None:
+    """Refuse companions that cannot work together with the rest."""
+    with _placed(where):
+        for use in spec.companions:
+            COMPANIONS.load(use.name).check(use.parameters, setting)
+
+
+@contextmanager
+def _placed(where: str) -> Iterator[None]:
+    """Say of errors in which file they are."""
+    try:
+        yield
+    except BadInput as error:
+        raise BadInput(error.what, f"{where}: {error.where}", error.expected) from None
 
 
 def untold(spec: Spec, law: str | None = None) -> tuple[str, ...]:
@@ -365,10 +389,8 @@ def signal_kind(disturbance: str) -> str:
 
 def _sampled_once(use: Use, where: str) -> None:
     """Check now the parameters of a signal that must fit together."""
-    try:
+    with _placed(where):
         rows = REFERENCES.load(use.name).sample(np.zeros(1), use.parameters)
-    except BadInput as error:
-        raise BadInput(error.what, f"{where}: {error.where}", error.expected) from None
     if not np.all(np.isfinite(rows)):
         raise BadInput(f"{use.name} is not finite at its start", where, "parameters that give finite numbers")
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ehls_ros.cli.configured import Configured
+from ehls_ros.control.controllers.base import model_of
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.adapting import adapted
 from ehls_ros.experiments.causal_limit import with_causal_limit
@@ -17,7 +18,7 @@ from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import Implausible, run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
 from ehls_ros.experiments.run_folder import RunFolder
-from ehls_ros.experiments.spec import Spec, load_spec, untold
+from ehls_ros.experiments.spec import Spec, company_of, load_spec, untold
 from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.progress import progress_bar
 from ehls_ros.recording.bag_reader import read_bag
@@ -65,6 +66,8 @@ def run(options: Namespace) -> int:
     spec = load_spec(options.spec)
     if options.duration is not None:
         spec = _with_duration(spec, options.duration)
+    # A companion's file that is of no use is refused before anything is written or started.
+    company_of(spec, model_of(spec.controller_rig, spec.settings.control_period), str(options.spec))
     folder = RunFolder.create(options.out, options.spec.stem, overwrite=options.overwrite)
     with folder.filling():
         folder.write_spec(spec)

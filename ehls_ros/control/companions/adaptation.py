@@ -5,7 +5,7 @@ seems to have wrong. :mod:`ehls_ros.control.adaptation` has the regressions.
 """
 
 from collections.abc import Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ehls_ros.control.adaptation.hand_over import Caution
 from ehls_ros.control.adaptation.search import Search
 from ehls_ros.control.companions.base import Past, Setting, Upcoming
 from ehls_ros.control.controllers.base import Model
+from ehls_ros.physics.rig import SENSED
 from ehls_ros.schema import quantity
 
 ACTUATOR = False
@@ -59,6 +60,10 @@ class Adaptation:
         """What is found."""
         return self._search
 
+    def prepare(self) -> None:
+        """Compile or load what gathers the evidence: it takes in no cycle."""
+        self._search.take(np.empty((0, len(SENSED))), np.empty(0))
+
     def room(self, first: int, place: Array) -> int:
         """Return the cycles until the model may change."""
         return min(STRIDE - first % STRIDE, len(place))
@@ -99,6 +104,10 @@ def _surroundings(setting: Setting) -> Surroundings | None:
     return Surroundings(stiffness, damping) if stiffness > 0.0 else None
 
 
-def build(p: Any, setting: Setting) -> Adaptation:
+def check(p: Parameters, setting: Setting) -> None:
+    """Refuse nothing: what cannot be told of a rig is left as it is."""
+
+
+def build(p: Parameters, setting: Setting) -> Adaptation:
     """Return the companion ready to work."""
     return Adaptation(p, setting)

@@ -1,8 +1,8 @@
 """What a companion's file provides: something that works beside any controller, on what is known ahead and on what happened.
 
-``Parameters``; ``ACTUATOR``, whether it uses the command of the actuator under test; and ``build(p, setting)``, a
-:class:`Companion`. It serves laws that follow a force. Before some cycles run, it may change the rows that the law will
-follow; after them, it sees what happened and may hand the law another
+``Parameters``; ``ACTUATOR``, whether it uses the command of the actuator under test; ``check(p, setting)``, which refuses what
+it cannot work with; and ``build(p, setting)``, a :class:`Companion`. It serves laws that follow a force. Before some cycles
+run, it may change the rows that the law will follow; after them, it sees what happened and may hand the law another
 :class:`~ehls_ros.control.controllers.base.Model`. A node calls it for every cycle, the loop in one process for many cycles at
 once. What it does depends on the numbers of the cycles alone, so both come to the same.
 """
@@ -75,6 +75,9 @@ class Past(NamedTuple):
 class Companion(Protocol):
     """A companion at work."""
 
+    def prepare(self) -> None:
+        """Compile, or load, what :meth:`ahead` and :meth:`done` call, so that no cycle waits for it; change nothing."""
+
     def room(self, first: int, place: Array) -> int:
         """Return how many of some cycles to come, one at least, may run before :meth:`done` is called.
 
@@ -105,9 +108,16 @@ class CompanionKind(Protocol):
     Parameters: Any
     ACTUATOR: bool
 
-    def build(self, p: Any, setting: Setting) -> Companion:
-        """Return the companion ready to work.
+    def check(self, p: Any, setting: Setting) -> None:
+        """Refuse what it cannot work with. Whoever reads an experiment checks it: it opens no file.
 
         Raises:
             BadInput: it cannot work with this controller or rig.
+        """
+
+    def build(self, p: Any, setting: Setting) -> Companion:
+        """Return the companion ready to work, once its parameters were checked; only where the controller runs.
+
+        Raises:
+            BadInput: a file that its parameters name is of no use to it.
         """

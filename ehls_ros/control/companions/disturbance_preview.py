@@ -39,6 +39,9 @@ class Parameters(NamedTuple):
 class ForceActuator:
     """Hands the law the actuator's force."""
 
+    def prepare(self) -> None:
+        """Do nothing: nothing is compiled."""
+
     def room(self, first: int, place: Array) -> int:
         """Return the number of these cycles: nothing is learnt from them."""
         return len(place)
@@ -66,7 +69,7 @@ class PositionServo(ForceActuator):
     """Turns a position servo's command into the force that its motion will bring to the loader."""
 
     def __init__(self, p: Parameters, model: Model) -> None:
-        """Prepare servo and loader; their motion is compiled, or loaded, when it is first asked for."""
+        """Put servo and loader at rest."""
         servo = model._replace(plant=servo_plant(model.plant, p.moving_mass, p.supply_pressure))
         self._pair = pair(servo, model, p.position_gain)
         self._foresee = servo_kernel().foresee
@@ -74,6 +77,10 @@ class PositionServo(ForceActuator):
         self._settling = SETTLING / p.position_gain / model.period if p.position_gain > 0.0 else math.inf
         self._next = -1
         self._age = 0.0
+
+    def prepare(self) -> None:
+        """Compile or load the motion of both: they move through no cycle."""
+        self._foresee(np.empty((0, ROW)), np.empty((0, FORESEEN)), self._pair)
 
     def ahead(self, upcoming: Upcoming) -> None:
         """Move the servo through these cycles, and write the force and its derivatives into the rows.
@@ -119,17 +126,19 @@ def before(row: Array, cycles: int, period: float) -> Array:
     return np.column_stack((value, row[1] + ago * row[2], np.full(cycles, row[2])))
 
 
-def build(p: Parameters, setting: Setting) -> ForceActuator:
-    """Return the preview ready to work.
+def check(p: Parameters, setting: Setting) -> None:
+    """Refuse a law that uses no preview, and a position servo of whose coupling nothing is known.
 
     Raises:
-        BadInput: the law uses no preview, or nothing is known of the coupling to a position servo.
+        BadInput: it is one of both.
     """
     if not getattr(setting.law, "PREVIEW", False):
-        raise BadInput("this controller does not use what is foreseen", "disturbance_preview", "one that has PREVIEW")
-    if setting.actuator == "force":
-        return ForceActuator()
-    if setting.model.coupling_stiffness == 0.0:
+        raise BadInput("this controller does not use what is foreseen", "companion disturbance_preview", "one that has PREVIEW")
+    if setting.actuator != "force" and setting.model.coupling_stiffness == 0.0:
         expected = "coupling_stiffness under known_effects of the experiment, or under effects of the controller's rig"
-        raise BadInput("the controller does not know the coupling to the servo", "disturbance_preview", expected)
-    return PositionServo(p, setting.model)
+        raise BadInput("the controller does not know the coupling to the servo", "companion disturbance_preview", expected)
+
+
+def build(p: Parameters, setting: Setting) -> ForceActuator:
+    """Return the preview ready to work."""
+    return ForceActuator() if setting.actuator == "force" else PositionServo(p, setting.model)

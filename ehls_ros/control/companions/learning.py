@@ -103,6 +103,9 @@ class Learning:
         for block, stored in storage.read(Path(p.file), self._about).items() if p.file else ():
             self._restore(block, stored)
 
+    def prepare(self) -> None:
+        """Do nothing: nothing is compiled."""
+
     def room(self, first: int, place: Array) -> int:
         """Return how many cycles may run before :meth:`done`: to the next look at the error, or the end of the load cycle."""
         count = self._places.together(first, place)
@@ -312,6 +315,19 @@ def _whole_cycles(period: float, control_period: float) -> int:
     return round(cycles)
 
 
+def check(p: Parameters, setting: Setting) -> None:
+    """Refuse a period that is no whole number of control cycles, and filters with which learning need not converge.
+
+    Raises:
+        BadInput: it is one of both.
+    """
+    Learning(p._replace(file=""), setting)
+
+
 def build(p: Parameters, setting: Setting) -> Learning:
-    """Return the companion ready to work."""
+    """Return the companion ready to work.
+
+    Raises:
+        BadInput: its file cannot be read, or holds what was learnt with something else.
+    """
     return Learning(p, setting)

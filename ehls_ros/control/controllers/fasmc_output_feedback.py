@@ -6,7 +6,6 @@ command acts: friction from its GMS elements, and the external force and its rat
 :mod:`ehls_ros.control.reaching` chooses the command for the whole cycle. The velocity reading is not used and may be NaN.
 """
 
-import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -14,8 +13,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control import reaching, state_estimator
-from ehls_ros.control.controllers import base
-from ehls_ros.control.controllers.base import FORESEEN, Model
+from ehls_ros.control.controllers.base import Model
 from ehls_ros.control.reaching import RateWeight, ReachingRate, Slope, Surface, answer
 from ehls_ros.control.reaching import tracking as surface_tracking
 from ehls_ros.control.state_estimator import (
@@ -26,9 +24,6 @@ from ehls_ros.control.state_estimator import (
     OffsetNoise,
     OilNoise,
     ValveNoise,
-    observe,
-    state_of,
-    supply_of,
 )
 from ehls_ros.schema import quantity
 
@@ -108,14 +103,4 @@ def assumptions(p: Parameters) -> Assumptions:
 @kernel
 def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Array, status: Array) -> float:
     """Return the spool command [m]."""
-    status[:] = 0.0
-    state, taken = state_of(memory), assumptions(p)
-    if not observe(m, r[FORESEEN:], model, taken, state):
-        status[base.SATURATED] = 1.0
-        return 0.0
-    surface = Surface(p.k, p.g, p.xi, p.reaching_rate)
-    command = answer(m, r, supply_of(m, model), surface, model, taken, state, status)
-    # From numbers out of range the filter cannot recover: it starts again from the next measurement.
-    if not math.isfinite(memory.sum()):
-        memory[:] = 0.0
-    return command
+    return answer(m, r, Surface(p.k, p.g, p.xi, p.reaching_rate), model, assumptions(p), memory, status)

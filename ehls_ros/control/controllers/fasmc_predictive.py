@@ -11,7 +11,6 @@ A calm filter has little noise, so the sliding surface may be steep and leave li
 noise the force's. So, third, the surface's steepness follows the unrest too.
 """
 
-import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -19,8 +18,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control import reaching, state_estimator, unrest
-from ehls_ros.control.controllers import base
-from ehls_ros.control.controllers.base import FORESEEN, Model
+from ehls_ros.control.controllers.base import Model
 from ehls_ros.control.reaching import RateWeight, ReachingRate, Slope, Surface, answer
 from ehls_ros.control.reaching import tracking as surface_tracking
 from ehls_ros.control.state_estimator import (
@@ -33,9 +31,7 @@ from ehls_ros.control.state_estimator import (
     OilNoise,
     State,
     ValveNoise,
-    observe,
     state_of,
-    supply_of,
 )
 from ehls_ros.control.unrest import Habits, external_noise
 from ehls_ros.physics.plant import V
@@ -130,16 +126,7 @@ def assumptions(state: State, restless: Array, p: Parameters, model: Model) -> A
 @kernel
 def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Array, status: Array) -> float:
     """Return the spool command [m]."""
-    status[:] = 0.0
-    state = state_of(memory)
-    taken = assumptions(state, memory[state_estimator.MEMORY_SIZE :], p, model)
-    if not observe(m, r[FORESEEN:], model, taken, state):
-        status[base.SATURATED] = 1.0
-        return 0.0
+    taken = assumptions(state_of(memory), memory[state_estimator.MEMORY_SIZE :], p, model)
     restless = taken.external_noise / (taken.external_noise + p.calm_noise)
     surface = Surface(p.k, p.calm_g + restless * (p.g - p.calm_g), p.xi, p.reaching_rate)
-    command = answer(m, r, supply_of(m, model), surface, model, taken, state, status)
-    # From numbers out of range the filter cannot recover: it starts again from the next measurement.
-    if not math.isfinite(memory.sum()):
-        memory[:] = 0.0
-    return command
+    return answer(m, r, surface, model, taken, memory, status)
