@@ -133,8 +133,9 @@ TOPICS: Mapping[str, str] = {
     "force_reference": "wanted force of a cycle, with two derivatives",
     "position_reference": "wanted position of a cycle, with two derivatives, for controllers that follow a position",
     "programme_point": "where a test programme is in a cycle: block, load cycles, phase",
-    "actuator_reference": "command of the actuator under test in a cycle, with two derivatives, where a companion uses it; "
-    "of a position servo it is a `PositionReference`",
+    "actuator_force_reference": "force that the actuator under test is commanded in a cycle, with two derivatives; published "
+    "where a companion uses it",
+    "actuator_position_reference": "position that it is commanded, where it is a position servo",
     "disturbance": "action of the actuator under test in a cycle",
     "friction_estimate": "friction that the model predicts for a cycle",
     "valve_command": "the controller's answer to a cycle",
@@ -317,7 +318,7 @@ def nodes_page() -> str:
             ("topic", "type", "what it holds"),
             (
                 (f"`{topic.resolve()}`", f"`{topic.type}`", TOPICS[topic.name])
-                for topic in (*topics.TOPICS, topics.ACTUATOR_REFERENCE["force"], *topics.HANDOVER_TOPICS)
+                for topic in (*topics.TOPICS, *topics.HANDOVER_TOPICS)
             ),
         ),
         "## Services\n\nServices of the plant node, `plant_sim_node` or `hardware_bridge_node`, and of `programme_node`.\n",

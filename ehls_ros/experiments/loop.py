@@ -28,14 +28,14 @@ from ehls_ros.control.programme.motion import point_signals
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.references.base import SampledReference
 from ehls_ros.errors import BadInput, WorkFailed
-from ehls_ros.experiments.spec import Spec, Use, check_spec, company_of, spec_to_mapping
+from ehls_ros.experiments.spec import Spec, Use, check_spec, company_of, signal_kind, spec_to_mapping, uses_actuator
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.plant import TEMPERATURE
 from ehls_ros.physics.plausibility import implausible
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import POSITION, VELOCITY
 from ehls_ros.physics.simulator import Constants, Simulated, Simulator, State, at_rest, parts_of, plant_kernel
-from ehls_ros.recording.topics import CONTROLLER_STATUS, DISTURBANCE, LOADER_STATE, REFERENCE_TOPICS
+from ehls_ros.recording.topics import ACTUATOR_TOPICS, CONTROLLER_STATUS, DISTURBANCE, LOADER_STATE, REFERENCE_TOPICS
 from ehls_ros.trajectory import Trajectory
 
 CHUNK = 2000
@@ -406,9 +406,14 @@ def _trajectory(
     signals.update(zip(CONTROLLER_STATUS.signals.values(), status.T, strict=False))
     signals.update(zip(REFERENCE_TOPICS[law.FOLLOWS].signals.values(), reference.T, strict=True))
     signals.update(zip(DISTURBANCE.signals.values(), disturbance.T, strict=True))
-    time = np.arange(first, first + len(record), dtype=np.float64) * spec.settings.control_period
+    period = spec.settings.control_period
+    if uses_actuator(spec):
+        told = ACTUATOR_TOPICS[signal_kind(spec.disturbance.name)]
+        actuator = sampled(spec.disturbance.signal, period).rows(first, len(record))
+        signals.update(zip(told.signals.values(), actuator.T, strict=True))
+    time = np.arange(first, first + len(record), dtype=np.float64) * period
     if spec.reference.name == "programme":
-        signals.update(point_signals(spec.reference.parameters, time, spec.settings.control_period))
+        signals.update(point_signals(spec.reference.parameters, time, period))
     return Trajectory(time, signals, metadata(spec, "in-process"))
 
 

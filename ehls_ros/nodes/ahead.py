@@ -14,7 +14,7 @@ from ehls_ros.experiments.spec import signal_kind, uses_actuator
 from ehls_ros.nodes.codec import NANOSECONDS
 from ehls_ros.nodes.control import CLOCK_TOPIC, OK, PATIENCE, WAIT, ControlNode
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class, newest_qos
-from ehls_ros.recording.topics import ACTUATOR_REFERENCE
+from ehls_ros.recording.topics import ACTUATOR_TOPICS
 
 LEAD = 200
 """Cycles by which a signal of time alone runs ahead; far more than the cycles between two clock messages."""
@@ -56,7 +56,7 @@ class AheadNode(ControlNode):
         self.actuator: tuple[Outbox, SampledReference] | None = None
         if self.tells_actuator and uses_actuator(self.spec):
             disturbance = self.spec.disturbance
-            topic = ACTUATOR_REFERENCE[signal_kind(disturbance.name)]
+            topic = ACTUATOR_TOPICS[signal_kind(disturbance.name)]
             signal = sampled(disturbance.signal, self.spec.settings.control_period)
             self.actuator = Outbox(self, message_class(topic.type), topic.name), signal
         if self.lead == 1:

@@ -33,7 +33,7 @@ from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message
 from ehls_ros.physics import sensors
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.recording.topics import (
-    ACTUATOR_REFERENCE,
+    ACTUATOR_TOPICS,
     DRIVER,
     DRIVING,
     LEAVING,
@@ -167,7 +167,7 @@ class ControllerNode(ControlNode):
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
         self.driving = Inbox(self, Bool, DRIVING.name, control_qos(1), _is_true)
         patience = PATIENCE if self.lockstep else 0.0
-        actuator = ACTUATOR_REFERENCE[signal_kind(self.spec.disturbance.name)]
+        actuator = ACTUATOR_TOPICS[signal_kind(self.spec.disturbance.name)]
         self.actuator = RowsAhead(self, actuator, patience) if uses_actuator(self.spec) else None
         has_programme = bool(self.company) and self.spec.reference.name == "programme"
         self.points = RowsAhead(self, PROGRAMME_POINT, patience) if has_programme else None

@@ -30,11 +30,11 @@ from std_srvs.srv import SetBool
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import WorkFailed
 from ehls_ros.experiments.run_folder import RunFolder
-from ehls_ros.experiments.spec import Spec
+from ehls_ros.experiments.spec import Spec, signal_kind, uses_actuator
 from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes.control import CLOCK_TOPIC, LOCKSTEP, NAMESPACE, PARENT, REALTIME
 from ehls_ros.recording.bag_reader import is_closed
-from ehls_ros.recording.topics import CYCLE_TOPICS, FRICTION_ESTIMATE, PROGRAMME_POINT, REFERENCE_TOPICS
+from ehls_ros.recording.topics import ACTUATOR_TOPICS, CYCLE_TOPICS, FRICTION_ESTIMATE, PROGRAMME_POINT, REFERENCE_TOPICS
 from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
 
 PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
@@ -128,6 +128,8 @@ def expected_topics(spec: Spec, plant: Plant) -> list[str]:
     """Return the control-path topics that an experiment's nodes publish."""
     law = CONTROLLERS.load(spec.controller.name)
     absent = [topic for follows, topic in REFERENCE_TOPICS.items() if follows != law.FOLLOWS]
+    told = signal_kind(spec.disturbance.name) if uses_actuator(spec) else None
+    absent += [topic for kind, topic in ACTUATOR_TOPICS.items() if kind != told]
     if reference_node(spec) != PROGRAMME:
         absent.append(PROGRAMME_POINT)
     if not law.FRICTION:

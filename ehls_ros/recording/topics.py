@@ -43,6 +43,16 @@ def _cycle_topic(name: str, message_type: str, signals: Mapping[str, str]) -> To
     return Topic(name, message_type, signals, DEPTH, transient_local=True)
 
 
+def _force_topic(name: str) -> Topic:
+    signals = {"force": f"{name}_n", "force_rate": f"{name}_rate_n_s", "force_acceleration": f"{name}_acceleration_n_s2"}
+    return _cycle_topic(name, "ehls_msgs/msg/ForceReference", signals)
+
+
+def _position_topic(name: str) -> Topic:
+    signals = {"position": f"{name}_m", "velocity": f"{name}_rate_m_s", "acceleration": f"{name}_acceleration_m_s2"}
+    return _cycle_topic(name, "ehls_msgs/msg/PositionReference", signals)
+
+
 LOADER_STATE = _cycle_topic(
     "loader_state",
     "ehls_msgs/msg/LoaderState",
@@ -56,34 +66,16 @@ LOADER_STATE = _cycle_topic(
         "oil_temperature": "oil_temperature_k",
     },
 )
-FORCE_REFERENCE = _cycle_topic(
-    "force_reference",
-    "ehls_msgs/msg/ForceReference",
-    {
-        "force": "force_reference_n",
-        "force_rate": "force_reference_rate_n_s",
-        "force_acceleration": "force_reference_acceleration_n_s2",
-    },
-)
-POSITION_REFERENCE = _cycle_topic(
-    "position_reference",
-    "ehls_msgs/msg/PositionReference",
-    {
-        "position": "position_reference_m",
-        "velocity": "position_reference_rate_m_s",
-        "acceleration": "position_reference_acceleration_m_s2",
-    },
-)
+FORCE_REFERENCE = _force_topic("force_reference")
+POSITION_REFERENCE = _position_topic("position_reference")
 REFERENCE_TOPICS: Mapping[str, Topic] = MappingProxyType({"force": FORCE_REFERENCE, "position": POSITION_REFERENCE})
 """The reference topic by the quantity that the controller follows; a run has one of them."""
 
-ACTUATOR_REFERENCE: Mapping[str, Topic] = MappingProxyType(
-    {
-        kind: Topic("actuator_reference", topic.type, depth=DEPTH, transient_local=True)
-        for kind, topic in REFERENCE_TOPICS.items()
-    }
+ACTUATOR_TOPICS: Mapping[str, Topic] = MappingProxyType(
+    {"force": _force_topic("actuator_force_reference"), "position": _position_topic("actuator_position_reference")}
 )
-"""The command of the actuator under test, ahead of the cycles, by what it is."""
+"""The command of the actuator under test, ahead of the cycles, by what it is; a run whose companions use it has one of them."""
+
 PROGRAMME_POINT = _cycle_topic(
     "programme_point",
     "ehls_msgs/msg/ProgrammePoint",
@@ -141,6 +133,7 @@ CYCLE_TOPICS = (
     FORCE_REFERENCE,
     POSITION_REFERENCE,
     PROGRAMME_POINT,
+    *ACTUATOR_TOPICS.values(),
     DISTURBANCE,
     FRICTION_ESTIMATE,
     VALVE_COMMAND,
