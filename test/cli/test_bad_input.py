@@ -55,6 +55,14 @@ CASES = {
     "yes in a list": (lambda m: m["rig"]["friction"].update(element_weight=[True]), ("element_weight", "True", "number")),
     "yes for a name": (lambda m: m["controller"].update(name=True), ("controller True is unknown", "fasmc")),
     "a fraction of a seed": (lambda m: m.update(seed=1.5), ("seed is 1.5", "integer")),
+    "a companion that cannot work": (
+        lambda m: m.update(companions=[{"name": "disturbance_preview"}]),
+        ("spec.yaml: companion disturbance_preview", "does not use what is foreseen", "PREVIEW"),
+    ),
+    "learning that need not converge": (
+        lambda m: m.update(companions=[{"name": "learning", "period": 4.0, "gain": 2.0}]),
+        ("spec.yaml: companion learning", "gain 2", "gain 0"),
+    ),
     "text for a number": (lambda m: m.update(duration="long"), ("duration", "long", "number")),
 }
 
@@ -67,6 +75,18 @@ def test_wrong_spec(case, spec, tmp_path, capsys):
     for word in words:
         assert word in line, line
     assert not (tmp_path / "run").exists()
+
+
+def test_a_companions_file_is_read_by_who_runs_the_controller_only(spec, tmp_path, capsys):
+    learnt = tmp_path / "learnt.npz"
+    learnt.write_text("nothing")
+    path = spec(lambda m: m.update(companions=[{"name": "learning", "period": 4.0, "file": str(learnt)}]))
+    assert load_spec(path).companions[0].parameters.file == str(learnt)
+    for how in ((), ("--in-process",)):
+        line = complaint(capsys, "experiment", path, *how, "--out", tmp_path / "run")
+        assert f"spec.yaml: {learnt}" in line
+        assert "cannot be read" in line
+        assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("written", ["0.1", "1e-1", "1.0E-1", ".1", "1_0e-2"])

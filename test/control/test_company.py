@@ -1,19 +1,23 @@
 """Companions are called alike by the loop in one process and by a controller that is stepped, each after the one before it."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
 
+from ehls_ros.control.companions import COMPANIONS
 from ehls_ros.control.companions.base import Past, Upcoming
 from ehls_ros.control.company import Company
 from ehls_ros.control.controller import Controller, Outlook
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORCE_ERROR, Model, model_of
 from ehls_ros.experiments.loop import CHUNK, ClosedLoop, sampled, simulator_of
-from ehls_ros.experiments.spec import Spec, Use, load_spec
+from ehls_ros.experiments.spec import Spec, Use, company_of, load_spec
+from ehls_ros.physics.kernel_cache import PREFIX
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import FORCE
 
@@ -33,6 +37,9 @@ class Made:
         self.change, self.model, self.most = change, model, room
         self.seen: list[Past] = []
         self.calls: list[str] = []
+
+    def prepare(self) -> None:
+        self.calls.append("prepare")
 
     def room(self, first: int, place: np.ndarray) -> int:
         return min(self.most, len(place))
@@ -159,6 +166,52 @@ def test_a_controller_that_forgets_tells_its_companions_and_reports_each_by_name
     assert made.calls == ["interrupt"]
     assert controller.company.report().keys() == {"made.calls", "other.calls"}
     assert controller.company.report()["made.calls"] == 1.0
+
+
+def kernels() -> dict[str, list[Any]]:
+    """Return what every generated kernel has been compiled or loaded for."""
+    modules = [module for name, module in sys.modules.items() if name.startswith(PREFIX)]
+    found = ((f"{module.__name__}.{name}", entry) for module in modules for name, entry in vars(module).items())
+    return {name: list(entry.signatures) for name, entry in found if isinstance(entry, Dispatcher)}
+
+
+@pytest.mark.parametrize("name", COMPANIONS.names())
+def test_no_cycle_waits_for_a_kernel_and_preparing_changes_nothing(name, monkeypatch):
+    for module in [module for module in sys.modules if module.startswith(PREFIX)]:
+        # Other tests may have needed the same kernels.
+        monkeypatch.delitem(sys.modules, module)
+    spec = load_spec(EXPERIMENTS / "measured_sine_fd2_preview.yaml")
+    spec = spec._replace(companions=(Use(name, COMPANIONS.load(name).Parameters()),))
+    model, wanted, motion = (
+        model_of(spec.controller_rig, 1e-3),
+        sampled(spec.reference, 1e-3),
+        sampled(spec.disturbance.signal, 1e-3),
+    )
+    one, other = (
+        Controller(spec.controller.name, spec.controller.parameters, model, company_of(spec, model, "test")) for _ in range(2)
+    )
+    ready = kernels()
+    random, usual = np.random.default_rng(0), np.array([0.0, 0.0, 4e6, 0.0, 1e4, 7e6, 313.0])
+    for k in range(30):
+        seen = usual + 1e-4 * random.standard_normal(len(SENSED)), wanted.row(k), np.zeros(2)
+        outlook = Outlook(k, None, motion.row(k))
+        other.company.prepare()
+        # Cycles may be missed, too.
+        elapsed = 1 + k % 3 // 2
+        assert one.step(*seen, elapsed, outlook) == other.step(*seen, elapsed, outlook)
+    assert kernels() == ready
+    assert one.company.report() == other.company.report()
+
+
+def test_the_loop_and_a_controller_prepare_their_companions(spec, monkeypatch):
+    made = Made()
+    controller = stepped(spec._replace(settings=spec.settings._replace(duration=2e-3)), made=made)
+    assert controller.company.members["made"].calls.count("prepare") == 1
+    assert made.calls.index("prepare") < made.calls.index("ahead")
+    looping = Made()
+    monkeypatch.setattr("ehls_ros.experiments.loop.company_of", lambda *_: Company({"made": looping}))
+    ClosedLoop(spec)
+    assert looping.calls == ["prepare"]
 
 
 def test_no_company_is_as_good_as_one_that_does_nothing(spec):
