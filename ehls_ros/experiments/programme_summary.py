@@ -162,7 +162,7 @@ def _rows(segment: Segment) -> Array:
     """Return samples of a load cycle from within a block, or of all of it, that miss no turning point."""
     course = segment.course
     time = min(course.duration, 2.0 * course.cycle) if course.cycle else course.duration
-    count = int(np.clip(math.ceil(time / course.step), LEAST_SAMPLES, MOST_SAMPLES))
+    count = _samples(time, course.step)
     rows = segment.sample(np.linspace(0.0, time, count + 1))
     if course.count < 3:
         return rows
@@ -230,9 +230,14 @@ def _of_segment(segment: Segment) -> tuple[list[float], "Counter[tuple[float, fl
 
 
 def _values(segment: Segment, begin: float, end: float) -> list[float]:
-    count = int(np.clip(math.ceil((end - begin) / segment.course.step), LEAST_SAMPLES, MOST_SAMPLES))
-    values: list[float] = segment.sample(np.linspace(begin, end, count + 1))[:, 0].tolist()
+    at = np.linspace(begin, end, _samples(end - begin, segment.course.step) + 1)
+    values: list[float] = segment.sample(at)[:, 0].tolist()
     return values
+
+
+def _samples(time: float, step: float) -> int:
+    """Return how many samples are taken of a time, a step apart where that is possible; both in s."""
+    return int(np.clip(math.ceil(time / step), LEAST_SAMPLES, MOST_SAMPLES))
 
 
 def _turning(values: Sequence[float]) -> list[float]:

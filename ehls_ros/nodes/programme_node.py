@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn
 
-import numpy as np
 from std_srvs.srv import Trigger
 
 from ehls_msgs.msg import LoaderState, ProgrammePoint
@@ -261,7 +260,7 @@ class ProgrammeNode(AheadNode):
         since, state = runner.at(max(until, 0))
         before = runner.motions[-1]
         if measured is None or math.isnan(measured):
-            measured = float(self.programme.sample(np.array([since]))[0, 0])
+            measured = self.programme.value(since)
         if state == State.FINISHED:
             runner.motions = [Motion(cycle, "stop", (), since, self.programme.end, before.skipped)]
         else:

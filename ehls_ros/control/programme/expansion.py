@@ -177,6 +177,10 @@ class Programme:
         rows[t < 0.0] = (self.parameters.start, 0.0, 0.0)
         return rows
 
+    def value(self, time: float) -> float:
+        """Return the value at a time [s]."""
+        return float(self.sample(np.array([time]))[0, 0])
+
     def points(self, t: Array) -> Points:
         """Return where the programme is at times [s], shape (n,)."""
         points = Points.empty(t.size)

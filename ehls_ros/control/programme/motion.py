@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array
 from ehls_ros.control.programme.expansion import CLOSE, Points, Programme, programme_of
 
+Row = tuple[float, float, float]
+"""A value with its first and second derivative."""
+
 
 class State(IntEnum):
     """What a programme does, as ``programme_point`` has it."""
@@ -45,7 +48,7 @@ class Leg(NamedTuple):
     speed: float = 0.0
     growth: float = 0.0
     end_speed: float = 0.0
-    row: tuple[float, float, float] | None = None
+    row: Row | None = None
     to: float = 0.0
 
 
@@ -184,14 +187,9 @@ class Runner:
         motion, (since, speed, growth), row = self._now(cycle)
         if motion.kind == "stop" or motion.rests is not None or since >= self.programme.duration - CLOSE:
             return False
-        legs: list[Leg] = []
-        if speed:
-            legs.append(Leg(self._stop_time, since, speed, growth, 0.0))
-            since = _end(legs[0])
-            row = (float(self.programme.sample(np.array([since]))[0, 0]), 0.0, 0.0)
+        legs, since, row = self._slowed(since, speed, growth, row)
         held = self._held(since)
-        if row != (held, 0.0, 0.0):
-            legs.append(Leg(self._hold_time, since, row=row, to=held))
+        legs += self._way(row, since, held)
         self._add(Motion(cycle, "stop", tuple(legs), since, held, motion.skipped, reason))
         return True
 
@@ -200,7 +198,7 @@ class Runner:
         motion, (since, speed, growth), row = self._now(cycle)
         if motion.rests is None or since >= self.programme.duration - CLOSE:
             return False
-        legs = [] if speed else self._way_back(row, since)
+        legs = [] if speed else self._way(row, since, self.programme.value(since))
         legs.append(Leg(self._stop_time, since, speed, growth, 1.0))
         self._add(Motion(cycle, "resume", tuple(legs), _end(legs[-1]), None, motion.skipped))
         return True
@@ -210,11 +208,7 @@ class Runner:
         motion, (since, speed, growth), row = self._now(cycle)
         if since >= self.programme.duration - CLOSE:
             return False
-        legs: list[Leg] = []
-        if speed:
-            legs.append(Leg(self._stop_time, since, speed, growth, 0.0))
-            since = _end(legs[0])
-            row = (float(self.programme.sample(np.array([since]))[0, 0]), 0.0, 0.0)
+        legs, since, row = self._slowed(since, speed, growth, row)
         spot = self.programme.spot(since)
         if spot.segment.leads:
             spot = self.programme.spot(spot.end)
@@ -223,10 +217,10 @@ class Runner:
         skipped = (*motion.skipped, Skip(following, then - done))
         if motion.rests is not None:
             held = self._held(following)
-            legs += [Leg(self._hold_time, following, row=row, to=held)] if row != (held, 0.0, 0.0) else []
+            legs += self._way(row, following, held)
             self._add(Motion(cycle, "stop", tuple(legs), following, held, skipped, motion.reason))
             return True
-        legs += self._way_back(row, following)
+        legs += self._way(row, following, self.programme.value(following))
         legs.append(Leg(self._stop_time, following, 0.0, 0.0, 1.0))
         self._add(Motion(cycle, "skip", tuple(legs), _end(legs[-1]), None, skipped))
         return True
@@ -242,17 +236,24 @@ class Runner:
         self.motions.append(motion)
 
     def _held(self, since: float) -> float:
-        return float(self.programme.sample(np.array([since]))[0, 0]) if self._hold is None else self._hold
+        return self.programme.value(since) if self._hold is None else self._hold
 
-    def _way_back(self, row: tuple[float, float, float], since: float) -> list[Leg]:
-        value = float(self.programme.sample(np.array([since]))[0, 0])
-        return [Leg(self._hold_time, since, row=row, to=value)] if row != (value, 0.0, 0.0) else []
+    def _slowed(self, since: float, speed: float, growth: float, row: Row) -> tuple[list[Leg], float, Row]:
+        """Return the leg to a standstill along the programme, none where it stands, with programme time and row at its end."""
+        if not speed:
+            return [], since, row
+        leg = Leg(self._stop_time, since, speed, growth, 0.0)
+        return [leg], _end(leg), (self.programme.value(_end(leg)), 0.0, 0.0)
+
+    def _way(self, row: Row, since: float, to: float) -> list[Leg]:
+        """Return the leg from a row to rest at a value; none where it rests there."""
+        return [Leg(self._hold_time, since, row=row, to=to)] if row != (to, 0.0, 0.0) else []
 
     def _motion(self, cycle: int) -> Motion:
         firsts = [motion.first for motion in self.motions]
         return self.motions[max(int(np.searchsorted(firsts, cycle, side="right")) - 1, 0)]
 
-    def _now(self, cycle: int) -> tuple[Motion, tuple[float, float, float], tuple[float, float, float]]:
+    def _now(self, cycle: int) -> tuple[Motion, tuple[float, float, float], Row]:
         """Return what holds in a cycle: the motion, programme time with speed and its rate, and the row."""
         motion = self._motion(cycle)
         moving = self._moving(motion, np.array([cycle]))
@@ -359,7 +360,7 @@ def _end(leg: Leg) -> float:
     return leg.since + leg.duration * float(_hermite_area(leg.speed, leg.growth * leg.duration, leg.end_speed, np.ones(1))[0])
 
 
-def _to_rest(row: tuple[float, float, float], to: float, duration: float, x: Array) -> Array:
+def _to_rest(row: Row, to: float, duration: float, x: Array) -> Array:
     """Return the quintic from a value with its derivatives to rest at another, shape (n, 3).
 
     Args:

@@ -243,12 +243,16 @@ def has_fundamental(cycles: Cycles) -> bool:
 
 def alike(cycles: Cycles) -> Mask:
     """Return which cycles have the usual reference."""
-    usual = np.median(cycles.reference[:, 0].real) + 1j * np.median(cycles.reference[:, 0].imag)
+    usual = _median(cycles.reference[:, 0])
     tolerance = UNLIKE * abs(usual)
     same: Mask = (np.abs(cycles.reference[:, 0] - usual) <= tolerance) & (
         np.abs(cycles.reference_mean - np.median(cycles.reference_mean)) <= tolerance
     )
     return same
+
+
+def _median(values: Complex) -> complex:
+    return complex(np.median(values.real), np.median(values.imag))
 
 
 def settled(cycles: Cycles, left_out: int | None = None) -> tuple[Mask, bool]:
@@ -281,8 +285,8 @@ def _transient(cycles: Cycles, rows: NDArray[np.intp]) -> int:
     half = len(rows) // 2
     error = (cycles.force - cycles.reference)[rows, 0]
     mean = (cycles.force_mean - cycles.reference_mean)[rows]
-    late = np.median(error[half:].real) + 1j * np.median(error[half:].imag)
+    late = _median(error[half:])
     off = np.hypot(np.abs(error - late), mean - np.median(mean[half:]))
-    size = abs(np.median(cycles.reference[rows, 0].real) + 1j * np.median(cycles.reference[rows, 0].imag))
+    size = abs(_median(cycles.reference[rows, 0]))
     inside = off <= max(SETTLED * float(np.median(off[half:])), SMALL * size)
     return int(np.argmax(inside)) if inside[:half].any() else half
