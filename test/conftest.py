@@ -8,6 +8,7 @@ import os
 import random
 import re
 import signal
+import sys
 import tempfile
 import threading
 import time
@@ -30,6 +31,11 @@ SHARED_MEMORY = Path("/dev/shm")
 GRACE_S = 60.0
 # Lock files of this user's: one has its graph run in real time; each run of the tests, or worker of it, is under way.
 REALTIME, UNDER_WAY = (Path(tempfile.gettempdir(), f"ehls_ros_test_{what}_{os.getuid()}.lock") for what in ("realtime", "run"))
+
+# The tests start some hundred processes. Where the environment forbids to keep bytecode, each would compile its libraries anew,
+# which takes longer than all else in the start of a node.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 _rotation = itertools.cycle(random.sample(DOMAINS, len(DOMAINS)))
 
