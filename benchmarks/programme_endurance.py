@@ -11,10 +11,11 @@ import csv
 import itertools
 import os
 import platform
+import signal
 import tempfile
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -120,14 +121,16 @@ def endure(folder: Path, cycles: int) -> Outcome:
         runner.start()
         began = time.monotonic()
         runner.until(cycles // 10)
-        ask("programme_stop")
+        with runner.standing():
+            ask("programme_stop")
         runner.until_quiet()
         ask("programme_resume")
         runner.until(cycles * 4 // 10)
         runner.kill()
         runner.start()
         runner.until(cycles // 2)
-        ask("programme_stop")
+        with runner.standing():
+            ask("programme_stop")
         runner.until_quiet()
         runner.kill()
         runner.start()
@@ -181,6 +184,16 @@ class _Runner:
     def kill(self) -> None:
         self._running.process.kill()
         self._running.process.wait()
+
+    @contextmanager
+    def standing(self) -> Iterator[None]:
+        """Let the rig stand still: a node may be found only seconds after its start, when the programme could be over."""
+        plant = self._graph[-1].process
+        plant.send_signal(signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            plant.send_signal(signal.SIGCONT)
 
     def until(self, count: int) -> None:
         """Wait for a number of load cycles in the log."""

@@ -7,7 +7,7 @@ pytest.importorskip("ehls_msgs.msg._programme_point", reason="needs ehls_msgs bu
 from ehls_msgs.msg import LoaderState, ProgrammePoint
 from ehls_ros.control.programme.motion import State
 
-CYCLES = 200
+CYCLES = 500
 
 
 def test_no_load_cycle_is_lost_or_counted_twice(ros_domain_id, tmp_path):
