@@ -11,10 +11,11 @@ import csv
 import itertools
 import os
 import platform
+import signal
 import tempfile
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -39,6 +40,9 @@ LOOK = 0.05
 
 STOP_TIME = 0.05
 HOLD_TIME = 0.1
+
+FOLLOWED = {"programme_stop": "the programme is stopped", "programme_resume": "the programme is not stopped"}
+"""What the node answers to a request that was followed before."""
 
 NODES = (PROGRAMME, "disturbance_node", "sic_node", "plant_sim_node")
 
@@ -117,14 +121,16 @@ def endure(folder: Path, cycles: int) -> Outcome:
         runner.start()
         began = time.monotonic()
         runner.until(cycles // 10)
-        ask("programme_stop")
+        with runner.standing():
+            ask("programme_stop")
         runner.until_quiet()
         ask("programme_resume")
         runner.until(cycles * 4 // 10)
         runner.kill()
         runner.start()
         runner.until(cycles // 2)
-        ask("programme_stop")
+        with runner.standing():
+            ask("programme_stop")
         runner.until_quiet()
         runner.kill()
         runner.start()
@@ -178,6 +184,16 @@ class _Runner:
     def kill(self) -> None:
         self._running.process.kill()
         self._running.process.wait()
+
+    @contextmanager
+    def standing(self) -> Iterator[None]:
+        """Let the rig stand still: a node may be found only seconds after its start, when the programme could be over."""
+        plant = self._graph[-1].process
+        plant.send_signal(signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            plant.send_signal(signal.SIGCONT)
 
     def until(self, count: int) -> None:
         """Wait for a number of load cycles in the log."""
@@ -237,16 +253,18 @@ class _Asker:
     def __call__(self, service: str) -> None:
         client = self._clients[service]
         deadline = time.monotonic() + PATIENCE
-        said = "it does not answer"
+        said, asked = "it does not answer", list[Any]()
         while time.monotonic() < deadline:
             # A killed node still seems to be there for a while, and swallows requests.
             if client.wait_for_service(1.0):
-                future = client.call_async(Trigger.Request())
-                self._executor.spin_until_future_complete(future, 1.0)
-                if future.done():
-                    said = future.result().message
-                    if future.result().success:
-                        break
+                asked.append(client.call_async(Trigger.Request()))
+                self._executor.spin_until_future_complete(asked[-1], 1.0)
+                answers = [future.result() for future in asked if future.done()]
+                said = answers[-1].message if answers else said
+                # One that was not answered in time may have been followed all the same: then the next is refused for that.
+                followed = len(answers) < len(asked) and said == FOLLOWED[service]
+                if followed or any(answer.success for answer in answers):
+                    break
             time.sleep(LOOK)
         else:
             raise TimeoutError(f"{service}: {said}")

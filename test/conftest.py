@@ -2,19 +2,21 @@
 
 import contextlib
 import fcntl
+import functools
 import itertools
 import math
 import os
 import random
 import re
 import signal
+import sys
 import tempfile
 import threading
 import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 import pytest
 from patience import PATIENCE
@@ -31,7 +33,45 @@ GRACE_S = 60.0
 # Lock files of this user's: one has its graph run in real time; each run of the tests, or worker of it, is under way.
 REALTIME, UNDER_WAY = (Path(tempfile.gettempdir(), f"ehls_ros_test_{what}_{os.getuid()}.lock") for what in ("realtime", "run"))
 
+# Folders with tests that take seconds each, and the scope of all whose graphs run in real time.
+LONG, IN_REALTIME = ("nodes", "dashboard", "diagnosis", "cli", "experiments"), "graphs in real time"
+
+# The tests start some hundred processes. Where the environment forbids to keep bytecode, each would compile its libraries anew,
+# which takes longer than all else in the start of a node.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 _rotation = itertools.cycle(random.sample(DOMAINS, len(DOMAINS)))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give each worker whole files, those that take longest first; the short ones then fill the end.
+
+    The files with graphs in real time go to one worker, one after another, as a second worker would wait for its turn.
+    """
+    if config.getoption("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class LongestFirst(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = super()._split_scope(nodeid)
+            return IN_REALTIME if has_realtime_graph(config.rootpath / file) else file
+
+        def _assign_work_unit(self, node: Any) -> None:
+            # Files of one kind stay in the order of xdist, by the number of tests.
+            first = min(self.workqueue, key=lambda scope: (scope != IN_REALTIME, Path(scope).parent.name not in LONG))
+            self.workqueue.move_to_end(first, last=False)
+            super()._assign_work_unit(node)
+
+    return LongestFirst(config, log)
+
+
+@functools.cache
+def has_realtime_graph(file: Path) -> bool:
+    """Tell whether a file of tests takes turns with those of other workers."""
+    return "one_realtime_graph" in file.read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")

@@ -53,7 +53,6 @@ def files_below(top: Path) -> set[Path]:
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a workspace with a copy of the sources in ``src``, built by a plain ``colcon build``."""
     environment = ros_environment()
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # setuptools warns of it
     colcon = shutil.which("colcon", path=environment["PATH"])
     if colcon is None:
         pytest.skip("colcon is not installed")
