@@ -157,6 +157,9 @@ class PlantNode(ControlNode):
         self.leaving = Inbox(self, String, LEAVING.name, control_qos(HANDOVER_DEPTH), decode_text)
         self.driver = self.create_publisher(Driver, DRIVER.name, control_qos(HANDOVER_DEPTH))
         self.told_driver: str | None = None
+        self.first = 0
+        self.unaware = -1
+        self.grace = math.ceil(self.gate.parameters.command_timeout / self.period)
         self.driving = self.create_publisher(Bool, DRIVING.name, control_qos(1))
         self.told_driving: bool | None = None
         self.clock = self.create_publisher(Clock, CLOCK_TOPIC, control_qos(1)) if self.lockstep else None
@@ -245,7 +248,15 @@ class PlantNode(ControlNode):
         """
         while (message := self.commands.take()) is not None:
             _, answered, spool, sender = message
+            if self._came_second(sender, answered):
+                if not self.told_driver:
+                    # It stands by from the next cycle on.
+                    self.standby.hear(sender, answered)
+                continue
+            before = self.gate.owner
             self.gate.take(answered, spool, sender)
+            if self.gate.owner != before:
+                self.first = min(answered, cycle)
             # A command of the gate's owner is an answer even if the gate refuses it.
             if sender == self.gate.owner and self.answered < answered <= cycle:
                 self.answered = answered
@@ -257,6 +268,13 @@ class PlantNode(ControlNode):
             if sender == self.gate.owner:
                 self._succeed(sender, "leaves")
                 self._change_driver(cycle + (self.answered >= cycle))
+
+    def _came_second(self, sender: str, answered: int) -> bool:
+        """Tell whether a command is of one that could not know yet that another was the first to answer, and now drives."""
+        owner = self.gate.owner
+        if owner in {None, sender} or self.gate.vacant:
+            return False
+        return not self.told_driver or answered <= self.unaware
 
     def _hear_shadows(self) -> None:
         while (message := self.shadows.take()) is not None:
@@ -282,6 +300,10 @@ class PlantNode(ControlNode):
         """Let the controller that stands by take over; with none, or several, the gate reacts to the lack of commands."""
         ready = [sender for sender in self.standby.ready if sender != owner]
         self.successor = ready[0] if len(ready) == 1 else ""
+        if not ready:
+            # So ends every run with one controller.
+            self.get_logger().info(f"{owner} {why}; no other controller stands by")
+            return
         takes_over = self.successor or f"nobody takes over: {len(ready)} controllers stand by, one is needed"
         self.get_logger().warning(f"{owner} {why}; {takes_over}{' takes over' if self.successor else ''}")
 
@@ -292,12 +314,15 @@ class PlantNode(ControlNode):
             self._succeed(owner, f"has been silent for {silence:.3f} s")
         if self.successor:
             self.gate.hand_over(self.successor)
-            self.successor = ""
+            self.successor, self.first = "", cycle
         driver = "" if self.gate.vacant else self.gate.owner
         if driver is not None and driver != self.told_driver:
+            if driver and not self.told_driver:
+                # The others answered too until now.
+                self.unaware = cycle + self.grace
             self.told_driver = driver
             self.standby.forget(driver)
-            message = Driver(cycle=cycle, sender=driver)
+            message = Driver(cycle=self.first if driver else cycle, sender=driver)
             message.header.stamp = self.get_clock().now().to_msg()
             self.driver.publish(message)
 
