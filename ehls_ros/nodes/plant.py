@@ -143,9 +143,8 @@ class PlantNode(ControlNode):
         self.missed = 0
         self.references: dict[int, float] = {}
         self.latency = Latency()
-        self.published = time.perf_counter()
+        self.published = self.begun = time.perf_counter()
         self.state = Outbox(self, LoaderState, "loader_state")
-        # Commands older than this node do not belong to its cycles.
         self.commands = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
         self.reference = Inbox(self, ForceReference, "force_reference")
         self.answer = Waiter([self.commands])
@@ -178,11 +177,12 @@ class PlantNode(ControlNode):
             self.destroy_publisher(self.clock)
 
     def begin_stamps(self, cycle: int) -> None:
-        """Anchor the time stamps to the node's clock; in lockstep cycle 0 is at time 0.
+        """Begin to count cycles: anchor the time stamps to the node's clock; in lockstep cycle 0 is at time 0.
 
         Args:
             cycle: the cycle that begins now.
         """
+        self.begun = time.perf_counter()
         if not self.lockstep:
             self.stamps.begin(cycle, self.now_ns() or 0)
 
@@ -248,6 +248,9 @@ class PlantNode(ControlNode):
         """
         while (message := self.commands.take()) is not None:
             _, answered, spool, sender = message
+            if answered > cycle and self._is_new:
+                # It is kept from a run before: the controller answered another plant's cycle.
+                continue
             if self._came_second(sender, answered):
                 if not self.told_driver:
                     # It stands by from the next cycle on.
@@ -268,6 +271,11 @@ class PlantNode(ControlNode):
             if sender == self.gate.owner:
                 self._succeed(sender, "leaves")
                 self._change_driver(cycle + (self.answered >= cycle))
+
+    @property
+    def _is_new(self) -> bool:
+        """Whether the first cycle was just now."""
+        return time.perf_counter() - self.begun < PATIENCE
 
     def _came_second(self, sender: str, answered: int) -> bool:
         """Tell whether a command is of one that could not know yet that another was the first to answer, and now drives."""
@@ -425,6 +433,6 @@ class PlantNode(ControlNode):
             return "waiting for the controller's answer or the disturbance"
         if time.perf_counter() - self.jumped < NOTICE:
             return f"header stamps jumped by {self.stamps.jump:+.3f} s to the clock's: the process slept, or the clock was set"
-        if self.answered < 0:
+        if self.answered < 0 and not self._is_new:
             return "no controller has answered yet"
         return "cycles without an answer: the last command was held" if self.missed else ""
