@@ -156,7 +156,7 @@ class PlantNode(ControlNode):
         self.leaving = Inbox(self, String, LEAVING.name, control_qos(HANDOVER_DEPTH), decode_text)
         self.driver = self.create_publisher(Driver, DRIVER.name, control_qos(HANDOVER_DEPTH))
         self.told_driver: str | None = None
-        # The first cycle that the driving controller answers; until which one, and for how many cycles, others may not know of it.
+        # The first cycle that the driving controller answers; until which one others may not know of it; how long they may not.
         self.first = 0
         self.unaware = -1
         self.grace = math.ceil(self.gate.parameters.command_timeout / self.period)

@@ -142,6 +142,8 @@ class ProgrammeNode(AheadNode):
         self.samples: dict[int, tuple[int, int, int, float, int, float]] = {}
         self.counting = 0
         self.certain = False
+        self.senders: set[bytes] = set()
+        self.gone: set[bytes] = set()
         self.newest: LoadCycle | None = None
         self.state, self.block = State.STARTING, 0
         super().prepare()
@@ -176,6 +178,7 @@ class ProgrammeNode(AheadNode):
                 if not self.lockstep and stamp <= self.stamped:
                     continue
                 if self.runner is not None:
+                    self.gone |= self.senders
                     self._fall_out(cycle, "the rig began anew")
             self.last, self.stamped, self.moved = cycle, stamp, time.perf_counter()
             self.epoch_ns = stamp - round(cycle * self.period_ns)
@@ -253,10 +256,10 @@ class ProgrammeNode(AheadNode):
 
         One that was killed seems to be there for a while, so this is certain only once there is a single one.
         """
-        senders = self.get_publishers_info_by_topic(LOADER_STATE.name)
-        self.certain = len(senders) == 1
-        named = sorted(bytes(sender.endpoint_gid) for sender in senders)
-        return hashlib.blake2b(b"".join(named), digest_size=16).hexdigest()
+        senders = {bytes(sender.endpoint_gid) for sender in self.get_publishers_info_by_topic(LOADER_STATE.name)}
+        self.senders = senders - self.gone or senders
+        self.certain = len(self.senders) == 1
+        return hashlib.blake2b(b"".join(sorted(self.senders)), digest_size=16).hexdigest()
 
     def _fall_out(self, cycle: int, reason: str, until: int | None = None, measured: float | None = None) -> None:
         """Let the programme stand where the rig had its last reference.
