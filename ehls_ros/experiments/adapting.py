@@ -58,9 +58,9 @@ def adapted(spec: Spec, trajectory: Trajectory) -> Adapted | None:
     model = original
     for past in _stretches(trajectory, original.period):
         model = adaptation.done(past, model)
-    report = adaptation.report()
-    sentences = tuple(str(told) for told in report.values() if isinstance(told, str))
     search = adaptation.search
+    search.solve()
+    sentences = tuple(str(told) for told in search.report().values() if isinstance(told, str))
     rig = corrected_rig(spec.controller_rig, original, search.values()) if search.changed() else None
     return Adapted(sentences, rig)
 

@@ -163,6 +163,7 @@ class ControllerNode(ControlNode):
         self.heard: set[str] = set()
         self.relays: set[str] = set()
         self.named = 0.0
+        self.replied = math.nan
         self.sent = True
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
         self.driving = Inbox(self, Bool, DRIVING.name, control_qos(1), _is_true)
@@ -235,10 +236,14 @@ class ControllerNode(ControlNode):
         """
         while (message := self.driver.take()) is not None:
             self.drivers.append(message[1:3])
-            self.named = time.perf_counter()
+            # The time of the first answer since then is yet to come.
+            self.named, self.replied = time.perf_counter(), math.nan
         if not self.drivers:
             return bool(self.driver.handle.get_publisher_count() == 0)
         newest = self.drivers[-1][1]
+        if newest == "" and self.lockstep and time.perf_counter() - self.replied < HEARING:
+            # Before the plant opens the next cycle, it says whose answer came first.
+            return False
         if newest in {"", self.sender} | self.heard | self.relays:
             return True
         self._listen()
@@ -306,6 +311,8 @@ class ControllerNode(ControlNode):
         """Send the answer to the cycle answered last: to the valve, or, standing by, only what it would be."""
         stamp_ns, cycle = self.answered[:2]
         self.sent = not shadow
+        if math.isnan(self.replied):
+            self.replied = time.perf_counter()
         if not (shadow and self._unmeasured()):
             # One that lacks a reading must not be given the valve.
             (self.shadow if shadow else self.commands).send(stamp_ns, cycle, self.command)

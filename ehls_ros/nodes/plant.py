@@ -143,9 +143,8 @@ class PlantNode(ControlNode):
         self.missed = 0
         self.references: dict[int, float] = {}
         self.latency = Latency()
-        self.published = time.perf_counter()
+        self.published = self.begun = time.perf_counter()
         self.state = Outbox(self, LoaderState, "loader_state")
-        # Commands older than this node do not belong to its cycles.
         self.commands = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
         self.reference = Inbox(self, ForceReference, "force_reference")
         self.answer = Waiter([self.commands])
@@ -157,6 +156,10 @@ class PlantNode(ControlNode):
         self.leaving = Inbox(self, String, LEAVING.name, control_qos(HANDOVER_DEPTH), decode_text)
         self.driver = self.create_publisher(Driver, DRIVER.name, control_qos(HANDOVER_DEPTH))
         self.told_driver: str | None = None
+        # The first cycle that the driving controller answers; until which one others may not know of it; how long they may not.
+        self.first = 0
+        self.unaware = -1
+        self.grace = math.ceil(self.gate.parameters.command_timeout / self.period)
         self.driving = self.create_publisher(Bool, DRIVING.name, control_qos(1))
         self.told_driving: bool | None = None
         self.clock = self.create_publisher(Clock, CLOCK_TOPIC, control_qos(1)) if self.lockstep else None
@@ -175,11 +178,12 @@ class PlantNode(ControlNode):
             self.destroy_publisher(self.clock)
 
     def begin_stamps(self, cycle: int) -> None:
-        """Anchor the time stamps to the node's clock; in lockstep cycle 0 is at time 0.
+        """Begin to count cycles: anchor the time stamps to the node's clock; in lockstep cycle 0 is at time 0.
 
         Args:
             cycle: the cycle that begins now.
         """
+        self.begun = time.perf_counter()
         if not self.lockstep:
             self.stamps.begin(cycle, self.now_ns() or 0)
 
@@ -245,7 +249,18 @@ class PlantNode(ControlNode):
         """
         while (message := self.commands.take()) is not None:
             _, answered, spool, sender = message
+            if answered > cycle and self._is_new:
+                # It is kept from a run before: the controller answered another plant's cycle.
+                continue
+            if self._came_second(sender, answered):
+                if not self.told_driver:
+                    # It stands by from the next cycle on.
+                    self.standby.hear(sender, answered)
+                continue
+            before = self.gate.owner
             self.gate.take(answered, spool, sender)
+            if self.gate.owner != before:
+                self.first = min(answered, cycle)
             # A command of the gate's owner is an answer even if the gate refuses it.
             if sender == self.gate.owner and self.answered < answered <= cycle:
                 self.answered = answered
@@ -257,6 +272,18 @@ class PlantNode(ControlNode):
             if sender == self.gate.owner:
                 self._succeed(sender, "leaves")
                 self._change_driver(cycle + (self.answered >= cycle))
+
+    @property
+    def _is_new(self) -> bool:
+        """Whether the first cycle was just now."""
+        return time.perf_counter() - self.begun < PATIENCE
+
+    def _came_second(self, sender: str, answered: int) -> bool:
+        """Tell whether a command is of one that could not know yet that another was the first to answer, and now drives."""
+        owner = self.gate.owner
+        if owner in {None, sender} or self.gate.vacant:
+            return False
+        return not self.told_driver or answered <= self.unaware
 
     def _hear_shadows(self) -> None:
         while (message := self.shadows.take()) is not None:
@@ -282,6 +309,10 @@ class PlantNode(ControlNode):
         """Let the controller that stands by take over; with none, or several, the gate reacts to the lack of commands."""
         ready = [sender for sender in self.standby.ready if sender != owner]
         self.successor = ready[0] if len(ready) == 1 else ""
+        if not ready:
+            # So ends every run with one controller.
+            self.get_logger().info(f"{owner} {why}; no other controller stands by")
+            return
         takes_over = self.successor or f"nobody takes over: {len(ready)} controllers stand by, one is needed"
         self.get_logger().warning(f"{owner} {why}; {takes_over}{' takes over' if self.successor else ''}")
 
@@ -292,12 +323,15 @@ class PlantNode(ControlNode):
             self._succeed(owner, f"has been silent for {silence:.3f} s")
         if self.successor:
             self.gate.hand_over(self.successor)
-            self.successor = ""
+            self.successor, self.first = "", cycle
         driver = "" if self.gate.vacant else self.gate.owner
         if driver is not None and driver != self.told_driver:
+            if driver and not self.told_driver:
+                # The others answered too until now.
+                self.unaware = cycle + self.grace
             self.told_driver = driver
             self.standby.forget(driver)
-            message = Driver(cycle=cycle, sender=driver)
+            message = Driver(cycle=self.first if driver else cycle, sender=driver)
             message.header.stamp = self.get_clock().now().to_msg()
             self.driver.publish(message)
 
@@ -400,6 +434,6 @@ class PlantNode(ControlNode):
             return "waiting for the controller's answer or the disturbance"
         if time.perf_counter() - self.jumped < NOTICE:
             return f"header stamps jumped by {self.stamps.jump:+.3f} s to the clock's: the process slept, or the clock was set"
-        if self.answered < 0:
+        if self.answered < 0 and not self._is_new:
             return "no controller has answered yet"
         return "cycles without an answer: the last command was held" if self.missed else ""

@@ -35,6 +35,10 @@ QUIET = 0.3
 """Time without a snapshot after which a rig in lockstep counts as waiting for its reference [s]."""
 
 
+ASKED = "on request"
+"""Why a programme stands whose operator stopped it."""
+
+
 class Parameters(NamedTuple):
     """What is run, where its log goes, and how it begins."""
 
@@ -103,6 +107,8 @@ class ProgrammeNode(AheadNode):
         if not self._active.is_set() or self.runner is None:
             return "the programme has not begun"
         stopped = self.runner.motions[-1].rests is not None
+        if request in self.asked:
+            return f"{request} is under way"
         if self.state == State.FINISHED:
             return "the programme has finished"
         if request == "stop" and stopped:
@@ -134,6 +140,9 @@ class ProgrammeNode(AheadNode):
         self.runner: Runner | None = None
         self.samples: dict[int, tuple[int, int, int, float, int, float]] = {}
         self.counting = 0
+        self.certain = False
+        self.senders: set[bytes] = set()
+        self.gone: set[bytes] = set()
         self.newest: LoadCycle | None = None
         self.state, self.block = State.STARTING, 0
         super().prepare()
@@ -168,6 +177,7 @@ class ProgrammeNode(AheadNode):
                 if not self.lockstep and stamp <= self.stamped:
                     continue
                 if self.runner is not None:
+                    self.gone |= self.senders
                     self._fall_out(cycle, "the rig began anew")
             self.last, self.stamped, self.moved = cycle, stamp, time.perf_counter()
             self.epoch_ns = stamp - round(cycle * self.period_ns)
@@ -215,7 +225,7 @@ class ProgrammeNode(AheadNode):
             else:
                 # Snapshots from before the node went are still there, as many as the rig keeps.
                 since = max(saved.counting, cycle - DEPTH)
-                self._remember(self.runner.rows(since, min(cycle, saved.published + 1) - since), since)
+                self._remember(self.runner.rows(since, max(min(cycle, saved.published + 1) - since, 0)), since)
                 # In lockstep the rig waits in the first control cycle without reference.
                 if cycle > saved.published + 1:
                     self.next = saved.published + 1
@@ -241,10 +251,14 @@ class ProgrammeNode(AheadNode):
         return newest if newest[1] == 0 or time.perf_counter() - self.heard > QUIET else None
 
     def _run(self) -> str:
-        """Return what tells the rig's process from another."""
-        senders = self.get_publishers_info_by_topic(LOADER_STATE.name)
-        named = sorted(bytes(sender.endpoint_gid) for sender in senders)
-        return hashlib.blake2b(b"".join(named), digest_size=16).hexdigest()
+        """Return what tells the rig's process from another.
+
+        One that was killed seems to be there for a while, so this is certain only once there is a single one.
+        """
+        senders = {bytes(sender.endpoint_gid) for sender in self.get_publishers_info_by_topic(LOADER_STATE.name)}
+        self.senders = senders - self.gone or senders
+        self.certain = len(self.senders) == 1
+        return hashlib.blake2b(b"".join(sorted(self.senders)), digest_size=16).hexdigest()
 
     def _fall_out(self, cycle: int, reason: str, until: int | None = None, measured: float | None = None) -> None:
         """Let the programme stand where the rig had its last reference.
@@ -285,7 +299,7 @@ class ProgrammeNode(AheadNode):
             self.counter.complaint = ""
         while self.asked:
             request = self.asked.pop(0)
-            done = runner.stop(self.next, "asked for") if request == "stop" else getattr(runner, request)(self.next)
+            done = runner.stop(self.next, ASKED) if request == "stop" else getattr(runner, request)(self.next)
             self.get_logger().info(
                 f"programme {request} from control cycle {self.next} on" if done else f"nothing to {request}"
             )
@@ -328,6 +342,8 @@ class ProgrammeNode(AheadNode):
         counting = self.counting if self.counter.since is None else self.counter.since
         runner.forget(min(counting, self.next))
         seen = max(self.counting - 1, 0)
+        if not self.certain:
+            self.run = self._run()
         saved = Saved(
             self.digest, self.spec.settings.control_period, self.run, seen, published, counting,
             tuple(runner.motions), self.counter.stiffness,
@@ -384,8 +400,7 @@ class ProgrammeNode(AheadNode):
         runner = self.runner
         if runner is not None and runner.motions[-1].rests is not None and self.state != State.FINISHED:
             reason = runner.motions[-1].reason
-            asked = reason == "asked for"
-            return OK if asked else WARN, f"stopped: {reason}; programme_resume goes on", figures
+            return OK if reason == ASKED else WARN, f"stopped: {reason}; programme_resume goes on", figures
         return OK, self.state.name.lower() if self._active.is_set() else "inactive", figures
 
 

@@ -100,6 +100,19 @@ def test_the_user_is_told_what_the_rig_file_has_wrong(run: Run) -> None:
     assert one.report()["discharge_coefficient_told"] == "the rig file's discharge coefficient seems 9 % low (± 0.1 %)"
 
 
+def test_who_asks_for_the_report_changes_nothing(run: Run) -> None:
+    """A node tells its diagnostics whenever the clock says so."""
+    model = known(run.spec, discharge_coefficient=0.91, valve_bandwidth=0.9)
+    asked, unasked = companion(run.spec, model), companion(run.spec, model)
+    last = model
+    for first in range(0, 4000, 410):
+        rows = slice(first, first + 410)
+        last = fed(asked, last, run.measured[rows], run.command[rows], first)[-1]
+        asked.report()
+    assert last is not model
+    assert last == fed(unasked, model, run.measured[:4100], run.command[:4100])[-1]
+
+
 def test_a_wrong_bulk_modulus_is_found_within_its_error(run: Run) -> None:
     model = known(run.spec, bulk_modulus=1.25)
     one = companion(run.spec, model)

@@ -7,11 +7,17 @@ import pytest
 pytest.importorskip("ehls_msgs.msg._programme_point", reason="needs ehls_msgs built, as `make setup` does")
 
 from diagnostic_msgs.msg import DiagnosticArray
+from std_srvs.srv import Trigger
 
 from ehls_msgs.msg import LoaderState, ProgrammePoint
 from ehls_ros.control.programme.motion import State
+from ehls_ros.nodes.ahead import LEAD
+from ehls_ros.recording.topics import DEPTH
 
 CYCLES = 500
+
+GONE = DEPTH + LEAD + 100
+"""Control cycles after which the rig has neither reference nor the snapshots from when the node went."""
 
 
 def test_no_load_cycle_is_lost_or_counted_twice(ros_domain_id, tmp_path):
@@ -56,3 +62,30 @@ def test_a_programme_begins_with_the_snapshot_of_now_and_stops_on_its_limits(gra
     assert points[0].load_cycles == 0
     assert (tmp_path / "run" / "load_cycles.csv").read_text().splitlines()[1].startswith("1,0,1,")
     participant.until(lambda: "the peak is " in graph.log("programme_node"))
+
+
+STEADY = """
+title: steady
+blocks:
+  - {block: cycles, amplitude: 500.0, mean: 500.0, frequency: 20.0, count: 100000}
+"""
+
+
+def test_a_programme_that_the_rig_ran_on_without_stands_until_it_is_resumed(graph, participant, spec_file, tmp_path):
+    """In realtime, after its node was killed and had been away for long; the rig's gate closes meanwhile, its cycles go on."""
+    file, spec = tmp_path / "programme.yaml", spec_file(duration=100.0, controller="sic")
+    file.write_text(STEADY, encoding="utf-8")
+    states, points = participant.collect(LoaderState, "loader_state"), participant.collect(ProgrammePoint, "programme_point")
+    own = {"spec": spec, "programme": file, "folder": tmp_path / "run"}
+    graph.start("programme_node", **own)
+    graph.start("plant_sim_node", spec=spec)
+    participant.until(lambda: points and points[-1].load_cycles >= 5)
+    graph.kill("programme_node")
+    participant.until(lambda: states[-1].cycle > points[-1].cycle + GONE)
+    before, published = len(points), points[-1]
+    graph.start("programme_node", **own)
+    participant.until(lambda: len(points) > before and points[-1].state == State.STOPPED)
+    assert points[before].cycle > published.cycle
+    assert points[-1].load_cycles <= published.load_cycles
+    assert participant.call(Trigger, "programme_resume", Trigger.Request()).success
+    participant.until(lambda: points[-1].state == State.RUNNING and points[-1].load_cycles > published.load_cycles)

@@ -90,8 +90,7 @@ class Search:
         return any(differs(value, nominal.get(name, 1.0)) for name, value in self.values().items())
 
     def report(self) -> dict[str, float | str]:
-        """Return values and sentences."""
-        self.solve()
+        """Return values and sentences, as of the last time that each stage was solved; asking changes nothing."""
         figures: dict[str, float | str] = dict(self.values())
         figures.update({f"{name}_told": each.told(self._caution) for name, each in self._coefficients.items()})
         return figures

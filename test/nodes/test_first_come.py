@@ -1,0 +1,64 @@
+"""Controllers that start before the plant: the first to answer drives, the others stand by and know all that happened."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("ehls_msgs.msg._driver", reason="needs ehls_msgs built, as `make setup` does")
+
+from diagnostic_msgs.msg import DiagnosticArray
+
+from ehls_msgs.msg import Driver, ForceReference, LoaderState, ValveCommand
+from ehls_ros.control.controller import Controller
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.controllers.base import model_of
+from ehls_ros.experiments.spec import load_spec
+from ehls_ros.physics.rig import SENSED
+
+LAWS = ("sic", "fasmc_output_feedback")
+
+CYCLES = 200
+
+
+def test_of_two_controllers_that_wait_for_the_plant_one_drives_and_the_other_stands_by(graph, participant, spec_file):
+    path = spec_file(duration=1000.0, controller="sic")
+    told = participant.collect(Driver, "driver")
+    states = participant.collect(LoaderState, "loader_state")
+    references = participant.collect(ForceReference, "force_reference")
+    commands = participant.collect(ValveCommand, "valve_command")
+    shadows = participant.collect(ValveCommand, "standby_command")
+    diagnostics = participant.collect(DiagnosticArray, "/diagnostics")
+
+    def told_by_plant():
+        reports = [status for array in diagnostics for status in array.status if status.name == "plant_sim_node"]
+        figures = [{pair.key: pair.value for pair in status.values} for status in reports]
+        return [values for values in figures if "cycle" in values]
+
+    partners = ["reference_node", "disturbance_node", *(f"{law}_node" for law in LAWS)]
+    for name in partners:
+        graph.start(name, spec=path, timing="lockstep")
+    graph.start("plant_sim_node", spec=path, timing="lockstep", speed=0.5, partners=",".join(partners))
+    participant.until(lambda: all(len(heard) > CYCLES for heard in (states, references, commands, shadows)))
+
+    [nobody, first] = told
+    assert (nobody.sender, first.cycle) == ("", 0)
+    assert {message.sender for message in commands if message.cycle > 0} == {first.sender}
+    assert {message.sender for message in shadows} == {message.sender for message in commands} - {first.sender}
+    assert [message.cycle for message in shadows[:CYCLES]] == list(range(1, CYCLES + 1))
+    # A command that the other sent before it could know who drives is no fault.
+    participant.until(lambda: any(int(figures["cycle"]) > CYCLES for figures in told_by_plant()))
+    assert told_by_plant()[-1]["fault_second_sender"] == "warn, 0 times"
+
+    # What it would command is that of the law which has followed from the first cycle on.
+    [other] = [law for law in LAWS if f"/{law}_node-" not in first.sender]
+    spec = load_spec(path)
+    law = Controller(other, CONTROLLERS.load(other).Parameters(), model_of(spec.controller_rig, spec.settings.control_period))
+    sent = {message.cycle: message.spool for message in commands if message.sender == first.sender}
+    for state, reference in zip(states[:CYCLES], references, strict=False):
+        seen = (
+            np.array([getattr(state, name) for name in SENSED]),
+            np.array([reference.force, reference.force_rate, reference.force_acceleration]),
+            np.zeros(2),
+        )
+        answer = law.follow(*seen, sent[state.cycle - 1]) if state.cycle else law.step(*seen)
+        if state.cycle:
+            assert abs(answer - shadows[state.cycle - 1].spool) <= 1e-12
