@@ -37,7 +37,7 @@ SEEN, DIRECTION, FURTHEST, FURTHEST_AT, REVERSED_AT, TURNED_AT, TRACKED = range(
 """Where the track holds how many cycles were seen on end, the motion's direction, its furthest position [m] and when that was,
 and the last reversal: when it was, and when the motion back was long enough; its length."""
 
-HIGHER_BY = 1.005
+HIGHER_BY = 1.02
 """The level at which the friction's slope over the level is taken, over that which is tried."""
 
 BEFORE = 2000
@@ -64,7 +64,7 @@ AROUND = 0.8
 SHORTEST = 12
 """Least half of a window, in cycles."""
 
-WIDTH = 8
+WIDTH = 6
 """Half of a window over the filter's width."""
 
 DEGREES = (2, 3, 4)
