@@ -6,9 +6,9 @@ Over a short window the force that the balance (3) leaves is friction and the un
 
 After a reversal the elements are strained the other way, and after a known travel they break away: the friction stops growing.
 When it does tells the level, whatever the external force is, as long as that has no corner there: within the window it is a
-polynomial. The elements (6), (8) follow the measured motion at a level that is tried, and at one a little higher; the difference
-is the level's regressor. A better level is tried next, so that what is found does not depend on the rig file's. All signals go
-through the same filter, so that a differentiated reading is as late and as smooth as the others.
+polynomial. The elements (6), (8) follow the measured motion at a level that is tried, and at one a little higher; the
+difference is the level's regressor. A better level is tried next, so that what is found does not depend on the rig file's. All
+signals go through the same filter, so that a differentiated reading is as late and as smooth as the others.
 
 The actuator under test has a friction of its own, which breaks away at nearly the same time and moves the far end of the
 coupling. Where the window is long enough to tell it from noise, the external force has a corner for it, where that explains
@@ -236,7 +236,7 @@ class Reversals:
             return
         rows = ring[np.arange(begin, centre + margin + 1) % RING]
         values, variance, weights = self._fit(rows, centre - margin - begin, width)
-        level = float((weights * values).sum(axis=0)[LEVEL])
+        level = float(np.average(values[:, LEVEL], weights=weights[:, 0]))
         self._tried += 1
         change, self._level = abs(level - self._level), min(max(level, LEAST_LEVEL), MOST_LEVEL)
         if change < SETTLED or self._tried == STEPS:
@@ -302,7 +302,7 @@ class Reversals:
         coupled, long = around.stiffness > 0.0, len(window) >= 2 * LONG
         corners = _corners(len(window), width)[thin] if coupled and long else None
         fits = [_solved(regressors[:, : SOUGHT + degree + 1], missing, corners) for degree in DEGREES]
-        # What explains the window better counts more.
+        # What explains a window better counts more, and so does a window that is explained better.
         weights = np.array([1.0 / max(left, LEAST_LEFT) ** 2 for *_, left in fits])
         values, variance = np.array([fit[0] for fit in fits]), np.array([fit[1] for fit in fits])
         floors = np.array(FLOORS)
@@ -310,7 +310,7 @@ class Reversals:
             floors[LEVEL] = COUPLED_LONG_FLOOR if long else COUPLED_FLOOR
         # How far the degrees and the reversals differ says more of the level than one fit does.
         variance[:, LEVEL] = 0.0
-        return values + np.array([level, 1.0, 1.0]), variance + floors**2, (weights / weights.sum())[:, np.newaxis]
+        return values + np.array([level, 1.0, 1.0]), variance + floors**2, weights[:, np.newaxis]
 
 
 def _solved(regressors: Array, missing: Array, corners: Array | None) -> tuple[Array, Array, float]:
