@@ -302,7 +302,7 @@ class Reversals:
         coupled, long = around.stiffness > 0.0, len(window) >= 2 * LONG
         corners = _corners(len(window), width)[thin] if coupled and long else None
         fits = [_solved(regressors[:, : SOUGHT + degree + 1], missing, corners) for degree in DEGREES]
-        # What explains a window better counts more, and so does a window that is explained better.
+        # What explains the window better counts more.
         weights = np.array([1.0 / max(left, LEAST_LEFT) ** 2 for *_, left in fits])
         values, variance = np.array([fit[0] for fit in fits]), np.array([fit[1] for fit in fits])
         floors = np.array(FLOORS)
@@ -310,7 +310,7 @@ class Reversals:
             floors[LEVEL] = COUPLED_LONG_FLOOR if long else COUPLED_FLOOR
         # How far the degrees and the reversals differ says more of the level than one fit does.
         variance[:, LEVEL] = 0.0
-        return values + np.array([level, 1.0, 1.0]), variance + floors**2, weights[:, np.newaxis]
+        return values + np.array([level, 1.0, 1.0]), variance + floors**2, (weights / weights.sum())[:, np.newaxis]
 
 
 def _solved(regressors: Array, missing: Array, corners: Array | None) -> tuple[Array, Array, float]:
