@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from ehls_ros.control.adaptation.hand_over import SCALED
 from ehls_ros.control.companions import adaptation
 from ehls_ros.control.companions.base import PLACE, Past, Setting
 from ehls_ros.control.controllers import CONTROLLERS
@@ -138,6 +139,21 @@ def test_a_wrong_friction_level_is_found_roughly_beside_a_servo_with_friction(ru
     one = companion(run.spec, wrong)
     last = fed(one, wrong, run.measured, run.command)[-1]
     assert last.friction.coulomb_force == pytest.approx(friction.coulomb_force, rel=0.1)
+
+
+def test_the_friction_level_found_does_not_depend_on_the_rig_files() -> None:
+    spec = load_spec(CONFIG / "constant_fd1.yaml")
+    loop = ClosedLoop(spec)
+    blocks = [(b.record[:, :7].copy(), b.record[:, loop.columns.command].copy()) for b in loop.blocks()]
+    measured, command = (np.concatenate(each) for each in zip(*blocks, strict=True))
+    truth: Any = spec.rig.friction
+    for off in (0.8, 1.2):
+        model = model_of(spec.controller_rig, PERIOD)
+        model = model._replace(friction=truth._replace(**{name: off * getattr(truth, name) for name in SCALED}))
+        law = CONTROLLERS.load(spec.controller.name)
+        one = adaptation.build(adaptation.Parameters(), Setting(law, spec.controller.parameters, model, actuator="force"))
+        last = fed(one, model, measured, command)[-1]
+        assert last.friction.coulomb_force == pytest.approx(truth.coulomb_force, rel=2e-3)
 
 
 def test_without_a_spool_sensor_the_product_of_gain_and_discharge_coefficient_is_found_and_named_so(run: Run) -> None:

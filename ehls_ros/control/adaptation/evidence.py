@@ -31,10 +31,7 @@ class Basis(NamedTuple):
         bank: delays to compare, with the bandwidth in use.
         fading: what remains of the weight of a reading after a cycle.
         settled: cycles after an interruption before the valve's state counts.
-        friction: its friction.
         travel: motion back after which a reversal counts [m].
-        half: of :func:`ehls_ros.control.adaptation.friction.follow`.
-        level: friction level in use, over the rig file's.
     """
 
     plant: Plant
@@ -42,10 +39,7 @@ class Basis(NamedTuple):
     bank: valve.Bank
     fading: float
     settled: float
-    friction: gms.Parameters
     travel: float
-    half: int
-    level: float
 
 
 class Memory(NamedTuple):
@@ -58,7 +52,7 @@ class Memory(NamedTuple):
         valve, flow, area: sums of the stages.
         counts: weights of their rows, shape (STAGES, 1).
         row: scratch.
-        elements, track, ring: of :func:`ehls_ros.control.adaptation.friction.follow`.
+        track, ring: of :func:`ehls_ros.control.adaptation.friction.follow`.
     """
 
     flags: Array
@@ -69,7 +63,6 @@ class Memory(NamedTuple):
     area: Array
     counts: Array
     row: Array
-    elements: Array
     track: Array
     ring: Array
 
@@ -86,7 +79,6 @@ def memory(basis: Basis) -> Memory:
         np.zeros((area.ROW, area.ROW)),
         np.zeros((STAGES, 1)),
         np.zeros(columns),
-        np.zeros((4, len(basis.friction.element_stiffness))),
         np.zeros(friction.TRACKED),
         np.zeros((friction.RING, friction.SIGNALS)),
     )
@@ -98,7 +90,6 @@ def interrupt(memory: Memory) -> None:
     memory.past[:] = 0.0
     memory.block[:] = 0.0
     memory.track[:] = 0.0
-    memory.elements[:] = 0.0
 
 
 def basis_of(model: Model, reach: float, forgetting: float) -> Basis:
@@ -117,8 +108,7 @@ def basis_of(model: Model, reach: float, forgetting: float) -> Basis:
     fading = math.exp(-model.period / forgetting)
     sliding = model.friction if isinstance(model.friction, gms.Parameters) else friction.NONE
     way = friction.BACK * friction.travel(sliding)
-    half = friction.half_of(model.noise.position, model.period, sliding)
-    return Basis(plant, model.command_delay, bank, fading, float(bank.settled), sliding, way, half, 1.0)
+    return Basis(plant, model.command_delay, bank, fading, float(bank.settled), way)
 
 
 def relined(basis: Basis, bandwidth: float, memory: Memory) -> Basis:
@@ -127,13 +117,6 @@ def relined(basis: Basis, bandwidth: float, memory: Memory) -> Basis:
     memory.flags[SINCE] = 0.0
     bank = basis.bank._replace(bandwidth=bandwidth)
     return basis._replace(bank=bank, settled=float(bank.settled))
-
-
-def relevelled(basis: Basis, level: float, memory: Memory) -> Basis:
-    """Return a basis with another friction level in use, over the rig file's; the forces go with it."""
-    memory.elements[::2] *= level / basis.level
-    memory.ring[:, friction.FRICTION :] *= level / basis.level
-    return basis._replace(level=level)
 
 
 @kernel
@@ -164,18 +147,7 @@ def _take_one(measured: Array, basis: Basis, memory: Memory) -> None:
         area.compare(force, pressure, plant.piston_area, basis.fading, few, memory.area, counts[AREA])
     if not math.isfinite(force):
         force = plant.piston_area * pressure
-    friction.follow(
-        position,
-        force,
-        basis.level,
-        basis.bank.period,
-        basis.friction,
-        basis.travel,
-        basis.half,
-        memory.elements,
-        memory.track,
-        memory.ring,
-    )
+    friction.follow(position, force, basis.travel, memory.track, memory.ring)
 
 
 @kernel

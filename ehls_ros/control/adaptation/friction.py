@@ -6,12 +6,13 @@ Over a short window the force that the balance (3) leaves is friction and the un
 
 After a reversal the elements are strained the other way, and after a known travel they break away: the friction stops growing.
 When it does tells the level, whatever the external force is, as long as that has no corner there: within the window it is a
-polynomial. The elements (6), (8) follow the measured position all the time, at the level in use and at one a little higher; the
-difference is the level's regressor. All signals go through the same filter, so that a differentiated reading is as late and as
-smooth as the others.
+polynomial. The elements (6), (8) follow the measured motion at a level that is tried, and at one a little higher; the
+difference is the level's regressor. A better level is tried next, so that what is found does not depend on the rig file's. All
+signals go through the same filter, so that a differentiated reading is as late and as smooth as the others.
 
 The actuator under test has a friction of its own, which breaks away at nearly the same time and moves the far end of the
-coupling. This cannot be told from the loader's friction, so the standard error is never below what it may be.
+coupling. Where the window is long enough to tell it from noise, the external force has a corner for it, where that explains
+most. This is no model of the actuator, so the standard error is never below what is left of it.
 """
 
 import math
@@ -19,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
+from scipy.signal import savgol_filter
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.controllers.base import Model
@@ -28,15 +30,24 @@ from ehls_ros.physics.friction.gms import level as sliding_level
 RING = 4096
 """Cycles that are kept."""
 
-POSITION, FORCE, FRICTION, HIGHER, SIGNALS = range(5)
-"""Columns of the ring: position [m], driving force [N], friction at the level in use and at the higher one [N]."""
+POSITION, FORCE, SIGNALS = range(3)
+"""Columns of the ring: position [m] and driving force [N]."""
 
 SEEN, DIRECTION, FURTHEST, FURTHEST_AT, REVERSED_AT, TURNED_AT, TRACKED = range(7)
 """Where the track holds how many cycles were seen on end, the motion's direction, its furthest position [m] and when that was,
 and the last reversal: when it was, and when the motion back was long enough; its length."""
 
 HIGHER_BY = 1.02
-"""The higher level over that in use."""
+"""The level at which the friction's slope over the level is taken, over that which is tried."""
+
+BEFORE = 2000
+"""Cycles before a window from which on the elements are followed, to forget what they start with."""
+
+LEAST_LEVEL, MOST_LEVEL = 0.4, 2.5
+"""Levels between which one is sought, over the rig file's."""
+
+STEPS, SETTLED = 5, 2e-4
+"""Most levels tried for a reversal, and the change below which no other is."""
 
 MOST_HALF = 10
 """Longest average of the position, in cycles, of which the velocity is formed."""
@@ -53,7 +64,7 @@ AROUND = 0.8
 SHORTEST = 12
 """Least half of a window, in cycles."""
 
-WIDTH = 8
+WIDTH = 6
 """Half of a window over the filter's width."""
 
 DEGREES = (2, 3, 4)
@@ -74,8 +85,14 @@ LEAST_LEFT = 0.05
 REVERSALS = 2
 """Fewest reversals that tell anything."""
 
-COUPLED_FLOOR = 0.04
-"""Least standard error of the level where the actuator under test has a friction of its own."""
+LONG = 50
+"""Half of a window, in cycles, from which on a corner of the external force is told from noise."""
+
+CORNERS = 33
+"""Places in a window that are tried for it."""
+
+COUPLED_FLOOR, COUPLED_LONG_FLOOR = 0.04, 0.015
+"""Least standard errors of the level where the actuator under test has a friction of its own, in short and in long windows."""
 
 FLOORS = (5e-3, 1e-2, 1e-2)
 """Least standard errors, relative."""
@@ -117,71 +134,55 @@ def half_of(noise: float, period: float, friction: gms.Parameters) -> int:
 
 
 @kernel
-def _slide(moved: float, velocity: float, level: float, period: float, p: gms.Parameters, forces: Array, mode: Array) -> float:
-    """Move the elements on by a cycle, at a level over the rig file's; return their sum [N]."""
-    s = level * sliding_level(velocity, p)
-    direction = 1.0 if velocity > 0.0 else -1.0
-    total = 0.0
-    for i in range(len(p.element_stiffness)):
-        most = direction * p.element_weight[i] * s
-        if mode[i] * velocity < 0.0:
-            mode[i] = 0.0
-        if mode[i] == 0.0:
-            forces[i] += p.element_stiffness[i] * moved  # (6)
-            if direction * forces[i] > direction * most:
-                forces[i], mode[i] = most, direction
-        else:
-            forces[i] += (most - forces[i]) * -math.expm1(-level * p.attraction_rate / s * period)  # (8)
-        total += forces[i]
-    return total
+def _slide(position: Array, velocity: Array, level: float, period: float, p: gms.Parameters) -> Array:
+    """Return the sum of the elements' forces [N] at a level over the rig file's, along a motion [m, m/s]."""
+    n = len(p.element_stiffness)
+    forces, mode = np.zeros(n), np.zeros(n)
+    sliding = np.zeros(len(position))
+    ends = level * sliding_level(velocity[0], p)
+    for k in range(1, len(position)):
+        moved, direction = position[k] - position[k - 1], math.copysign(1.0, velocity[k])
+        begins = direction * abs(ends)
+        ends = direction * level * sliding_level(velocity[k], p)
+        for i in range(n):
+            weight, remaining = p.element_weight[i], 1.0
+            if mode[i] * direction < 0.0:
+                mode[i] = 0.0
+            if mode[i] == 0.0:
+                short = max(direction * (weight * begins - forces[i]), 0.0)
+                forces[i] += p.element_stiffness[i] * moved  # (6)
+                beyond = direction * (forces[i] - weight * ends)
+                if beyond > 0.0:
+                    # Where both cross within the cycle.
+                    remaining = beyond / (beyond + short)
+                    forces[i], mode[i] = weight * (ends + remaining * (begins - ends)), direction
+            if mode[i] != 0.0:
+                mean = ends + 0.5 * remaining * (begins - ends)
+                passed = -math.expm1(-level * p.attraction_rate / abs(mean) * remaining * period)
+                forces[i] += (weight * mean - forces[i]) * passed  # (8)
+            sliding[k] += forces[i]
+    return sliding
 
 
 @kernel
-def follow(
-    position: float,
-    force: float,
-    level: float,
-    period: float,
-    p: gms.Parameters,
-    longest: float,
-    half: int,
-    elements: Array,
-    track: Array,
-    ring: Array,
-) -> None:
+def follow(position: float, force: float, longest: float, track: Array, ring: Array) -> None:
     """Take in one cycle.
 
     Args:
         position: [m]; where it or the force is not finite, all starts anew.
         force: driving force [N].
-        level: friction level in use, over the rig file's.
-        period: of the cycles [s].
-        p: the rig file's friction.
         longest: motion back after which a reversal counts [m].
-        half: readings on either side of which a velocity is formed.
-        elements: forces [N] and modes at both levels, shape (4, elements); updated.
         track: by the indices above; updated.
         ring: signals of the last cycles, shape (RING, SIGNALS); updated.
     """
     if not math.isfinite(position + force):
         track[SEEN] = track[DIRECTION] = 0.0
-        elements[:, :] = 0.0
         return
     now = int(track[SEEN])
     ring[now % RING, POSITION], ring[now % RING, FORCE] = position, force
     track[SEEN] += 1.0
     if now == 0:
         track[FURTHEST], track[FURTHEST_AT], track[REVERSED_AT] = position, 0.0, -1.0
-    if now > 2 * half:
-        ahead = behind = 0.0
-        for i in range(half):
-            ahead += ring[(now - i) % RING, POSITION]
-            behind += ring[(now - 2 * half + i) % RING, POSITION]
-        velocity = (ahead - behind) / (half * (half + 1) * period)
-        late = (now - half) % RING
-        moved = ring[late, POSITION] - ring[(now - half - 1) % RING, POSITION]
-        ring[late, FRICTION] = _slide(moved, velocity, level, period, p, elements[0], elements[1])
-        ring[late, HIGHER] = _slide(moved, velocity, HIGHER_BY * level, period, p, elements[2], elements[3])
     if track[DIRECTION] == 0.0:
         if abs(position - track[FURTHEST]) > longest:
             track[DIRECTION] = 1.0 if position > track[FURTHEST] else -1.0
@@ -208,43 +209,48 @@ class Reversals:
         self._surroundings = surroundings
         self._forgetting = forgetting
         self._travel = travel(model.friction)
+        self._level = 1.0
+        self._half = half_of(model.noise.position, model.period, model.friction)
         self._taken = -1.0
+        self._tried = 0
         self._seen = 0
         self._weight = 0.0
         self._sums = np.zeros((4, len(DEGREES), SOUGHT))
 
-    def look(self, track: Array, ring: Array, level: float) -> None:
-        """Take in the last reversal once its window is complete; ``level`` is that in use."""
+    def look(self, track: Array, ring: Array) -> None:
+        """Try a level on the last reversal, once its window is complete; when none is better, take the reversal in."""
         reversed_at, turned_at, now = int(track[REVERSED_AT]), int(track[TURNED_AT]), int(track[SEEN])
         if reversed_at <= self._taken or turned_at - reversed_at >= RING // 4:
             return
         back = ring[np.arange(reversed_at, turned_at + 1) % RING, POSITION]
-        gone = int(np.argmax(np.abs(back - back[0]) >= level * self._travel)) or turned_at - reversed_at
+        gone = int(np.argmax(np.abs(back - back[0]) >= self._level * self._travel)) or turned_at - reversed_at
         half = max(int(AROUND * gone), SHORTEST)
         # Wider windows are smoothed more: what is looked for in them is slower.
         width = max(half // (2 * WIDTH), 1) * 2 + 1
         margin, centre = half + width, reversed_at + gone
         if now < centre + margin + MOST_HALF + 1:
             return
-        self._taken = reversed_at
-        if centre - margin < 2 * MOST_HALF or now - centre + margin >= RING:
+        begin = max(centre - margin - BEFORE, MOST_HALF)
+        if centre - margin < 2 * MOST_HALF or now - begin >= RING:
+            self._taken = reversed_at
             return
-        rows = np.arange(centre - margin, centre + margin + 1) % RING
-        self._add(*self._fit(ring[rows], level, width), 2.0 * half * self._model.period)
+        rows = ring[np.arange(begin, centre + margin + 1) % RING]
+        values, variance, weights = self._fit(rows, centre - margin - begin, width)
+        level = float(np.average(values[:, LEVEL], weights=weights[:, 0]))
+        self._tried += 1
+        change, self._level = abs(level - self._level), min(max(level, LEAST_LEVEL), MOST_LEVEL)
+        if change < SETTLED or self._tried == STEPS:
+            self._taken, self._tried = reversed_at, 0
+            self._add(values, variance, weights, 2.0 * half * self._model.period)
 
     def interrupt(self) -> None:
         """Let the count of cycles start again."""
         self._taken = -1.0
+        self._tried = 0
 
-    def forget(self, now: float) -> None:
-        """Start again, at another level in use from cycle ``now`` on."""
-        self._taken = now
-        self._weight = 0.0
-        self._sums[:] = 0.0
-
-    def latest(self) -> Found | None:
-        """Return what the reversals since the level in use changed tell together; None before the first."""
-        if self._weight == 0.0:
+    def found(self) -> Found | None:
+        """Return what the reversals tell together; None while they are too few."""
+        if self._seen < REVERSALS:
             return None
         weights = self._sums[0]
         means, squares, own = self._sums[1:] / weights
@@ -252,17 +258,9 @@ class Reversals:
         value = (share * means).sum(axis=0)
         scatter = (share * np.maximum(squares - means**2, 0.0)).sum(axis=0) / max(self._weight - 1.0, 1.0)
         disagreement = (share * (means - value) ** 2).sum(axis=0)
-        floors = np.array(FLOORS)
-        if self._surroundings.stiffness > 0.0:
-            floors[LEVEL] = COUPLED_FLOOR
-        # A window tells little of the other two, and always the same way: its own variance does not average out.
+        # What a window does not tell, it does not tell the next time either: its own variance does not average out.
         lasting = (share * own).sum(axis=0)
-        lasting[LEVEL] = 0.0
-        return Found(value, np.sqrt(scatter + disagreement + floors**2 + lasting))
-
-    def found(self) -> Found | None:
-        """Return what the reversals tell together; None while they are too few."""
-        return self.latest() if self._seen >= REVERSALS else None
+        return Found(value, np.sqrt(scatter + disagreement + lasting))
 
     def _add(self, values: Array, variance: Array, weights: Array, duration: float) -> None:
         # A reversal is forgotten by the time that reversals take, so that rare ones count as long.
@@ -271,20 +269,22 @@ class Reversals:
         self._weight = fading * self._weight + 1.0
         self._sums = fading * self._sums + weights * np.stack((np.ones_like(values), values, values**2, variance))
 
-    def _fit(self, window: Array, level: float, width: int) -> tuple[Array, Array, Array]:
+    def _fit(self, rows: Array, before: int, width: int) -> tuple[Array, Array, Array]:
         """Return what is sought over the rig file's for each degree, the variance of it, and the degrees' weights.
 
-        The shapes are (DEGREES, SOUGHT), the same, and (DEGREES, 1).
+        The shapes are (DEGREES, SOUGHT), the same, and (DEGREES, 1). The window begins ``before`` cycles after the first row.
         """
         plant, friction, around = self._model.plant, self._model.friction, self._surroundings
-        period = self._model.period
+        period, level = self._model.period, self._level
+        position, velocity = (savgol_filter(rows[:, POSITION], 2 * self._half + 1, 2, deriv=d, delta=period) for d in (0, 1))
+        sliding = [_slide(position, velocity, tried, period, friction) for tried in (level, HIGHER_BY * level)]
+        window = np.column_stack((rows, *sliding))[before:]
         smooth = _twice_averaged(window, width)
         bent = window[2 * width :, POSITION] - 2.0 * window[width:-width, POSITION] + window[: -2 * width, POSITION]
         acceleration = bent / (width * period) ** 2
         velocity = (smooth[2:, POSITION] - smooth[:-2, POSITION]) / (2.0 * period)
-        smooth = smooth[1:-1]
-        thin = slice(None, None, max(len(smooth) // POINTS, 1))
-        position, force, sliding, higher = smooth[thin].T
+        thin = slice(None, None, max(len(acceleration) // POINTS, 1))
+        position, force, slid, higher = smooth[1:-1][thin].T
         velocity, acceleration = velocity[thin], acceleration[thin]
         viscous, inertia = friction.viscous_coefficient * velocity, plant.moving_mass * acceleration
         missing = (
@@ -293,21 +293,39 @@ class Reversals:
             - (plant.viscous_damping + around.damping) * velocity
             - plant.moving_mass * plant.gravity
             - inertia
-            - sliding
+            - slid
             - viscous
         )
-        slope = (higher - sliding) / ((HIGHER_BY - 1.0) * level)
+        slope = (higher - slid) / ((HIGHER_BY - 1.0) * level)
         smoothly = legvander(np.linspace(-1.0, 1.0, len(missing)), DEGREES[-1])
         regressors = np.column_stack((slope, viscous, inertia, smoothly))
-        fits = [_solved(regressors[:, : SOUGHT + degree + 1], missing) for degree in DEGREES]
+        coupled, long = around.stiffness > 0.0, len(window) >= 2 * LONG
+        corners = _corners(len(window), width)[thin] if coupled and long else None
+        fits = [_solved(regressors[:, : SOUGHT + degree + 1], missing, corners) for degree in DEGREES]
         # What explains the window better counts more.
         weights = np.array([1.0 / max(left, LEAST_LEFT) ** 2 for *_, left in fits])
         values, variance = np.array([fit[0] for fit in fits]), np.array([fit[1] for fit in fits])
-        return values + np.array([level, 1.0, 1.0]), variance, (weights / weights.sum())[:, np.newaxis]
+        floors = np.array(FLOORS)
+        if coupled:
+            floors[LEVEL] = COUPLED_LONG_FLOOR if long else COUPLED_FLOOR
+        # How far the degrees and the reversals differ says more of the level than one fit does.
+        variance[:, LEVEL] = 0.0
+        return values + np.array([level, 1.0, 1.0]), variance + floors**2, (weights / weights.sum())[:, np.newaxis]
 
 
-def _solved(regressors: Array, missing: Array) -> tuple[Array, Array, float]:
-    """Return the errors of what is sought, their variance, both of shape (SOUGHT,), and what is left [N]."""
+def _solved(regressors: Array, missing: Array, corners: Array | None) -> tuple[Array, Array, float]:
+    """Return the errors of what is sought, their variance, both of shape (SOUGHT,), and what is left [N].
+
+    Args:
+        regressors: what is sought, then the polynomial, shape (points, n).
+        missing: force that they explain [N], shape (points,).
+        corners: functions of which that counts that explains most of what the others leave, shape (points, m); None: none.
+    """
+    if corners is not None:
+        span = np.linalg.qr(regressors)[0]
+        beside = corners - span @ (span.T @ corners)
+        explained = (missing @ beside) ** 2 / np.sum(beside**2, axis=0)
+        regressors = np.column_stack((regressors, corners[:, np.argmax(explained)]))
     free = np.linalg.lstsq(regressors, missing, rcond=None)[0]
     left = float(np.sqrt(np.mean((missing - regressors @ free) ** 2)))
     # What is left is as structured as the friction: all points together count as one.
@@ -316,6 +334,12 @@ def _solved(regressors: Array, missing: Array) -> tuple[Array, Array, float]:
     known[0, VISCOUS] = known[1, MASS] = together / KNOWN
     inverse = np.linalg.pinv(np.vstack((regressors, known)))[:SOUGHT]
     return inverse[:, :-2] @ missing, together**2 * np.sum(inverse**2, axis=1), left
+
+
+def _corners(rows: int, width: int) -> Array:
+    """Return ramps that begin within a window of some rows, as the filter leaves them."""
+    at = rows * np.linspace(0.1, 0.9, CORNERS)
+    return _twice_averaged(np.maximum(np.arange(rows)[:, np.newaxis] - at, 0.0) / rows, width)[1:-1]
 
 
 def _twice_averaged(window: Array, width: int) -> Array:

@@ -26,7 +26,7 @@ COEFFICIENTS = {
     "valve_bandwidth": Named("valve bandwidth"),
     "command_delay": Named("command delay", "s"),
     "discharge_coefficient": Named("discharge coefficient"),
-    "bulk_modulus": Named("bulk modulus over volume"),
+    "bulk_modulus": Named("bulk modulus over volume", rough=3.0),
     "piston_area": Named("piston area"),
     "friction_level": Named("friction level", rough=3.0),
     "viscous_coefficient": Named("viscous friction", rough=2.0),

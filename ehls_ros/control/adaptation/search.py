@@ -16,9 +16,6 @@ TURNS = 20
 REVERSALS_TELL = ("friction_level", "viscous_coefficient", "moving_mass")
 """Names of what is sought in reversals, in the order of :mod:`ehls_ros.control.adaptation.friction`."""
 
-LEVEL_OFF = 0.02
-"""Relative error of the friction level in use from which on it is replaced."""
-
 BANDWIDTH_OFF, BANDWIDTH_CERTAIN = 0.03, 0.01
 """Relative error of the bandwidth in use from which on it is replaced, and how certain it must be."""
 
@@ -71,7 +68,7 @@ class Search:
             case 13:
                 self._judge(self._friction())
             case _ if self._reversals is not None:
-                self._reversals.look(self._memory.track, self._memory.ring, self._basis.level)
+                self._reversals.look(self._memory.track, self._memory.ring)
             case _:
                 pass
         duration = cycles * self._original.period
@@ -115,17 +112,10 @@ class Search:
         return found
 
     def _friction(self) -> dict[str, Estimated | None]:
-        """Return what the reversals tell, and bring the level in use up to it."""
+        """Return what the reversals tell."""
         found: dict[str, Estimated | None] = dict.fromkeys(REVERSALS_TELL)
         if self._reversals is None:
             return found
-        first, used = self._reversals.latest(), self._basis.level
-        if first is not None:
-            level, std = float(first.values[friction.LEVEL]), float(first.std[friction.LEVEL])
-            if level > 0.0 and abs(level / used - 1.0) > max(LEVEL_OFF, std):
-                # The slope over the level holds near it only.
-                self._basis = evidence.relevelled(self._basis, level, self._memory)
-                self._reversals.forget(self._memory.track[friction.SEEN])
         sliding = self._reversals.found()
         if sliding is not None:
             for name, value, std in zip(REVERSALS_TELL, sliding.values, sliding.std, strict=True):
