@@ -49,17 +49,17 @@ FADE = 0.1
 SETTLE = 0.25
 """Time for which the force follows a change before it is judged [s]; at least to the end of the fade."""
 
-DOUBT, LEAST_DOUBT = 0.5, 0.1
+DOUBT, LEAST_DOUBT = 0.5, 0.25
 """Relative uncertainty of a response of which nothing is known, and of one that has been seen often."""
 
 REMEMBERED = 0.7
 """Part of the evidence on the response that outlives a change."""
 
 SMALLEST, LARGEST = 0.4, 2.5
-"""Bounds of the response by which an error is divided."""
+"""Bounds of the response by which an error is divided; below, 1 is a better guess until it is certain."""
 
-LEAST_RESPONSE = 0.2
-"""Response below which a number is taken back."""
+LEAST_RESPONSE, CERTAIN = 0.2, 3
+"""Response below which a number is taken back, and after how many changes on end."""
 
 REST = 50
 """Changes after which a number that was taken back is tried again."""
@@ -92,7 +92,7 @@ class PeakValley:
         numbers: mean [N], amplitude [N] and delay [s] that are added.
     """
 
-    STORED = ("numbers", "_estimate", "_variance", "_wander", "_response", "_doubt", "_cross", "_power", "_rest")
+    STORED = ("numbers", "_estimate", "_variance", "_wander", "_response", "_doubt", "_cross", "_power", "_useless", "_rest")
 
     def __init__(self, wanted: Array, period: float, gain: float, reach: float) -> None:
         """Start with no correction.
@@ -116,7 +116,7 @@ class PeakValley:
         self._turning[-1] *= self._size % 2
         self._mean = float(np.mean(wanted))
         self._shape = np.fft.rfft(wanted - self._mean)
-        slope = np.fft.irfft(self._turning * self._shape, self._size)
+        slope = self._delayed(0.0, 1)
         self._half = 0.5 * float(np.ptp(wanted))
         self._slope, self._steepest = float(np.mean(slope**2)), float(np.max(np.abs(slope)))
         self._swings = self._half > 0.0 and self._slope > 0.0
@@ -137,7 +137,7 @@ class PeakValley:
         self._response, self._doubt = np.ones(3), np.full(3, DOUBT)
         self._cross, self._power = np.zeros(3), np.zeros(3)
         self._before, self._change = np.zeros(3), np.zeros(3)
-        self._rest = np.zeros(3)
+        self._useless, self._rest = np.zeros(3), np.zeros(3)
         self._wait = 0
         self._anew = True
 
@@ -168,14 +168,12 @@ class PeakValley:
 
     def _identify(self) -> None:
         """Learn the response from what the last change did; what was expected of it beforehand counts as much as its doubt says."""
-        change = self._change
-        if not np.any(change):
-            return
+        change, changed = self._change, self._change != 0.0
         noise = 2.0 * (self._noise + self._wander)
         prior = noise / DOUBT**2
-        self._cross = REMEMBERED * self._cross + change * (self._seen - self._before)
-        self._power = REMEMBERED * self._power + change**2
-        response = (prior + self._cross) / (prior + self._power)
+        self._cross[changed] = (REMEMBERED * self._cross + change * (self._seen - self._before))[changed]
+        self._power[changed] = (REMEMBERED * self._power + change**2)[changed]
+        response = np.where(changed, (prior + self._cross) / (prior + self._power), self._response)
         self._estimate = self._estimate + (response - self._response) * change
         self._response = response
         left = np.sqrt(noise / (prior + self._power)) / np.maximum(np.abs(response), SMALLEST)
@@ -187,7 +185,8 @@ class PeakValley:
             return bool(np.any(self.numbers))
         self._take_back()
         share = self._gain or 1.0 / (1.0 + self._doubt**2)
-        change = -share * self._estimate / np.clip(self._response, SMALLEST, LARGEST)
+        response = np.where(self._response < SMALLEST, 1.0, np.minimum(self._response, LARGEST))
+        change = -share * self._estimate / response
         numbers = np.where(self._rest > 0.0, 0.0, np.clip(self.numbers + change, -self._bounds, self._bounds))
         self._before, self._change = self._estimate, numbers - self.numbers
         effect = self._response * self._change
@@ -201,7 +200,8 @@ class PeakValley:
         """Let a number rest that its error does not follow, and try one again that has rested."""
         tried = self._rest == 1.0
         self._rest = np.maximum(self._rest - 1.0, 0.0)
-        useless = (self._rest == 0.0) & ~tried & (self._response < LEAST_RESPONSE)
+        self._useless = np.where((self._response < LEAST_RESPONSE) & (self._rest == 0.0), self._useless + 1.0, 0.0)
+        useless = self._useless >= CERTAIN
         self._rest[useless] = REST
         begun = tried | useless
         self._response[begun], self._doubt[begun] = 1.0, DOUBT
@@ -223,7 +223,7 @@ class PeakValley:
         if not self._swings:
             return np.array([np.mean(error), 0.0, 0.0]), np.maximum([_noise_of(error, self._size), 0.0, 0.0], self._least)
         lag = self._lag(error)
-        delayed = self._mean + np.fft.irfft(np.exp(-self._turning * lag) * self._shape, self._size)
+        delayed = self._mean + self._delayed(lag, 0)
         remaining = self._wanted + error - delayed
         samples = max(round(SMOOTHED * min(np.sum(self._near(delayed, TOP)), np.sum(self._near(-delayed, TOP)))), 1)
         force = delayed + uniform_filter1d(remaining, samples, mode="wrap")
@@ -245,7 +245,19 @@ class PeakValley:
         left, middle, right = correlation[near[at : at + 3]]
         bend = left - 2.0 * middle + right
         part = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
-        return step * (float(near[at + 1]) + min(max(part, -0.5), 0.5))
+        lag = step * (float(near[at + 1]) + min(max(part, -0.5), 0.5))
+        # That holds some of the fade; mean, size and lag of what comes after it do not.
+        after = math.ceil(FADE * self._size)
+        delayed, slope = self._delayed(lag, 0)[after:], self._delayed(lag, 1)[after:]
+        columns = np.column_stack([np.ones(len(delayed)), delayed, -slope])
+        (_, scale, missed), *_ = np.linalg.lstsq(columns, (self._wanted + error)[after:], rcond=None)
+        return lag + missed / scale if scale > LEAST_RESPONSE and abs(missed) < scale * step * farthest else lag
+
+    def _delayed(self, lag: float, derivative: int) -> Array:
+        """Return the reference about its mean, or a derivative of it, delayed by a lag [s], shape (size,)."""
+        spectrum = self._turning**derivative * np.exp(-self._turning * lag) * self._shape
+        delayed: Array = np.fft.irfft(spectrum, self._size)
+        return delayed
 
     def _near(self, values: Array, part: float) -> NDArray[np.bool_]:
         """Tell which values are within a part of the reference's range of the largest."""
