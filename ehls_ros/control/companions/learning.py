@@ -44,9 +44,7 @@ class Parameters(NamedTuple):
 
     method: Annotated[
         Literal["waveform", "harmonics", "peak_valley"],
-        text(
-            "waveform: sample by sample; harmonics: a few numbers for each harmonic; peak_valley: mean, amplitude and time shift"
-        ),
+        text("waveform: sample by sample; harmonics: some numbers for each harmonic; peak_valley: mean, amplitude, time shift"),
     ] = "waveform"
     period: Annotated[
         float,

@@ -8,10 +8,10 @@ their sum, half their difference and tau are the three errors. Each is held agai
     w + c,  c(t) = (1 + amplitude / A) (w(t - delay) - m) + m + mean - w(t)
 
 with m the mean of w and A half its range. An error x changes by G du with its number u, each by itself, and G is near 1: for a
-linear loop and a sine the three do not touch each other, and G = 1 of the delay. G is the secant of what changes of the numbers
-did, x is estimated by a Kalman filter over the load cycles, and du = -x / (G (1 + W^2)) with W the doubt of G; that converges
-for every response of the loop between 0 and 2 (1 + W^2) times the G in use. A number never leaves its bound. One that the
-error does not follow, or follows the wrong way, is taken back.
+linear loop and a sine the three do not touch each other, and G = 1 of the delay. G lies half way between 1 and the secant of
+what changes of the numbers did. x is estimated by a Kalman filter over the load cycles, and du = -x / (G (1 + W^2)) with
+W = :data:`DOUBT`; that converges for every response of the loop between 0 and 2 (1 + W^2) times the G in use. A number never
+leaves its bound. One that the error does not follow, or follows the wrong way, is taken back.
 
 Source: the same filter as :mod:`ehls_ros.control.learning.base`; the secant with forgetting is recursive least squares of one
 coefficient, Åström, Wittenmark, Adaptive Control, 2nd edition, 1995, section 2.2.
@@ -43,28 +43,31 @@ TOP, SMOOTHED = 0.01, 0.25
 QUARTER = 0.25
 """Largest lag that is looked for, in periods of the reference."""
 
+SINGULAR = 1e-9
+"""Smallest singular value, over the largest, of equations that are solved."""
+
 FADE = 0.1
 """Part of a load cycle in which a change comes into force, and of which extremes are not judged where they have others."""
 
 SETTLE = 0.25
 """Time for which the force follows a change before it is judged [s]; at least to the end of the fade."""
 
-DOUBT, LEAST_DOUBT = 0.5, 0.25
-"""Relative uncertainty of a response of which nothing is known, and of one that has been seen often."""
+DOUBT = 0.5
+"""Relative uncertainty of the response."""
 
 REMEMBERED = 0.7
 """Part of the evidence on the response that outlives a change."""
 
-SMALLEST, LARGEST = 0.4, 2.5
-"""Bounds of the response by which an error is divided; below, 1 is a better guess until it is certain."""
+BELIEVED, LARGEST = 0.5, 2.5
+"""Weight of the secant beside 1, as a loop may follow a change slowly at first, and its upper bound there."""
 
 LEAST_RESPONSE, CERTAIN = 0.2, 3
-"""Response below which a number is taken back, and after how many changes on end."""
+"""Secant below which a number is taken back, and after how many changes on end."""
 
 REST = 50
 """Changes after which a number that was taken back is tried again."""
 
-LEAST_WEIGHT = 0.2
+LEAST_WEIGHT = 0.3
 """Weight of a load cycle, at least: a loop may follow a change slowly, and a specimen drifts."""
 
 PACE = 0.3
@@ -92,7 +95,7 @@ class PeakValley:
         numbers: mean [N], amplitude [N] and delay [s] that are added.
     """
 
-    STORED = ("numbers", "_estimate", "_variance", "_wander", "_response", "_doubt", "_cross", "_power", "_useless", "_rest")
+    STORED = ("numbers", "_estimate", "_variance", "_wander", "_secant", "_cross", "_power", "_useless", "_rest")
 
     def __init__(self, wanted: Array, period: float, gain: float, reach: float) -> None:
         """Start with no correction.
@@ -133,8 +136,8 @@ class PeakValley:
         self.numbers = np.zeros(3)
         self._seen = np.zeros(3)
         self._estimate, self._variance = np.zeros(3), np.full(3, np.inf)
-        self._noise, self._wander = np.zeros(3), np.zeros(3)
-        self._response, self._doubt = np.ones(3), np.full(3, DOUBT)
+        self._noise, self._wander, self._missed = np.zeros(3), np.zeros(3), np.zeros(3)
+        self._secant = np.ones(3)
         self._cross, self._power = np.zeros(3), np.zeros(3)
         self._before, self._change = np.zeros(3), np.zeros(3)
         self._useless, self._rest = np.zeros(3), np.zeros(3)
@@ -160,38 +163,43 @@ class PeakValley:
         else:
             self._identify()
             missed = self._seen - self._estimate
-            self._wander = self._wander + PACE * (np.maximum(missed**2 - self._variance, 0.0) - self._wander)
+            # What differs from one load cycle to the next changes sign more often than what the estimate lags behind.
+            opposed = math.pi * np.maximum(-missed * self._missed, 0.0)
+            self._wander, self._missed = self._wander + PACE * (opposed - self._wander), missed
             weight = np.maximum(self._variance / (self._variance + self._noise + self._wander), LEAST_WEIGHT)
             self._estimate = self._estimate + weight * missed
             self._variance = self._variance * (1.0 - weight)
         self._change = np.zeros(3)
 
     def _identify(self) -> None:
-        """Learn the response from what the last change did; what was expected of it beforehand counts as much as its doubt says."""
+        """Learn the response from what the last change did; what is expected beforehand counts as its doubt over the noise."""
         change, changed = self._change, self._change != 0.0
         noise = 2.0 * (self._noise + self._wander)
         prior = noise / DOUBT**2
         self._cross[changed] = (REMEMBERED * self._cross + change * (self._seen - self._before))[changed]
         self._power[changed] = (REMEMBERED * self._power + change**2)[changed]
-        response = np.where(changed, (prior + self._cross) / (prior + self._power), self._response)
-        self._estimate = self._estimate + (response - self._response) * change
-        self._response = response
-        left = np.sqrt(noise / (prior + self._power)) / np.maximum(np.abs(response), SMALLEST)
-        self._doubt = np.clip(left, LEAST_DOUBT, DOUBT)
+        before = self._response
+        self._secant = np.where(changed, (prior + self._cross) / (prior + self._power), self._secant)
+        self._estimate = self._estimate + (self._response - before) * change
+
+    @property
+    def _response(self) -> Array:
+        """What an error changes by, over the change of its number, as far as it is believed, shape (3,)."""
+        believed: Array = 1.0 + BELIEVED * (np.clip(self._secant, 0.0, LARGEST) - 1.0)
+        return believed
 
     def correct(self) -> bool:
         """Change the numbers by what is known of the errors; return whether there is any correction."""
         if self._anew or self._wait > 0:
             return bool(np.any(self.numbers))
         self._take_back()
-        share = self._gain or 1.0 / (1.0 + self._doubt**2)
-        response = np.where(self._response < SMALLEST, 1.0, np.minimum(self._response, LARGEST))
-        change = -share * self._estimate / response
+        share = self._gain or 1.0 / (1.0 + DOUBT**2)
+        change = -share * self._estimate / self._response
         numbers = np.where(self._rest > 0.0, 0.0, np.clip(self.numbers + change, -self._bounds, self._bounds))
         self._before, self._change = self._estimate, numbers - self.numbers
         effect = self._response * self._change
         self._estimate = self._estimate + effect
-        self._variance = self._variance + (self._doubt * effect) ** 2
+        self._variance = self._variance + (DOUBT * effect) ** 2
         self.numbers, self._wait = numbers, self._settling
         self._tabulate()
         return bool(np.any(numbers))
@@ -200,11 +208,11 @@ class PeakValley:
         """Let a number rest that its error does not follow, and try one again that has rested."""
         tried = self._rest == 1.0
         self._rest = np.maximum(self._rest - 1.0, 0.0)
-        self._useless = np.where((self._response < LEAST_RESPONSE) & (self._rest == 0.0), self._useless + 1.0, 0.0)
+        self._useless = np.where((self._secant < LEAST_RESPONSE) & (self._rest == 0.0), self._useless + 1.0, 0.0)
         useless = self._useless >= CERTAIN
         self._rest[useless] = REST
         begun = tried | useless
-        self._response[begun], self._doubt[begun] = 1.0, DOUBT
+        self._secant[begun] = 1.0
         self._cross[begun] = self._power[begun] = 0.0
         self._variance[begun] = UNKNOWN * self._noise[begun]
 
@@ -249,9 +257,11 @@ class PeakValley:
         # That holds some of the fade; mean, size and lag of what comes after it do not.
         after = math.ceil(FADE * self._size)
         delayed, slope = self._delayed(lag, 0)[after:], self._delayed(lag, 1)[after:]
-        columns = np.column_stack([np.ones(len(delayed)), delayed, -slope])
-        (_, scale, missed), *_ = np.linalg.lstsq(columns, (self._wanted + error)[after:], rcond=None)
-        return lag + missed / scale if scale > LEAST_RESPONSE and abs(missed) < scale * step * farthest else lag
+        columns = np.column_stack([np.full(len(delayed), self._half), delayed, -slope / self._turn])
+        (_, scale, missed), *_ = np.linalg.lstsq(
+            columns.T @ columns, columns.T @ (self._wanted + error)[after:], rcond=SINGULAR
+        )
+        return lag + missed / (scale * self._turn) if scale > LEAST_RESPONSE and abs(missed) < scale else lag
 
     def _delayed(self, lag: float, derivative: int) -> Array:
         """Return the reference about its mean, or a derivative of it, delayed by a lag [s], shape (size,)."""
