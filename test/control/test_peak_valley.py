@@ -14,6 +14,7 @@ from ehls_ros.control.companions import learning
 from ehls_ros.control.companions.base import PLACE, Past, Setting, Upcoming
 from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, model_of
 from ehls_ros.control.learning.bumpless import Bumpless
+from ehls_ros.control.learning.peak_valley import PeakValley
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import ClosedLoop, sampled
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
@@ -122,14 +123,14 @@ def test_what_is_added_has_no_step_and_its_derivatives_are_its_own(rig):
     assert np.abs(np.diff(value)).max() < 1.2 * np.abs(rate).max() * PERIOD
 
 
-@pytest.mark.parametrize("gain", [-0.6, 0.0])
-def test_a_force_that_does_not_follow_never_gets_more_than_the_reach(rig, gain):
+@pytest.mark.parametrize(("gain", "useless"), [(-0.6, "mean"), (0.0, "amplitude")])
+def test_a_force_that_does_not_follow_never_gets_more_than_the_reach(rig, gain, useless):
     lag = Lag(rig, gain=gain, reach=0.3, freeze=1e3)
     lag.run(30)
     assert np.abs(lag.correction[:, 0]).max() <= 1e3 * (0.3 + 2.0 * math.sin(0.15) * 1.3 + 0.3)
     report = lag.companion.report()
-    assert "does not follow the mean" in str(report["limits"])
-    assert report["mean_added_n"] == 0.0
+    assert f"does not follow the {useless}" in str(report["limits"])
+    assert report[f"{useless}_added_n"] == 0.0
     assert abs(float(report["amplitude_added_n"])) <= 300.0
 
 
@@ -138,6 +139,22 @@ def test_what_cannot_be_reached_stops_at_the_reach(rig):
     peak, valley, _ = errors(lag.run(15))
     assert (peak, valley) == pytest.approx((-413.0, 413.0), abs=10.0)
     assert "amplitude at its reach" in str(lag.companion.report()["limits"])
+
+
+def test_a_short_load_cycle_is_judged_once_the_force_has_followed():
+    """A force whose amplitude goes half as far as the numbers ask, with 10 Hz."""
+    wanted = 1e3 * np.sin(2.0 * math.pi * np.arange(100) / 100)
+    way = PeakValley(wanted, 0.1, 0.0, 0.5)
+    errors = []
+    for _ in range(25):
+        error = (0.5 * way.numbers[1] / 1e3 - 0.2) * wanted
+        errors.append(float(np.max(wanted + error)) - 1e3)
+        way.observe(error)
+        way.correct()
+    # Each change is followed by two load cycles in which the force may still move.
+    assert errors[1] == errors[2] == errors[3] == pytest.approx(-120.0, abs=1.0)
+    assert errors[4] != errors[3]
+    assert abs(errors[-1]) < 5.0
 
 
 def test_an_error_that_alternates_is_not_made_larger(rig):

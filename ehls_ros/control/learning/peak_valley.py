@@ -141,7 +141,7 @@ class PeakValley:
         self._cross, self._power = np.zeros(3), np.zeros(3)
         self._before, self._change = np.zeros(3), np.zeros(3)
         self._useless, self._rest = np.zeros(3), np.zeros(3)
-        self._wait = 0
+        self._wait, self._fresh = 0, False
         self._anew = True
 
     def observe(self, error: Array, *, settled: bool = True) -> None:
@@ -155,7 +155,8 @@ class PeakValley:
             return
         self.cycles += 1
         self._seen, self._noise = self._measured(error)
-        if self._wait > 0:
+        self._fresh = self._wait == 0
+        if not self._fresh:
             self._wait -= 1
             return
         if self._anew or not np.all(np.isfinite(self._variance)):
@@ -190,7 +191,7 @@ class PeakValley:
 
     def correct(self) -> bool:
         """Change the numbers by what is known of the errors; return whether there is any correction."""
-        if self._anew or self._wait > 0:
+        if not self._fresh:
             return bool(np.any(self.numbers))
         self._take_back()
         share = self._gain or 1.0 / (1.0 + DOUBT**2)
@@ -281,7 +282,7 @@ class PeakValley:
 
     def begin_again(self) -> None:
         """Let the next load cycle alone say what the errors are: something else has changed them."""
-        self._anew, self._wait = True, 0
+        self._anew, self._wait, self._fresh = True, 0, False
 
     def without(self) -> Array:
         """Return the errors that are expected without any correction, as :meth:`kept` does."""
