@@ -16,8 +16,10 @@ from ehls_ros.control.companions.base import Past, Setting, Upcoming
 from ehls_ros.control.controllers.base import DELTA, FORESEEN, Model
 from ehls_ros.control.learning import repetition, storage
 from ehls_ros.control.learning.base import Learner
+from ehls_ros.control.learning.bumpless import Bumpless
 from ehls_ros.control.learning.harmonics import Harmonics
 from ehls_ros.control.learning.lesson import LOOK, Coupling, Errors, Learners, Lesson, errors_of, recent_errors
+from ehls_ros.control.learning.peak_valley import FADE, PeakValley
 from ehls_ros.control.learning.repetition import LoadCycle, Places, Recorder, Turn
 from ehls_ros.control.learning.robustness import Design, design, estimator_loop, force_loop
 from ehls_ros.control.learning.waveform import Waveform
@@ -41,7 +43,8 @@ class Parameters(NamedTuple):
     """What repeats, how it is learnt, and what stops it."""
 
     method: Annotated[
-        Literal["waveform", "harmonics"], text("waveform: sample by sample; harmonics: a few numbers for each harmonic")
+        Literal["waveform", "harmonics", "peak_valley"],
+        text("waveform: sample by sample; harmonics: some numbers for each harmonic; peak_valley: mean, amplitude, time shift"),
     ] = "waveform"
     period: Annotated[
         float,
@@ -56,6 +59,15 @@ class Parameters(NamedTuple):
             "1", "part of the error corrected in a load cycle; 0: designed from the uncertainty", minimum=0.0, maximum=2.0
         ),
     ] = 0.0
+    reach: Annotated[
+        float,
+        quantity(
+            "1",
+            "largest change of the reference's mean and amplitude, over its amplitude, and of its phase in rad, by peak_valley",
+            above=0.0,
+            maximum=1.0,
+        ),
+    ] = 0.5
     uncertainty: Annotated[
         float, quantity("1", "relative error of the valve's gain and bandwidth and of the delay", minimum=0.01, maximum=1.0)
     ] = 0.2
@@ -79,7 +91,8 @@ class Learning:
         """Take the parameters and what is known of the controller."""
         model = setting.model
         self._p, self._period = p, model.period
-        self._foresees = bool(getattr(setting.law, "PREVIEW", False))
+        self._foresees = bool(getattr(setting.law, "PREVIEW", False)) and p.method != "peak_valley"
+        self._bumpless = Bumpless(model.period) if p.method == "peak_valley" else None
         self._loop = force_loop(setting.law, setting.tuning, model, p.uncertainty)
         self._about = {
             "controller": str(getattr(setting.law, "__name__", "")).rpartition(".")[2],
@@ -99,7 +112,7 @@ class Learning:
         self._why = "no load cycle is complete"
         if p.period > 0.0:
             # An impossible gain is refused before anything runs.
-            self._learners(_whole_cycles(p.period, model.period), p.period)
+            self._learners(np.zeros(_whole_cycles(p.period, model.period)), p.period)
         for block, stored in storage.read(Path(p.file), self._about).items() if p.file else ():
             self._restore(block, stored)
 
@@ -117,6 +130,18 @@ class Learning:
 
     def ahead(self, upcoming: Upcoming) -> None:
         """Add what has been learnt to the rows, while the reference is the one it was learnt on."""
+        if self._bumpless is None:
+            self._add_to(upcoming)
+            return
+        bare = upcoming.rows[:, :FORESEEN].copy()
+        self._add_to(upcoming)
+        turn = self._turn
+        lesson = None if turn is None else self._lessons.get(turn.block)
+        source = None if turn is None or lesson is None else (turn.block, lesson.cycles)
+        length = 0 if lesson is None else math.ceil(FADE * lesson.period)
+        self._bumpless.smooth(upcoming.first, upcoming.rows, bare, source, length)
+
+    def _add_to(self, upcoming: Upcoming) -> None:
         turn = self._places.turn(upcoming.first, upcoming.place[0])
         if turn != self._turn:
             self._begin(turn)
@@ -178,6 +203,8 @@ class Learning:
     def interrupt(self) -> None:
         """Let this load cycle and the next whole one not count, nor be changed: the law comes to rest by itself first."""
         self._interrupted = self._turn is not None
+        if self._bumpless is not None:
+            self._bumpless.reset()
         self._recorder.spoil()
         self._settling, self._usual = True, None
 
@@ -188,16 +215,13 @@ class Learning:
         if lesson is None:
             why = "nothing repeats: neither a period nor a place in a programme" if self._turn is None else self._why
             return {"repetitions": 0.0, "state": why, **file}
-        filters = lesson.learners.reference.design
         return {
             "repetitions": float(lesson.cycles),
             "state": "correcting" if lesson.applied else self._why,
             "error_before_n": lesson.first_error,
             "error_now_n": lesson.last_error,
             "convergence": lesson.last_error / lesson.first_error if lesson.first_error > 0.0 else math.nan,
-            "designed_rate": filters.rate,
-            "worst_rate": filters.worst,
-            "bandwidth_hz": filters.bandwidth,
+            **lesson.learners.reference.report(),
             **file,
         }
 
@@ -269,7 +293,7 @@ class Learning:
         """Start to learn a block's load cycle. The one that shows the reference holds a transition, and does not count."""
         self._refuse_file(turn.block)
         size, before = len(cycle.columns), self._lessons.get(turn.block)
-        learners = self._learners(size, cycle.period * self._period)
+        learners = self._learners(cycle.columns[:, repetition.WANTED], cycle.period * self._period)
         lesson = Lesson(cycle, learners, self._period)
         if before is not None and before.foresees and before.size == size and before.period == cycle.period:
             # The actuator under test moves on as it did, whatever the reference is.
@@ -283,7 +307,10 @@ class Learning:
         if block in self._unproven:
             self._foreign = True
 
-    def _learners(self, size: int, period: float) -> Learners:
+    def _learners(self, wanted: Array, period: float) -> Learners:
+        size = len(wanted)
+        if self._p.method == "peak_valley":
+            return Learners(PeakValley(wanted, period, self._p.gain, self._p.reach), None, None)
         reference = self._learner(design(self._loop, size, period, self._p.gain), size, period)
         if not self._foresees:
             return Learners(reference, None, None)
@@ -300,7 +327,7 @@ class Learning:
         wanted, period = stored["wanted"], float(stored["period"])
         columns = np.zeros((len(wanted), repetition.COLUMNS))
         columns[:, repetition.WANTED] = wanted
-        lesson = Lesson(LoadCycle(period, columns), self._learners(len(wanted), period * self._period), self._period)
+        lesson = Lesson(LoadCycle(period, columns), self._learners(wanted, period * self._period), self._period)
         if not lesson.restore(stored):
             raise BadInput(f"block {block} was learnt with other parameters", self._p.file, "another file")
         self._lessons[block] = lesson

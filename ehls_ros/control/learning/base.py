@@ -17,7 +17,7 @@ Bristow, Tharayil, Alleyne, A survey of iterative learning control, IEEE Control
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,42 @@ LEAST_DOUBT = 0.1
 
 Coordinates = NDArray[Any]
 """A signal over a load cycle: its samples, or complex amplitudes of its harmonics."""
+
+
+class Corrector(Protocol):
+    """What a lesson asks of whatever corrects the reference; :class:`Learner` says what each does.
+
+    Attributes:
+        cycles: load cycles that count.
+        table: correction and its two derivatives at the samples, the first again at the end, shape (size + 1, 3).
+    """
+
+    cycles: int
+    table: Array
+
+    def observe(self, error: Array, *, settled: bool = True) -> None:
+        """Take in the error of one load cycle, shape (size,) [N], under the present correction."""
+
+    def correct(self) -> bool:
+        """Change the correction; return whether there is any."""
+
+    def begin_again(self) -> None:
+        """Let the next load cycle alone say what the error is."""
+
+    def without(self) -> Array:
+        """Return the error that is expected without any correction, as :meth:`kept` does."""
+
+    def kept(self, error: Array) -> Array:
+        """Return that part of an error that is looked at [N]."""
+
+    def report(self) -> Mapping[str, float | str]:
+        """Return figures for diagnostics."""
+
+    def stored(self) -> dict[str, NDArray[Any]]:
+        """Return what has been learnt, by name."""
+
+    def restore(self, stored: Mapping[str, NDArray[Any]]) -> bool:
+        """Take up what :meth:`stored` gave; return whether it fits."""
 
 
 class Learner(ABC):
@@ -231,6 +267,11 @@ class Learner(ABC):
         """Return that part of an error that is looked at, shape (size,) [N]."""
         part: Array = np.fft.irfft(self.design.robustness * np.fft.rfft(error), self.size)
         return part
+
+    def report(self) -> Mapping[str, float | str]:
+        """Return how fast errors fall by the design, at worst, and up to which frequency."""
+        filters = self.design
+        return {"designed_rate": filters.rate, "worst_rate": filters.worst, "bandwidth_hz": filters.bandwidth}
 
     def stored(self) -> dict[str, NDArray[Any]]:
         """Return what has been learnt, by name."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.controllers.base import FORESEEN, ROW
-from ehls_ros.control.learning.base import Learner
+from ehls_ros.control.learning.base import Corrector, Learner
 from ehls_ros.control.learning.repetition import ERROR, EXTERNAL, POSITION, WANTED, LoadCycle
 from ehls_ros.control.learning.repetition import FORESEEN as FORESEEN_FORCE
 from ehls_ros.control.learning.robustness import Design
@@ -60,7 +60,7 @@ class Learners(NamedTuple):
         later: filters of that learner once a force is foreseen.
     """
 
-    reference: Learner
+    reference: Corrector
     force: Learner | None
     later: Design | None
 
@@ -196,7 +196,7 @@ class Lesson:
     def _was_foreseen(self) -> bool:
         return bool(np.isfinite(self.table[0, FORESEEN]))
 
-    def _pairs(self, errors: Errors) -> Iterator[tuple[Learner, Array]]:
+    def _pairs(self, errors: Errors) -> Iterator[tuple[Corrector, Array]]:
         yield self.learners.reference, errors.force
         if self.learners.force is not None:
             yield self.learners.force, errors.foresight
@@ -234,7 +234,7 @@ class Lesson:
         reference, force, _ = self.learners
         self.table[:, :FORESEEN] = reference.table
         self.table[:, FORESEEN:] = np.nan if force is None or not np.any(force.spectrum) else force.table
-        self.active = bool(np.any(reference.spectrum)) or self._was_foreseen
+        self.active = bool(np.any(reference.table)) or self._was_foreseen
 
     def stored(self) -> dict[str, NDArray[Any]]:
         """Return what is to be kept, by name."""

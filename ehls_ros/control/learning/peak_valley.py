@@ -1,0 +1,338 @@
+"""Brings peaks, valleys and phase to those wanted by three numbers of the reference: its mean, its amplitude and a time shift.
+
+Peak-valley and amplitude-phase control, as test machines have it. Nothing of the rig's model is used, and no waveform is
+learnt. The force lags its reference w by the tau at which their correlation is largest. What it has beside w(t - tau) is
+smoothed over a short part of the load cycle, and the errors of peak and valley are told where w(t - tau) is near its own. Half
+their sum, half their difference and tau are the three errors. Each is held against one number of
+
+    w + c,  c(t) = (1 + amplitude / A) (w(t - delay) - m) + m + mean - w(t)
+
+with m the mean of w and A half its range. An error x changes by G du with its number u, each by itself, and G is near 1: for a
+linear loop and a sine the three do not touch each other, and G = 1 of the delay. G lies half way between 1 and the secant of
+what changes of the numbers did. x is estimated by a Kalman filter over the load cycles, and du = -x / (G (1 + W^2)) with
+W = :data:`DOUBT`; that converges for every response of the loop between 0 and 2 (1 + W^2) times the G in use. A number never
+leaves its bound. One that the error does not follow, or follows the wrong way, is taken back.
+
+Source: the same filter as :mod:`ehls_ros.control.learning.base`; the secant with forgetting is recursive least squares of one
+coefficient, Åström, Wittenmark, Adaptive Control, 2nd edition, 1995, section 2.2.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.learning.robustness import MARGIN
+from ehls_ros.errors import BadInput
+
+MEAN, AMPLITUDE, DELAY = range(3)
+"""Where a vector of numbers or of their errors holds each: [N], [N], [s]."""
+
+NAMES = ("mean", "amplitude", "phase")
+
+NEAR = 0.1
+"""Part of the reference's range, from its peak or valley, within which the force's may lie."""
+
+TOP, SMOOTHED = 0.01, 0.25
+"""Part of the range within which a reference is at its peak, and part of that time over which the force is smoothed."""
+
+QUARTER = 0.25
+"""Largest lag that is looked for, in periods of the reference."""
+
+SINGULAR = 1e-9
+"""Smallest singular value, over the largest, of equations that are solved."""
+
+FADE = 0.1
+"""Part of a load cycle in which a change comes into force, and of which extremes are not judged where they have others."""
+
+SETTLE = 0.25
+"""Time for which the force follows a change before it is judged [s]; at least to the end of the fade."""
+
+DOUBT = 0.5
+"""Relative uncertainty of the response."""
+
+REMEMBERED = 0.7
+"""Part of the evidence on the response that outlives a change."""
+
+BELIEVED, LARGEST = 0.5, 2.5
+"""Weight of the secant beside 1, as a loop may follow a change slowly at first, and its upper bound there."""
+
+LEAST_RESPONSE, CERTAIN = 0.2, 3
+"""Secant below which a number is taken back, and after how many changes on end."""
+
+REST = 50
+"""Changes after which a number that was taken back is tried again."""
+
+LEAST_WEIGHT = 0.3
+"""Weight of a load cycle, at least: a loop may follow a change slowly, and a specimen drifts."""
+
+PACE = 0.3
+"""Part of the variance from one load cycle to the next that one of them makes out."""
+
+BLOCKS = 6
+"""Parts of a load cycle, at least, by which its noise is told."""
+
+MEDIAN_OF_SQUARES = 0.4549
+"""Median of the square of a normal variable of variance 1."""
+
+UNKNOWN = 1e6
+"""Variance of an error of which nothing is known, over that of the noise."""
+
+LEAST_NOISE = 1e-12
+"""Lower bound of the noise's variance, over that of the bound: what is simulated without noise repeats exactly."""
+
+
+class PeakValley:
+    """A correction by mean, amplitude and delay.
+
+    Attributes:
+        cycles: load cycles that count.
+        table: correction and its two derivatives at the samples, the first again at the end, shape (size + 1, 3).
+        numbers: mean [N], amplitude [N] and delay [s] that are added.
+    """
+
+    STORED = ("numbers", "_estimate", "_variance", "_wander", "_secant", "_cross", "_power", "_useless", "_rest")
+
+    def __init__(self, wanted: Array, period: float, gain: float, reach: float) -> None:
+        """Start with no correction.
+
+        Args:
+            wanted: reference over the load cycle, shape (size,) [N].
+            period: length of the load cycle [s].
+            gain: part of an error corrected by one change; 0: by the doubt of the response.
+            reach: largest change of mean and amplitude, over half the range, and of the phase [rad].
+
+        Raises:
+            BadInput: with this gain the errors need not fall.
+        """
+        if gain > 0.0 and abs(1.0 - gain) + gain * DOUBT > 1.0 - MARGIN:
+            expected = f"gain 0, or {MARGIN / (1.0 - DOUBT):.2g} to {(2.0 - MARGIN) / (1.0 + DOUBT):.2g}"
+            raise BadInput(f"gain {gain:g}: the errors of peak and valley need not fall", "companion learning", expected)
+        self._wanted, self._size, self._period = wanted, len(wanted), period
+        self._gain = gain
+        self._turning = 2j * math.pi / period * np.arange(self._size // 2 + 1)
+        # The highest harmonic of an even number of samples has no phase.
+        self._turning[-1] *= self._size % 2
+        self._mean = float(np.mean(wanted))
+        self._shape = np.fft.rfft(wanted - self._mean)
+        slope = self._delayed(0.0, 1)
+        self._half = 0.5 * float(np.ptp(wanted))
+        self._slope, self._steepest = float(np.mean(slope**2)), float(np.max(np.abs(slope)))
+        self._swings = self._half > 0.0 and self._slope > 0.0
+        self._turn = math.sqrt(self._slope / float(np.var(wanted))) if self._swings else 0.0
+        """Of the reference [rad/s]: that of a sine."""
+        largest = float(np.max(np.abs(wanted)))
+        self._bounds = reach * (
+            np.array([self._half, self._half, 1.0 / self._turn]) if self._swings else np.array([largest, 0.0, 0.0])
+        )
+        self._least = LEAST_NOISE * np.maximum(self._bounds, LEAST_NOISE) ** 2
+        self._settling = max(math.ceil(SETTLE / period) - 1, 0)
+        self.cycles = 0
+        self.table = np.zeros((self._size + 1, 3))
+        self.numbers = np.zeros(3)
+        self._seen = np.zeros(3)
+        self._estimate, self._variance = np.zeros(3), np.full(3, np.inf)
+        self._noise, self._wander, self._missed = np.zeros(3), np.zeros(3), np.zeros(3)
+        self._secant = np.ones(3)
+        self._cross, self._power = np.zeros(3), np.zeros(3)
+        self._before, self._change = np.zeros(3), np.zeros(3)
+        self._useless, self._rest = np.zeros(3), np.zeros(3)
+        self._wait, self._fresh = 0, False
+        self._anew = True
+
+    def observe(self, error: Array, *, settled: bool = True) -> None:
+        """Take in the error of one load cycle, under the present correction.
+
+        Args:
+            error: shape (size,) [N].
+            settled: whether it repeats; one with a transition tells nothing.
+        """
+        if not settled:
+            return
+        self.cycles += 1
+        self._seen, self._noise = self._measured(error)
+        self._fresh = self._wait == 0
+        if not self._fresh:
+            self._wait -= 1
+            return
+        if self._anew or not np.all(np.isfinite(self._variance)):
+            self._estimate, self._variance, self._anew = self._seen, self._noise.copy(), False
+        else:
+            self._identify()
+            missed = self._seen - self._estimate
+            # What differs from one load cycle to the next changes sign more often than what the estimate lags behind.
+            opposed = math.pi * np.maximum(-missed * self._missed, 0.0)
+            self._wander, self._missed = self._wander + PACE * (opposed - self._wander), missed
+            weight = np.maximum(self._variance / (self._variance + self._noise + self._wander), LEAST_WEIGHT)
+            self._estimate = self._estimate + weight * missed
+            self._variance = self._variance * (1.0 - weight)
+        self._change = np.zeros(3)
+
+    def _identify(self) -> None:
+        """Learn the response from what the last change did; what is expected beforehand counts as its doubt over the noise."""
+        change, changed = self._change, self._change != 0.0
+        noise = 2.0 * (self._noise + self._wander)
+        prior = noise / DOUBT**2
+        self._cross[changed] = (REMEMBERED * self._cross + change * (self._seen - self._before))[changed]
+        self._power[changed] = (REMEMBERED * self._power + change**2)[changed]
+        before = self._response
+        self._secant = np.where(changed, (prior + self._cross) / (prior + self._power), self._secant)
+        self._estimate = self._estimate + (self._response - before) * change
+
+    @property
+    def _response(self) -> Array:
+        """What an error changes by, over the change of its number, as far as it is believed, shape (3,)."""
+        believed: Array = 1.0 + BELIEVED * (np.clip(self._secant, 0.0, LARGEST) - 1.0)
+        return believed
+
+    def correct(self) -> bool:
+        """Change the numbers by what is known of the errors; return whether there is any correction."""
+        if not self._fresh:
+            return bool(np.any(self.numbers))
+        self._take_back()
+        share = self._gain or 1.0 / (1.0 + DOUBT**2)
+        change = -share * self._estimate / self._response
+        numbers = np.where(self._rest > 0.0, 0.0, np.clip(self.numbers + change, -self._bounds, self._bounds))
+        self._before, self._change = self._estimate, numbers - self.numbers
+        effect = self._response * self._change
+        self._estimate = self._estimate + effect
+        self._variance = self._variance + (DOUBT * effect) ** 2
+        self.numbers, self._wait = numbers, self._settling
+        self._tabulate()
+        return bool(np.any(numbers))
+
+    def _take_back(self) -> None:
+        """Let a number rest that its error does not follow, and try one again that has rested."""
+        tried = self._rest == 1.0
+        self._rest = np.maximum(self._rest - 1.0, 0.0)
+        self._useless = np.where((self._secant < LEAST_RESPONSE) & (self._rest == 0.0), self._useless + 1.0, 0.0)
+        useless = self._useless >= CERTAIN
+        self._rest[useless] = REST
+        begun = tried | useless
+        self._secant[begun] = 1.0
+        self._cross[begun] = self._power[begun] = 0.0
+        self._variance[begun] = UNKNOWN * self._noise[begun]
+
+    def _tabulate(self) -> None:
+        """Fill the table."""
+        mean, amplitude, delay = self.numbers
+        scale = 1.0 + amplitude / self._half if self._swings else 1.0
+        spectrum = (scale * np.exp(-self._turning * delay) - 1.0) * self._shape
+        spectrum[0] = mean * self._size
+        for column in range(3):
+            self.table[:-1, column] = np.fft.irfft(self._turning**column * spectrum, self._size)
+        self.table[-1] = self.table[0]
+
+    def _measured(self, error: Array) -> tuple[Array, Array]:
+        """Return the three errors of a load cycle, and the variance that its noise gives them."""
+        if not self._swings:
+            return np.array([np.mean(error), 0.0, 0.0]), np.maximum([_noise_of(error, self._size), 0.0, 0.0], self._least)
+        lag = self._lag(error)
+        delayed = self._mean + self._delayed(lag, 0)
+        remaining = self._wanted + error - delayed
+        samples = max(round(SMOOTHED * min(np.sum(self._near(delayed, TOP)), np.sum(self._near(-delayed, TOP)))), 1)
+        force = delayed + uniform_filter1d(remaining, samples, mode="wrap")
+        top, bottom = self._judged(self._near(delayed, NEAR)), self._judged(self._near(-delayed, NEAR))
+        peak = float(np.max(force[top]) - np.max(delayed[top]))
+        valley = float(np.min(force[bottom]) - np.min(delayed[bottom]))
+        noise = _noise_of(remaining, samples)
+        variances = [0.5 * noise, 0.5 * noise, noise * samples / (self._size * self._slope)]
+        return np.array([0.5 * (peak + valley), 0.5 * (peak - valley), lag]), np.maximum(variances, self._least)
+
+    def _lag(self, error: Array) -> float:
+        """Return the time by which the force lags its reference [s]."""
+        force = np.fft.rfft(self._wanted + error)
+        correlation = np.fft.irfft(force * np.conj(self._shape), self._size)
+        step = self._period / self._size
+        farthest = min(max(math.ceil(QUARTER * 2.0 * math.pi / (self._turn * step)), 1), (self._size - 1) // 2 - 1)
+        near = np.arange(-farthest - 1, farthest + 2)
+        at = int(np.argmax(correlation[near[1:-1]]))
+        left, middle, right = correlation[near[at : at + 3]]
+        bend = left - 2.0 * middle + right
+        part = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
+        lag = step * (float(near[at + 1]) + min(max(part, -0.5), 0.5))
+        # That holds some of the fade; mean, size and lag of what comes after it do not.
+        after = math.ceil(FADE * self._size)
+        delayed, slope = self._delayed(lag, 0)[after:], self._delayed(lag, 1)[after:]
+        columns = np.column_stack([np.full(len(delayed), self._half), delayed, -slope / self._turn])
+        (_, scale, missed), *_ = np.linalg.lstsq(
+            columns.T @ columns, columns.T @ (self._wanted + error)[after:], rcond=SINGULAR
+        )
+        return lag + missed / (scale * self._turn) if scale > LEAST_RESPONSE and abs(missed) < scale else lag
+
+    def _delayed(self, lag: float, derivative: int) -> Array:
+        """Return the reference about its mean, or a derivative of it, delayed by a lag [s], shape (size,)."""
+        spectrum = self._turning**derivative * np.exp(-self._turning * lag) * self._shape
+        delayed: Array = np.fft.irfft(spectrum, self._size)
+        return delayed
+
+    def _near(self, values: Array, part: float) -> NDArray[np.bool_]:
+        """Tell which values are within a part of the reference's range of the largest."""
+        near: NDArray[np.bool_] = values >= np.max(values) - 2.0 * part * self._half
+        return near
+
+    def _judged(self, extreme: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return those samples at an extreme that are later than the fade, if they are half of all."""
+        later = extreme & (np.arange(self._size) >= FADE * self._size)
+        return later if 2 * np.sum(later) >= np.sum(extreme) else extreme
+
+    def begin_again(self) -> None:
+        """Let the next load cycle alone say what the errors are: something else has changed them."""
+        self._anew, self._wait, self._fresh = True, 0, False
+
+    def without(self) -> Array:
+        """Return the errors that are expected without any correction, as :meth:`kept` does."""
+        return self._as_forces(self._estimate - self._response * self.numbers)
+
+    def kept(self, error: Array) -> Array:
+        """Return the errors of peak and valley, and what the lag makes where the reference is steepest, shape (3,) [N]."""
+        return self._as_forces(self._measured(error)[0])
+
+    def _as_forces(self, errors: Array) -> Array:
+        mean, amplitude, lag = errors
+        return np.array([mean + amplitude, mean - amplitude, lag * self._steepest])
+
+    def report(self) -> Mapping[str, float | str]:
+        """Return the errors last seen, the three numbers, and which of them are at their bound or taken back."""
+        mean, amplitude, lag = self._seen
+        at_bound = (np.abs(self.numbers) >= self._bounds) & (self._bounds > 0.0)
+        limits = [f"{name} at its reach" for name, stopped in zip(NAMES, at_bound, strict=True) if stopped]
+        limits += [f"the force does not follow the {name}" for name, rest in zip(NAMES, self._rest, strict=True) if rest > 0.0]
+        return {
+            "peak_error_n": float(mean + amplitude),
+            "valley_error_n": float(mean - amplitude),
+            "phase_error_deg": -math.degrees(float(lag) * self._turn),
+            "mean_added_n": float(self.numbers[MEAN]),
+            "amplitude_added_n": float(self.numbers[AMPLITUDE]),
+            "lead_s": -float(self.numbers[DELAY]),
+            **({"limits": "; ".join(limits)} if limits else {}),
+        }
+
+    def stored(self) -> dict[str, NDArray[Any]]:
+        """Return what has been learnt, by name."""
+        return {"cycles": np.array(self.cycles), **{name.strip("_"): getattr(self, name) for name in self.STORED}}
+
+    def restore(self, stored: Mapping[str, NDArray[Any]]) -> bool:
+        """Take up what :meth:`stored` gave; return whether it fits."""
+        values = {name: stored.get(name.strip("_")) for name in self.STORED}
+        if any(value is None or value.shape != (3,) for value in values.values()):
+            return False
+        for name, value in values.items():
+            setattr(self, name, value)
+        self.numbers = np.clip(self.numbers, -self._bounds, self._bounds)
+        self.cycles, self._anew = int(stored["cycles"]), False
+        self._tabulate()
+        return True
+
+
+def _noise_of(values: Array, samples: int) -> float:
+    """Return the variance of a mean of so many samples on end, from how such means differ from those beside them."""
+    width = max(min(samples, len(values) // BLOCKS), 1)
+    count = len(values) // width
+    means = values[: count * width].reshape(count, width).mean(axis=1)
+    variance = float(np.median(np.diff(means, 2) ** 2)) / (6.0 * MEDIAN_OF_SQUARES)
+    return variance * width / samples
