@@ -136,7 +136,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     if not observe(m, r[FORESEEN:], model, taken, state):
         status[base.SATURATED] = 1.0
         return 0.0
-    restless = taken.external_noise / (taken.external_noise + p.calm_noise)
+    restless = 1.0 / (1.0 + (p.calm_noise / taken.external_noise) ** 2)
     surface = Surface(p.k, p.calm_g + restless * (p.g - p.calm_g), p.xi, p.reaching_rate)
     command = answer(m, r, supply_of(m, model), surface, model, taken, state, status)
     # From numbers out of range the filter cannot recover: it starts again from the next measurement.
