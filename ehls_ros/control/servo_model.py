@@ -5,8 +5,9 @@ taken to hold the force it is wanted to. Both move by the equations of :mod:`ehl
 included. As in the node graph, they exchange their motion once a cycle: the servo feels a force held over the cycle, the
 loader a far end that goes on at its velocity.
 
-The model runs ahead to when a command sent now has acted for a cycle. What it hands to the law is the parabola through the
-force now, then, and half way.
+The model runs ahead to when a command sent now has acted for a cycle. What it hands to the law is the parabola that has the
+force's mean over the present cycle, over the one that begins then, and over the one half way: between two samples the loader
+is moved by the force's impulse, not by its value at the sample.
 """
 
 import math
@@ -61,7 +62,7 @@ class Pair(NamedTuple):
         loader: the loading piston; the bulk modulus of its model is 0, so that its pressure changes as wanted only.
         position_gain: of the servo's loop [1/s].
         started: 1 once both have a position, shape (1,).
-        ahead: external force of the loader now and in the cycles to come [N], shape (cycles ahead + 1,).
+        ahead: mean external force of the loader over the present cycle and those to come [N], shape (cycles ahead + 1,).
     """
 
     servo: Piston
@@ -106,12 +107,13 @@ def build(law: Any) -> Motion:
     servo_command = law.servo_command
 
     @kernel
-    def force_after(ahead: float, row: Array, command: Array, both: Pair) -> float:
+    def mean_after(ahead: float, row: Array, command: Array, both: Pair) -> float:
         servo, loader, period = both.servo, both.loader, both.servo.model.period
         plant, beam = servo.model.plant, loader.surroundings
         x, v = servo.y[X], servo.y[V]
         force = -(beam.coupling_stiffness * x + beam.coupling_damping * v)
-        loader.y[EXTERNAL], loader.y[EXTERNAL_RATE] = force, -beam.coupling_stiffness * v
+        rate = -beam.coupling_stiffness * v
+        loader.y[EXTERNAL], loader.y[EXTERNAL_RATE] = force, rate
         servo.y[EXTERNAL] = beam.coupling_stiffness * (x - loader.y[X]) + beam.coupling_damping * (v - loader.y[V])
         area = loader.model.plant.piston_area
         loader.y[PL] = (row[0] + ahead * (row[1] + 0.5 * ahead * row[2])) / area
@@ -122,7 +124,7 @@ def build(law: Any) -> Motion:
         limited = saturate(spool, servo.model.spool_limit)
         move(servo.y, servo.mode, limited, plant.supply_pressure, period, servo.model, servo.surroundings, servo.work)
         move(loader.y, loader.mode, 0.0, plant.supply_pressure, period, loader.model, beam, loader.work)
-        return force
+        return force + 0.5 * period * rate
 
     @kernel
     def foresee(rows: Array, commands: Array, both: Pair) -> None:
@@ -146,11 +148,12 @@ def build(law: Any) -> Motion:
             for i in range(last):
                 force[i] = force[i + 1]
             for i in range(first, last + 1):
-                force[i] = force_after(i * period, row, command, both)
+                force[i] = mean_after(i * period, row, command, both)
             to_middle, to_end = (force[middle] - force[0]) / near, (force[last] - force[0]) / far
             curvature = 2.0 * (to_end - to_middle) / (far - near)
-            row[FORESEEN] = force[0]
-            row[FORESEEN + 1] = to_middle - 0.5 * curvature * near
+            rate = to_middle - 0.5 * curvature * (near + period)
+            row[FORESEEN] = force[0] - period * (0.5 * rate + curvature * period / 6.0)
+            row[FORESEEN + 1] = rate
             row[FORESEEN + 2] = curvature
 
     return Motion(foresee)

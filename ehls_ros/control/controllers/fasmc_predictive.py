@@ -127,6 +127,6 @@ def assumptions(state: State, restless: Array, p: Parameters, model: Model) -> A
 def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Array, status: Array) -> float:
     """Return the spool command [m]."""
     taken = assumptions(state_of(memory), memory[state_estimator.MEMORY_SIZE :], p, model)
-    restless = taken.external_noise / (taken.external_noise + p.calm_noise)
+    restless = taken.external_noise**2 / (taken.external_noise**2 + p.calm_noise**2)
     surface = Surface(p.k, p.calm_g + restless * (p.g - p.calm_g), p.xi, p.reaching_rate)
     return answer(m, r, surface, model, taken, memory, status)
