@@ -6,8 +6,8 @@ each harmonic the part of the mean is used that Wiener's filter lets through,
 
     1 - V N / |mean|^2
 
-with the variance N of n, from how much the force differs from one load cycle to the next, and V, what is left of it in the mean.
-N and |mean|^2 are averages over :data:`ALIKE_WITHIN` on either side. So a force that does not repeat is hardly foreseen.
+with the variance N of n, from how much the force differs from one load cycle to the next, and V, what is left of it in the
+mean. N and |mean|^2 are averages over :data:`ALIKE_WITHIN` on either side. So a force that does not repeat is hardly foreseen.
 
 Source: Wiener, Extrapolation, Interpolation, and Smoothing of Stationary Time Series, 1949, chapter 3.
 """
@@ -28,6 +28,9 @@ ALIKE_WITHIN = 2.0
 
 DOUBT = 1.5
 """Noise that the mean is taken to hold, over the noise expected in it."""
+
+RECENT = 2.0
+"""Weight of a load cycle over that of the mean of all: the first ones, not foreseen, moved the actuator otherwise."""
 
 LEAST_NEWS = 0.1
 """Least part of the noise's variance that one load cycle makes out."""
@@ -66,7 +69,7 @@ class Foresight:
         nothing: Spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
         self.spectrum = self._mean = self._latest = nothing
         self._noise = np.full(size // 2 + 1, np.inf)
-        self._share = np.array(np.inf)
+        self._share = np.array(0.0)
         self.table = np.zeros((size + 1, 3))
 
     def observe(self, force: Array, *, settled: bool = True) -> None:
@@ -89,10 +92,9 @@ class Foresight:
             noise = 0.5 * mean_around(np.abs(change) ** 2, self._reach)
             news = max(1.0 / self.cycles, LEAST_NEWS)
             self._noise = noise if np.isinf(self._noise[0]) else self._noise + news * (noise - self._noise)
-        share = self._share / (1.0 - self._forgetting)
-        weight = 1.0 if math.isinf(share) else float(share / (share + 1.0))
+        weight = max(RECENT / (self.cycles + RECENT - 1.0), self._forgetting)
         self._mean = self._mean + weight * (seen - self._mean)
-        self._share = np.array(weight)
+        self._share = np.array(weight**2 + (1.0 - weight) ** 2 * float(self._share))
         self._latest = seen
 
     def correct(self) -> bool:

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numba import njit
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control import state_estimator, unrest
@@ -105,7 +106,7 @@ def history() -> History:
     )
 
 
-@kernel
+@njit(error_model="numpy")
 def _advance(supply: float, model: Model, p: Assumptions, state: State, transition: Array, product: Array) -> None:
     """Advance the filter by a period as :func:`ehls_ros.control.state_estimator.advance` does, and write the transition."""
     transition[:] = 0.0
@@ -124,7 +125,7 @@ def _advance(supply: float, model: Model, p: Assumptions, state: State, transiti
         t += duration
 
 
-@kernel
+@njit(error_model="numpy")
 def _read(reading: float, signal: int, scale: float, offset: float, noise: float, state: State, kept: Array) -> None:
     """Take in one reading as :func:`ehls_ros.control.state_estimator.correct` does, and write gain and innovation."""
     missed = reading - scale * state.mean[signal] - offset * state.mean[CELL_OFFSET]
@@ -150,7 +151,7 @@ def _back(signal: int, scale: float, offset: float, kept: Array, adjoint: Array)
     adjoint[CELL_OFFSET] -= offset * total
 
 
-@kernel
+@njit(error_model="numpy")
 def smooth(history: History, area: float, found: Array) -> None:
     """Write the smoothed force of the block, and drop the block.
 
