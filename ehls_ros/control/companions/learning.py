@@ -58,9 +58,9 @@ class Parameters(NamedTuple):
     uncertainty: Annotated[
         float, quantity("1", "relative error of the valve's gain and bandwidth and of the delay", minimum=0.01, maximum=1.0)
     ] = 0.2
-    force_bandwidth: Annotated[
-        float, quantity("Hz", "to which the external force is foreseen", minimum=0.1, maximum=1e3)
-    ] = 80.0
+    force_bandwidth: Annotated[float, quantity("Hz", "to which the external force is foreseen", minimum=0.1, maximum=1e3)] = (
+        80.0
+    )
     forgetting: Annotated[
         float, quantity("1", "part of what is known that a load cycle makes doubtful", minimum=0.0, maximum=0.5)
     ] = 0.02
