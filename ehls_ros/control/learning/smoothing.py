@@ -74,7 +74,7 @@ class History(NamedTuple):
     """The filter's last steps, one after the other from the end of the last block on.
 
     Attributes:
-        count: steps there are, shape (1,).
+        steps: how many there are, shape (1,).
         transitions: of the model over the cycle before, shape (n, STATES, STATES).
         readings: gain and innovation of each reading, shape (n, READINGS, STATES + 1).
         forces: external force as filtered, shape (n,) [N].
@@ -83,7 +83,7 @@ class History(NamedTuple):
         work: scratch, shape (2, STATES, STATES).
     """
 
-    count: Array
+    steps: Array
     transitions: Array
     readings: Array
     forces: Array
@@ -184,7 +184,7 @@ def smooth(history: History, area: float, found: Array) -> None:
         history.readings[k] = history.readings[BLOCK + k]
         history.forces[k] = history.forces[BLOCK + k]
         history.rows[k] = history.rows[BLOCK + k]
-    history.count[0] = LATER
+    history.steps[0] = LATER
 
 
 class Compiled(NamedTuple):
@@ -217,7 +217,7 @@ def build(law: ForeseeingLaw) -> Compiled:
                 else:
                     continue
             else:
-                n = int(history.count[0])
+                n = int(history.steps[0])
                 _advance(supply_of(m, model), model, taken, state, history.transitions[n], history.work[1])
                 position = state.mean[X]
                 kept = history.readings[n]
@@ -231,7 +231,7 @@ def build(law: ForeseeingLaw) -> Compiled:
             send(command[k], state)
             history.forces[n] = now[k] = state.mean[EXTERNAL]
             history.rows[n] = state.covariance[EXTERNAL]
-            history.count[0] = n + 1.0
+            history.steps[0] = n + 1.0
             if n + 1 == BLOCK + LATER:
                 smooth(history, model.plant.piston_area, found[done : done + BLOCK])
                 done += BLOCK
@@ -304,7 +304,7 @@ class Smoother:
         now = np.full(len(command), np.nan)
         measured, command = np.ascontiguousarray(measured), np.ascontiguousarray(command)
         done = self._take(measured, command, self._tuning, model, self._history, self._found, now)
-        oldest = self._next - int(self._history.count[0])
+        oldest = self._next - int(self._history.steps[0])
         if not math.isfinite(self._history.memory.sum()):
             # As the law's own, it does not recover from numbers out of range.
             self.reset()
