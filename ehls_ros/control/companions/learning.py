@@ -78,7 +78,7 @@ class Learning:
         """Take the parameters and what is known of the controller."""
         model = setting.model
         self._p, self._period = p, model.period
-        foresees = getattr(setting.law, "PREVIEW", False)
+        foresees = getattr(setting.law, "PREVIEW", False) and hasattr(setting.law, "assumptions")
         self._smoother = Smoother(cast(ForeseeingLaw, setting.law), setting.tuning, model) if foresees else None
         self._loop = force_loop(setting.law, setting.tuning, model, p.uncertainty)
         self._about = {
