@@ -10,13 +10,20 @@ import pytest
 
 from ehls_ros.control.companions import learning
 from ehls_ros.control.companions.base import PLACE, Past, Setting, Upcoming
-from ehls_ros.control.controllers import fasmc_output_feedback
-from ehls_ros.control.controllers.base import DELTA, FORESEEN, ROW, STATUS_SIZE, model_of
+from ehls_ros.control.controllers import CONTROLLERS, fasmc_output_feedback
+from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, model_of
+from ehls_ros.control.learning.foresight import Foresight
 from ehls_ros.control.learning.harmonics import Harmonics
 from ehls_ros.control.learning.robustness import MARGIN, Loop, design, remaining
+from ehls_ros.control.learning.smoothing import BLOCK, Smoother
 from ehls_ros.control.learning.waveform import Waveform
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.loop import run_in_process
+from ehls_ros.experiments.spec import Spec, spec_from_mapping
 from ehls_ros.physics import sensors
+from ehls_ros.recording.topics import LOADER_STATE
+
+CONFIG = Path(__file__).parents[2] / "config"
 
 PERIOD, SIZE = 1e-3, 500
 TURN = np.arange(SIZE) / SIZE
@@ -147,7 +154,7 @@ class Plant:
         self.random = np.random.default_rng(3)
         self.added: list[np.ndarray] = []
 
-    def run(self, cycles: int, size: float = 1e3, swing: float = 40.0, pull: float = 500.0, place: Any = None) -> np.ndarray:
+    def run(self, cycles: int, size: float = 1e3, swing: float = 40.0, place: Any = None) -> np.ndarray:
         """Return the true force error of some load cycles."""
         out, end = [], self.cycle + round(cycles * SIZE)
         while self.cycle < end:
@@ -165,7 +172,6 @@ class Plant:
             error = rows[:, 0] - wanted[:, 0] + swing * np.cos(2.0 * angle) ** 3
             measured, status = np.zeros((n, 7)), np.zeros((n, STATUS_SIZE))
             measured[:, sensors.FORCE] = wanted[:, 0] + error + self.noise * self.random.standard_normal(n)
-            status[:, DELTA] = pull * np.sin(angle)
             self.companion.done(Past(self.cycle, rows, wanted, where, measured, np.zeros(n), status), self.model)
             out.append(error)
             self.cycle += n
@@ -189,14 +195,73 @@ def test_beside_a_law_the_error_falls_and_it_is_the_same_in_stretches(rig, metho
     assert report["state"] == "correcting"
 
 
-def test_a_force_that_repeats_is_foreseen_with_its_derivatives(rig):
-    plant = Plant(rig, law=SimpleNamespace(__name__="stub", tracking=at_once, PREVIEW=True))
-    plant.run(4)
-    angle = 2.0 * math.pi * TURN
+PULL, TURN_TIME = 2e3, 0.5
+SWAY = 2.0 * math.pi * 4.0 / TURN_TIME
+
+
+def pulled(*companions: str) -> Spec:
+    """Return an experiment of 3 s with a sinusoidal force, the sensors of a rig, and companions."""
+    data: dict[str, Any] = {
+        "rig": str(CONFIG / "rig_paper_measured.yaml"),
+        "effects": [{"name": "command_delay", "delay": 1e-3}],
+        "known_effects": ["command_delay"],
+        "duration": 6.0 * TURN_TIME,
+        "seed": 7,
+        "reference": {"name": "constant", "value": 5e3},
+        "disturbance": {"name": "force", "signal": {"name": "sine", "amplitude": PULL, "frequency": SWAY / (2.0 * math.pi)}},
+        "controller": {"name": "fasmc_predictive"},
+        "companions": [{"name": name, "period": TURN_TIME} for name in companions],
+    }
+    return spec_from_mapping(data, "pulled", CONFIG)
+
+
+def test_a_force_is_found_later_without_the_lag_and_most_of_the_noise():
+    spec = pulled()
+    run, law = run_in_process(spec), CONTROLLERS.load("fasmc_predictive")
+    measured = np.column_stack([run.signals[name] for name in LOADER_STATE.signals.values()])
+    command, model = run.signals["valve_command_m"], model_of(spec.controller_rig, PERIOD)
+    at_once, by_ones = (Smoother(law, spec.controller.parameters, model) for _ in range(2))
+    all_of_it = at_once.take(0, measured, command, model)
+    singles = [by_ones.take(k, measured[k : k + 1], command[k : k + 1], model) for k in range(len(command))]
+    assert np.array_equal(np.concatenate([forces.smoothed for forces in singles]), all_of_it.smoothed)
+    assert [forces.first for forces in singles if len(forces.smoothed)] == list(range(0, len(all_of_it.smoothed), BLOCK))
+    late = slice(500, len(all_of_it.smoothed))
+    time = PERIOD * np.arange(len(command))[late]
+    truth = PULL * np.sin(SWAY * time)
+    off = np.std(all_of_it.smoothed[late] - truth), np.std(all_of_it.now[late] - truth)
+    assert off[0] < 3.0
+    assert off[0] < 0.25 * off[1]
+    # A force of this rate is 100 N off for every millisecond.
+    rate = PULL * SWAY * np.cos(SWAY * time)
+    slip = (all_of_it.smoothed[late] - truth) @ rate / (rate @ rate)
+    assert abs(slip) < 1e-4
+
+
+def test_a_force_that_repeats_is_foreseen_after_one_load_cycle_beside_it():
+    size = round(TURN_TIME / PERIOD)
+    runs = run_in_process(pulled()), run_in_process(pulled("learning"))
+    error = [np.reshape(run.signals["force_error_n"][: 6 * size], (-1, size)) for run in runs]
+    bare, learnt = (np.sqrt(np.mean(one**2, axis=1)) for one in error)
+    assert np.array_equal(error[0][:2], error[1][:2])
+    assert learnt[2] < 0.3 * bare[2]
+    assert np.all(learnt[4:] < 0.2 * bare[4:])
+
+
+def test_what_is_foreseen_is_the_part_that_repeats_and_has_its_derivatives():
+    random, angle = np.random.default_rng(4), 2.0 * math.pi * TURN
+    force = 500.0 * np.sin(angle) + 40.0 * np.cos(7.0 * angle)
+    known, wandering = (Foresight(SIZE, SIZE * PERIOD, 80.0, 0.02) for _ in range(2))
+    for cycle in range(6):
+        for learner, seen in ((known, force), (wandering, np.zeros(SIZE))):
+            learner.observe(seen + 5.0 * random.standard_normal(SIZE), settled=cycle > 0)
+            learner.correct()
+        if cycle == 1:
+            assert np.max(np.abs(known.table[:-1, 0] - force)) < 10.0
     slow = SIZE * PERIOD / (2.0 * math.pi)
-    foreseen = plant.correction[-SIZE:, FORESEEN:] * [1.0, slow, slow**2]
-    expected = 500.0 * np.column_stack([np.sin(angle), np.cos(angle), -np.sin(angle)])
-    assert np.allclose(foreseen, expected, atol=5.0)
+    rate = 500.0 * np.cos(angle) - 280.0 * np.sin(7.0 * angle)
+    assert np.std(known.table[:-1, 0] - force) < 2.0
+    assert np.std(slow * known.table[:-1, 1] - rate) < 25.0
+    assert np.std(wandering.table[:-1, 0]) < 0.8 * np.std(known.table[:-1, 0] - force)
 
 
 def test_missed_cycles_keep_the_phase_and_do_not_count(rig):

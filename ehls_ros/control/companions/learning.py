@@ -6,31 +6,30 @@ The family of ways to learn is :mod:`ehls_ros.control.learning`. A reference tha
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.companions.base import Past, Setting, Upcoming
-from ehls_ros.control.controllers.base import DELTA, FORESEEN, Model
+from ehls_ros.control.controllers.base import FORESEEN, Model
 from ehls_ros.control.learning import repetition, storage
 from ehls_ros.control.learning.base import Learner
 from ehls_ros.control.learning.bumpless import Bumpless
+from ehls_ros.control.learning.foresight import Foresight
 from ehls_ros.control.learning.harmonics import Harmonics
-from ehls_ros.control.learning.lesson import LOOK, Coupling, Errors, Learners, Lesson, errors_of, recent_errors
+from ehls_ros.control.learning.lesson import LOOK, Errors, Learners, Lesson, errors_of, recent_errors
 from ehls_ros.control.learning.peak_valley import FADE, PeakValley
 from ehls_ros.control.learning.repetition import LoadCycle, Places, Recorder, Turn
-from ehls_ros.control.learning.robustness import Design, design, estimator_loop, force_loop
+from ehls_ros.control.learning.robustness import Design, design, force_loop
+from ehls_ros.control.learning.smoothing import ForeseeingLaw, Smoother
 from ehls_ros.control.learning.waveform import Waveform
 from ehls_ros.errors import BadInput
 from ehls_ros.physics import sensors
 from ehls_ros.schema import quantity, text
 
 ACTUATOR = False
-
-FORESEEN_SHARE = 0.2
-"""Bandwidth to which the law's estimate is believed once most of the force is foreseen, over that before."""
 
 FOREIGN = "was learnt on another programme: it is neither used nor written"
 """What is said of such a file."""
@@ -71,9 +70,9 @@ class Parameters(NamedTuple):
     uncertainty: Annotated[
         float, quantity("1", "relative error of the valve's gain and bandwidth and of the delay", minimum=0.01, maximum=1.0)
     ] = 0.2
-    force_bandwidth: Annotated[
-        float, quantity("Hz", "to which the law's estimate of the external force is believed", minimum=0.1, maximum=1e3)
-    ] = 80.0
+    force_bandwidth: Annotated[float, quantity("Hz", "to which the external force is foreseen", minimum=0.1, maximum=1e3)] = (
+        80.0
+    )
     forgetting: Annotated[
         float, quantity("1", "part of what is known that a load cycle makes doubtful", minimum=0.0, maximum=0.5)
     ] = 0.02
@@ -91,8 +90,9 @@ class Learning:
         """Take the parameters and what is known of the controller."""
         model = setting.model
         self._p, self._period = p, model.period
-        self._foresees = bool(getattr(setting.law, "PREVIEW", False)) and p.method != "peak_valley"
         self._bumpless = Bumpless(model.period) if p.method == "peak_valley" else None
+        foresees = p.method != "peak_valley" and getattr(setting.law, "PREVIEW", False) and hasattr(setting.law, "assumptions")
+        self._smoother = Smoother(cast(ForeseeingLaw, setting.law), setting.tuning, model) if foresees else None
         self._loop = force_loop(setting.law, setting.tuning, model, p.uncertainty)
         self._about = {
             "controller": str(getattr(setting.law, "__name__", "")).rpartition(".")[2],
@@ -109,6 +109,7 @@ class Learning:
         self._usual: Turn | None = None
         self._settling, self._interrupted = True, False
         self._added = 0
+        self._previewed = np.empty(0)
         self._why = "no load cycle is complete"
         if p.period > 0.0:
             # An impossible gain is refused before anything runs.
@@ -117,7 +118,9 @@ class Learning:
             self._restore(block, stored)
 
     def prepare(self) -> None:
-        """Do nothing: nothing is compiled."""
+        """Compile or load the smoother, where a force is foreseen."""
+        if self._smoother is not None:
+            self._smoother.prepare()
 
     def room(self, first: int, place: Array) -> int:
         """Return how many cycles may run before :meth:`done`: to the next look at the error, or the end of the load cycle."""
@@ -145,6 +148,7 @@ class Learning:
         turn = self._places.turn(upcoming.first, upcoming.place[0])
         if turn != self._turn:
             self._begin(turn)
+        self._previewed = upcoming.rows[:, FORESEEN].copy()
         lesson = None if turn is None else self._lessons.get(turn.block)
         if turn is None or lesson is None or self._interrupted or not (lesson.applied or lesson.foresees):
             return
@@ -179,7 +183,7 @@ class Learning:
 
     def done(self, past: Past, model: Model) -> Model:
         """Record what happened; learn from a load cycle once it is complete."""
-        turn = self._turn
+        turn, smoother = self._turn, self._smoother
         if turn is None:
             return model
         recorder, measured = self._recorder, past.measured
@@ -187,17 +191,19 @@ class Learning:
         rows[:, repetition.PHASE] = self._places.phases(past.first, past.place, turn)
         rows[:, repetition.WANTED] = past.wanted[:, 0]
         rows[:, repetition.ERROR] = measured[:, sensors.FORCE] - past.wanted[:, 0]
-        rows[:, repetition.POSITION] = measured[:, sensors.POSITION]
-        if self._foresees:
-            rows[:, repetition.EXTERNAL] = past.status[:, DELTA]
+        rows[:, repetition.EXTERNAL :] = 0.0
+        if smoother is not None:
+            forces = smoother.take(past.first, measured, past.command, model)
+            rows[:, repetition.EXTERNAL] = forces.now
             rows[:, repetition.FORESEEN] = past.rows[:, FORESEEN]
-        else:
-            rows[:, repetition.EXTERNAL :] = 0.0
+            rows[:, repetition.PREVIEWED] = self._previewed
+            rows[:, repetition.SMOOTHED] = math.nan
+            recorder.smoothed(forces.first, forces.smoothed)
         lesson = self._lessons.get(turn.block)
         if lesson is not None and (lesson.applied or lesson.foresees) and (past.first + len(rows)) % LOOK == 0:
-            self._look(turn, lesson, model)
+            self._look(turn, lesson)
         if recorder.full():
-            self._end(turn, model)
+            self._end(turn)
         return model
 
     def interrupt(self) -> None:
@@ -206,6 +212,8 @@ class Learning:
         if self._bumpless is not None:
             self._bumpless.reset()
         self._recorder.spoil()
+        if self._smoother is not None:
+            self._smoother.reset()
         self._settling, self._usual = True, None
 
     def report(self) -> Mapping[str, float | str]:
@@ -233,32 +241,24 @@ class Learning:
 
     def _begin(self, turn: Turn | None) -> None:
         """Begin a load cycle."""
-        self._turn, self._added = turn, 0
-        self._recorder.begin()
+        before, self._turn, self._added = self._turn, turn, 0
+        self._recorder.begin(follows=turn is not None and before == turn._replace(number=turn.number - 1))
         if turn is not None and turn.block in self._lessons:
             self._lessons[turn.block].turn_begins()
 
-    def _look(self, turn: Turn, lesson: Lesson, model: Model) -> None:
+    def _look(self, turn: Turn, lesson: Lesson) -> None:
         """Stop correcting where the error has grown, in a load cycle that follows a usual one without a gap."""
         recent = self._recorder.latest(LOOK)
         if recent is None or self._usual != turn._replace(number=turn.number - 1):
             return
         limits = (math.inf, lesson.limits[1]) if lesson.stale else lesson.limits
-        grown = [
-            rms > limit for rms, limit in zip(recent_errors(recent, self._known(model), self._period), limits, strict=True)
-        ]
+        grown = [rms > limit for rms, limit in zip(recent_errors(recent), limits, strict=True)]
         if any(grown):
             lesson.paused = True
             what = "the force error" if grown[0] else "the external force"
             self._why = f"{what} is no longer what it was in the load cycles before"
 
-    def _known(self, model: Model) -> Coupling:
-        return Coupling(model.coupling_stiffness, model.coupling_damping) if self._foresees else Coupling(0.0, 0.0)
-
-    def _errors(self, cycle: LoadCycle, model: Model) -> Errors:
-        return errors_of(cycle, self._known(model), self._period)
-
-    def _end(self, turn: Turn, model: Model) -> None:
+    def _end(self, turn: Turn) -> None:
         """Learn from the load cycle that ends."""
         cycle, settling = self._recorder.complete(), self._settling
         self._usual = None if cycle is None or settling else turn
@@ -268,12 +268,12 @@ class Learning:
         lesson = self._lessons.get(turn.block)
         if lesson is None or not lesson.is_of(cycle):
             self._anew(turn, cycle)
-            self._lessons[turn.block].begin(self._errors(cycle, model))
+            self._lessons[turn.block].begin(errors_of(cycle))
             return
         self._unproven.discard(turn.block)
         if settling:
             return
-        errors = self._errors(cycle, model)
+        errors = errors_of(cycle)
         if lesson.stale or lesson.paused:
             self._judge(lesson, turn, cycle, errors)
         elif self._added == (len(cycle.columns) if lesson.active else 0):
@@ -310,13 +310,11 @@ class Learning:
     def _learners(self, wanted: Array, period: float) -> Learners:
         size = len(wanted)
         if self._p.method == "peak_valley":
-            return Learners(PeakValley(wanted, period, self._p.gain, self._p.reach), None, None)
+            return Learners(PeakValley(wanted, period, self._p.gain, self._p.reach), None)
         reference = self._learner(design(self._loop, size, period, self._p.gain), size, period)
-        if not self._foresees:
-            return Learners(reference, None, None)
-        believed = design(estimator_loop(self._p.force_bandwidth), size, period)
-        later = design(estimator_loop(max(FORESEEN_SHARE * self._p.force_bandwidth, 2.0 / period)), size, period)
-        return Learners(reference, self._learner(believed, size, period), later)
+        if self._smoother is None:
+            return Learners(reference, None)
+        return Learners(reference, Foresight(size, period, self._p.force_bandwidth, self._p.forgetting))
 
     def _learner(self, filters: Design, size: int, period: float) -> Learner:
         if self._p.method == "harmonics":

@@ -94,7 +94,10 @@ class Model(NamedTuple):
 
 
 class ControllerLaw(Protocol):
-    """The attributes of one controller's file; ``FRICTION_MODEL``, ``PREVIEW``, ``KNOWS`` and ``follow`` may be absent."""
+    """The attributes of one controller's file; ``FRICTION_MODEL``, ``PREVIEW``, ``KNOWS`` and ``follow`` may be absent.
+
+    What is learnt of the force to come is told to a law that has ``PREVIEW`` and ``assumptions``, of its filter.
+    """
 
     Parameters: Any
     FOLLOWS: Literal["force", "position"]

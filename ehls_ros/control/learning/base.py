@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
+from ehls_ros.control.learning.averages import mean_around
 from ehls_ros.control.learning.robustness import Design, Spectrum
 
 DOUBTFUL, CERTAIN = 2.0, 4.0
@@ -67,8 +68,8 @@ class Corrector(Protocol):
     def correct(self) -> bool:
         """Change the correction; return whether there is any."""
 
-    def begin_again(self) -> None:
-        """Let the next load cycle alone say what the error is."""
+    def start_over(self) -> None:
+        """Let the next load cycles say what the error is: the law answers otherwise from now on."""
 
     def without(self) -> Array:
         """Return the error that is expected without any correction, as :meth:`kept` does."""
@@ -121,7 +122,6 @@ class Learner(ABC):
         self._turning = 2j * math.pi / period * np.arange(size // 2 + 1)
         # The highest harmonic of an even number of samples has no phase, and so no derivative.
         self._turning[-1] *= size % 2
-        self._anew = False
         self._estimate_is_of: bool | None = None
         self._noise_is_settled = False
         self.spectrum: Spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
@@ -148,12 +148,6 @@ class Learner(ABC):
     def noise_per_harmonic(self, variance: float, harmonics: int) -> float:
         """Return the mean square of the noise's ``rfft`` at one of so many harmonics, from its variance here."""
 
-    def narrow(self, design: Design) -> None:
-        """Learn with other filters from now on."""
-        self.design = design
-        self._estimate = self.coordinates(design.robustness * self.spectrum_of(self._estimate))
-        self._response, self._doubt, self._change = design.response, design.uncertainty, None
-
     def observe(self, error: Array, *, settled: bool = True) -> None:
         """Take in the error of one load cycle, under the present correction.
 
@@ -166,8 +160,6 @@ class Learner(ABC):
         self.cycles += settled
         if self.cycles == 0 or not np.any(np.isfinite(self._noise)):
             self._first(seen, settled=settled)
-        elif self._anew:
-            self._estimate, self._variance, self._anew = seen, self._noise.copy(), False
         else:
             self._compare(spectrum - self._error)
             self._follow(seen)
@@ -179,7 +171,7 @@ class Learner(ABC):
             self._estimate, self._estimate_is_of = seen, settled
             return
         missed = seen - self._estimate
-        noise = 0.5 * _mean(np.abs(missed) ** 2, self.AROUND)
+        noise = 0.5 * mean_around(np.abs(missed) ** 2, self.AROUND)
         if self._estimate_is_of:
             self._estimate = self._estimate + 0.5 * missed
             self._noise = np.maximum(noise, LEAST_VARIANCE)
@@ -198,7 +190,7 @@ class Learner(ABC):
             self._identify(difference, self._change)
             self._estimate = self._estimate + self.coordinates((self._response - before) * self._change)
             difference = difference - self._response * self._change
-        noise = 0.5 * _mean(np.abs(self.coordinates(difference)) ** 2, self.AROUND)
+        noise = 0.5 * mean_around(np.abs(self.coordinates(difference)) ** 2, self.AROUND)
         pace = PACE if self._noise_is_settled else 1.0
         self._noise = np.maximum(self._noise + pace * (noise - self._noise), LEAST_VARIANCE)
         self._noise_is_settled = True
@@ -219,8 +211,8 @@ class Learner(ABC):
         """
         design = self.design
         learnt = design.robustness > 0.0
-        self._cross = REMEMBERED * self._cross + _mean(difference * np.conj(change), self._pool)
-        self._power = REMEMBERED * self._power + _mean(np.abs(change) ** 2, self._pool)
+        self._cross = REMEMBERED * self._cross + mean_around(difference * np.conj(change), self._pool)
+        self._power = REMEMBERED * self._power + mean_around(np.abs(change) ** 2, self._pool)
         # Of both cycles, per harmonic in the band that is learnt.
         noise = 2.0 * self.noise_per_harmonic(float(np.mean(self._noise)), max(int(np.sum(learnt)), 1))
         prior = noise / np.maximum(np.abs(design.uncertainty * design.response) ** 2, 1e-12)
@@ -232,17 +224,17 @@ class Learner(ABC):
 
     def correct(self) -> bool:
         """Change the correction by what is significant; return whether there is any."""
-        if self._anew or not np.any(np.isfinite(self._noise)):
+        if not np.any(np.isfinite(self._noise)):
             return bool(np.any(self.spectrum))
-        size = np.maximum(_mean(np.abs(self._estimate) ** 2, self.NEAR), LEAST_VARIANCE)
-        certainty = size / np.maximum(_mean(self._variance, self.NEAR), LEAST_VARIANCE)
+        size = np.maximum(mean_around(np.abs(self._estimate) ** 2, self.NEAR), LEAST_VARIANCE)
+        certainty = size / np.maximum(mean_around(self._variance, self.NEAR), LEAST_VARIANCE)
         kept = np.clip((certainty - DOUBTFUL) / (CERTAIN - DOUBTFUL), 0.0, 1.0)
         inverse = self.design.inverse(self._response, self._doubt)
         change = -self.design.robustness * inverse * self.spectrum_of(kept * self._estimate)
         effect = self._response * change
         self._estimate = self._estimate + self.coordinates(effect)
         doubt = np.abs(self.coordinates(self._doubt * effect)) ** 2
-        self._variance = self._variance + _mean(doubt, self.NEAR)
+        self._variance = self._variance + mean_around(doubt, self.NEAR)
         self.spectrum, self._change = self.spectrum + change, change
         self.tabulate()
         return bool(np.any(self.spectrum))
@@ -253,9 +245,10 @@ class Learner(ABC):
             self.table[:-1, column] = np.fft.irfft(self._turning**column * self.spectrum, self.size)
         self.table[-1] = self.table[0]
 
-    def begin_again(self) -> None:
-        """Let the next load cycle alone say what the error is: something else has changed it. The noise remains known."""
-        self._anew = True
+    def start_over(self) -> None:
+        """Let the next load cycles say what the error and the noise are: the law answers otherwise from now on."""
+        self._noise = np.full(self._estimate.shape, np.inf)
+        self._estimate_is_of, self._noise_is_settled = None, False
         self._change = None
 
     def without(self) -> Array:
@@ -287,15 +280,3 @@ class Learner(ABC):
         self.cycles = int(stored["cycles"])
         self.tabulate()
         return True
-
-
-def _mean(values: NDArray[Any], reach: int) -> NDArray[Any]:
-    """Return the mean of each value and as many on either side; what lies beyond an end is taken from the other."""
-    reach = min(reach, (len(values) - 1) // 2)
-    if reach == 0:
-        return values
-    padded = np.concatenate([values[-reach:], values, values[:reach]])
-    total = np.concatenate([[0.0], np.cumsum(padded)])
-    width = 2 * reach + 1
-    mean: NDArray[Any] = (total[width:] - total[:-width]) / width
-    return mean if np.iscomplexobj(mean) else np.maximum(mean, 0.0)

@@ -1,12 +1,12 @@
 """What is learnt of the load cycle of one block of a programme.
 
 Two things repeat. The force error, as measured, is cancelled by a correction of the reference; and for a law that takes a
-foreseen force, the external force that it estimates is handed to it before it comes. The force is learnt first, since it
-changes the error: the reference is corrected from the cycle on that had it.
+foreseen force, the external force is handed to it before it comes. The force is learnt first, since it changes the error: the
+reference is corrected from the cycle on that had it.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.controllers.base import FORESEEN, ROW
-from ehls_ros.control.learning.base import Corrector, Learner
-from ehls_ros.control.learning.repetition import ERROR, EXTERNAL, POSITION, WANTED, LoadCycle
+from ehls_ros.control.learning.base import Corrector
+from ehls_ros.control.learning.foresight import Foresight
+from ehls_ros.control.learning.repetition import ERROR, EXTERNAL, PREVIEWED, SMOOTHED, WANTED, LoadCycle
 from ehls_ros.control.learning.repetition import FORESEEN as FORESEEN_FORCE
-from ehls_ros.control.learning.robustness import Design
 from ehls_ros.control.references._blend import quintic
 
 SAME = 0.02
@@ -39,30 +39,16 @@ ALIKE = 0.3
 """Rms difference, over the rms, between the error without correction and the one expected, at which what was learnt holds."""
 
 
-class Coupling(NamedTuple):
-    """What holds the piston to the actuator under test.
-
-    Attributes:
-        stiffness: [N/m].
-        damping: [N s/m].
-    """
-
-    stiffness: float
-    damping: float
-
-
 class Learners(NamedTuple):
     """The learners of one load cycle.
 
     Attributes:
         reference: corrects the reference.
         force: foresees the external force; None where the law takes none.
-        later: filters of that learner once a force is foreseen.
     """
 
     reference: Corrector
-    force: Learner | None
-    later: Design | None
+    force: Foresight | None
 
 
 class Errors(NamedTuple):
@@ -70,14 +56,14 @@ class Errors(NamedTuple):
 
     Attributes:
         force: measured force less the reference wanted.
-        foresight: foreseen external force less the one estimated.
-        pull: force between the piston and the actuator under test, as the law estimates it.
-        previewed: whether a force was foreseen throughout.
+        foresight: foreseen external force less the one that seemed to act at once.
+        external: external force beyond what others foresaw, NaN where it is not known yet.
+        previewed: whether others foresaw a force throughout.
     """
 
     force: Array
     foresight: Array
-    pull: Array
+    external: Array
     previewed: bool
 
 
@@ -110,6 +96,7 @@ class Lesson:
         self.learners = learners
         self.table = np.zeros((self.size + 1, ROW))
         self.active = self.paused = self.stale = False
+        self._begun = False
         self.limits = np.full(2, np.inf)
         self._largest = np.zeros(2)
         self.first_error = self.last_error = 0.0
@@ -144,15 +131,15 @@ class Lesson:
             errors: of that cycle.
             freeze: error, over the usual one, above which it has grown.
         """
-        reference, force, _ = self.learners
-        reference.observe(errors.force)
+        reference, force = self.learners
+        reference.observe(errors.force, settled=not self._begun)
+        self._begun = False
         if force is not None:
             foreseen = bool(np.any(force.spectrum))
-            self._believe(errors)
-            force.observe(errors.foresight)
+            force.observe(_known(errors, force))
             if force.correct() and not foreseen:
-                self._narrow()
-                reference.begin_again()
+                reference.start_over()
+                self._begun = True
         reference.correct()
         before = self.table.copy()
         if self._pending is not None:
@@ -161,7 +148,8 @@ class Lesson:
         self._blend(before, previewed=errors.previewed)
         largest = np.array([_largest_rms(errors.force), _largest_rms(errors.foresight)])
         if self.active:
-            quiet = np.array([self._quiet, FORCE_SHARE * float(np.ptp(errors.pull))])
+            pull = 0.0 if force is None else float(np.ptp(force.expected()))
+            quiet = np.array([self._quiet, FORCE_SHARE * pull])
             self.limits = np.maximum(freeze * np.maximum(largest, self._largest), quiet)
         self._largest = largest
         self.last_error = float(np.max(np.abs(reference.kept(errors.force))))
@@ -170,36 +158,24 @@ class Lesson:
 
     def begin(self, errors: Errors) -> None:
         """See the errors of a load cycle that holds a transition."""
-        self._believe(errors)
-        for learner, error in self._pairs(errors):
-            learner.observe(error, settled=False)
-
-    def _believe(self, errors: Errors) -> None:
-        """Believe less of the law's estimate where another companion foresees the force, so that the law's filter is slower."""
-        if errors.previewed:
-            self._narrow()
-
-    def _narrow(self) -> None:
-        _, force, later = self.learners
-        if force is not None and later is not None and force.design is not later:
-            force.narrow(later)
+        reference, force = self.learners
+        reference.observe(errors.force, settled=False)
+        if force is not None:
+            force.observe(_known(errors, force), settled=False)
 
     def still_holds(self, errors: Errors) -> bool:
         """Tell whether a load cycle without correction has the errors that are expected.
 
         Where a force is foreseen, that force tells: without it the force error is another one than was learnt.
         """
-        learner, error = list(self._pairs(errors))[-1] if self._was_foreseen else (self.learners.reference, errors.force)
-        return _alike(learner.kept(error), learner.without())
+        reference, force = self.learners
+        if force is not None and self._was_foreseen:
+            return _alike(_known(errors, force), force.expected())
+        return _alike(reference.kept(errors.force), reference.without())
 
     @property
     def _was_foreseen(self) -> bool:
         return bool(np.isfinite(self.table[0, FORESEEN]))
-
-    def _pairs(self, errors: Errors) -> Iterator[tuple[Corrector, Array]]:
-        yield self.learners.reference, errors.force
-        if self.learners.force is not None:
-            yield self.learners.force, errors.foresight
 
     def turn_begins(self) -> None:
         """Let a table that has changed begin with the one before, for this load cycle."""
@@ -231,14 +207,14 @@ class Lesson:
         self._pending = first, later
 
     def _combine(self) -> None:
-        reference, force, _ = self.learners
+        reference, force = self.learners
         self.table[:, :FORESEEN] = reference.table
         self.table[:, FORESEEN:] = np.nan if force is None or not np.any(force.spectrum) else force.table
         self.active = bool(np.any(reference.table)) or self._was_foreseen
 
     def stored(self) -> dict[str, NDArray[Any]]:
         """Return what is to be kept, by name."""
-        reference, force, _ = self.learners
+        reference, force = self.learners
         kept = {"period": np.array(self.period), "wanted": self.wanted[:-1], "limits": self.limits, "largest": self._largest}
         kept["errors"] = np.array([self.first_error, self.last_error])
         kept |= {f"reference.{name}": value for name, value in reference.stored().items()}
@@ -246,7 +222,7 @@ class Lesson:
 
     def restore(self, stored: Mapping[str, NDArray[Any]]) -> bool:
         """Take up what :meth:`stored` gave; return whether it fits."""
-        named = zip(("reference.", "force."), self.learners[:2], strict=True)
+        named = zip(("reference.", "force."), self.learners, strict=True)
         for prefix, learner in named:
             part = {name.removeprefix(prefix): value for name, value in stored.items() if name.startswith(prefix)}
             if learner is not None and not learner.restore(part):
@@ -257,40 +233,33 @@ class Lesson:
         return True
 
 
-def errors_of(cycle: LoadCycle, coupling: Coupling, period: float) -> Errors:
-    """Return the errors of a load cycle.
-
-    The law's external force holds the force in the coupling at the piston's side; that is taken out, by position and velocity.
-
-    Args:
-        cycle: the load cycle.
-        coupling: what is known of it.
-        period: of the control cycles [s].
-    """
+def errors_of(cycle: LoadCycle) -> Errors:
+    """Return the errors of a load cycle."""
     columns = cycle.columns
-    position = columns[:, POSITION]
-    velocity = np.gradient(position, period * cycle.period / len(position))
-    external = columns[:, EXTERNAL] - coupling.stiffness * position - coupling.damping * velocity
-    foreseen = columns[:, FORESEEN_FORCE]
-    absent = np.isnan(foreseen)
-    foresight = np.where(absent, 0.0, foreseen) - external
-    return Errors(columns[:, ERROR], foresight, columns[:, EXTERNAL], not absent.any())
+    foreseen, previewed = columns[:, FORESEEN_FORCE], columns[:, PREVIEWED]
+    external = columns[:, SMOOTHED] - np.nan_to_num(previewed)
+    return Errors(
+        columns[:, ERROR], np.nan_to_num(foreseen) - columns[:, EXTERNAL], external, not bool(np.isnan(previewed).any())
+    )
 
 
-def recent_errors(rows: Array, coupling: Coupling, period: float) -> tuple[float, float]:
+def recent_errors(rows: Array) -> tuple[float, float]:
     """Return the rms of both errors in some control cycles on end [N].
 
     Args:
-        rows: as a recorder has them, shape (n, COLUMNS), n at least 2.
-        coupling: what is known of it.
-        period: of the control cycles [s].
+        rows: as a recorder has them, shape (n, COLUMNS).
     """
-    position, force = rows[:, POSITION], rows[:, ERROR]
-    velocity = (position[-1] - position[0]) / (period * (len(rows) - 1))
-    foresight = rows[:, FORESEEN_FORCE] - rows[:, EXTERNAL] + coupling.stiffness * position
-    foresight += coupling.damping * velocity
+    force, foresight = rows[:, ERROR], rows[:, FORESEEN_FORCE] - rows[:, EXTERNAL]
     missed = 0.0 if math.isnan(foresight[0]) else math.sqrt(foresight @ foresight / len(rows))
     return math.sqrt(force @ force / len(rows)), missed
+
+
+def _known(errors: Errors, force: Foresight) -> Array:
+    """Return the external force of a load cycle; where it is not known yet, the one that has been learnt or that seemed."""
+    external = errors.external
+    guess = force.expected() if force.cycles > 0 else -errors.foresight
+    known: Array = np.where(np.isnan(external), guess, external)
+    return known
 
 
 def _alike(error: Array, expected: Array) -> bool:

@@ -280,7 +280,7 @@ class PeakValley:
         later = extreme & (np.arange(self._size) >= FADE * self._size)
         return later if 2 * np.sum(later) >= np.sum(extreme) else extreme
 
-    def begin_again(self) -> None:
+    def start_over(self) -> None:
         """Let the next load cycle alone say what the errors are: something else has changed them."""
         self._anew, self._wait, self._fresh = True, 0, False
 

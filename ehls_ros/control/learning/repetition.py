@@ -18,9 +18,10 @@ LONGEST = 200_000
 ROUNDING = 1e-6
 """Part of a load cycle by which a place may be off."""
 
-PHASE, WANTED, ERROR, POSITION, EXTERNAL, FORESEEN, COLUMNS = range(7)
-"""Columns of a record: phase [load cycles], reference [N], force error [N], position [m], external force as the law has it [N],
-foreseen external force, NaN where nothing is foreseen [N]; and their number."""
+PHASE, WANTED, ERROR, EXTERNAL, FORESEEN, PREVIEWED, SMOOTHED, COLUMNS = range(8)
+"""Columns of a record: phase [load cycles], reference [N], force error [N], external force as it seemed at once [N], foreseen
+external force, that part of it which others foresaw, both NaN where nothing is foreseen [N], and external force as it seems
+later, NaN where that is not known yet [N]; and their number."""
 
 
 class Turn(NamedTuple):
@@ -110,10 +111,13 @@ class Recorder:
         self._rows = np.empty((1024, COLUMNS))
         self._count = 0
         self._next = -1
+        self._before, self._before_next = np.empty((0, COLUMNS)), -1
         self.whole = False
 
-    def begin(self) -> None:
-        """Forget what there is: a load cycle begins."""
+    def begin(self, *, follows: bool = False) -> None:
+        """Forget what there is: a load cycle begins, which may follow the one recorded, of the same block."""
+        keep = follows and self.whole
+        self._before, self._before_next = self._rows[: self._count if keep else 0].copy(), self._next
         self._count, self.whole = 0, True
 
     def spoil(self) -> None:
@@ -143,6 +147,14 @@ class Recorder:
         self._count = end
         return rows
 
+    def smoothed(self, first: int, forces: Array) -> None:
+        """Write external forces that have become known, of control cycles from ``first`` on, shape (n,) [N]."""
+        for rows, end in ((self._before, self._before_next), (self._rows[: self._count], self._next)):
+            begin = end - len(rows)
+            low, high = max(first, begin), min(first + len(forces), end)
+            if low < high:
+                rows[low - begin : high - begin, SMOOTHED] = forces[low - first : high - first]
+
     def latest(self, count: int) -> Array | None:
         """Return the last rows on end, shape (count, COLUMNS); None if fewer are there."""
         if not self.whole or self._count < count:
@@ -169,8 +181,16 @@ class Recorder:
             return None
         size = round(period)
         if abs(period - size) < 1e-3 and size == count and phase[0] * period < 1e-3:
-            return LoadCycle(float(size), rows[:count].copy())
-        at = np.arange(size) / size
-        columns = np.column_stack([np.interp(at, phase, rows[:count, column], period=1.0) for column in range(COLUMNS)])
-        columns[:, PHASE] = at
+            period, columns = float(size), rows[:count].copy()
+            at = phase
+        else:
+            at = np.arange(size) / size
+            columns = np.column_stack([np.interp(at, phase, rows[:count, column], period=1.0) for column in range(COLUMNS)])
+            columns[:, PHASE] = at
+        before = self._before[np.isfinite(self._before[:, SMOOTHED])]
+        late = np.isnan(columns[:, SMOOTHED])
+        if late.any() and len(before) > 1:
+            # What is not known yet of this load cycle is that of the one before.
+            late &= (at >= before[0, PHASE]) & (at <= before[-1, PHASE])
+            columns[late, SMOOTHED] = np.interp(at[late], before[:, PHASE], before[:, SMOOTHED])
         return LoadCycle(period, columns)

@@ -36,9 +36,6 @@ ROLL_OFF = 1.5
 GRID = 512
 """Frequencies at which the condition is checked, beside those of the harmonics."""
 
-LARGEST = 0.7
-"""Uncertainty at which rho reaches 1 - MARGIN, nearly."""
-
 LEAST_RESPONSE = 0.2
 """Smallest response that is inverted."""
 
@@ -112,19 +109,6 @@ def force_loop(law: ControllerLaw, tuning: Any, model: Model, uncertainty: float
     return loop
 
 
-def estimator_loop(bandwidth: float) -> Callable[[Array], Loop]:
-    """Return the loop in which a foreseen force is corrected by what the law estimates beyond it.
-
-    Args:
-        bandwidth: to which the estimate is believed [Hz]; its lag makes it as wrong as may be there.
-    """
-
-    def loop(omega: Array) -> Loop:
-        return Loop(np.ones(omega.shape, dtype=np.complex128), LARGEST * omega / (2.0 * math.pi * bandwidth))
-
-    return loop
-
-
 def remaining(loop: Loop, learning: Spectrum, robustness: Array) -> Array:
     """Return rho at each frequency."""
     share = learning * loop.response
@@ -160,7 +144,7 @@ def design(loop_at: Callable[[Array], Loop], size: int, period: float, gain: flo
     edge = first / ROLL_OFF if bad.size else highest
     if bad.size and edge < base:
         edge = base
-    robustness = _falling(grid, edge, max(first, edge * 1.0001))
+    robustness = falling(grid, edge, max(first, edge * 1.0001))
     full = (robustness == 1.0) & (grid > 0.0)
     rho = remaining(loop, learning, robustness)
     rate = np.abs(1.0 - learning * loop.response)
@@ -185,7 +169,7 @@ def learning_filter(loop: Loop, gain: float) -> Spectrum:
     return inverse / (1.0 + loop.uncertainty**2)
 
 
-def _falling(omega: Array, begin: float, end: float) -> Array:
-    """Return 1 up to ``begin`` and 0 from ``end`` on, with half a cosine between."""
+def falling(omega: Array, begin: float, end: float) -> Array:
+    """Return 1 up to ``begin`` and 0 from ``end`` on, with half a cosine between, at some frequencies."""
     part = np.clip((omega - begin) / (end - begin), 0.0, 1.0)
     return 0.5 * (1.0 + np.cos(math.pi * part))
