@@ -24,6 +24,7 @@ from ehls_ros.control.reaching import tracking as surface_tracking
 from ehls_ros.control.state_estimator import (
     EXTERNAL_RATE,
     Assumptions,
+    DischargeNoise,
     FlowNoise,
     GainNoise,
     MotionNoise,
@@ -85,6 +86,7 @@ class Parameters(NamedTuple):
         1.7e-3
     )
     gain_noise: GainNoise = 0.05
+    discharge_noise: DischargeNoise = 0.05
     flow_noise: FlowNoise = 1e7
     offset_noise: OffsetNoise = 30.0
 
@@ -118,6 +120,7 @@ def assumptions(state: State, restless: Array, p: Parameters, model: Model) -> A
         p.valve_noise,
         noise,
         p.gain_noise,
+        p.discharge_noise,
         p.flow_noise,
         p.offset_noise,
     )
