@@ -8,9 +8,9 @@
 
 Position, load pressure, spool and force are measured, force = Ac pL + o. The surroundings are a spring kc and a damper cc with
 a moving far end: kc and cc are known, the motion of the far end is part of d. b is the error of the valve's gain, c that of
-the discharge coefficient, q the flow that the model lacks, o the offset of the load cell. The friction elements F_i follow the estimated velocity by (6) and (8); while
-they stick, a corrected position corrects them. The velocity is observed mainly through the load pressure: a cycle's change of
-pressure resolves 0.2 um of motion, the position sensor 5 um.
+the discharge coefficient, q the flow that the model lacks, o the offset of the load cell. The friction elements F_i follow the
+estimated velocity by (6) and (8); while they stick, a corrected position corrects them. The velocity is observed mainly through
+the load pressure: a cycle's change of pressure resolves 0.2 um of motion, the position sensor 5 um.
 
 Mean and covariance are stepped together: the mean by Runge-Kutta steps of order 4 of the equations above, the covariance by the
 exponential of their Jacobian. A reading that is not finite is skipped. All of the filter lies in one array, which a controller

@@ -66,7 +66,7 @@ class Parameters(NamedTuple):
         float, quantity("N/s^5/2", "noise of the external force's second derivative", minimum=0.0, maximum=1e15)
     ] = 1.3e8
     gain_noise: GainNoise = 0.05
-    discharge_noise: DischargeNoise = 0.05
+    discharge_noise: DischargeNoise = 0.01
     flow_noise: FlowNoise = 1e7
     offset_noise: OffsetNoise = 30.0
 
