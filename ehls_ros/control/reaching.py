@@ -19,6 +19,7 @@ from ehls_ros.control.controllers import base
 from ehls_ros.control.controllers.base import Model, saturate
 from ehls_ros.control.state_estimator import (
     CELL_OFFSET,
+    DISCHARGE,
     EXTERNAL,
     LEAST_DROP,
     VALVE_GAIN,
@@ -100,7 +101,8 @@ def command_for(r: Array, supply: float, surface: Surface, model: Model, p: Assu
     target = s / (1.0 + surface.reaching_rate * period)
     side = 1.0 if state.foreseen[XV] >= 0.0 else -1.0
     drop = max(supply - side * state.foreseen[PL], LEAST_DROP * plant.supply_pressure)
-    flow_gain = plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt(drop / plant.oil_density)
+    discharge = plant.discharge_coefficient * (1.0 + state.foreseen[DISCHARGE])
+    flow_gain = discharge * plant.valve_area_gradient * math.sqrt(drop / plant.oil_density)
     opened = plant.valve_gain * (1.0 + state.foreseen[VALVE_GAIN]) * -math.expm1(-plant.valve_bandwidth * period)
     usual = surface.xi * 4.0 * plant.bulk_modulus / plant.total_volume * flow_gain * opened * 1e-6
     slope, tried, outcome = usual, 0.0, 0.0

@@ -2,15 +2,15 @@
 
     x'  = v
     m v' = Ac pL - (B0 + sigma_f + cc) v - (ks + kc) x - m g - sum F_i - d        (3)
-    pL' = -e1 v - e2 pL + e3 sqrt(ps - sgn(xv) pL) xv + q                         (25)
+    pL' = -e1 v - e2 pL + (1 + c) e3 sqrt(ps - sgn(xv) pL) xv + q                 (25)
     xv' = omega_v (Kv (1 + b) u(t - delay) - xv)                                  (4)
-    b' = -b/tau + white noise,  d''', q', o' = white noise
+    b' = -b/tau + white noise,  c' = -c/tau + white noise,  d''', q', o' = white noise
 
 Position, load pressure, spool and force are measured, force = Ac pL + o. The surroundings are a spring kc and a damper cc with
-a moving far end: kc and cc are known, the motion of the far end is part of d. b is the error of the valve's gain, q that of
-the flow's model, o the offset of the load cell. The friction elements F_i follow the estimated velocity by (6) and (8); while
-they stick, a corrected position corrects them. The velocity is observed mainly through the load pressure: a cycle's change of
-pressure resolves 0.2 um of motion, the position sensor 5 um.
+a moving far end: kc and cc are known, the motion of the far end is part of d. b is the error of the valve's gain, c that of
+the discharge coefficient, q the flow that the model lacks, o the offset of the load cell. The friction elements F_i follow the
+estimated velocity by (6) and (8); while they stick, a corrected position corrects them. The velocity is observed mainly through
+the load pressure: a cycle's change of pressure resolves 0.2 um of motion, the position sensor 5 um.
 
 Mean and covariance are stepped together: the mean by Runge-Kutta steps of order 4 of the equations above, the covariance by the
 exponential of their Jacobian. A reading that is not finite is skipped. All of the filter lies in one array, which a controller
@@ -40,8 +40,8 @@ from ehls_ros.schema import quantity
 FRICTION_MODEL = "gms"
 """The friction model within the filter. Its elements are linear while they stick or slip, which the covariance rests on."""
 
-EXTERNAL, EXTERNAL_RATE, EXTERNAL_CURVATURE, VALVE_GAIN, FLOW_ERROR, CELL_OFFSET, STATES = range(4, 11)
-"""Where the mean holds d with its two rates, b, q and o, after the plant's own x, v, pL and xv; and their number."""
+EXTERNAL, EXTERNAL_RATE, EXTERNAL_CURVATURE, VALVE_GAIN, DISCHARGE, FLOW_ERROR, CELL_OFFSET, STATES = range(4, 12)
+"""Where the mean holds d with its two rates, b, c, q and o, after the plant's own x, v, pL and xv; and their number."""
 
 MOST_ELEMENTS = 16
 """Friction elements that are followed; the force of further ones counts as external force."""
@@ -59,7 +59,8 @@ ROUNDING = 1e-9
 """Times closer to each other are the same [s]."""
 
 GAIN_MEMORY = 10.0
-"""Time constant with which an error of the valve's gain is forgotten while no command shows it, tau [s]."""
+"""Time constant with which an error of the valve's gain or of the discharge coefficient is forgotten while nothing shows it,
+tau [s]."""
 
 LEAST_DROP = 0.01
 """Lower bound of the pressure drop over the valve, as a fraction of the nominal supply pressure."""
@@ -85,6 +86,7 @@ ValveNoise = Annotated[
     quantity("m/s^1/2", "spool rate missing in the model of the valve, root of its spectral density", minimum=0.0, maximum=1.0),
 ]
 GainNoise = Annotated[float, quantity("1/s^1/2", "noise of the valve's gain", minimum=0.0, maximum=1e3)]
+DischargeNoise = Annotated[float, quantity("1/s^1/2", "noise of the discharge coefficient", minimum=0.0, maximum=1e3)]
 FlowNoise = Annotated[float, quantity("Pa/s^3/2", "noise of the flow's error", minimum=0.0, maximum=1e12)]
 OffsetNoise = Annotated[float, quantity("N/s^1/2", "noise of the load cell's offset", minimum=0.0, maximum=1e6)]
 
@@ -105,6 +107,7 @@ class Assumptions(NamedTuple):
         valve_noise: of the spool rate missing in (4) [m/s^1/2].
         external_noise: of the external force's third derivative [N/s^5/2].
         gain_noise: of the rate of the valve gain's error b [1/s^1/2].
+        discharge_noise: of the rate of the discharge coefficient's relative error c [1/s^1/2].
         flow_noise: of the rate of the flow's error [Pa/s^3/2].
         offset_noise: of the rate of the load cell's offset [N/s^1/2].
     """
@@ -121,6 +124,7 @@ class Assumptions(NamedTuple):
     valve_noise: float
     external_noise: float
     gain_noise: float
+    discharge_noise: float
     flow_noise: float
     offset_noise: float
 
@@ -214,13 +218,14 @@ def rates(y: Array, mode: Array, command: float, supply: float, model: Model, p:
             rate[STATES + i] = friction.attraction_rate * (mode[i] * friction.element_weight[i] - force / level)  # (8)
     around = -p.coupling_stiffness * y[X] - p.coupling_damping * y[V]
     side = 1.0 if y[XV] >= 0.0 else -1.0
-    flow = load_flow(y[XV], side, y[PL], supply, plant)
+    flow = (1.0 + y[DISCHARGE]) * load_flow(y[XV], side, y[PL], supply, plant)
     rate[X] = y[V]
     rate[V] = (applied_force(y[X], y[V], y[PL], y[EXTERNAL], around, plant) - resisting) / plant.moving_mass
     rate[PL] = load_pressure_rate(flow, y[V], y[PL], 0.0, plant.bulk_modulus, plant) + y[FLOW_ERROR]
     rate[XV] = spool_rate(y[XV], (1.0 + y[VALVE_GAIN]) * command, plant)
     rate[EXTERNAL], rate[EXTERNAL_RATE] = y[EXTERNAL_RATE], y[EXTERNAL_CURVATURE]
     rate[VALVE_GAIN] = -y[VALVE_GAIN] / GAIN_MEMORY
+    rate[DISCHARGE] = -y[DISCHARGE] / GAIN_MEMORY
     rate[EXTERNAL_CURVATURE] = rate[FLOW_ERROR] = rate[CELL_OFFSET] = 0.0
 
 
@@ -286,7 +291,8 @@ def linearise(state: State, command: float, supply: float, model: Model, p: Assu
     hydraulic = 4.0 * plant.bulk_modulus / plant.total_volume
     side = 1.0 if y[XV] >= 0.0 else -1.0
     drop = max(supply - side * y[PL], LEAST_DROP * plant.supply_pressure)
-    flow_gain = plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt(drop / plant.oil_density)
+    nominal_gain = plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt(drop / plant.oil_density)
+    flow_gain = (1.0 + y[DISCHARGE]) * nominal_gain
     jacobian[:] = 0.0
     jacobian[X, V] = jacobian[EXTERNAL, EXTERNAL_RATE] = jacobian[EXTERNAL_RATE, EXTERNAL_CURVATURE] = jacobian[
         PL, FLOW_ERROR
@@ -298,9 +304,10 @@ def linearise(state: State, command: float, supply: float, model: Model, p: Assu
     jacobian[PL, V] = -hydraulic * plant.piston_area
     jacobian[PL, PL] = -hydraulic * (plant.leakage_coefficient + flow_gain * abs(y[XV]) / (2.0 * drop))
     jacobian[PL, XV] = hydraulic * flow_gain
+    jacobian[PL, DISCHARGE] = hydraulic * nominal_gain * y[XV]
     jacobian[XV, XV] = -plant.valve_bandwidth
     jacobian[XV, VALVE_GAIN] = plant.valve_bandwidth * plant.valve_gain * command
-    jacobian[VALVE_GAIN, VALVE_GAIN] = -1.0 / GAIN_MEMORY
+    jacobian[VALVE_GAIN, VALVE_GAIN] = jacobian[DISCHARGE, DISCHARGE] = -1.0 / GAIN_MEMORY
 
 
 @kernel
@@ -342,6 +349,7 @@ def spread(state: State, command: float, supply: float, duration: float, model: 
     covariance[XV, XV] += p.valve_noise**2 * duration
     covariance[EXTERNAL_CURVATURE, EXTERNAL_CURVATURE] += p.external_noise**2 * duration
     covariance[VALVE_GAIN, VALVE_GAIN] += p.gain_noise**2 * duration
+    covariance[DISCHARGE, DISCHARGE] += p.discharge_noise**2 * duration
     covariance[FLOW_ERROR, FLOW_ERROR] += p.flow_noise**2 * duration
     covariance[CELL_OFFSET, CELL_OFFSET] += p.offset_noise**2 * duration
 
@@ -387,8 +395,8 @@ FIRST_VELOCITY = 0.01
 FIRST_FORCE, FIRST_FORCE_RATE, FIRST_FORCE_CURVATURE = 1e3, 1e5, 1e6
 """Standard deviations of the external force about balance [N], and of its rates [N/s, N/s^2]."""
 
-FIRST_GAIN, FIRST_FLOW, FIRST_OFFSET = 0.1, 1e7, 100.0
-"""Standard deviations of the errors of valve gain [1], flow [Pa/s] and load cell [N]."""
+FIRST_GAIN, FIRST_DISCHARGE, FIRST_FLOW, FIRST_OFFSET = 0.1, 0.1, 1e7, 100.0
+"""Standard deviations of the errors of valve gain and discharge coefficient [1], flow [Pa/s] and load cell [N]."""
 
 
 @njit(error_model="numpy")
@@ -406,6 +414,7 @@ def start(measured: Array, model: Model, p: Assumptions, state: State) -> None:
         FIRST_FORCE_RATE,
         FIRST_FORCE_CURVATURE,
         FIRST_GAIN,
+        FIRST_DISCHARGE,
         FIRST_FLOW,
         FIRST_OFFSET,
     )

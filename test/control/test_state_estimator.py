@@ -50,7 +50,7 @@ def send(command, memory):
 UNFORESEEN = np.full(3, math.nan)
 
 # Little unrest, so that the elements stick and the equations are as good as linear.
-CALM = Assumptions(2e6, 2e3, 1e-3, 2e-7, 1e3, 1e-7, 2.0, 0.05, 5e2, 1e-7, 1e3, 0.01, 1e3, 3.0)
+CALM = Assumptions(2e6, 2e3, 1e-3, 2e-7, 1e3, 1e-7, 2.0, 0.05, 5e2, 1e-7, 1e3, 0.01, 0.01, 1e3, 3.0)
 
 
 class Filter:
@@ -89,30 +89,30 @@ class Linear:
         gain = c.discharge_coefficient * c.valve_area_gradient * math.sqrt(c.supply_pressure / c.oil_density)
         stiffness = c.spring_stiffness + p.coupling_stiffness + sum(f.element_stiffness)
         damping = c.viscous_damping + f.viscous_coefficient + p.coupling_damping
-        a = np.zeros((10, 10))
+        a = np.zeros((11, 11))
         a[0, 1] = 1.0
         a[1, :5] = np.array([-stiffness, -damping, c.piston_area, 0.0, -1.0]) / c.moving_mass
         a[2, 1:4] = hydraulic * np.array([-c.piston_area, -c.leakage_coefficient, gain])
-        a[2, 8] = 1.0
-        a[3, 3], a[7, 7] = -c.valve_bandwidth, -0.1
+        a[2, 9] = 1.0
+        a[3, 3], a[7, 7], a[8, 8] = -c.valve_bandwidth, -0.1, -0.1
         a[4, 5] = a[5, 6] = 1.0
         self.a = a
-        self.b = np.zeros(10)
+        self.b = np.zeros(11)
         self.b[3] = c.valve_bandwidth * c.valve_gain
         self.f = expm(a * PERIOD)
         density = (0.0, p.motion_noise / c.moving_mass, p.oil_noise, p.valve_noise, 0.0, 0.0, p.external_noise)
-        self.q = np.diag(np.square([*density, p.gain_noise, p.flow_noise, p.offset_noise])) * PERIOD
-        self.h = np.zeros((4, 10))
-        self.h[0, 0] = self.h[1, 2] = self.h[3, 3] = self.h[2, 9] = 1.0
+        self.q = np.diag(np.square([*density, p.gain_noise, p.discharge_noise, p.flow_noise, p.offset_noise])) * PERIOD
+        self.h = np.zeros((4, 11))
+        self.h[0, 0] = self.h[1, 2] = self.h[3, 3] = self.h[2, 10] = 1.0
         self.h[2, 2] = c.piston_area
         self.r = np.diag(np.square([p.position_noise, p.pressure_noise, p.force_noise, p.spool_noise]))
         self.balance = c.moving_mass * c.gravity
 
     def moved(self, y: np.ndarray, command: float, duration: float) -> np.ndarray:
         """Return a state after a while under one command; d is counted from balance."""
-        held = np.zeros((11, 11))
-        held[:10, :10], held[:10, 10] = self.a, self.b
-        return (expm(held * duration) @ np.append(y, command))[:10]
+        held = np.zeros((12, 12))
+        held[:11, :11], held[:11, 11] = self.a, self.b
+        return (expm(held * duration) @ np.append(y, command))[:11]
 
 
 def test_the_covariance_settles_where_the_riccati_equation_says(rig):
@@ -122,7 +122,7 @@ def test_the_covariance_settles_where_the_riccati_equation_says(rig):
         assert found.observe(reading())
         found.send(0.0)
     # In units in which the numbers are of one size; scipy loses digits otherwise.
-    unit = np.diag([1e-7, 1e-4, 1e3, 1e-8, 1.0, 10.0, 100.0, 0.01, 1e3, 1.0])
+    unit = np.diag([1e-7, 1e-4, 1e3, 1e-8, 1.0, 10.0, 100.0, 0.01, 0.01, 1e3, 1.0])
     back, cell = np.linalg.inv(unit), np.diag(1.0 / np.sqrt(np.diag(linear.r)))
     h = cell @ linear.h @ unit
     predicted = solve_discrete_are((back @ linear.f @ unit).T, h.T, back @ linear.q @ back, np.eye(4))
@@ -138,7 +138,7 @@ def test_errors_are_unbiased_and_as_large_as_the_covariance_says(rig):
     unrest, noise = np.sqrt(np.diag(linear.q)), np.sqrt(np.diag(linear.r))
     errors, distances = [], []
     for _ in range(runs):
-        found, y = Filter(rig, CALM), np.zeros(10)
+        found, y = Filter(rig, CALM), np.zeros(11)
         for k in range(cycles):
             position, pressure, force, spool = linear.h @ y + noise * random.standard_normal(4)
             found.observe(reading(position, pressure, spool, force))
@@ -150,11 +150,11 @@ def test_errors_are_unbiased_and_as_large_as_the_covariance_says(rig):
                 errors.append(missed / np.sqrt(np.diag(spread)))
                 unit = np.sqrt(np.diag(spread))
                 distances.append((missed / unit) @ np.linalg.solve(spread / np.outer(unit, unit), missed / unit))
-            y = linear.f @ y + unrest * random.standard_normal(10)
+            y = linear.f @ y + unrest * random.standard_normal(11)
         assert not np.any(found.state.mode)
     # Looks within a run are not independent; the bounds are those of the runs alone.
     assert np.max(np.abs(np.mean(errors, axis=0))) < 4.0 / math.sqrt(runs)
-    low, high = stats.chi2.ppf([0.0005, 0.9995], 10 * runs) / runs
+    low, high = stats.chi2.ppf([0.0005, 0.9995], 11 * runs) / runs
     assert low < np.mean(distances) < high
 
 
@@ -169,11 +169,11 @@ def test_the_prediction_over_the_delay_is_exact_where_the_equations_are_linear(r
         found.send(command)
         found.observe(np.full(7, math.nan))
     # Six cycles of the commands, each a delay after it was sent; nothing was measured.
-    y, switches = np.zeros(10), [0.0, *(delay + PERIOD * np.arange(6))]
+    y, switches = np.zeros(11), [0.0, *(delay + PERIOD * np.arange(6))]
     for i, command in enumerate([0.0, *commands]):
         until = switches[i + 1] if i < 6 else 6 * PERIOD + delay
         y = linear.moved(y, command, until - switches[i])
-    foreseen = found.foresee() - linear.balance * -np.eye(10)[4]
+    foreseen = found.foresee() - linear.balance * -np.eye(11)[4]
     assert y[PL] != 0.0
     assert np.allclose(foreseen[:4], y[:4], rtol=5e-4, atol=0.0)
 

@@ -18,6 +18,7 @@ from ehls_ros.control.reaching import RateWeight, ReachingRate, Slope, Surface, 
 from ehls_ros.control.reaching import tracking as surface_tracking
 from ehls_ros.control.state_estimator import (
     Assumptions,
+    DischargeNoise,
     FlowNoise,
     GainNoise,
     MotionNoise,
@@ -65,6 +66,7 @@ class Parameters(NamedTuple):
         float, quantity("N/s^5/2", "noise of the external force's second derivative", minimum=0.0, maximum=1e15)
     ] = 1.3e8
     gain_noise: GainNoise = 0.05
+    discharge_noise: DischargeNoise = 0.01
     flow_noise: FlowNoise = 1e7
     offset_noise: OffsetNoise = 30.0
 
@@ -95,6 +97,7 @@ def assumptions(p: Parameters) -> Assumptions:
         p.valve_noise,
         p.external_noise,
         p.gain_noise,
+        p.discharge_noise,
         p.flow_noise,
         p.offset_noise,
     )

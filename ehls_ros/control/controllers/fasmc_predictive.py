@@ -24,6 +24,7 @@ from ehls_ros.control.reaching import tracking as surface_tracking
 from ehls_ros.control.state_estimator import (
     EXTERNAL_RATE,
     Assumptions,
+    DischargeNoise,
     FlowNoise,
     GainNoise,
     MotionNoise,
@@ -60,11 +61,11 @@ class Parameters(NamedTuple):
             "1/MPa", "steepness of the surface near zero error while the disturbance is restless", minimum=0.1, maximum=1e4
         ),
     ] = 60.0
-    calm_g: Annotated[float, quantity("1/MPa", "the same while the disturbance is calm", minimum=0.1, maximum=1e4)] = 180.0
+    calm_g: Annotated[float, quantity("1/MPa", "the same while the disturbance is calm", minimum=0.1, maximum=1e4)] = 300.0
     calm_noise: Annotated[
         float,
         quantity("N/s^5/2", "noise of the external force's second derivative half way between both", above=0.0, maximum=1e15),
-    ] = 3e6
+    ] = 4e6
     xi: RateWeight = 1.0
     reaching_rate: ReachingRate = 300.0
     motion_noise: MotionNoise = 0.5
@@ -84,8 +85,9 @@ class Parameters(NamedTuple):
     reversal_travel: Annotated[float, quantity("m", "travel after a reversal for which it holds", minimum=0.0, maximum=1.0)] = (
         1.7e-3
     )
-    gain_noise: GainNoise = 0.05
-    flow_noise: FlowNoise = 1e7
+    gain_noise: GainNoise = 0.02
+    discharge_noise: DischargeNoise = 0.01
+    flow_noise: FlowNoise = 1e6
     offset_noise: OffsetNoise = 30.0
 
 
@@ -118,6 +120,7 @@ def assumptions(state: State, restless: Array, p: Parameters, model: Model) -> A
         p.valve_noise,
         noise,
         p.gain_noise,
+        p.discharge_noise,
         p.flow_noise,
         p.offset_noise,
     )
