@@ -10,7 +10,8 @@ Position, load pressure, spool and force are measured, force = Ac pL + o. The su
 a moving far end: kc and cc are known, the motion of the far end is part of d. b is the error of the valve's gain, c that of
 the discharge coefficient, q the flow that the model lacks, o the offset of the load cell. The friction elements F_i follow the
 estimated velocity by (6) and (8); while they stick, a corrected position corrects them. The velocity is observed mainly through
-the load pressure: a cycle's change of pressure resolves 0.2 um of motion, the position sensor 5 um.
+the load pressure: a cycle's change of pressure resolves 0.2 um of motion, the position sensor 5 um. A valve that is nearly
+shut tells nothing of c: its flow then shows what else is wrong.
 
 Mean and covariance are stepped together: the mean by Runge-Kutta steps of order 4 of the equations above, the covariance by the
 exponential of their Jacobian. A reading that is not finite is skipped. All of the filter lies in one array, which a controller
@@ -87,6 +88,9 @@ ValveNoise = Annotated[
 ]
 GainNoise = Annotated[float, quantity("1/s^1/2", "noise of the valve's gain", minimum=0.0, maximum=1e3)]
 DischargeNoise = Annotated[float, quantity("1/s^1/2", "noise of the discharge coefficient", minimum=0.0, maximum=1e3)]
+LeastOpening = Annotated[
+    float, quantity("m", "opening from which the flow tells of the discharge coefficient", minimum=0.0, maximum=1.0)
+]
 FlowNoise = Annotated[float, quantity("Pa/s^3/2", "noise of the flow's error", minimum=0.0, maximum=1e12)]
 OffsetNoise = Annotated[float, quantity("N/s^1/2", "noise of the load cell's offset", minimum=0.0, maximum=1e6)]
 
@@ -108,6 +112,7 @@ class Assumptions(NamedTuple):
         external_noise: of the external force's third derivative [N/s^5/2].
         gain_noise: of the rate of the valve gain's error b [1/s^1/2].
         discharge_noise: of the rate of the discharge coefficient's relative error c [1/s^1/2].
+        least_opening: of the valve, from which its flow tells of c [m].
         flow_noise: of the rate of the flow's error [Pa/s^3/2].
         offset_noise: of the rate of the load cell's offset [N/s^1/2].
     """
@@ -125,6 +130,7 @@ class Assumptions(NamedTuple):
     external_noise: float
     gain_noise: float
     discharge_noise: float
+    least_opening: float
     flow_noise: float
     offset_noise: float
 
@@ -304,7 +310,8 @@ def linearise(state: State, command: float, supply: float, model: Model, p: Assu
     jacobian[PL, V] = -hydraulic * plant.piston_area
     jacobian[PL, PL] = -hydraulic * (plant.leakage_coefficient + flow_gain * abs(y[XV]) / (2.0 * drop))
     jacobian[PL, XV] = hydraulic * flow_gain
-    jacobian[PL, DISCHARGE] = hydraulic * nominal_gain * y[XV]
+    opened = y[XV] if abs(y[XV]) >= p.least_opening else 0.0
+    jacobian[PL, DISCHARGE] = hydraulic * nominal_gain * opened
     jacobian[XV, XV] = -plant.valve_bandwidth
     jacobian[XV, VALVE_GAIN] = plant.valve_bandwidth * plant.valve_gain * command
     jacobian[VALVE_GAIN, VALVE_GAIN] = jacobian[DISCHARGE, DISCHARGE] = -1.0 / GAIN_MEMORY

@@ -50,7 +50,7 @@ def send(command, memory):
 UNFORESEEN = np.full(3, math.nan)
 
 # Little unrest, so that the elements stick and the equations are as good as linear.
-CALM = Assumptions(2e6, 2e3, 1e-3, 2e-7, 1e3, 1e-7, 2.0, 0.05, 5e2, 1e-7, 1e3, 0.01, 0.01, 1e3, 3.0)
+CALM = Assumptions(2e6, 2e3, 1e-3, 2e-7, 1e3, 1e-7, 2.0, 0.05, 5e2, 1e-7, 1e3, 0.01, 0.01, 1e-4, 1e3, 3.0)
 
 
 class Filter:

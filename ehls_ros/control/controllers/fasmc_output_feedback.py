@@ -21,6 +21,7 @@ from ehls_ros.control.state_estimator import (
     DischargeNoise,
     FlowNoise,
     GainNoise,
+    LeastOpening,
     MotionNoise,
     OffsetNoise,
     OilNoise,
@@ -66,7 +67,8 @@ class Parameters(NamedTuple):
         float, quantity("N/s^5/2", "noise of the external force's second derivative", minimum=0.0, maximum=1e15)
     ] = 1.3e8
     gain_noise: GainNoise = 0.05
-    discharge_noise: DischargeNoise = 0.01
+    discharge_noise: DischargeNoise = 0.005
+    least_opening: LeastOpening = 5e-4
     flow_noise: FlowNoise = 1e7
     offset_noise: OffsetNoise = 30.0
 
@@ -98,6 +100,7 @@ def assumptions(p: Parameters) -> Assumptions:
         p.external_noise,
         p.gain_noise,
         p.discharge_noise,
+        p.least_opening,
         p.flow_noise,
         p.offset_noise,
     )

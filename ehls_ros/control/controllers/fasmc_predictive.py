@@ -27,6 +27,7 @@ from ehls_ros.control.state_estimator import (
     DischargeNoise,
     FlowNoise,
     GainNoise,
+    LeastOpening,
     MotionNoise,
     OffsetNoise,
     OilNoise,
@@ -87,6 +88,7 @@ class Parameters(NamedTuple):
     )
     gain_noise: GainNoise = 0.02
     discharge_noise: DischargeNoise = 0.01
+    least_opening: LeastOpening = 1e-4
     flow_noise: FlowNoise = 1e6
     offset_noise: OffsetNoise = 30.0
 
@@ -121,6 +123,7 @@ def assumptions(state: State, restless: Array, p: Parameters, model: Model) -> A
         noise,
         p.gain_noise,
         p.discharge_noise,
+        p.least_opening,
         p.flow_noise,
         p.offset_noise,
     )
