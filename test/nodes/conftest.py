@@ -216,10 +216,12 @@ class Participant:
         return answers()[0]
 
     def collect(self, kind: Any, topic: str) -> Heard:
-        from ehls_ros.nodes.transport import control_qos
+        from ehls_ros.nodes.transport import RECORDER_DEPTH, control_qos
 
         heard = Heard()
-        self.node.create_subscription(kind, topic, heard.add, control_qos() if not topic.startswith("/") else 10)
+        # A graph in lockstep is faster than this executor: what waits for it must not be overwritten.
+        qos = control_qos(RECORDER_DEPTH) if not topic.startswith("/") else 10
+        self.node.create_subscription(kind, topic, heard.add, qos)
         return heard
 
     def publishers(self, topic: str) -> list[Any]:

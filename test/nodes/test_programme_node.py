@@ -83,7 +83,7 @@ def test_a_programme_that_the_rig_ran_on_without_stands_until_it_is_resumed(grap
     own = {"spec": spec, "programme": file, "folder": tmp_path / "run"}
     graph.start("programme_node", **own)
     graph.start("plant_sim_node", spec=spec)
-    participant.until(lambda: points and points[-1].load_cycles >= 5)
+    participant.until(lambda: states and points and points[-1].load_cycles >= 5)
     graph.kill("programme_node")
     participant.until(lambda: states[-1].cycle > points[-1].cycle + GONE)
     # The state tells what was published last: a node that is killed takes with it what it had not delivered yet.
