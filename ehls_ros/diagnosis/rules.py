@@ -9,7 +9,18 @@ from collections.abc import Iterator
 from typing import Annotated, Literal, NamedTuple, get_args, get_type_hints
 
 Step = Literal[
-    "record", "stages", "evidence", "hypotheses", "fit", "starts", "search", "verdict", "partial answer", "free run", "baseline"
+    "record",
+    "stages",
+    "evidence",
+    "hypotheses",
+    "fit",
+    "starts",
+    "search",
+    "verdict",
+    "partial answer",
+    "free run",
+    "baseline",
+    "monitor",
 ]
 STEPS: tuple[Step, ...] = get_args(Step)
 
@@ -977,3 +988,64 @@ NOISE_MARGIN: Annotated[
 MENTIONED_UNSEEN: Annotated[
     float, Rule("baseline", "1", "Fraction of samples that are not covered above which that is said.")
 ] = 0.1
+
+# --- monitor -----------------------------------------------------------------------------------
+
+MONITOR_BLOCK: Annotated[float, Rule("monitor", "s", "Length of a block, over which the monitor sums.", "BLOCK")] = 2.5
+
+MONITOR_LEAD: Annotated[
+    float,
+    Rule("monitor", "s", "Time before a block in which the state of the friction model is found.", "SETTLING and windows"),
+] = 0.4
+
+MONITOR_SQUARE: Annotated[
+    float,
+    Rule("monitor", "1", "Largest square of a residual in units of its noise floor that counts in a channel's power."),
+] = 25.0
+
+MOST_SCORE: Annotated[
+    float,
+    Rule(
+        "monitor",
+        "1",
+        "Score of a block, in units of its scatter, above which it counts no more: one block alone is an incident.",
+        "two such blocks stay below, and three exceed, what a rate of one alarm in 1000 h takes",
+    ),
+] = 4.0
+
+LEARNT_SCATTER: Annotated[
+    float,
+    Rule(
+        "monitor",
+        "1",
+        "Scatter of a block's scores that is expected before any was measured.",
+        "healthy recordings of the truth generator: 0.8 to 2.5",
+    ),
+] = 1.5
+
+LEARNT_BLOCKS: Annotated[int, Rule("monitor", "1", "Blocks that this expectation counts as.")] = 30
+
+LONGEST_DEPENDENCE: Annotated[int, Rule("monitor", "1", "Blocks over which scores of a healthy rig are taken to depend.")] = 8
+
+LONGEST_WATCH: Annotated[int, Rule("monitor", "1", "Blocks of the longest sum: 71 min.")] = 1704
+
+ONSET_DROP: Annotated[
+    float, Rule("monitor", "nat", "Loss of likelihood up to which an onset is still possible.", "95 % of a normal error")
+] = 1.92
+
+INSEPARABLE: Annotated[
+    float,
+    Rule(
+        "monitor",
+        "1",
+        "Smallest fraction of a coefficient's information that the others may leave it; with less it is not told.",
+    ),
+] = 1e-7
+
+TOLD_COEFFICIENT: Annotated[
+    float, Rule("monitor", "1", "Largest standard error of a coefficient that is told, as a fraction of its given value.")
+] = 0.25
+
+TOLD_ERROR: Annotated[
+    float, Rule("monitor", "1", "The same of an offset or an asymmetry, as a fraction of the rig's limit, and of a gain.")
+] = 0.01

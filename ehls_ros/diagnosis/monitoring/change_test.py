@@ -1,0 +1,149 @@
+"""The test that a rig has changed: sums of block scores over times of seconds to an hour.
+
+Over every time up to the newest block, the scores of each quantity are summed and divided by the standard deviation that a
+healthy rig's sum has. The bound is that which chance exceeds once in the mean time between false alarms: the chance is shared
+among all quantities and times (Bonferroni), and as sums over overlapping times are alike, false alarms are rarer than that.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.monitoring.healthy import Healthy
+
+HOUR = 3600.0
+
+
+class Change(NamedTuple):
+    """A sum that chance does not explain.
+
+    Attributes:
+        quantity: number of the quantity whose sum it is.
+        ratio: by how much its sum exceeds the bound.
+        blocks: blocks since the likeliest onset.
+        earliest: blocks since the earliest onset that is possible.
+        latest: the same since the latest.
+        size: departure since then.
+        deviation: its standard deviation.
+    """
+
+    quantity: int
+    ratio: float
+    blocks: int
+    earliest: int
+    latest: int
+    size: float
+    deviation: float
+
+
+def lengths() -> tuple[int, ...]:
+    """Return the numbers of blocks over which scores are summed: each half as long again as the one before."""
+    out = [3]
+    while out[-1] * 3 // 2 < rules.LONGEST_WATCH:
+        out.append(out[-1] * 3 // 2)
+    return tuple(out)
+
+
+class ChangeTest:
+    """Scores of the last blocks, and what of them exceeds chance.
+
+    Attributes:
+        healthy: how a healthy rig's blocks scatter.
+        bound: what a sum must exceed, in standard deviations.
+    """
+
+    def __init__(self, healthy: Healthy, hours: float) -> None:
+        """Begin without blocks.
+
+        Args:
+            healthy: how a healthy rig's blocks scatter.
+            hours: mean time between false alarms, at least [h].
+        """
+        self._rows = np.zeros((3, rules.LONGEST_WATCH, len(healthy.level)))
+        self._kept = 0
+        self._hours = hours
+        self.learn(healthy)
+
+    def learn(self, healthy: Healthy) -> None:
+        """Take another knowledge of how a healthy rig scatters."""
+        self.healthy = healthy
+        tests = self._hours * HOUR / rules.MONITOR_BLOCK * len(healthy.level) * len(lengths())
+        self.bound = float(scipy.stats.t.isf(0.5 / tests, healthy.freedom))
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks that are summed."""
+        return self._kept
+
+    def restart(self) -> None:
+        """Forget all blocks."""
+        self._kept = 0
+
+    def add(self, score: Array, information: Array, share: Array) -> None:
+        """Add a block.
+
+        Args:
+            score: of each quantity, shape (n,).
+            information: of each quantity, 0 where the block tells nothing, shape (n,).
+            share: change of the balance by one departure, as a fraction of its largest term, shape (n,).
+        """
+        self._rows[:, :-1] = self._rows[:, 1:]
+        self._rows[:, -1] = score, information, share
+        self._kept = min(self._kept + 1, rules.LONGEST_WATCH)
+
+    def rows(self) -> Array:
+        """Return score, information and share of the blocks, oldest first, shape (3, blocks, n)."""
+        return self._rows[:, rules.LONGEST_WATCH - self._kept :].copy()
+
+    def change(self) -> Change | None:
+        """Return the sum that exceeds its bound the most; None while all could be chance."""
+        sums, information, share = self._sums()
+        rows = np.array([n for n in lengths() if n <= self._kept], dtype=np.intp) - 1
+        if not rows.size:
+            return None
+        told = information[rows] > 0.0
+        share = share[rows] / (rows + 1.0)[:, None]
+        deviation = self._deviation(information[rows], share)
+        scaled = sums[rows] * self.healthy.scatter
+        size = np.divide(scaled, information[rows], out=np.zeros_like(deviation), where=told)
+        ratio = np.divide(np.abs(sums[rows]), self.bound * deviation, out=np.zeros_like(deviation), where=told)
+        ratio[np.abs(size) * share < rules.RELEVANT] = 0.0
+        row, quantity = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+        if ratio[row, quantity] <= 1.0:
+            return None
+        return self._since(int(quantity), float(ratio[row, quantity]), sums[:, quantity], information[:, quantity])
+
+    def _sums(self) -> tuple[Array, Array, Array]:
+        """Return limited scores times the root of information, information and share, summed from each block to the newest.
+
+        The first row is the newest block alone, shape (blocks, n) each.
+        """
+        score, information, share = self.rows()[:, ::-1]
+        root = np.sqrt(information)
+        unit = root * self.healthy.scatter
+        rest = np.divide(score - self.healthy.level * information, unit, out=np.zeros_like(score), where=unit > 0.0)
+        limited = np.clip(rest, -rules.MOST_SCORE, rules.MOST_SCORE)
+        return np.cumsum(limited * root, axis=0), np.cumsum(information, axis=0), np.cumsum(share, axis=0)
+
+    def _deviation(self, information: Array, share: Array) -> Array:
+        """Return the standard deviation of a healthy rig's sums, infinite for what it told nothing of."""
+        healthy = self.healthy
+        with np.errstate(divide="ignore"):
+            # No model of a rig is better than that.
+            tolerated = np.divide(rules.TOLERANCE, share, out=np.zeros_like(share), where=share > 0.0)
+            size = healthy.spread**2 + tolerated**2 + healthy.scatter**2 * healthy.dependence / healthy.certainty
+        return np.sqrt(healthy.dependence * information + size * (information / healthy.scatter) ** 2)
+
+    def _since(self, quantity: int, ratio: float, sums: Array, information: Array) -> Change:
+        """Find the onset: the time since which the scores are likeliest to have another mean."""
+        gain = 0.5 * np.divide(sums**2, information, out=np.zeros_like(sums), where=information > 0.0)
+        gain /= self.healthy.dependence[quantity]
+        best = int(np.argmax(gain))
+        possible = np.flatnonzero(gain > gain[best] - rules.ONSET_DROP)
+        scatter = float(self.healthy.scatter[quantity])
+        size = float(sums[best] / information[best]) * scatter
+        deviation = scatter * float(np.sqrt(self.healthy.dependence[quantity] / information[best]))
+        return Change(quantity, ratio, best + 1, int(possible[-1]) + 1, int(possible[0]) + 1, size, deviation)

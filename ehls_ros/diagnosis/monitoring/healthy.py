@@ -1,0 +1,90 @@
+"""How the blocks of a healthy rig scatter: around what, how far, how long alike, and from section to section.
+
+A section is a time over which a rig runs under one condition: a recording, or the blocks after an operating point was accepted.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+
+
+class Healthy(NamedTuple):
+    """What the blocks of a healthy rig say of each quantity.
+
+    Attributes:
+        level: its size; a rig that is its model has 0, shape (n,).
+        certainty: information that the level rests on, infinite where it is given, shape (n,).
+        scatter: standard deviation of a block's score, by the root of its information, shape (n,).
+        spread: standard deviation of the size from section to section that was found, shape (n,).
+        dependence: by how much the variance of a sum over blocks exceeds that of independent ones, shape (n,).
+        freedom: degrees of freedom of the scatter.
+    """
+
+    level: Array
+    certainty: Array
+    scatter: Array
+    spread: Array
+    dependence: Array
+    freedom: float
+
+
+def learn(score: Array, information: Array, section: NDArray[np.intp]) -> Healthy:
+    """Learn how the blocks of a healthy rig scatter.
+
+    Args:
+        score: of each quantity in each block, shape (blocks, n).
+        information: likewise; 0 where a block tells nothing, shape (blocks, n).
+        section: section of each block, in their order, shape (blocks,).
+    """
+    sections = np.unique(section)
+    own = np.array([np.sum(information[section == s], axis=0) for s in sections])
+    sums = np.array([np.sum(score[section == s], axis=0) for s in sections])
+    sizes = np.divide(sums, own, out=np.zeros_like(sums), where=own > 0.0)
+    certainty = np.sum(own, axis=0)
+    root = np.sqrt(information)
+    # Within its section: how sections differ is the spread.
+    apart = score - sizes[np.searchsorted(sections, section)] * information
+    rest = np.divide(apart, root, out=np.zeros_like(score), where=root > 0.0)
+    scatter = _scatter(rest, information > 0.0, len(sections))
+    dependence = _dependence(np.clip(rest / scatter, -rules.MOST_SCORE, rules.MOST_SCORE), section)
+    seen = own > 0.0
+    count = np.maximum(np.sum(seen, axis=0), 1)
+    level = np.sum(sizes, axis=0) / count
+    noise = np.divide(scatter**2 * dependence, own, out=np.zeros_like(own), where=seen)
+    between = np.sum(np.where(seen, (sizes - level) ** 2, 0.0), axis=0) - np.sum(noise, axis=0) * (1.0 - 1.0 / count)
+    spread = np.sqrt(np.maximum(between, 0.0) / np.maximum(count - 1, 1))
+    return Healthy(level, certainty, scatter, spread, dependence, rules.LEARNT_BLOCKS + len(score))
+
+
+def _scatter(rest: Array, told: NDArray[np.bool_], sections: int) -> Array:
+    """Return the scale at which limited scores have the variance that unlimited normal ones would have, shape (n,)."""
+    prior = rules.LEARNT_BLOCKS
+    count = np.sum(told, axis=0)
+    scatter = np.full(rest.shape[1], rules.LEARNT_SCATTER)
+    # A score that is measured from its section's mean has lost a degree of freedom.
+    lost = np.maximum(count - sections, 1) / np.maximum(count, 1)
+    for _ in range(50):
+        squares = np.sum(np.minimum((rest / scatter) ** 2, rules.MOST_SCORE**2), axis=0) / lost
+        grown = (prior * (rules.LEARNT_SCATTER / scatter) ** 2 + squares) / (prior + count)
+        scatter = scatter * np.sqrt(grown)
+    return scatter
+
+
+def _dependence(limited: Array, section: NDArray[np.intp]) -> Array:
+    """Return by how much neighbouring blocks raise the variance of a sum, shape (n,)."""
+    total = np.ones(limited.shape[1])
+    power = np.maximum(np.mean(limited**2, axis=0), 1e-12)
+    for lag in range(1, rules.LONGEST_DEPENDENCE + 1):
+        same = section[lag:] == section[:-lag]
+        if np.sum(same) < 2 * rules.LEARNT_BLOCKS:
+            break
+        correlation = np.mean((limited[lag:] * limited[:-lag])[same], axis=0) / power
+        # What chance alone gives so few blocks is no dependence.
+        beyond = np.abs(correlation) > 2.0 / math.sqrt(float(np.sum(same)))
+        total += 2.0 * np.where(beyond, correlation, 0.0)
+    return np.maximum(total, 1.0)

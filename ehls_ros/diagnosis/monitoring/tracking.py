@@ -1,0 +1,147 @@
+"""The rig's coefficients as the running data tell them, each with its interval or the reason why it is not told.
+
+The coefficients are fitted together, linearly around the model, to the sums over the last blocks. Which are told depends on the
+programme: one that moves slowly tells no mass, and where the pressure is held the bulk modulus does not show.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.coefficients import unit_of, value_of
+from ehls_ros.diagnosis.monitoring.directions import Direction
+from ehls_ros.physics.rig import Rig
+
+
+class Tracked(NamedTuple):
+    """A coefficient that is tracked.
+
+    Attributes:
+        effect: effect whose parameter departs with it.
+        parameter: that parameter.
+        words: what reports call it.
+        coefficient: where its given value stands in the plant or the friction; empty for an error, whose right value is 0.
+        relative: whether the parameter is a factor on its right value.
+        limit: limit of the rig in proportion to which an error counts; empty: it counts by itself.
+    """
+
+    effect: str
+    parameter: str
+    words: str
+    coefficient: str = ""
+    relative: bool = False
+    limit: str = ""
+
+    def given(self, rig: Rig) -> float:
+        """Return its right value, as the rig's model has it."""
+        if not self.coefficient:
+            return 1.0 if self.relative else 0.0
+        found = value_of(rig, self.coefficient)
+        return 0.0 if found is None else found
+
+    def needed(self, rig: Rig) -> float:
+        """Return the largest standard error with which it counts as told."""
+        if self.coefficient:
+            return rules.TOLD_COEFFICIENT * abs(self.given(rig))
+        return rules.TOLD_ERROR * (float(getattr(rig.limits, self.limit)) if self.limit else 1.0)
+
+
+COEFFICIENTS: Mapping[str, Tracked] = {
+    "leakage_coefficient": Tracked("internal_leakage_shift", "added", "internal leakage", "leakage_coefficient"),
+    "bulk_modulus": Tracked("bulk_modulus_shift", "factor", "bulk modulus", "bulk_modulus", relative=True),
+    "discharge_coefficient": Tracked("valve_gain_shift", "flow_gain", "flow gain", "discharge_coefficient", relative=True),
+    "valve_gain": Tracked("valve_gain_shift", "gain", "valve gain", "valve_gain", relative=True),
+    "valve_null": Tracked("valve_null_bias", "command", "null of the spool", limit="spool"),
+    "orifice_null": Tracked("valve_null_bias", "opening", "null of the orifice", limit="spool"),
+    "coulomb_force": Tracked("coulomb_shift", "offset", "friction level", "coulomb_force"),
+    "viscous_coefficient": Tracked("viscous_shift", "added", "viscous friction", "viscous_coefficient"),
+    "friction_asymmetry": Tracked("coulomb_asymmetry", "offset", "asymmetry of the friction", limit="force"),
+    "spring_stiffness": Tracked("spring_rate_shift", "added", "spring rate", "spring_stiffness"),
+    "moving_mass": Tracked("mass_shift", "factor", "moving mass", "moving_mass", relative=True),
+    "pressure_sensor_bias": Tracked("pressure_sensor_bias", "bias", "offset of the pressure sensor", limit="load_pressure"),
+    "pressure_sensor_gain": Tracked("pressure_sensor_gain", "gain", "gain of the pressure sensor", relative=True),
+    "position_sensor_gain": Tracked("position_sensor_gain", "gain", "gain of the position sensor", relative=True),
+    "constant_load": Tracked("constant_load", "force", "constant load", limit="force"),
+}
+"""The coefficients that are tracked, by the names that topic, file and page give them."""
+
+
+class Reading(NamedTuple):
+    """What the last blocks say of a coefficient.
+
+    Attributes:
+        name: its name in :data:`COEFFICIENTS`.
+        value: its value; the model's where it is not told.
+        deviation: standard error; infinite where it is not told.
+        unit: of both.
+        why_not: why it is not told; empty where it is.
+    """
+
+    name: str
+    value: float
+    deviation: float
+    unit: str
+    why_not: str = ""
+
+    @property
+    def told(self) -> bool:
+        """Whether the data tell it."""
+        return not self.why_not
+
+
+def tracked(directions: Sequence[Direction]) -> dict[str, int]:
+    """Return the number of the direction that moves each coefficient, of those that have one."""
+    out = {}
+    for name, coefficient in COEFFICIENTS.items():
+        for number, direction in enumerate(directions):
+            if direction.name == coefficient.effect and direction.parameter == coefficient.parameter and name not in out:
+                out[name] = number
+    return out
+
+
+def readings(
+    directions: Sequence[Direction], numbers: Mapping[str, int], rig: Rig, score: Array, normal: Array, scatter: Array
+) -> tuple[Reading, ...]:
+    """Fit all coefficients together to summed blocks.
+
+    Args:
+        directions: of the scores.
+        numbers: of the tracked ones, as :func:`tracked` gives them.
+        rig: the model that the scores depart from.
+        score: summed scores of the tracked directions, in the order of their names, shape (n,).
+        normal: summed products of their changes, shape (n, n).
+        scatter: standard deviation of their scores, by the root of the information, shape (n,).
+    """
+    moved = np.sqrt(np.maximum(np.diag(normal), 0.0))
+    seen = moved > 0.0
+    size = np.zeros(len(moved))
+    deviation = np.full(len(moved), np.inf)
+    alike = [""] * len(moved)
+    names = list(numbers)
+    if np.any(seen):
+        scaled = normal[np.ix_(seen, seen)] / np.outer(moved[seen], moved[seen])
+        inverse = np.linalg.inv(scaled + rules.INSEPARABLE * np.eye(len(scaled)))
+        size[seen] = inverse @ (score[seen] / moved[seen]) / moved[seen]
+        deviation[seen] = scatter[seen] * np.sqrt(np.maximum(np.diag(inverse), 0.0)) / moved[seen]
+        correlation = inverse / np.sqrt(np.outer(np.diag(inverse), np.diag(inverse)))
+        np.fill_diagonal(correlation, 0.0)
+        index = [place for place in range(len(names)) if seen[place]]
+        for row, place in enumerate(index):
+            alike[place] = names[index[int(np.argmax(np.abs(correlation[row])))]]
+    out = []
+    for place, (name, number) in enumerate(numbers.items()):
+        direction, coefficient = directions[number], COEFFICIENTS[name]
+        given = coefficient.given(rig)
+        scale = abs(direction.step) * (abs(given) if coefficient.relative else 1.0)
+        change, error = float(size[place]) * math.copysign(scale, direction.step), float(deviation[place]) * scale
+        why_not = "the programme does not show it" if not seen[place] else ""
+        if not why_not and error > coefficient.needed(rig):
+            partner = COEFFICIENTS[alike[place]].words if alike[place] else "others"
+            why_not = f"the programme does not tell it from the {partner}"
+        unit = unit_of(rig, coefficient.coefficient) if coefficient.coefficient else direction.unit
+        out.append(Reading(name, given if why_not else given + change, math.inf if why_not else error, unit, why_not))
+    return tuple(out)

@@ -1,0 +1,164 @@
+"""What a change is: the diagnosis of the samples since it began, in this process or in one of its own."""
+
+import multiprocessing
+import os
+from collections.abc import Mapping
+from concurrent.futures import Future, ProcessPoolExecutor
+from typing import NamedTuple, Protocol
+
+from ehls_ros.diagnosis.diagnose import diagnose
+from ehls_ros.diagnosis.result import NAMING, Diagnosis, Verdict
+from ehls_ros.errors import BadInput
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.baseline import diagnose_against
+from ehls_ros.physics.rig import Rig
+from ehls_ros.trajectory import Trajectory
+
+NICENESS = 10
+"""Niceness of the process that diagnoses: the rig's own processes come first."""
+
+
+class Task(NamedTuple):
+    """A recording to be diagnosed.
+
+    Attributes:
+        recording: the samples.
+        rig: the model they are compared with.
+        baselines: recordings from when the rig was well; none: the rig file is what they are judged by.
+    """
+
+    recording: Trajectory
+    rig: Rig
+    baselines: tuple[Trajectory, ...] = ()
+
+
+class FoundCause(NamedTuple):
+    """A cause that a diagnosis names; attributes as in :class:`ehls_ros.diagnosis.result.Cause`."""
+
+    name: str
+    stage: str
+    probability: float
+    equivalent_to: tuple[str, ...]
+    parameters: Mapping[str, Estimate]
+
+
+class Finding(NamedTuple):
+    """What a diagnosis found.
+
+    Attributes:
+        verdict: of the diagnosis.
+        causes: the causes, best first.
+        rig: the model with them.
+        unknown_stage: stage of an error that no effect of the list explains.
+        depends_on: signals that it depends on.
+        reason: why nothing is judged, if so.
+        wall_s: time it took [s].
+    """
+
+    verdict: Verdict
+    causes: tuple[FoundCause, ...]
+    rig: Rig
+    unknown_stage: str = ""
+    depends_on: tuple[str, ...] = ()
+    reason: str = ""
+    wall_s: float = 0.0
+
+    @property
+    def names(self) -> bool:
+        """Whether it names causes."""
+        return self.verdict in NAMING and bool(self.causes)
+
+
+def examine(task: Task) -> Finding:
+    """Diagnose a recording; one that cannot be judged is insufficient, with the reason."""
+    try:
+        if task.baselines:
+            found = diagnose_against(task.recording, task.baselines, task.rig, "the last samples", threads=1)
+        else:
+            found = diagnose(task.recording, task.rig, "the last samples", threads=1)
+    except BadInput as error:
+        return Finding("insufficient", (), task.rig, reason=str(error))
+    return _short(found)
+
+
+def _short(found: Diagnosis) -> Finding:
+    causes = tuple(FoundCause(c.name, c.stage, c.probability, c.equivalent_to, dict(c.parameters)) for c in found.causes)
+    return Finding(
+        found.verdict,
+        causes,
+        found.extended,
+        found.unknown_stage or "",
+        found.depends_on,
+        "; ".join(found.missing) if found.verdict == "insufficient" else "",
+        found.wall_s,
+    )
+
+
+class Examiner(Protocol):
+    """Who diagnoses."""
+
+    def begin(self, task: Task) -> None:
+        """Begin a diagnosis; one is under way at a time."""
+
+    def finding(self) -> Finding | None:
+        """Return the result once it is there, and only once."""
+
+    def close(self) -> None:
+        """End what is under way."""
+
+
+class AtOnce:
+    """Diagnoses in this process, before it returns."""
+
+    def __init__(self) -> None:
+        """Begin with nothing to do."""
+        self._found: Finding | None = None
+
+    def begin(self, task: Task) -> None:
+        """Diagnose."""
+        self._found = examine(task)
+
+    def finding(self) -> Finding | None:
+        """Return the result, once."""
+        found, self._found = self._found, None
+        return found
+
+    def close(self) -> None:
+        """Nothing is under way."""
+
+
+class InItsOwnProcess:
+    """Diagnoses in another process, which gives way to the rig's own."""
+
+    def __init__(self) -> None:
+        """Start no process before the first diagnosis."""
+        self._workers: ProcessPoolExecutor | None = None
+        self._under_way: Future[Finding] | None = None
+
+    def begin(self, task: Task) -> None:
+        """Begin a diagnosis."""
+        if self._workers is None:
+            self._workers = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), os.nice, (NICENESS,))
+        self._under_way = self._workers.submit(examine, task)
+
+    def finding(self) -> Finding | None:
+        """Return the result once it is there.
+
+        A process that was killed found nothing: the next diagnosis starts another one.
+        """
+        if self._under_way is None or not self._under_way.done():
+            return None
+        done, self._under_way = self._under_way, None
+        failure = done.exception()
+        if failure is None:
+            return done.result()
+        self.close()
+        raise RuntimeError(f"the diagnosis failed: {failure}") from failure
+
+    def close(self) -> None:
+        """End the process."""
+        if self._workers is not None:
+            self._workers.shutdown(wait=False, cancel_futures=True)
+            for process in list((self._workers._processes or {}).values()):  # noqa: SLF001
+                process.terminate()
+        self._workers, self._under_way = None, None

@@ -1,0 +1,485 @@
+"""The monitor: samples in, and out of them the rig's health.
+
+It learns how a healthy rig's blocks scatter, tests each further block for a change, and has what it noticed diagnosed. What
+changed is in the model from then on, so that the test goes on beside it; each diagnosis starts from the healthy rig again, so
+that a cause that grows is the same change, and one that is gone has cleared.
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.coverage import covered
+from ehls_ros.diagnosis.evidence import Evidence, gather
+from ehls_ros.diagnosis.monitoring.blocks import Scores, scores
+from ehls_ros.diagnosis.monitoring.change_test import Change, ChangeTest
+from ehls_ros.diagnosis.monitoring.directions import Direction, directions
+from ehls_ros.diagnosis.monitoring.healthy import Healthy, learn
+from ehls_ros.diagnosis.monitoring.tracking import Reading, readings, tracked
+from ehls_ros.diagnosis.record import prepare
+from ehls_ros.diagnosis.stages import CHANNELS, setup
+from ehls_ros.errors import BadInput
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.monitoring.examination import Examiner, Finding, Task
+from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, State
+from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.monitoring.samples import Samples
+from ehls_ros.physics.rig import Rig
+from ehls_ros.trajectory import Trajectory
+
+GAP = 0.05
+"""Longest time between two samples of one stretch [s]."""
+
+RIG_FILE, OWN_RECORDING, RECORDINGS = "the rig file", "the first minutes", "healthy recordings"
+"""What a change is measured from."""
+
+LOOKED_AT = 20.0
+"""Time of a healthy recording from which the sizes of the departures are chosen [s]."""
+
+MORE = 1.5
+"""Factor by which the samples since an onset must have grown before they are diagnosed again."""
+
+SETTLED = 60.0
+"""Time after which a change of the scores that no diagnosis confirms is taken for an operating point of its own [s]."""
+
+RATES = 60
+"""Readings from which the rates of change are found."""
+
+FEWEST_RATES = 5
+
+
+class Judged(NamedTuple):
+    """A block that was judged.
+
+    Attributes:
+        begin: its first time [s].
+        scores: what it says.
+    """
+
+    begin: float
+    scores: Scores
+
+
+class Past(NamedTuple):
+    """What the coefficients were.
+
+    Attributes:
+        time: end of the averaged blocks [s].
+        readings: of all coefficients.
+    """
+
+    time: float
+    readings: tuple[Reading, ...]
+
+
+class Monitor:
+    """Watches one rig.
+
+    Attributes:
+        changes: what was found, oldest first.
+        history: the coefficients, one entry each ``reading_time``.
+        model: the healthy rig's model with what has changed since.
+    """
+
+    def __init__(
+        self, rig: Rig, parameters: Parameters, examiner: Examiner, baselines: Mapping[str, Trajectory] | None = None
+    ) -> None:
+        """Begin to learn, from recordings of the healthy rig or from the first samples.
+
+        Args:
+            rig: the rig as its file describes it.
+            parameters: how it is watched.
+            examiner: who diagnoses a change.
+            baselines: recordings from when the rig was well, by their names.
+
+        Raises:
+            BadInput: a baseline cannot be read as a recording of such a rig.
+        """
+        self.rig = self.model = rig
+        self.parameters = parameters
+        self.changes = list[FoundChange]()
+        self.history = list[Past]()
+        self._examiner = examiner
+        self._baselines = dict(baselines or {})
+        self._samples = Samples(max(parameters.kept_time, parameters.learning_time + 2.0 * rules.MONITOR_BLOCK))
+        self._begin = math.nan
+        self._segment = math.nan
+        self._watched = 0.0
+        self._state = State.LEARNING
+        self._reason = ""
+        self._kind = RIG_FILE
+        self._learning = list[float]()
+        self._directions: tuple[Direction, ...] = ()
+        self._numbers: dict[str, int] = {}
+        self._test: ChangeTest | None = None
+        self._sections = list[list[Scores]]()
+        self._seen: Evidence | None = None
+        self._begins = deque[float](maxlen=rules.LONGEST_WATCH)
+        self._recent = deque[Scores](maxlen=max(1, round(parameters.reading_time / rules.MONITOR_BLOCK)))
+        self._read = 0
+        self._outside = deque[bool](maxlen=24)
+        self._under_way: Change | None = None
+        self._examined = 0
+        self._readings: tuple[Reading, ...] = ()
+        if self._baselines:
+            self._learn_from_baselines()
+
+    # --- samples ----------------------------------------------------------------------------------
+
+    def add(self, time_s: Array, signals: Mapping[str, Array]) -> list[Event]:
+        """Take further samples, and judge the blocks that they complete.
+
+        Args:
+            time_s: increasing times that follow those before, shape (n,) [s]. A jump begins a new stretch.
+            signals: values by the names of the data contract, NaN where a sample has none, shape (n,).
+
+        Returns:
+            What happened.
+        """
+        events = list[Event]()
+        if len(time_s):
+            jumps = np.flatnonzero(np.diff(time_s) > GAP) + 1
+            if len(self._samples) and time_s[0] - self._samples.times[-1] > GAP:
+                jumps = np.concatenate([[0], jumps])
+            for part in np.split(np.arange(len(time_s)), jumps):
+                if part.size:
+                    self._add_stretch(time_s[part], {name: values[part] for name, values in signals.items()}, events)
+        self._follow_examination(events)
+        return events
+
+    def interrupt(self) -> None:
+        """Begin a new stretch with the next sample: what lies between was not driven by the recorded command."""
+        self._begin = math.nan
+
+    def recording(self, seconds: float) -> Trajectory:
+        """Return the samples of the last time [s]."""
+        end = float(self._samples.times[-1]) if len(self._samples) else 0.0
+        return self._samples.between(end - seconds, math.inf)
+
+    def _add_stretch(self, time_s: Array, signals: Mapping[str, Array], events: list[Event]) -> None:
+        follows = bool(len(self._samples)) and time_s[0] - self._samples.times[-1] <= GAP and not math.isnan(self._begin)
+        self._samples.add(time_s, signals)
+        if not follows:
+            self._segment = float(time_s[0])
+            self._begin = self._segment + rules.MONITOR_LEAD
+        while float(time_s[-1]) >= self._begin + rules.MONITOR_BLOCK:
+            if self._state == State.LEARNING and self._under_way_learning:
+                break
+            begin, self._begin = self._begin, self._begin + rules.MONITOR_BLOCK
+            self._judge(begin, events)
+            self._follow_examination(events)
+
+    # --- blocks -----------------------------------------------------------------------------------
+
+    def _evidence(self, begin: float, end: float, rig: Rig) -> Evidence | None:
+        recording = self._samples.between(begin - rules.MONITOR_LEAD, end)
+        return self._compared(recording, rig)
+
+    def _compared(self, recording: Trajectory, rig: Rig) -> Evidence | None:
+        try:
+            record = prepare(recording, rig, "the rig")
+            compared = setup(record, rig)
+            evidence = gather(record, rig, compared, 0) if compared.channels else None
+        except BadInput as error:
+            self._reason = str(error)
+            return None
+        if evidence is None or not evidence.channels:
+            self._reason = "; ".join(compared.why_not.values()) or "the signals tell nothing of the model"
+            return None
+        return evidence
+
+    def _judge(self, begin: float, events: list[Event]) -> None:
+        if self._state == State.LEARNING:
+            self._learning.append(begin)
+            if len(self._learning) * rules.MONITOR_BLOCK >= self.parameters.learning_time:
+                self._end_learning(events)
+            return
+        evidence = self._evidence(begin, begin + rules.MONITOR_BLOCK, self.model)
+        if evidence is None:
+            self._state = State.IDLE if self._under_way is None else self._state
+            return
+        if self._state == State.IDLE:
+            self._state, self._reason = State.WATCHING, ""
+        self._watched += rules.MONITOR_BLOCK
+        if self._is_outside(evidence):
+            return
+        self._take(begin, scores(evidence, self._directions), events)
+
+    def _is_outside(self, evidence: Evidence) -> bool:
+        """Tell whether a block lies where no healthy recording has been; the rig file's model holds everywhere."""
+        outside = False
+        if self._kind != RIG_FILE and self._seen is not None:
+            outside = any(item.beyond > rules.MENTIONED_UNSEEN for item in covered([self._seen], evidence))
+        self._outside.append(outside)
+        return outside
+
+    def _take(self, begin: float, found: Scores, events: list[Event]) -> None:
+        if self._test is None:
+            return
+        self._begins.append(begin)
+        self._test.add(found.score, found.information, found.share)
+        self._recent.append(found)
+        self._readings = self._read_off()
+        self._read += 1
+        if self._read >= (self._recent.maxlen or 1):
+            self._read = 0
+            self.history.append(Past(begin + rules.MONITOR_BLOCK, self._readings))
+        if self._under_way is not None:
+            return
+        change = self._test.change()
+        if change is None:
+            self._examined = 0
+        elif change.blocks >= MORE * self._examined:
+            self._examine(change, begin + rules.MONITOR_BLOCK, events)
+
+    def _read_off(self) -> tuple[Reading, ...]:
+        if self._test is None or not self._numbers:
+            return ()
+        rows = np.array(list(self._numbers.values()), dtype=np.intp)
+        score = np.sum([s.score[rows] for s in self._recent], axis=0)
+        normal = np.sum([s.normal[np.ix_(rows, rows)] for s in self._recent], axis=0)
+        return readings(self._directions, self._numbers, self.model, score, normal, self._test.healthy.scatter[rows])
+
+    # --- learning ---------------------------------------------------------------------------------
+
+    @property
+    def _under_way_learning(self) -> bool:
+        return bool(self._learning) and len(self._learning) * rules.MONITOR_BLOCK >= self.parameters.learning_time
+
+    def _end_learning(self, events: list[Event]) -> None:
+        begin, end = self._learning[0] - rules.MONITOR_LEAD, self._learning[-1] + rules.MONITOR_BLOCK
+        self._examiner.begin(Task(self._samples.between(begin, end), self.rig))
+        events.append(Event(end, "learnt", f"{self.parameters.learning_time:g} s learnt; compared with the rig file"))
+
+    def _learn_from_baselines(self) -> None:
+        for name, recording in self._baselines.items():
+            evidence = self._compared(recording, self.rig)
+            if evidence is None:
+                raise BadInput(self._reason, name, "a recording of the healthy rig")
+            if not self._directions:
+                self._directions = directions(evidence)
+                self._numbers = tracked(self._directions)
+                self._seen = evidence
+            time = recording.time_s
+            for begin in np.arange(time[0], time[-1] - rules.MONITOR_BLOCK - rules.MONITOR_LEAD, rules.MONITOR_BLOCK):
+                part = slice(*np.searchsorted(time, [begin, begin + rules.MONITOR_LEAD + rules.MONITOR_BLOCK]))
+                block = self._compared(Trajectory(time[part], {n: v[part] for n, v in recording.signals.items()}), self.rig)
+                if block is not None:
+                    self._sections.append([]) if begin == time[0] else None
+                    self._sections[-1].append(scores(block, self._directions))
+        self._kind = RECORDINGS
+        self._begin_watching()
+
+    def _begin_watching(self) -> None:
+        healthy = self._healthy()
+        if self._test is None:
+            self._test = ChangeTest(healthy, self.parameters.mean_time_between_false_alarms)
+        else:
+            self._test.learn(healthy)
+        self._state, self._reason = State.WATCHING, ""
+
+    def _healthy(self) -> Healthy:
+        """Return how the healthy blocks scatter.
+
+        Departures from a rig file that is right are measured from it itself, but for those in which the model does not change
+        smoothly: a delay averages noise, and seems to help a little where there is none.
+        """
+        blocks = [block for section in self._sections for block in section]
+        section = np.repeat(np.arange(len(self._sections)), [len(s) for s in self._sections])
+        found = learn(np.array([b.score for b in blocks]), np.array([b.information for b in blocks]), section)
+        if self._kind != RIG_FILE:
+            return found
+        given = np.zeros(len(found.level), dtype=np.bool_)
+        given[: len(self._directions)] = [direction.smooth for direction in self._directions]
+        return found._replace(level=np.where(given, 0.0, found.level), certainty=np.where(given, np.inf, found.certainty))
+
+    # --- examination ------------------------------------------------------------------------------
+
+    def _examine(self, change: Change, now: float, events: list[Event]) -> None:
+        self._under_way, self._examined, self._state = change, change.blocks, State.EXAMINING
+        begins = list(self._begins)
+        # The block in which it began is only partly changed.
+        first = begins[-change.blocks + (1 if change.blocks > 4 else 0)]
+        begin = max(first, now - self.parameters.kept_time)
+        events.append(Event(now, "noticed", f"{self._quantity(change.quantity)} since {begins[-change.blocks]:.1f} s"))
+        baselines = tuple(self._baselines.values())
+        self._examiner.begin(Task(self._samples.between(begin - rules.MONITOR_LEAD, now), self.rig, baselines))
+
+    def _quantity(self, number: int) -> str:
+        if number < len(self._directions):
+            return f"{self._directions[number].name} changed"
+        return f"the residual of the channel {list(CHANNELS)[number - len(self._directions)]} changed"
+
+    def _follow_examination(self, events: list[Event]) -> None:
+        found = self._examiner.finding()
+        if found is None:
+            return
+        now = float(self._samples.times[-1])
+        if self._state == State.LEARNING:
+            self._learnt(found, now, events)
+            return
+        change, self._under_way = self._under_way, None
+        self._state = State.WATCHING
+        if change is None or self._test is None:
+            return
+        begins = list(self._begins)
+        onset, earliest, latest = (begins[-min(n, len(begins))] for n in (change.blocks, change.earliest, change.latest))
+        if found.names:
+            self._name(found, (onset, earliest, latest), now, events)
+        elif found.verdict == "unknown":
+            new = self._new_change(found, (onset, earliest, latest), now)
+            events.append(Event(now, "named", new.sentence()))
+            self._learn_anew()
+        elif found.verdict == "consistent" and self.model is not self.rig:
+            self._clear(self.changes, now, events)
+            self.model = self.rig
+            self._restart()
+        elif change.blocks * rules.MONITOR_BLOCK >= SETTLED:
+            events.append(
+                Event(now, "unconfirmed", "no diagnosis confirms the change: taken for an operating point of its own")
+            )
+            self._accept(change.blocks)
+
+    def _learnt(self, found: Finding, now: float, events: list[Event]) -> None:
+        begin, end = self._learning[0] - rules.MONITOR_LEAD, self._learning[-1] + rules.MONITOR_BLOCK
+        recording = self._samples.between(begin, end)
+        if found.verdict == "consistent":
+            self._kind = RIG_FILE
+        elif found.verdict == "effect" and found.names:
+            self._kind = RIG_FILE
+            self._name(found, (begin, -math.inf, begin), now, events)
+        else:
+            self._kind, self._baselines = OWN_RECORDING, {OWN_RECORDING: recording}
+            events.append(
+                Event(now, "differs", f"the rig is not the rig file's: {found.verdict}; {self._kind} are the baseline")
+            )
+        evidence = self._compared(self._samples.between(begin, begin + LOOKED_AT), self.model)
+        if evidence is None:
+            self._learning.clear()
+            return
+        self._directions = directions(evidence)
+        self._numbers = tracked(self._directions)
+        self._seen = self._compared(recording, self.model)
+        section = list[Scores]()
+        for block in self._learning:
+            own = self._evidence(block, block + rules.MONITOR_BLOCK, self.model)
+            if own is not None:
+                section.append(scores(own, self._directions))
+        self._learning.clear()
+        if not section:
+            return
+        self._sections = [section]
+        self._begin_watching()
+        events.append(Event(now, "watching", f"watched against {self._kind}"))
+
+    def _learn_anew(self) -> None:
+        """Learn what the rig is now: an unknown change cannot be put into the model."""
+        self._state, self._test, self._sections = State.LEARNING, None, []
+        self._begins.clear()
+        self._recent.clear()
+
+    def _accept(self, blocks: int) -> None:
+        """Take the last blocks for one more condition of the healthy rig."""
+        if self._test is None:
+            return
+        score, information, share = self._test.rows()[:, -blocks:]
+        none = np.zeros((0, 0))
+        self._sections.append([Scores(*row, none) for row in zip(score, information, share, strict=True)])
+        self._test.learn(self._healthy())
+        self._restart()
+
+    def _restart(self) -> None:
+        """Begin the sums anew: what they held was measured from another model."""
+        if self._test is not None:
+            self._test.restart()
+        self._begins.clear()
+        self._recent.clear()
+        self._examined = 0
+
+    def _name(self, found: Finding, times: tuple[float, float, float], now: float, events: list[Event]) -> None:
+        """Keep what a diagnosis names: a known change has another size, a new one is added, and what is not named is gone."""
+        named = {cause.name: cause for cause in found.causes}
+        for index, change in enumerate(self.changes):
+            if not change.active or not change.causes:
+                continue
+            cause = named.pop(change.name, None)
+            if cause is not None:
+                self.changes[index] = change._replace(causes=(cause,))
+                events.append(Event(now, "moved", self.changes[index].sentence()))
+            else:
+                self._clear([change], now, events)
+        for cause in named.values():
+            new = self._new_change(found._replace(causes=(cause,)), times, now)
+            events.append(Event(now, "named", new.sentence()))
+        self.model = found.rig
+        self._restart()
+
+    def _new_change(self, found: Finding, times: tuple[float, float, float], now: float) -> FoundChange:
+        stage = found.causes[0].stage if found.causes else found.unknown_stage
+        new = FoundChange(len(self.changes) + 1, found.causes, stage, found.depends_on, *times, now, now)
+        self.changes.append(new)
+        return new
+
+    def _clear(self, gone: Sequence[FoundChange], now: float, events: list[Event]) -> None:
+        for index, change in enumerate(self.changes):
+            if change.active and change in gone:
+                self.changes[index] = change._replace(cleared=now)
+                events.append(Event(now, "cleared", f"{change.name} shows no more"))
+
+    # --- what is known ------------------------------------------------------------------------------
+
+    def acknowledge(self) -> int:
+        """Take note that an operator has seen all changes, and return how many were new to them."""
+        new = [i for i, change in enumerate(self.changes) if not change.acknowledged]
+        for index in new:
+            self.changes[index] = self.changes[index]._replace(acknowledged=True)
+        return len(new)
+
+    def health(self) -> Health:
+        """Return what is known now."""
+        time = float(self._samples.times[-1]) if len(self._samples) else math.nan
+        outside = float(np.mean(self._outside)) if self._outside else 0.0
+        return Health(
+            time,
+            self._state,
+            self._reason,
+            tuple(self.changes),
+            self._readings,
+            self._watched,
+            self._kind,
+            outside,
+            self._rates(),
+        )
+
+    def _rates(self) -> dict[str, Estimate]:
+        """Return the change of each coefficient in an hour, from lines through the last readings."""
+        out = dict[str, Estimate]()
+        series = dict[str, list[tuple[float, Reading]]]()
+        for past in self.history[-RATES:]:
+            for reading in past.readings:
+                if reading.told:
+                    series.setdefault(reading.name, []).append((past.time / 3600.0, reading))
+        for name, points in series.items():
+            if len(points) < FEWEST_RATES:
+                continue
+            hours = np.array([hour for hour, _ in points])
+            values = np.array([reading.value for _, reading in points])
+            weights = 1.0 / np.array([reading.deviation for _, reading in points]) ** 2
+            middle = float(np.average(hours, weights=weights))
+            spread = float(np.sum(weights * (hours - middle) ** 2))
+            if spread <= 0.0:
+                continue
+            slope = float(np.sum(weights * (hours - middle) * values)) / spread
+            rest = values - np.average(values, weights=weights) - slope * (hours - middle)
+            grown = max(1.0, float(np.sum(weights * rest**2)) / (len(points) - 2))
+            out[name] = Estimate(slope, math.sqrt(grown / spread), f"{points[0][1].unit}/h")
+        return out
+
+    def close(self) -> None:
+        """End what is under way."""
+        self._examiner.close()
