@@ -45,7 +45,8 @@ def test_of_two_controllers_that_wait_for_the_plant_one_drives_and_the_other_sta
     [nobody, first] = told
     assert (nobody.sender, first.cycle) == ("", 0)
     assert {message.sender for message in commands if message.cycle > 0} == {first.sender}
-    assert {message.sender for message in shadows} == {message.sender for message in commands} - {first.sender}
+    [standing_by] = {message.sender for message in shadows}
+    assert standing_by != first.sender
     # On a busy machine it may miss cycles until the plant knows that it stands by.
     stood_by = {message.cycle: message.spool for message in shadows}
     whole = all(cycle in stood_by for cycle in range(1, CYCLES))
