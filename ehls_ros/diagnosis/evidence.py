@@ -147,7 +147,7 @@ class Evidence:
         return self.setup.window_of(channel).mean(values)[self.masks[channel]]
 
 
-def gather(record: Record, rig: Rig, setup: Setup, seed: int) -> Evidence:
+def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int = rules.REALISATIONS) -> Evidence:
     """Compare the given model with a recording and find the noise floor.
 
     Args:
@@ -155,13 +155,14 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int) -> Evidence:
         rig: the given model.
         setup: what of the model can be compared.
         seed: of the noise that is added.
+        realisations: how often it is added to find the noise floor.
     """
     comparison = Comparison(record, setup)
     masks = {channel: usable(comparison, channel) for channel in setup.channels}
     channels: tuple[Channel, ...] = tuple(c for c in setup.channels if np.any(masks[c]))
     raw = comparison.residuals(rig, channels)
     noise = deviations(record)
-    deviation = scatter(comparison, rig, raw, noise, seed)
+    deviation = scatter(comparison, rig, raw, noise, seed, realisations)
     sizes = largest_terms(comparison, rig)
     coarse = {c: setup.window_of(c).mean(coarseness(record, formed_of(record, c)) ** 2) for c in channels}
     floor = {c: np.sqrt(deviation[c] ** 2 + coarse[c] * (rules.TOLERANCE * sizes[c]) ** 2)[masks[c]] for c in channels}

@@ -87,7 +87,12 @@ def with_noise(record: Record, deviation: Mapping[str, Array], rng: np.random.Ge
 
 
 def scatter(
-    comparison: Comparison, rig: Rig, raw: Mapping[Channel, Array], deviation: Mapping[str, Array], seed: int
+    comparison: Comparison,
+    rig: Rig,
+    raw: Mapping[Channel, Array],
+    deviation: Mapping[str, Array],
+    seed: int,
+    realisations: int = rules.REALISATIONS,
 ) -> dict[Channel, Array]:
     """Return the standard deviation of each window's residual that is no error of the model, by channel.
 
@@ -97,11 +102,12 @@ def scatter(
         raw: its residuals, in each channel's unit.
         deviation: of each sample's noise, by signal.
         seed: of the noise that is added.
+        realisations: how often it is added.
     """
     rng = np.random.default_rng(seed)
     record, channels = comparison.record, tuple(raw)
     squares = {c: np.zeros(len(raw[c])) for c in channels}
-    for _ in range(rules.REALISATIONS):
+    for _ in range(realisations):
         again = Comparison(with_noise(record, deviation, rng), comparison.setup).residuals(rig, channels)
         for c in channels:
             squares[c] += (again[c] - raw[c]) ** 2
@@ -115,7 +121,7 @@ def scatter(
     smeared = Comparison(record, wider).residuals(rig, channels)
     out = {}
     for c in channels:
-        variance = squares[c] / rules.REALISATIONS
+        variance = squares[c] / realisations
         typical = float(np.median(variance))
         local = scipy.ndimage.uniform_filter1d(variance, rules.VARIANCE_WINDOWS, mode="nearest")
         # Where a wider local fit of the motion gives another residual, the fit is uncertain by the difference.

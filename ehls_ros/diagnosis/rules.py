@@ -1013,6 +1013,14 @@ MOST_SCORE: Annotated[
     ),
 ] = 4.0
 
+ALIKE: Annotated[
+    float, Rule("monitor", "1", "Correlation of two departures' changes from which on the monitor follows one of them only.")
+] = 0.95
+
+MONITOR_REALISATIONS: Annotated[
+    int, Rule("monitor", "1", "Realisations of sensor noise that the noise floor of a block is averaged over.")
+] = 2
+
 LEARNT_SCATTER: Annotated[
     float,
     Rule(

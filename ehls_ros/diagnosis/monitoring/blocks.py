@@ -15,9 +15,8 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, Residuals
 from ehls_ros.diagnosis.loss import weights
-from ehls_ros.diagnosis.monitoring.directions import Direction
-from ehls_ros.diagnosis.stages import CHANNELS, Channel
-from ehls_ros.physics.rig import Rig
+from ehls_ros.diagnosis.monitoring.directions import Direction, changes
+from ehls_ros.diagnosis.stages import CHANNELS
 
 
 class Scores(NamedTuple):
@@ -27,7 +26,7 @@ class Scores(NamedTuple):
         score: of each quantity, shape (n,).
         information: of each quantity; 0 where the block tells nothing, shape (n,).
         share: rms of the change by each direction, as a fraction of the largest term of its balance; 1 for a power, shape (n,).
-        normal: products of the changes by any two directions, shape (directions, directions).
+        normal: products of the changes by any two of the tracked directions, shape (tracked, tracked).
     """
 
     score: Array
@@ -36,36 +35,36 @@ class Scores(NamedTuple):
     normal: Array
 
 
-def scores(evidence: Evidence, directions: Sequence[Direction], rig: Rig | None = None) -> Scores:
+def scores(evidence: Evidence, directions: Sequence[Direction], tracked: Sequence[int] = ()) -> Scores:
     """Weigh a block's residuals against what each departure would change.
 
     Args:
         evidence: the block compared with the model.
         directions: the departures.
-        rig: the model; that of the evidence where nothing is said.
+        tracked: numbers of the directions that are fitted together.
     """
-    rig = evidence.rig if rig is None else rig
-    comparison = evidence.comparison()
-    base = evidence.base if rig is evidence.rig else evidence.residuals(comparison, rig)
+    comparison, base = evidence.comparison(), evidence.base
     counted = {c: weights(base.values[c]) for c in evidence.channels}
-    count = len(directions)
-    changes: dict[Channel, Array] = {c: np.zeros((count, len(base.values[c]))) for c in evidence.channels}
-    for index, direction in enumerate(directions):
-        other = evidence.residuals(comparison, direction.rig(rig), base)
-        for c in evidence.channels:
-            changes[c][index] = other.values[c] - base.values[c]
-    score, normal, share = np.zeros(count), np.zeros((count, count)), np.zeros(count)
-    for c in evidence.channels:
-        change = changes[c]
-        weighed = change * counted[c]
-        score -= weighed @ base.values[c]
-        normal += weighed @ change.T
-        size = np.sqrt(np.mean((change * evidence.floor[c]) ** 2, axis=1)) / max(evidence.sizes[c], 1e-300)
-        share = np.maximum(share, size)
+    pull = {c: counted[c] * base.values[c] for c in evidence.channels}
+    score, information, share = (np.zeros(len(directions)) for _ in range(3))
+    place = {number: row for row, number in enumerate(tracked)}
+    kept = {c: np.zeros((len(tracked), len(base.values[c]))) for c in evidence.channels}
+    for number, direction in enumerate(directions):
+        for c, change in changes(comparison, evidence, direction).items():
+            score[number] -= np.einsum("i,i", change, pull[c])
+            information[number] += np.einsum("i,i,i", change, change, counted[c])
+            moved = change * evidence.floor[c]
+            size = math.sqrt(float(np.einsum("i,i", moved, moved)) / len(moved)) / max(evidence.sizes[c], 1e-300)
+            share[number] = max(share[number], size)
+            if number in place:
+                kept[c][place[number]] = change
+    normal = np.zeros((len(tracked), len(tracked)))
+    for c, moves in kept.items():
+        normal += np.einsum("ik,jk,k->ij", moves, moves, counted[c])
     power, certainty = _power(base)
     return Scores(
         np.concatenate([score, power * certainty]),
-        np.concatenate([np.diag(normal), certainty]),
+        np.concatenate([information, certainty]),
         np.concatenate([share, np.ones(len(power))]),
         normal,
     )

@@ -131,11 +131,14 @@ class ChangeTest:
     def _deviation(self, information: Array, share: Array) -> Array:
         """Return the standard deviation of a healthy rig's sums, infinite for what it told nothing of."""
         healthy = self.healthy
-        with np.errstate(divide="ignore"):
-            # No model of a rig is better than that.
-            tolerated = np.divide(rules.TOLERANCE, share, out=np.zeros_like(share), where=share > 0.0)
-            size = healthy.spread**2 + tolerated**2 + healthy.scatter**2 * healthy.dependence / healthy.certainty
-        return np.sqrt(healthy.dependence * information + size * (information / healthy.scatter) ** 2)
+        # No model of a rig is better than that.
+        tolerated = np.divide(rules.TOLERANCE, share, out=np.zeros_like(share), where=share > 0.0)
+        unsure = np.full_like(healthy.certainty, np.inf)
+        np.divide(healthy.scatter**2 * healthy.dependence, healthy.certainty, out=unsure, where=healthy.certainty > 0.0)
+        size = healthy.spread**2 + tolerated**2 + unsure
+        out = np.zeros_like(information)
+        np.multiply(size, (information / healthy.scatter) ** 2, out=out, where=information > 0.0)
+        return np.sqrt(healthy.dependence * information + out)
 
     def _since(self, quantity: int, ratio: float, sums: Array, information: Array) -> Change:
         """Find the onset: the time since which the scores are likeliest to have another mean."""

@@ -1,14 +1,17 @@
 """The directions in which a rig may depart from its model: one or more for each effect that can be named."""
 
-from collections.abc import Iterator
+import math
+from collections.abc import Container, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Worker
 from ehls_ros.diagnosis.hypotheses import Candidate, candidates
+from ehls_ros.diagnosis.stages import Channel, Comparison
 from ehls_ros.physics.rig import Rig
 
 
@@ -59,18 +62,53 @@ class Direction(NamedTuple):
         return rig.with_effects((self.cause.use(self.values),))
 
 
-def directions(evidence: Evidence) -> tuple[Direction, ...]:
-    """Return the directions that a recording tells anything of.
+def directions(evidence: Evidence, always: Container[tuple[str, str]] = ()) -> tuple[Direction, ...]:
+    """Return the directions that a recording tells anything of, one for each parameter of an effect.
 
     A departure has the size that the fits of a diagnosis take for their derivatives, or the smallest one that they start from
-    where the model does not change smoothly.
+    where the model does not change smoothly. A parameter of several forms departs in the first of them. Of directions that
+    change the residuals alike one is enough to notice a change; which of them it is, a diagnosis tells.
 
     Args:
         evidence: a recording compared with the model; one that moves the rig as it will run later.
+        always: effect and parameter of those that are wanted however much they are like others.
     """
     worker = Worker(evidence)
     found, _ = candidates(evidence.record, evidence.rig, ())
-    return tuple(direction for cause in found if not cause.parts_mass for direction in _of(cause, worker))
+    out = dict[tuple[str, str], Direction]()
+    for cause in found:
+        if not cause.parts_mass and all((cause.name, parameter) not in out for parameter in cause.free):
+            out |= {(d.name, d.parameter): d for d in _of(cause, worker)}
+    ordered = sorted(out, key=lambda key: key not in always)
+    return tuple(_distinct(worker, [out[key] for key in ordered], sum(key in always for key in ordered)))
+
+
+def changes(comparison: Comparison, evidence: Evidence, direction: Direction) -> dict[Channel, Array]:
+    """Return the change of the whitened residuals in each channel that a departure touches.
+
+    Args:
+        comparison: of the evidence's record.
+        evidence: the recording compared with the model.
+        direction: the departure.
+    """
+    base = evidence.base.values
+    other = evidence.residuals(comparison, direction.rig(evidence.rig)).values
+    return {c: other[c] - base[c] for c in evidence.channels if other[c] is not base[c]}
+
+
+def _distinct(worker: Worker, found: Sequence[Direction], always: int) -> Iterator[Direction]:
+    """Yield the directions that change anything and are not like one before; the first ones always."""
+    kept = list[dict[Channel, Array]]()
+    for number, direction in enumerate(found):
+        moved = changes(worker.comparison, worker.evidence, direction)
+        length = math.sqrt(sum(float(m @ m) for m in moved.values()))
+        if not 0.0 < length < math.inf:
+            continue
+        unit = {c: m / length for c, m in moved.items()}
+        alike = (abs(sum(float(unit[c] @ other[c]) for c in unit if c in other)) for other in kept)
+        if number < always or max(alike, default=0.0) < rules.ALIKE:
+            kept.append(unit)
+            yield direction
 
 
 def _of(cause: Candidate, worker: Worker) -> Iterator[Direction]:
@@ -82,7 +120,7 @@ def _of(cause: Candidate, worker: Worker) -> Iterator[Direction]:
         return
     fit = worker.linearise((cause,), cause.neutral)
     for index, parameter in enumerate(cause.free):
-        if np.any(fit.jacobian[:, index : index + 1]):
+        if fit.jacobian.size and np.any(fit.jacobian[:, index]):
             values = cause.neutral.copy()
             step = float(fit.steps[index])
             values[index] += step if values[index] + step <= cause.upper[index] else -step

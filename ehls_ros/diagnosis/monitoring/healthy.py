@@ -61,6 +61,14 @@ def learn(score: Array, information: Array, section: NDArray[np.intp]) -> Health
     return Healthy(level, certainty, scatter, spread, dependence, rules.LEARNT_BLOCKS + len(score))
 
 
+def scattering(found: Healthy, more: Healthy) -> Healthy:
+    """Return what was learnt, with the scatter of more blocks than the level rests on.
+
+    The level stays where it was: it must not follow a rig that wears.
+    """
+    return found._replace(scatter=more.scatter, dependence=more.dependence, freedom=more.freedom)
+
+
 def _scatter(rest: Array, told: NDArray[np.bool_], sections: int) -> Array:
     """Return the scale at which limited scores have the variance that unlimited normal ones would have, shape (n,)."""
     prior = rules.LEARNT_BLOCKS

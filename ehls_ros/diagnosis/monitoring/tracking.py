@@ -12,8 +12,9 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.coefficients import unit_of, value_of
+from ehls_ros.diagnosis.coefficients import unit_of
 from ehls_ros.diagnosis.monitoring.directions import Direction
+from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig
 
 
@@ -37,11 +38,14 @@ class Tracked(NamedTuple):
     limit: str = ""
 
     def given(self, rig: Rig) -> float:
-        """Return its right value, as the rig's model has it."""
-        if not self.coefficient:
-            return 1.0 if self.relative else 0.0
-        found = value_of(rig, self.coefficient)
-        return 0.0 if found is None else found
+        """Return its value as the rig's model has it, effects included."""
+        if self.coefficient:
+            whole = rig.effective()
+            found = {**whole.plant._asdict(), **whole.friction._asdict()}.get(self.coefficient)
+            return float(found) if isinstance(found, float) else 0.0
+        used = {use.name: use.parameters for use in rig.effects}
+        parameters = used.get(self.effect, EFFECTS.load(self.effect).Parameters())
+        return float(getattr(parameters, self.parameter))
 
     def needed(self, rig: Rig) -> float:
         """Return the largest standard error with which it counts as told."""

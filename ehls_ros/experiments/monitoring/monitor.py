@@ -19,8 +19,8 @@ from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.monitoring.blocks import Scores, scores
 from ehls_ros.diagnosis.monitoring.change_test import Change, ChangeTest
 from ehls_ros.diagnosis.monitoring.directions import Direction, directions
-from ehls_ros.diagnosis.monitoring.healthy import Healthy, learn
-from ehls_ros.diagnosis.monitoring.tracking import Reading, readings, tracked
+from ehls_ros.diagnosis.monitoring.healthy import Healthy, learn, scattering
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading, readings, tracked
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import CHANNELS, setup
 from ehls_ros.errors import BadInput
@@ -46,6 +46,15 @@ MORE = 1.5
 
 SETTLED = 60.0
 """Time after which a change of the scores that no diagnosis confirms is taken for an operating point of its own [s]."""
+
+WANTED = frozenset((coefficient.effect, coefficient.parameter) for coefficient in COEFFICIENTS.values())
+"""Departures that are followed in any case: those of the coefficients."""
+
+LEARNT_ON = 24
+"""Blocks without a change after which their scatter is learnt as well."""
+
+MOST_LEARNT = 720
+"""Blocks from which the scatter is learnt at most."""
 
 RATES = 60
 """Readings from which the rates of change are found."""
@@ -118,6 +127,7 @@ class Monitor:
         self._numbers: dict[str, int] = {}
         self._test: ChangeTest | None = None
         self._sections = list[list[Scores]]()
+        self._since = list[Scores]()
         self._seen: Evidence | None = None
         self._begins = deque[float](maxlen=rules.LONGEST_WATCH)
         self._recent = deque[Scores](maxlen=max(1, round(parameters.reading_time / rules.MONITOR_BLOCK)))
@@ -184,7 +194,7 @@ class Monitor:
         try:
             record = prepare(recording, rig, "the rig")
             compared = setup(record, rig)
-            evidence = gather(record, rig, compared, 0) if compared.channels else None
+            evidence = gather(record, rig, compared, 0, rules.MONITOR_REALISATIONS) if compared.channels else None
         except BadInput as error:
             self._reason = str(error)
             return None
@@ -208,7 +218,7 @@ class Monitor:
         self._watched += rules.MONITOR_BLOCK
         if self._is_outside(evidence):
             return
-        self._take(begin, scores(evidence, self._directions), events)
+        self._take(begin, scores(evidence, self._directions, self._tracked), events)
 
     def _is_outside(self, evidence: Evidence) -> bool:
         """Tell whether a block lies where no healthy recording has been; the rig file's model holds everywhere."""
@@ -234,6 +244,7 @@ class Monitor:
         change = self._test.change()
         if change is None:
             self._examined = 0
+            self._learn_on(found)
         elif change.blocks >= MORE * self._examined:
             self._examine(change, begin + rules.MONITOR_BLOCK, events)
 
@@ -242,8 +253,12 @@ class Monitor:
             return ()
         rows = np.array(list(self._numbers.values()), dtype=np.intp)
         score = np.sum([s.score[rows] for s in self._recent], axis=0)
-        normal = np.sum([s.normal[np.ix_(rows, rows)] for s in self._recent], axis=0)
+        normal = np.sum([s.normal for s in self._recent], axis=0)
         return readings(self._directions, self._numbers, self.model, score, normal, self._test.healthy.scatter[rows])
+
+    @property
+    def _tracked(self) -> tuple[int, ...]:
+        return tuple(self._numbers.values())
 
     # --- learning ---------------------------------------------------------------------------------
 
@@ -262,7 +277,7 @@ class Monitor:
             if evidence is None:
                 raise BadInput(self._reason, name, "a recording of the healthy rig")
             if not self._directions:
-                self._directions = directions(evidence)
+                self._directions = directions(evidence, WANTED)
                 self._numbers = tracked(self._directions)
                 self._seen = evidence
             time = recording.time_s
@@ -271,7 +286,7 @@ class Monitor:
                 block = self._compared(Trajectory(time[part], {n: v[part] for n, v in recording.signals.items()}), self.rig)
                 if block is not None:
                     self._sections.append([]) if begin == time[0] else None
-                    self._sections[-1].append(scores(block, self._directions))
+                    self._sections[-1].append(scores(block, self._directions, self._tracked))
         self._kind = RECORDINGS
         self._begin_watching()
 
@@ -283,15 +298,23 @@ class Monitor:
             self._test.learn(healthy)
         self._state, self._reason = State.WATCHING, ""
 
+    def _learn_on(self, found: Scores) -> None:
+        """Learn the scatter from what runs without a change."""
+        if len(self._since) >= MOST_LEARNT:
+            return
+        self._since.append(found._replace(normal=np.zeros((0, 0))))
+        if self._test is not None and len(self._since) % LEARNT_ON == 0:
+            self._test.learn(self._healthy())
+
     def _healthy(self) -> Healthy:
         """Return how the healthy blocks scatter.
 
         Departures from a rig file that is right are measured from it itself, but for those in which the model does not change
         smoothly: a delay averages noise, and seems to help a little where there is none.
         """
-        blocks = [block for section in self._sections for block in section]
-        section = np.repeat(np.arange(len(self._sections)), [len(s) for s in self._sections])
-        found = learn(np.array([b.score for b in blocks]), np.array([b.information for b in blocks]), section)
+        found = _learnt(self._sections)
+        if len(self._since) >= LEARNT_ON:
+            found = scattering(found, _learnt([*self._sections, self._since]))
         if self._kind != RIG_FILE:
             return found
         given = np.zeros(len(found.level), dtype=np.bool_)
@@ -362,14 +385,14 @@ class Monitor:
         if evidence is None:
             self._learning.clear()
             return
-        self._directions = directions(evidence)
+        self._directions = directions(evidence, WANTED)
         self._numbers = tracked(self._directions)
         self._seen = self._compared(recording, self.model)
         section = list[Scores]()
         for block in self._learning:
             own = self._evidence(block, block + rules.MONITOR_BLOCK, self.model)
             if own is not None:
-                section.append(scores(own, self._directions))
+                section.append(scores(own, self._directions, self._tracked))
         self._learning.clear()
         if not section:
             return
@@ -382,6 +405,7 @@ class Monitor:
         self._state, self._test, self._sections = State.LEARNING, None, []
         self._begins.clear()
         self._recent.clear()
+        self._since.clear()
 
     def _accept(self, blocks: int) -> None:
         """Take the last blocks for one more condition of the healthy rig."""
@@ -399,6 +423,7 @@ class Monitor:
             self._test.restart()
         self._begins.clear()
         self._recent.clear()
+        self._since.clear()
         self._examined = 0
 
     def _name(self, found: Finding, times: tuple[float, float, float], now: float, events: list[Event]) -> None:
@@ -483,3 +508,9 @@ class Monitor:
     def close(self) -> None:
         """End what is under way."""
         self._examiner.close()
+
+
+def _learnt(sections: Sequence[Sequence[Scores]]) -> Healthy:
+    blocks = [block for section in sections for block in section]
+    section = np.repeat(np.arange(len(sections)), [len(s) for s in sections])
+    return learn(np.array([b.score for b in blocks]), np.array([b.information for b in blocks]), section)
