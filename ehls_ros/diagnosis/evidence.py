@@ -57,6 +57,7 @@ class Evidence:
         blocks: number of blocks.
         base: residuals of the given model.
         noise: what as much noise again as the sensors have adds to these.
+        added: the same of each realisation that the noise floor comes from, nothing allowed for.
         noisy_record: the recording with that noise.
         travel: range of the piston's motion [m].
         correlation: by channel, the number of windows over which residuals are alike; their losses count as those of so many
@@ -83,6 +84,7 @@ class Evidence:
     noise: Mapping[Channel, Array]
     noisy_record: Record = field(repr=False)
     travel: float
+    added: tuple[Mapping[Channel, Array], ...] = field(default=(), repr=False)
     correlation: Mapping[Channel, float] = field(default_factory=dict)
     form: float | None = None
     allowances: Mapping[Channel, Allowance] = field(default_factory=dict, repr=False)
@@ -162,7 +164,7 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int 
     channels: tuple[Channel, ...] = tuple(c for c in setup.channels if np.any(masks[c]))
     raw = comparison.residuals(rig, channels)
     noise = deviations(record)
-    deviation = scatter(comparison, rig, raw, noise, seed, realisations)
+    deviation, added = scatter(comparison, rig, raw, noise, seed, realisations)
     sizes = largest_terms(comparison, rig)
     coarse = {c: setup.window_of(c).mean(coarseness(record, formed_of(record, c)) ** 2) for c in channels}
     floor = {c: np.sqrt(deviation[c] ** 2 + coarse[c] * (rules.TOLERANCE * sizes[c]) ** 2)[masks[c]] for c in channels}
@@ -191,6 +193,7 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int 
         blocks=blocks,
         base=Residuals(base, comparison.relevant(rig)),
         noise={c: noisy[c] - base[c] for c in channels},
+        added=tuple({c: more[c][masks[c]] / floor[c] for c in channels} for more in added),
         noisy_record=noisy_record,
         travel=float(np.ptp(comparison.motion(rig.effective()).position)) if moving else 0.0,
     )
@@ -238,6 +241,7 @@ def part_of(evidence: Evidence, kept: Mapping[Channel, Mask]) -> Evidence:
         times=left(evidence.times),
         block={c: evidence.block[c][kept[c]] for c in channels},
         noise=left(evidence.noise),
+        added=tuple(left(more) for more in evidence.added),
         base=Residuals(left(evidence.base.values), evidence.base.depends),
     )
 

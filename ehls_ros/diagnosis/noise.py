@@ -93,8 +93,10 @@ def scatter(
     deviation: Mapping[str, Array],
     seed: int,
     realisations: int = rules.REALISATIONS,
-) -> dict[Channel, Array]:
+) -> tuple[dict[Channel, Array], list[dict[Channel, Array]]]:
     """Return the standard deviation of each window's residual that is no error of the model, by channel.
+
+    With it, what each realisation of the noise adds to the residuals.
 
     Args:
         comparison: of the recording.
@@ -106,11 +108,12 @@ def scatter(
     """
     rng = np.random.default_rng(seed)
     record, channels = comparison.record, tuple(raw)
-    squares = {c: np.zeros(len(raw[c])) for c in channels}
+    squares, added = {c: np.zeros(len(raw[c])) for c in channels}, list[dict[Channel, Array]]()
     for _ in range(realisations):
         again = Comparison(with_noise(record, deviation, rng), comparison.setup).residuals(rig, channels)
+        added.append({c: again[c] - raw[c] for c in channels})
         for c in channels:
-            squares[c] += (again[c] - raw[c]) ** 2
+            squares[c] += added[-1][c] ** 2
     led: Mapping[Channel, Array] = raw
     if record.period > rules.UNSEEN_COMMANDS * rules.RESOLVED_PERIOD and COMMAND in record:
         # A command sent between two samples was not recorded; the error is at most one sample of lead.
@@ -128,7 +131,7 @@ def scatter(
         unresolved = scipy.ndimage.uniform_filter1d((smeared[c] - raw[c]) ** 2, rules.FIT_ERROR_WINDOWS, mode="nearest")
         unresolved += scipy.ndimage.uniform_filter1d((led[c] - raw[c]) ** 2, rules.LEAD_WINDOWS, mode="nearest")
         out[c] = np.sqrt(np.maximum(local, rules.LEAST_VARIANCE * typical) + unresolved)
-    return out
+    return out, added
 
 
 def largest_terms(comparison: Comparison, rig: Rig) -> dict[Channel, float]:

@@ -1003,6 +1003,39 @@ MONITOR_SQUARE: Annotated[
     Rule("monitor", "1", "Largest square of a residual in units of its noise floor that counts in a channel's power."),
 ] = 25.0
 
+MONITOR_LOOK: Annotated[float, Rule("monitor", "s", "Time between two looks at whether the piston slides.")] = 0.005
+
+MONITOR_SLID: Annotated[
+    float,
+    Rule(
+        "monitor",
+        "1",
+        "Travel in one direction, in presliding travels, after which the state of the friction is known.",
+        "from the opposite state the elements take two",
+    ),
+] = 2.0
+
+MONITOR_TURN: Annotated[
+    float, Rule("monitor", "1", "Travel back, in presliding travels, that is a turn; one that moves less rests.")
+] = 0.25
+
+MONITOR_REST: Annotated[float, Rule("monitor", "s", "Time of rest after which the state of the friction is not known.")] = 0.25
+
+MONITOR_SIGNAL: Annotated[
+    float,
+    Rule(
+        "monitor",
+        "1",
+        "Least ratio of a channel's largest term to its noise floor in a block that counts.",
+        "with less, noise in what a gain multiplies biases it by more than half of RELEVANT",
+    ),
+] = 60.0
+
+BIASED: Annotated[
+    float,
+    Rule("monitor", "1", "Standard errors by which a healthy rig may seem to depart in a direction that is followed."),
+] = 4.0
+
 MOST_SCORE: Annotated[
     float,
     Rule(
@@ -1019,7 +1052,7 @@ ALIKE: Annotated[
 
 MONITOR_REALISATIONS: Annotated[
     int, Rule("monitor", "1", "Realisations of sensor noise that the noise floor of a block is averaged over.")
-] = 2
+] = 4
 
 LEARNT_SCATTER: Annotated[
     float,

@@ -13,6 +13,7 @@ import scipy
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.monitoring.healthy import Healthy
+from ehls_ros.samples import Mask
 
 HOUR = 3600.0
 
@@ -55,13 +56,15 @@ class ChangeTest:
         bound: what a sum must exceed, in standard deviations.
     """
 
-    def __init__(self, healthy: Healthy, hours: float) -> None:
+    def __init__(self, healthy: Healthy, hours: float, rising: Mask | None = None) -> None:
         """Begin without blocks.
 
         Args:
             healthy: how a healthy rig's blocks scatter.
             hours: mean time between false alarms, at least [h].
+            rising: quantities of which only a rise is a change, shape (n,).
         """
+        self._rising = np.zeros(len(healthy.level), dtype=np.bool_) if rising is None else rising
         self._rows = np.zeros((3, rules.LONGEST_WATCH, len(healthy.level)))
         self._kept = 0
         self._hours = hours
@@ -100,24 +103,29 @@ class ChangeTest:
 
     def change(self) -> Change | None:
         """Return the sum that exceeds its bound the most; None while all could be chance."""
-        sums, information, share = self._sums()
+        sums, information, share, squares = self._sums()
         rows = np.array([n for n in lengths() if n <= self._kept], dtype=np.intp) - 1
         if not rows.size:
             return None
         told = information[rows] > 0.0
         share = share[rows] / (rows + 1.0)[:, None]
-        deviation = self._deviation(information[rows], share)
+        # Where blocks scatter more than the healthy rig's did, about whatever mean, their sum is that much less sure.
+        about = squares[rows] - np.divide(sums[rows] ** 2, information[rows], out=np.zeros_like(share), where=told)
+        wider = np.maximum(about / rows[:, None], 1.0)
+        deviation = np.sqrt(wider) * self._deviation(information[rows], share)
         scaled = sums[rows] * self.healthy.scatter
         size = np.divide(scaled, information[rows], out=np.zeros_like(deviation), where=told)
         ratio = np.divide(np.abs(sums[rows]), self.bound * deviation, out=np.zeros_like(deviation), where=told)
-        ratio[np.abs(size) * share < rules.RELEVANT] = 0.0
+        ratio[(np.abs(size) * share < rules.RELEVANT) | (self._rising & (sums[rows] < 0.0))] = 0.0
         row, quantity = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
         if ratio[row, quantity] <= 1.0:
             return None
         return self._since(int(quantity), float(ratio[row, quantity]), sums[:, quantity], information[:, quantity])
 
-    def _sums(self) -> tuple[Array, Array, Array]:
-        """Return limited scores times the root of information, information and share, summed from each block to the newest.
+    def _sums(self) -> tuple[Array, Array, Array, Array]:
+        """Return what is summed from each block to the newest.
+
+        These are limited scores times the root of information, information, share, and the limited scores' squares.
 
         The first row is the newest block alone, shape (blocks, n) each.
         """
@@ -126,7 +134,10 @@ class ChangeTest:
         unit = root * self.healthy.scatter
         rest = np.divide(score - self.healthy.level * information, unit, out=np.zeros_like(score), where=unit > 0.0)
         limited = np.clip(rest, -rules.MOST_SCORE, rules.MOST_SCORE)
-        return np.cumsum(limited * root, axis=0), np.cumsum(information, axis=0), np.cumsum(share, axis=0)
+        sums, told, shares, squares = (
+            np.cumsum(row, axis=0) for row in (limited * root, information, share, limited * limited)
+        )
+        return sums, told, shares, squares
 
     def _deviation(self, information: Array, share: Array) -> Array:
         """Return the standard deviation of a healthy rig's sums, infinite for what it told nothing of."""

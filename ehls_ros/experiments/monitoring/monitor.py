@@ -16,7 +16,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.coverage import covered
 from ehls_ros.diagnosis.evidence import Evidence, gather
-from ehls_ros.diagnosis.monitoring.blocks import Scores, scores
+from ehls_ros.diagnosis.monitoring.blocks import Scores, scores, telling
 from ehls_ros.diagnosis.monitoring.change_test import Change, ChangeTest
 from ehls_ros.diagnosis.monitoring.directions import Direction, directions
 from ehls_ros.diagnosis.monitoring.healthy import Healthy, learn, scattering
@@ -201,7 +201,11 @@ class Monitor:
         if evidence is None or not evidence.channels:
             self._reason = "; ".join(compared.why_not.values()) or "the signals tell nothing of the model"
             return None
-        return evidence
+        told = telling(evidence)
+        if not told.channels:
+            self._reason = "the rig stands still"
+            return None
+        return told
 
     def _judge(self, begin: float, events: list[Event]) -> None:
         if self._state == State.LEARNING:
@@ -293,7 +297,8 @@ class Monitor:
     def _begin_watching(self) -> None:
         healthy = self._healthy()
         if self._test is None:
-            self._test = ChangeTest(healthy, self.parameters.mean_time_between_false_alarms)
+            rising = np.arange(len(healthy.level)) >= len(self._directions)
+            self._test = ChangeTest(healthy, self.parameters.mean_time_between_false_alarms, rising)
         else:
             self._test.learn(healthy)
         self._state, self._reason = State.WATCHING, ""
@@ -309,17 +314,20 @@ class Monitor:
     def _healthy(self) -> Healthy:
         """Return how the healthy blocks scatter.
 
-        Departures from a rig file that is right are measured from it itself, but for those in which the model does not change
-        smoothly: a delay averages noise, and seems to help a little where there is none.
+        Departures from a rig file that is right are measured from it itself. One that a healthy rig seems to make already is
+        not followed: a delay averages noise, and seems to help a little where there is none.
         """
         found = _learnt(self._sections)
         if len(self._since) >= LEARNT_ON:
             found = scattering(found, _learnt([*self._sections, self._since]))
         if self._kind != RIG_FILE:
             return found
-        given = np.zeros(len(found.level), dtype=np.bool_)
-        given[: len(self._directions)] = [direction.smooth for direction in self._directions]
-        return found._replace(level=np.where(given, 0.0, found.level), certainty=np.where(given, np.inf, found.certainty))
+        direction = np.arange(len(found.level)) < len(self._directions)
+        biased = np.abs(found.level) * np.sqrt(found.certainty) > rules.BIASED * found.scatter * np.sqrt(found.dependence)
+        return found._replace(
+            level=np.where(direction, 0.0, np.maximum(found.level, 0.0)),
+            certainty=np.where(direction, np.where(biased, 0.0, np.inf), found.certainty),
+        )
 
     # --- examination ------------------------------------------------------------------------------
 

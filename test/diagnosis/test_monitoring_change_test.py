@@ -1,0 +1,128 @@
+"""The monitor's test: how often it is wrong, what it notices, and what one block cannot do."""
+
+import numpy as np
+import pytest
+
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.monitoring.change_test import HOUR, ChangeTest
+from ehls_ros.diagnosis.monitoring.healthy import Healthy, learn
+
+QUANTITIES = 12
+INFORMATION = 100.0
+
+
+def healthy(scatter=1.0, certainty=np.inf, spread=0.0):
+    rows = np.full((4, QUANTITIES), 0.0)
+    rows[1:] = np.array([certainty, scatter, spread])[:, None]
+    return Healthy(*rows, np.ones(QUANTITIES), 1e4)
+
+
+def feed(test, score, information=INFORMATION):
+    """Add a block whose departures each change the balance by a hundredth."""
+    test.add(score, np.full(QUANTITIES, information), np.full(QUANTITIES, 0.01))
+
+
+def noise(rng, size=0.0):
+    return INFORMATION * size + np.sqrt(INFORMATION) * rng.standard_normal(QUANTITIES)
+
+
+def test_false_alarms_are_rarer_than_the_rate_that_was_set():
+    """Thirty are allowed in this time; sums over overlapping times are alike, so that there are fewer, but some."""
+    rng, hours = np.random.default_rng(1), 0.1
+    test = ChangeTest(healthy(), hours)
+    alarms = 0
+    for _ in range(round(30 * hours * HOUR / rules.MONITOR_BLOCK)):
+        feed(test, noise(rng))
+        if test.change() is not None:
+            alarms += 1
+            test.restart()
+    assert 1 <= alarms <= 30
+
+
+def test_a_jump_is_found_with_its_onset_and_its_size():
+    rng, size = np.random.default_rng(2), 0.25
+    test = ChangeTest(healthy(), 1000.0)
+    for _ in range(60):
+        feed(test, noise(rng))
+        assert test.change() is None
+    step = np.zeros(QUANTITIES)
+    step[3] = size
+    for blocks in range(1, 30):  # noqa: B007
+        feed(test, noise(rng, step))
+        found = test.change()
+        if found is not None:
+            break
+    assert found.quantity == 3
+    assert found.latest <= found.blocks <= found.earliest
+    assert found.latest <= blocks <= found.earliest
+    assert found.size == pytest.approx(size, abs=3.0 * found.deviation)
+
+
+def test_a_drift_too_slow_for_any_minute_is_found():
+    rng = np.random.default_rng(3)
+    test = ChangeTest(healthy(), 1000.0)
+    for block in range(1200):
+        drift = np.zeros(QUANTITIES)
+        drift[5] = 0.1 * block / 1200
+        feed(test, noise(rng, drift))
+        found = test.change()
+        if found is not None:
+            break
+    assert found is not None
+    assert found.quantity == 5
+    assert found.blocks > 60
+
+
+def test_one_block_alone_is_an_incident_however_far_it_is_off():
+    rng = np.random.default_rng(4)
+    test = ChangeTest(healthy(), 1000.0)
+    for block in range(200):
+        feed(test, noise(rng, 1e3 if block % 40 == 0 else 0.0))
+        assert test.change() is None
+
+
+def test_a_departure_within_the_healthy_spread_or_too_small_to_matter_is_none():
+    rng = np.random.default_rng(5)
+    spread = ChangeTest(healthy(spread=0.1), 1000.0)
+    small = ChangeTest(healthy(), 1000.0)
+    for _ in range(600):
+        score = noise(rng, 0.2)
+        feed(spread, score)
+        small.add(score, np.full(QUANTITIES, INFORMATION), np.full(QUANTITIES, 0.5 * rules.RELEVANT / 0.3))
+        assert spread.change() is None
+        assert small.change() is None
+
+
+def test_of_what_the_healthy_rig_told_nothing_no_change_is_told():
+    rng = np.random.default_rng(6)
+    test = ChangeTest(healthy(certainty=0.0), 1000.0)
+    for _ in range(50):
+        feed(test, noise(rng, 2.0))
+    assert test.change() is None
+
+
+def test_scatter_dependence_and_spread_are_those_of_the_blocks():
+    """Three sections whose blocks follow an autoregression: the variance of their sum exceeds that of independent ones by 3."""
+    rng, scatter, correlation, spread = np.random.default_rng(7), 2.0, 0.5, 0.4
+    blocks, sections = 4000, 12
+    level = spread * rng.standard_normal((sections, QUANTITIES))
+    rest = np.zeros((sections * blocks, QUANTITIES))
+    for row in range(1, len(rest)):
+        rest[row] = correlation * rest[row - 1] + np.sqrt(1.0 - correlation**2) * rng.standard_normal(QUANTITIES)
+    section = np.repeat(np.arange(sections), blocks)
+    score = level[section] * INFORMATION + scatter * np.sqrt(INFORMATION) * rest
+    found = learn(score, np.full_like(score, INFORMATION), section)
+    assert found.scatter == pytest.approx(scatter, rel=0.05)
+    assert found.dependence == pytest.approx((1.0 + correlation) / (1.0 - correlation), rel=0.2)
+    assert float(np.sqrt(np.mean(found.spread**2))) == pytest.approx(spread, rel=0.2)
+
+
+def test_few_blocks_leave_a_wide_bound():
+    rng = np.random.default_rng(8)
+    scores = np.sqrt(INFORMATION) * rng.standard_normal((12, QUANTITIES))
+    information = np.full_like(scores, INFORMATION)
+    few = learn(scores, information, np.zeros(12, dtype=np.intp))
+    test = ChangeTest(few, 1000.0)
+    before = test.bound
+    test.learn(few._replace(freedom=1e4))
+    assert before > 1.1 * test.bound
