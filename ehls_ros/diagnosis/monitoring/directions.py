@@ -39,11 +39,6 @@ class Direction(NamedTuple):
         return f"{self.cause.name}/{self.cause.number}/{self.parameter}"
 
     @property
-    def unit(self) -> str:
-        """Unit of the parameter."""
-        return self.cause.units[self._index]
-
-    @property
     def step(self) -> float:
         """Size of the departure, in the parameter's unit."""
         return float(self.values[self._index] - self.cause.neutral[self._index])

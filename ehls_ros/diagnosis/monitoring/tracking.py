@@ -16,6 +16,9 @@ from ehls_ros.diagnosis.coefficients import unit_of
 from ehls_ros.diagnosis.monitoring.directions import Direction
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import declarations
+
+NOT_SHOWN = "the programme does not show it"
 
 
 class Tracked(NamedTuple):
@@ -46,6 +49,13 @@ class Tracked(NamedTuple):
         used = {use.name: use.parameters for use in rig.effects}
         parameters = used.get(self.effect, EFFECTS.load(self.effect).Parameters())
         return float(getattr(parameters, self.parameter))
+
+    def unit(self, rig: Rig) -> str:
+        """Return its unit."""
+        if self.coefficient:
+            return unit_of(rig, self.coefficient)
+        declared = declarations(EFFECTS.load(self.effect).Parameters)
+        return next(d.unit for d in declared if d.name == self.parameter)
 
     def needed(self, rig: Rig) -> float:
         """Return the largest standard error with which it counts as told."""
@@ -114,7 +124,7 @@ def readings(
 
     Args:
         directions: of the scores.
-        numbers: of the tracked ones, as :func:`tracked` gives them.
+        numbers: of the tracked ones, as :func:`tracked` gives them; a coefficient without one is not shown.
         rig: the model that the scores depart from.
         score: summed scores of the tracked directions, in the order of their names, shape (n,).
         normal: summed products of their changes, shape (n, n).
@@ -137,15 +147,18 @@ def readings(
         for row, place in enumerate(index):
             alike[place] = names[index[int(np.argmax(np.abs(correlation[row])))]]
     out = []
-    for place, (name, number) in enumerate(numbers.items()):
-        direction, coefficient = directions[number], COEFFICIENTS[name]
-        given = coefficient.given(rig)
+    places = {name: place for place, name in enumerate(numbers)}
+    for name, coefficient in COEFFICIENTS.items():
+        given, unit = coefficient.given(rig), coefficient.unit(rig)
+        if name not in places:
+            out.append(Reading(name, given, math.inf, unit, NOT_SHOWN))
+            continue
+        place, direction = places[name], directions[numbers[name]]
         scale = abs(direction.step) * (abs(given) if coefficient.relative else 1.0)
         change, error = float(size[place]) * math.copysign(scale, direction.step), float(deviation[place]) * scale
-        why_not = "the programme does not show it" if not seen[place] else ""
+        why_not = NOT_SHOWN if not seen[place] else ""
         if not why_not and error > coefficient.needed(rig):
             partner = COEFFICIENTS[alike[place]].words if alike[place] else "others"
             why_not = f"the programme does not tell it from the {partner}"
-        unit = unit_of(rig, coefficient.coefficient) if coefficient.coefficient else direction.unit
         out.append(Reading(name, given if why_not else given + change, math.inf if why_not else error, unit, why_not))
     return tuple(out)
