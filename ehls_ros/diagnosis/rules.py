@@ -993,33 +993,28 @@ MENTIONED_UNSEEN: Annotated[
 
 MONITOR_BLOCK: Annotated[float, Rule("monitor", "s", "Length of a block, over which the monitor sums.", "BLOCK")] = 2.5
 
+MONITOR_AT_ONCE: Annotated[int, Rule("monitor", "1", "Blocks that are compared with the model at once, which saves work.")] = 2
+
 MONITOR_LEAD: Annotated[
     float,
-    Rule("monitor", "s", "Time before a block in which the state of the friction model is found.", "SETTLING and windows"),
-] = 0.4
+    Rule(
+        "monitor",
+        "s",
+        "Time before a block in which the state of the friction model is found.",
+        "three times in which slipping elements relax, 0.5 s: healthy scores then scatter alike in all programmes",
+    ),
+] = 1.5
+
+HELD_TIME: Annotated[float, Rule("monitor", "s", "Time over which the piston is held if it hardly moves.")] = 0.5
+
+HELD_TRAVEL: Annotated[
+    float, Rule("monitor", "1", "Travel, in multiples of that over which static friction builds up, up to which it is held.")
+] = 2.0
 
 MONITOR_SQUARE: Annotated[
     float,
     Rule("monitor", "1", "Largest square of a residual in units of its noise floor that counts in a channel's power."),
 ] = 25.0
-
-MONITOR_LOOK: Annotated[float, Rule("monitor", "s", "Time between two looks at whether the piston slides.")] = 0.005
-
-MONITOR_SLID: Annotated[
-    float,
-    Rule(
-        "monitor",
-        "1",
-        "Travel in one direction, in presliding travels, after which the state of the friction is known.",
-        "from the opposite state the elements take two",
-    ),
-] = 2.0
-
-MONITOR_TURN: Annotated[
-    float, Rule("monitor", "1", "Travel back, in presliding travels, that is a turn; one that moves less rests.")
-] = 0.25
-
-MONITOR_REST: Annotated[float, Rule("monitor", "s", "Time of rest after which the state of the friction is not known.")] = 0.25
 
 MONITOR_SIGNAL: Annotated[
     float,
@@ -1042,9 +1037,9 @@ MOST_SCORE: Annotated[
         "monitor",
         "1",
         "Score of a block, in units of its scatter, above which it counts no more: one block alone is an incident.",
-        "two such blocks stay below, and three exceed, what a rate of one alarm in 1000 h takes",
+        "two such blocks exceed what a rate of one alarm in 1000 h takes once the scatter is known well",
     ),
-] = 4.0
+] = 5.0
 
 ALIKE: Annotated[
     float, Rule("monitor", "1", "Correlation of two departures' changes from which on the monitor follows one of them only.")
@@ -1063,6 +1058,21 @@ LEARNT_SCATTER: Annotated[
         "healthy recordings of the truth generator: 0.8 to 2.5",
     ),
 ] = 1.5
+
+LEAST_SCATTER: Annotated[
+    float,
+    Rule("monitor", "1", "Least scatter of a block's scores: less shows that the noise floor is too high in a programme."),
+] = 1.0
+
+POWER_TOLERATED: Annotated[
+    float,
+    Rule(
+        "monitor",
+        "1",
+        "Rise of the logarithm of a channel's mean square that is no change: how well a noise floor is known.",
+        "healthy programmes of the truth generator: -0.7 to 0.3",
+    ),
+] = 0.5
 
 LEARNT_BLOCKS: Annotated[int, Rule("monitor", "1", "Blocks that this expectation counts as.")] = 30
 

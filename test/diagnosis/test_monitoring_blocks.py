@@ -1,5 +1,7 @@
 """Blocks of a recording: what they say of a rig whose coefficients are not those of its model, and of one where they are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.monitoring.blocks import scores, telling
 from ehls_ros.diagnosis.monitoring.directions import directions
+from ehls_ros.diagnosis.monitoring.held import FRICTION
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, readings, tracked
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import setup
@@ -33,7 +36,7 @@ def fitted(rig, recording):
     evidence = telling(compared(rig, recording))
     found = directions(evidence, WANTED)
     numbers = tracked(found)
-    block = scores(evidence, found, tuple(numbers.values()))
+    [block] = scores(evidence, found, tuple(numbers.values()), [0.0])
     rows = list(numbers.values())
     return {r.name: r for r in readings(found, numbers, rig, block.score[rows], block.normal, np.full(len(rows), 1.5))}
 
@@ -58,12 +61,28 @@ def test_a_programme_that_holds_the_piston_still_tells_no_mass(rig, recorded):
     assert told["moving_mass"].why_not
 
 
-def test_the_scores_of_blocks_add_up_to_that_of_the_whole(rig, leaking):
-    """But for the windows across their borders, and the lead of each."""
+def test_blocks_together_say_what_the_whole_does(rig, leaking):
     whole = compared(rig, leaking)
     found = directions(whole, WANTED)
     number = next(n for n, d in enumerate(found) if d.name == "internal_leakage_shift")
-    parts = [scores(compared(rig, leaking, b, b + 5.0), found) for b in np.arange(0.0, SECONDS, 5.0)]
+    parts = scores(whole, found, (), [0.0, 5.0, 10.0, 15.0])
+    [alone] = scores(whole, found, (), [0.0])
     together = sum(p.score[number] for p in parts) / sum(p.information[number] for p in parts)
-    alone = scores(whole, found)
-    assert together == pytest.approx(alone.score[number] / alone.information[number], rel=0.05)
+    assert together == pytest.approx(alone.score[number] / alone.information[number], rel=0.02)
+
+
+def test_what_leads_to_the_first_block_is_in_none(rig, leaking):
+    whole = compared(rig, leaking)
+    found = directions(whole, WANTED)[:3]
+    later, [last] = scores(whole, found, (), [10.0, 15.0]), scores(whole, found, (), [15.0])
+    assert later[1].score == pytest.approx(last.score)
+
+
+def test_while_the_piston_is_held_a_constant_force_says_nothing(rig, recorded):
+    """What holds a stuck piston depends on micrometres that no sensor resolves."""
+    evidence = compared(rig, recorded({}, "rest", seed=6, duration=SECONDS))
+    off = {**evidence.base.values, FRICTION: evidence.base.values[FRICTION] + 30.0 / evidence.floor[FRICTION]}
+    wrong = replace(evidence, base=evidence.base._replace(values=off))
+    found = tuple(d for d in directions(evidence, WANTED) if d.name == "coulomb_shift")
+    [right], [moved] = (scores(e, found, (), [0.0]) for e in (evidence, wrong))
+    assert abs(moved.score[0] - right.score[0]) < 3.0 * np.sqrt(right.information[0])

@@ -6,21 +6,18 @@ size, as fitted alone.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.evidence import Evidence, Residuals, part_of
+from ehls_ros.diagnosis.evidence import Evidence, part_of
 from ehls_ros.diagnosis.loss import weights
 from ehls_ros.diagnosis.monitoring.directions import Direction, changes
-from ehls_ros.diagnosis.monitoring.sliding import has_slid
-from ehls_ros.diagnosis.stages import CHANNELS
-
-WHOLE = 1e-9
-"""Rounding of a mean over a window of samples that are all good."""
+from ehls_ros.diagnosis.monitoring.held import FRICTION, held
+from ehls_ros.diagnosis.stages import CHANNELS, Channel
 
 
 class Scores(NamedTuple):
@@ -40,61 +37,79 @@ class Scores(NamedTuple):
 
 
 def telling(evidence: Evidence) -> Evidence:
-    """Return what of a block tells of the rig: channels that stand out of their noise, and friction once its state is known.
+    """Return the channels that stand out of their noise: in the others, noise biases what a gain multiplies.
 
     Args:
-        evidence: the block compared with the model.
+        evidence: some blocks compared with the model.
     """
     kept = {}
     for c in evidence.channels:
         floor = math.sqrt(float(np.mean(evidence.floor[c] ** 2)))
-        if evidence.sizes[c] < rules.MONITOR_SIGNAL * floor:
-            continue
-        kept[c] = np.ones(len(evidence.floor[c]), dtype=np.bool_)
-        if c == "force":
-            motion = evidence.comparison().motion(evidence.rig.effective())
-            slid = has_slid(motion.position, evidence.setup.presliding, evidence.record.period)
-            kept[c] = evidence.means(c, slid.astype(np.float64)) > 1.0 - WHOLE
+        if evidence.sizes[c] >= rules.MONITOR_SIGNAL * floor:
+            kept[c] = np.ones(len(evidence.floor[c]), dtype=np.bool_)
     return part_of(evidence, kept)
 
 
-def scores(evidence: Evidence, directions: Sequence[Direction], tracked: Sequence[int] = ()) -> Scores:
-    """Weigh a block's residuals against what each departure would change.
+def scores(
+    evidence: Evidence, directions: Sequence[Direction], tracked: Sequence[int], begins: Sequence[float]
+) -> list[Scores]:
+    """Weigh the residuals of blocks against what each departure would change.
 
     Args:
-        evidence: the block compared with the model.
+        evidence: some blocks that follow each other, and what leads to them, compared with the model.
         directions: the departures.
         tracked: numbers of the directions that are fitted together.
+        begins: time at which each block begins [s].
+
+    Returns:
+        What each block says.
     """
     comparison, base = evidence.comparison(), evidence.base
+    part = {c: np.searchsorted(begins, evidence.times[c], side="right") for c in evidence.channels}
     counted = {c: weights(base.values[c]) for c in evidence.channels}
-    pull = {c: counted[c] * base.values[c] for c in evidence.channels}
-    score, information, share = (np.zeros(len(directions)) for _ in range(3))
-    noise = np.zeros((len(evidence.added), len(directions)))
+    holding = held(evidence, counted[FRICTION], part[FRICTION]) if FRICTION in evidence.channels else None
+    rest = dict(base.values) if holding is None else {**base.values, FRICTION: holding.without(base.values[FRICTION])}
+    pull = {c: counted[c] * rest[c] for c in evidence.channels}
+    blocks, count = len(begins) + 1, len(directions)
+    score, information, share = (np.zeros((blocks, count)) for _ in range(3))
+    noise = np.zeros((len(evidence.added), blocks, count))
+    normal = np.zeros((blocks, len(tracked), len(tracked)))
+    windows = {c: np.maximum(np.bincount(part[c], minlength=blocks), 1) for c in evidence.channels}
     place = {number: row for row, number in enumerate(tracked)}
     kept = {c: np.zeros((len(tracked), len(base.values[c]))) for c in evidence.channels}
+
+    def summed(channel: Channel, values: Array) -> Array:
+        sums: Array = np.bincount(part[channel], values, blocks).astype(np.float64)
+        return sums
+
     for number, direction in enumerate(directions):
-        for c, change in changes(comparison, evidence, direction).items():
-            score[number] -= np.einsum("i,i", change, pull[c])
-            information[number] += np.einsum("i,i,i", change, change, counted[c])
+        for c, moved in changes(comparison, evidence, direction).items():
+            change = holding.without(moved) if holding is not None and c == FRICTION else moved
+            score[:, number] -= summed(c, change * pull[c])
+            information[:, number] += summed(c, change * change * counted[c])
             for realisation, added in enumerate(evidence.added):
-                noise[realisation, number] += np.einsum("i,i", change, added[c])
-            moved = change * evidence.floor[c]
-            size = math.sqrt(float(np.einsum("i,i", moved, moved)) / len(moved)) / max(evidence.sizes[c], 1e-300)
-            share[number] = max(share[number], size)
+                noise[realisation, :, number] += summed(c, change * added[c])
+            size = np.sqrt(summed(c, (change * evidence.floor[c]) ** 2) / windows[c]) / max(evidence.sizes[c], 1e-300)
+            share[:, number] = np.maximum(share[:, number], size)
             if number in place:
                 kept[c][place[number]] = change
-    normal = np.zeros((len(tracked), len(tracked)))
     for c, moves in kept.items():
-        normal += np.einsum("ik,jk,k->ij", moves, moves, counted[c])
-    power, certainty = _power(base)
-    doubt = _doubt(noise, information)
-    return Scores(
-        np.concatenate([score / doubt, power * certainty]),
-        np.concatenate([information / doubt, certainty]),
-        np.concatenate([share, np.ones(len(power))]),
-        normal,
-    )
+        for block in range(1, blocks):
+            here = part[c] == block
+            normal[block] += np.einsum("ik,jk,k->ij", moves[:, here], moves[:, here], counted[c][here])
+    out = []
+    for block in range(1, blocks):
+        power, certainty = _power({c: e[part[c] == block] for c, e in rest.items()})
+        doubt = _doubt(noise[:, block], information[block])
+        out.append(
+            Scores(
+                np.concatenate([score[block] / doubt, power * certainty]),
+                np.concatenate([information[block] / doubt, certainty]),
+                np.concatenate([share[block], np.ones(len(power))]),
+                normal[block],
+            )
+        )
+    return out
 
 
 def _doubt(noise: Array, information: Array) -> Array:
@@ -111,8 +126,8 @@ def _doubt(noise: Array, information: Array) -> Array:
     return np.maximum((expected + np.sum(ratio, axis=0)) / (expected + len(noise)), 1.0)
 
 
-def _power(base: Residuals) -> tuple[Array, Array]:
+def _power(base: Mapping[Channel, Array]) -> tuple[Array, Array]:
     """Return the logarithm of each channel's mean square and its information, were its windows normal and independent."""
-    squares = {c: float(np.mean(np.minimum(e**2, rules.MONITOR_SQUARE))) for c, e in base.values.items()}
+    squares = {c: float(np.mean(np.minimum(e**2, rules.MONITOR_SQUARE))) for c, e in base.items() if len(e)}
     power = np.array([math.log(max(squares.get(c, 1.0), 1e-6)) for c in CHANNELS])
-    return power, np.array([0.5 * len(base.values[c]) if c in base.values else 0.0 for c in CHANNELS])
+    return power, np.array([0.5 * len(base[c]) if c in squares else 0.0 for c in CHANNELS])

@@ -54,6 +54,7 @@ class ChangeTest:
     Attributes:
         healthy: how a healthy rig's blocks scatter.
         bound: what a sum must exceed, in standard deviations.
+        largest: the largest of the newest sums, in standard deviations.
     """
 
     def __init__(self, healthy: Healthy, hours: float, rising: Mask | None = None) -> None:
@@ -68,6 +69,7 @@ class ChangeTest:
         self._rows = np.zeros((3, rules.LONGEST_WATCH, len(healthy.level)))
         self._kept = 0
         self._hours = hours
+        self.largest = 0.0
         self.learn(healthy)
 
     def learn(self, healthy: Healthy) -> None:
@@ -105,6 +107,7 @@ class ChangeTest:
         """Return the sum that exceeds its bound the most; None while all could be chance."""
         sums, information, share, squares = self._sums()
         rows = np.array([n for n in lengths() if n <= self._kept], dtype=np.intp) - 1
+        self.largest = 0.0
         if not rows.size:
             return None
         told = information[rows] > 0.0
@@ -118,6 +121,7 @@ class ChangeTest:
         ratio = np.divide(np.abs(sums[rows]), self.bound * deviation, out=np.zeros_like(deviation), where=told)
         ratio[(np.abs(size) * share < rules.RELEVANT) | (self._rising & (sums[rows] < 0.0))] = 0.0
         row, quantity = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+        self.largest = float(ratio[row, quantity]) * self.bound
         if ratio[row, quantity] <= 1.0:
             return None
         return self._since(int(quantity), float(ratio[row, quantity]), sums[:, quantity], information[:, quantity])

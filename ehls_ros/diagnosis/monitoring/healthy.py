@@ -80,7 +80,7 @@ def _scatter(rest: Array, told: NDArray[np.bool_], sections: int) -> Array:
         squares = np.sum(np.minimum((rest / scatter) ** 2, rules.MOST_SCORE**2), axis=0) / lost
         grown = (prior * (rules.LEARNT_SCATTER / scatter) ** 2 + squares) / (prior + count)
         scatter = scatter * np.sqrt(grown)
-    return scatter
+    return np.maximum(scatter, rules.LEAST_SCATTER)
 
 
 def _dependence(limited: Array, section: NDArray[np.intp]) -> Array:

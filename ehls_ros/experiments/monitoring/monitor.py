@@ -32,6 +32,9 @@ from ehls_ros.experiments.monitoring.samples import Samples
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
+AT_ONCE = rules.MONITOR_AT_ONCE * rules.MONITOR_BLOCK
+"""Time that is compared with the model at once [s]."""
+
 GAP = 0.05
 """Longest time between two samples of one stretch [s]."""
 
@@ -115,7 +118,7 @@ class Monitor:
         self.history = list[Past]()
         self._examiner = examiner
         self._baselines = dict(baselines or {})
-        self._samples = Samples(max(parameters.kept_time, parameters.learning_time + 2.0 * rules.MONITOR_BLOCK))
+        self._samples = Samples(max(parameters.kept_time, parameters.learning_time + 3.0 * AT_ONCE))
         self._begin = math.nan
         self._segment = math.nan
         self._watched = 0.0
@@ -177,18 +180,29 @@ class Monitor:
         if not follows:
             self._segment = float(time_s[0])
             self._begin = self._segment + rules.MONITOR_LEAD
-        while float(time_s[-1]) >= self._begin + rules.MONITOR_BLOCK:
+        while float(time_s[-1]) >= self._begin + AT_ONCE:
             if self._state == State.LEARNING and self._under_way_learning:
                 break
-            begin, self._begin = self._begin, self._begin + rules.MONITOR_BLOCK
+            begin, self._begin = self._begin, self._begin + AT_ONCE
             self._judge(begin, events)
             self._follow_examination(events)
 
     # --- blocks -----------------------------------------------------------------------------------
 
-    def _evidence(self, begin: float, end: float, rig: Rig) -> Evidence | None:
-        recording = self._samples.between(begin - rules.MONITOR_LEAD, end)
-        return self._compared(recording, rig)
+    def _blocks(self, begin: float, samples: Trajectory | None = None) -> tuple[Evidence | None, list[Scores]]:
+        """Return some blocks compared with the model, and what each says; none where they cannot be judged.
+
+        Args:
+            begin: where the first begins [s].
+            samples: of a recording that begins with their lead; by default those of the rig.
+        """
+        if samples is None:
+            samples = self._samples.between(begin - rules.MONITOR_LEAD, begin + AT_ONCE)
+        evidence = self._compared(samples, self.model)
+        if evidence is None:
+            return None, []
+        begins = rules.MONITOR_LEAD + rules.MONITOR_BLOCK * np.arange(rules.MONITOR_AT_ONCE)
+        return evidence, scores(evidence, self._directions, self._tracked, begins.tolist())
 
     def _compared(self, recording: Trajectory, rig: Rig) -> Evidence | None:
         try:
@@ -210,19 +224,20 @@ class Monitor:
     def _judge(self, begin: float, events: list[Event]) -> None:
         if self._state == State.LEARNING:
             self._learning.append(begin)
-            if len(self._learning) * rules.MONITOR_BLOCK >= self.parameters.learning_time:
+            if self._under_way_learning:
                 self._end_learning(events)
             return
-        evidence = self._evidence(begin, begin + rules.MONITOR_BLOCK, self.model)
+        evidence, found = self._blocks(begin)
         if evidence is None:
             self._state = State.IDLE if self._under_way is None else self._state
             return
         if self._state == State.IDLE:
             self._state, self._reason = State.WATCHING, ""
-        self._watched += rules.MONITOR_BLOCK
+        self._watched += AT_ONCE
         if self._is_outside(evidence):
             return
-        self._take(begin, scores(evidence, self._directions, self._tracked), events)
+        for number, block in enumerate(found):
+            self._take(begin + number * rules.MONITOR_BLOCK, block, events)
 
     def _is_outside(self, evidence: Evidence) -> bool:
         """Tell whether a block lies where no healthy recording has been; the rig file's model holds everywhere."""
@@ -268,10 +283,10 @@ class Monitor:
 
     @property
     def _under_way_learning(self) -> bool:
-        return bool(self._learning) and len(self._learning) * rules.MONITOR_BLOCK >= self.parameters.learning_time
+        return len(self._learning) * AT_ONCE >= self.parameters.learning_time
 
     def _end_learning(self, events: list[Event]) -> None:
-        begin, end = self._learning[0] - rules.MONITOR_LEAD, self._learning[-1] + rules.MONITOR_BLOCK
+        begin, end = self._learning[0] - rules.MONITOR_LEAD, self._learning[-1] + AT_ONCE
         self._examiner.begin(Task(self._samples.between(begin, end), self.rig))
         events.append(Event(end, "learnt", f"{self.parameters.learning_time:g} s learnt; compared with the rig file"))
 
@@ -284,13 +299,13 @@ class Monitor:
                 self._directions = directions(evidence, WANTED)
                 self._numbers = tracked(self._directions)
                 self._seen = evidence
-            time = recording.time_s
-            for begin in np.arange(time[0], time[-1] - rules.MONITOR_BLOCK - rules.MONITOR_LEAD, rules.MONITOR_BLOCK):
-                part = slice(*np.searchsorted(time, [begin, begin + rules.MONITOR_LEAD + rules.MONITOR_BLOCK]))
-                block = self._compared(Trajectory(time[part], {n: v[part] for n, v in recording.signals.items()}), self.rig)
-                if block is not None:
-                    self._sections.append([]) if begin == time[0] else None
-                    self._sections[-1].append(scores(block, self._directions, self._tracked))
+            time, section = recording.time_s, list[Scores]()
+            for begin in np.arange(time[0], time[-1] - AT_ONCE - rules.MONITOR_LEAD, AT_ONCE):
+                part = slice(*np.searchsorted(time, [begin, begin + rules.MONITOR_LEAD + AT_ONCE]))
+                samples = Trajectory(time[part] - time[part][0], {n: v[part] for n, v in recording.signals.items()})
+                section += self._blocks(begin, samples)[1]
+            if section:
+                self._sections.append(section)
         self._kind = RECORDINGS
         self._begin_watching()
 
@@ -320,12 +335,15 @@ class Monitor:
         found = _learnt(self._sections)
         if len(self._since) >= LEARNT_ON:
             found = scattering(found, _learnt([*self._sections, self._since]))
+        # A noise floor is never exact, and less than noise is no fault.
+        power = np.arange(len(found.level)) >= len(self._directions)
+        found = found._replace(level=np.where(power, np.maximum(found.level, 0.0) + rules.POWER_TOLERATED, found.level))
         if self._kind != RIG_FILE:
             return found
-        direction = np.arange(len(found.level)) < len(self._directions)
+        direction = ~power
         biased = np.abs(found.level) * np.sqrt(found.certainty) > rules.BIASED * found.scatter * np.sqrt(found.dependence)
         return found._replace(
-            level=np.where(direction, 0.0, np.maximum(found.level, 0.0)),
+            level=np.where(direction, 0.0, found.level),
             certainty=np.where(direction, np.where(biased, 0.0, np.inf), found.certainty),
         )
 
@@ -377,7 +395,7 @@ class Monitor:
             self._accept(change.blocks)
 
     def _learnt(self, found: Finding, now: float, events: list[Event]) -> None:
-        begin, end = self._learning[0] - rules.MONITOR_LEAD, self._learning[-1] + rules.MONITOR_BLOCK
+        begin, end = self._learning[0] - rules.MONITOR_LEAD, self._learning[-1] + AT_ONCE
         recording = self._samples.between(begin, end)
         if found.verdict == "consistent":
             self._kind = RIG_FILE
@@ -397,10 +415,8 @@ class Monitor:
         self._numbers = tracked(self._directions)
         self._seen = self._compared(recording, self.model)
         section = list[Scores]()
-        for block in self._learning:
-            own = self._evidence(block, block + rules.MONITOR_BLOCK, self.model)
-            if own is not None:
-                section.append(scores(own, self._directions, self._tracked))
+        for learnt in self._learning:
+            section += self._blocks(learnt)[1]
         self._learning.clear()
         if not section:
             return
