@@ -29,6 +29,7 @@ from ehls_ros.experiments.monitoring.memory import Memory
 from ehls_ros.experiments.monitoring.monitor import Monitor
 from ehls_ros.experiments.monitoring.parameters import Parameters as Watching
 from ehls_ros.experiments.monitoring.wording import HeldLevel, Word, group, sentence, word
+from ehls_ros.hardware.realtime import be_modest, tidy
 from ehls_ros.nodes.codec import Decoder
 from ehls_ros.nodes.control import NAMESPACE, OK, WARN, ControlNode, run_node
 from ehls_ros.nodes.frames import loader_frame
@@ -59,7 +60,7 @@ TELL = 2.5
 """Shortest time between two messages, if nothing happens [s]."""
 
 TIDY = 60.0
-"""Time between two garbage collections [s]; no cycle waits for this loop."""
+"""Time between two times that memory is given back [s]; no cycle waits for this loop."""
 
 QUIET = 2.0
 """Time without snapshots after which nothing is judged [s]."""
@@ -131,6 +132,7 @@ class MonitorNode(ControlNode):
         Raises:
             BadInput: a baseline cannot be read, or the folder cannot be made.
         """
+        be_modest()
         namespace = self.get_namespace().strip("/")
         below = "monitor" if namespace == NAMESPACE else f"monitor_{namespace.replace('/', '_')}"
         self.folder = Path(self.own.folder or Path("runs") / below)
@@ -220,7 +222,7 @@ class MonitorNode(ControlNode):
         self._tell(happened=bool(events))
         if time.monotonic() - self.tidied > TIDY:
             self.tidied = time.monotonic()
-            gc.collect()
+            tidy()
 
     def _follow(self) -> list[Event]:
         """Read all messages, and return what happened."""
