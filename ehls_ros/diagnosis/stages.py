@@ -21,6 +21,7 @@ import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.local_polynomial import integral, local_row, local_slope
 from ehls_ros.diagnosis.record import (
     COMMAND,
     FORCE,
@@ -394,7 +395,7 @@ class Comparison:
     def local_fit(self, values: Array, derivative: int) -> Array:
         """Return a signal or its derivative from a local cubic fit, shape (n,)."""
         samples = self.setup.fit
-        row = scipy.signal.savgol_coeffs(samples, 3 if derivative else 2, deriv=derivative, delta=self.record.period, use="dot")
+        row = local_row(samples, 3 if derivative else 2, derivative, self.record.period)
         return np.convolve(np.pad(values, samples // 2, mode="edge"), row[::-1], mode="valid")
 
     def motion(self, rig: EffectiveRig) -> Motion:
@@ -421,7 +422,7 @@ class Comparison:
             position = self.local_fit(position, 0)
         else:
             velocity = self.corrected(rig, "velocity")
-            position = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]))]) * record.period
+            position = integral(velocity, record.period)
             velocity = self.local_fit(velocity, 0)
         pressure = self.pressure(rig) if PRESSURE in record or FORCE in record else np.zeros(len(record.time))
         temperature = (
@@ -455,9 +456,9 @@ class Comparison:
         good, time = self.record.good, self.record.time
         # Across a gap of one sensor the other tells the motion.
         velocity = np.where(good[VELOCITY], velocity, self.local_fit(position, 1))
-        left = position - scipy.integrate.cumulative_trapezoid(velocity, dx=period, initial=0.0)
+        left = position - integral(velocity, period)
         left = np.interp(time, time[good[POSITION]], left[good[POSITION]])
-        kept: Array = velocity + scipy.signal.savgol_filter(left, window, 1, deriv=1, delta=period)
+        kept: Array = velocity + local_slope(left, window, period)
         return kept
 
     def _keep(self, what: str, key: Any, compute: Any) -> Any:
@@ -521,8 +522,8 @@ def setup(record: Record, rig: Rig) -> Setup:
     fit = max(2 * round(2 * moved) + 1, 2 * round(rules.VELOCITY_FIT / period / 2) + 1)
     measured = False
     if VELOCITY in record and POSITION in record:
-        slope = scipy.signal.savgol_coeffs(fit, 3, deriv=1, delta=period)
-        measured = record.noise[VELOCITY] * float(np.linalg.norm(scipy.signal.savgol_coeffs(fit, 2))) < record.noise[
+        slope = local_row(fit, 3, 1, period)
+        measured = record.noise[VELOCITY] * float(np.linalg.norm(local_row(fit, 2, 0, period))) < record.noise[
             POSITION
         ] * float(np.linalg.norm(slope))
     found = Setup(smooth_window(samples, period), average, tuple(channels), measured, fit, presliding_travel(rig))
@@ -560,11 +561,11 @@ def _friction_known(comparison: Comparison) -> Mask:
     if record.sampled(POSITION, VELOCITY) <= rules.SLOWEST_TURN:
         return np.ones(len(record.time), dtype=np.bool_)
     if used.velocity_measured or POSITION not in record:
-        velocity, row = comparison.local_fit(record.values(VELOCITY), 0), scipy.signal.savgol_coeffs(used.fit, 2)
+        velocity, row = comparison.local_fit(record.values(VELOCITY), 0), local_row(used.fit, 2, 0, record.period)
         noise = record.noise[VELOCITY] * float(np.linalg.norm(row))
     else:
         velocity = comparison.local_fit(record.values(POSITION), 1)
-        row = scipy.signal.savgol_coeffs(used.fit, 3, deriv=1, delta=record.period)
+        row = local_row(used.fit, 3, 1, record.period)
         noise = record.noise[POSITION] * float(np.linalg.norm(row))
     position = comparison.local_fit(record.values(POSITION), 0) if POSITION in record else np.cumsum(velocity) * record.period
     return friction_known(record, position, velocity, used.presliding, noise)

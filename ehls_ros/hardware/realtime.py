@@ -26,6 +26,9 @@ DEEP_STACK = 2**22
 LARGE = 2**25
 """Size above which an allocation is mapped separately and returned when freed; glibc's maximum [B]."""
 
+SMALL = 2**18
+"""The same for a process that gives back what it frees [B]."""
+
 HARDLY = 0.25
 """A file with no more than this fraction in memory is hardly used."""
 
@@ -142,17 +145,35 @@ def lock_memory() -> None:
         OSError: the system does not permit it.
     """
     system = ctypes.CDLL(None, use_errno=True)
+    drop_compiler()
     for part in memory():
         area = ctypes.c_void_p(part.start), ctypes.c_size_t(part.length)
-        if COMPILER in part.file:
-            # Code can be read from the file again at any time; data may have been modified.
-            if "x" in part.permissions:
-                system.madvise(*area, MADV_DONTNEED)
-        elif part.permissions.startswith("r") and part.file != "[vsyscall]" and _in_use(part):
+        if COMPILER not in part.file and part.permissions.startswith("r") and part.file != "[vsyscall]" and _in_use(part):
             _check(system.mlock2(*area, MLOCK_ONFAULT))
     if resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY or os.geteuid() == 0:
         # Under a limit, allocations beyond it would fail instead of staying unlocked.
         _check(system.mlockall(MCL_FUTURE | MCL_ONFAULT))
+
+
+def drop_compiler() -> None:
+    """Drop the compiler's code, which can be read from its file again at any time; its data may have been modified."""
+    for part in memory():
+        if COMPILER in part.file and "x" in part.permissions:
+            ctypes.CDLL(None).madvise(ctypes.c_void_p(part.start), ctypes.c_size_t(part.length), MADV_DONTNEED)
+
+
+def be_modest() -> None:
+    """Undo what :func:`be_frugal` keeps: large arrays go back to the system at once; for a process without deadlines."""
+    system = ctypes.CDLL(None)
+    system.mallopt(M_TRIM_THRESHOLD, SMALL)
+    system.mallopt(M_MMAP_THRESHOLD, SMALL)
+
+
+def tidy() -> None:
+    """Give back memory that this process does not need, for one that goes on for weeks beside those with deadlines."""
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)
+    drop_compiler()
 
 
 def _in_use(part: Part) -> bool:

@@ -105,6 +105,9 @@ class ControlNode(DeclaredParameters):
     answers = True
     """Whether another node waits for this loop's output within the cycle; if not, the loop runs at a lower priority."""
 
+    background = False
+    """Whether it takes no priority at all, whatever the parameter says: it has time."""
+
     def __init__(self, name: str) -> None:
         """Declare the common parameters and read the spec.
 
@@ -177,7 +180,7 @@ class ControlNode(DeclaredParameters):
         # The middleware's receiver threads hold locks that senders need too. Even if the loop itself runs at a lower
         # priority, its receivers must not be preempted while they hold one.
         loops = () if self.answers else [thread.native_id for thread in threading.enumerate() if thread.native_id]
-        priority = 0 if self.lockstep else int(self.get_parameter("priority").value)
+        priority = 0 if self.lockstep or self.background else int(self.get_parameter("priority").value)
         self.not_permitted = claim(priority, loops)
         if priority:
             # The loop runs in the main thread, whose id is the process's.

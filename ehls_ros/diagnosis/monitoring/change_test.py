@@ -76,7 +76,7 @@ class ChangeTest:
         """Take another knowledge of how a healthy rig scatters."""
         self.healthy = healthy
         tests = self._hours * HOUR / rules.MONITOR_BLOCK * len(healthy.level) * len(lengths())
-        self.bound = float(scipy.stats.t.isf(0.5 / tests, healthy.freedom))
+        self.bound = float(-scipy.special.stdtrit(healthy.freedom, 0.5 / tests))
 
     @property
     def blocks(self) -> int:

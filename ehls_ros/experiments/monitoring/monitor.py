@@ -28,6 +28,7 @@ from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.examination import Examiner, Finding, Task
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, State
 from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.monitoring.remembered import Learnt, Past, Remembered
 from ehls_ros.experiments.monitoring.samples import Samples
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
@@ -75,18 +76,6 @@ class Judged(NamedTuple):
 
     begin: float
     scores: Scores
-
-
-class Past(NamedTuple):
-    """What the coefficients were.
-
-    Attributes:
-        time: end of the averaged blocks [s].
-        readings: of all coefficients.
-    """
-
-    time: float
-    readings: tuple[Reading, ...]
 
 
 class Monitor:
@@ -488,6 +477,66 @@ class Monitor:
         for index in new:
             self.changes[index] = self.changes[index]._replace(acknowledged=True)
         return len(new)
+
+    def reset(self) -> None:
+        """Begin anew after a repair: what was found is over, and what the healthy rig is is learnt again.
+
+        Recordings of the healthy rig that were given remain what a change is measured from.
+        """
+        self._examiner.close()
+        self._under_way, self._examined, self.model = None, 0, self.rig
+        self._clear(self.changes, float(self._samples.times[-1]) if len(self._samples) else 0.0, [])
+        if self._kind == RECORDINGS:
+            self._restart()
+            self._state = State.WATCHING
+            return
+        self._kind, self._baselines = RIG_FILE, {}
+        self._learning.clear()
+        self._learn_anew()
+        self._reason = ""
+
+    def remembered(self) -> Remembered:
+        """Return what another monitor of this rig needs to go on from here."""
+        learnt = None
+        if self._test is not None:
+            sections = tuple(map(tuple, self._sections))
+            learnt = Learnt(self._kind, self._directions, sections, self._baselines.get(OWN_RECORDING))
+        return Remembered(
+            learnt,
+            self.model,
+            tuple(self.changes),
+            tuple(self.history[-RATES:]),
+            self._readings,
+            self._watched,
+            tuple(self._begins),
+            np.zeros((3, 0, 0)) if self._test is None else self._test.rows(),
+        )
+
+    def restore(self, past: Remembered) -> None:
+        """Go on where another monitor of this rig ended; called before the first sample.
+
+        Args:
+            past: what it knew. Times are on the axis that goes on.
+        """
+        self.model, self.changes, self.history = past.model, list(past.changes), list(past.history)
+        self._readings, self._watched = past.readings, past.watched
+        if past.learnt is None or bool(self._baselines) != (past.learnt.kind == RECORDINGS):
+            return
+        self._kind, self._directions = past.learnt.kind, past.learnt.directions
+        self._numbers = tracked(self._directions)
+        self._sections = [list(section) for section in past.learnt.sections]
+        if past.learnt.recording is not None:
+            self._baselines = {OWN_RECORDING: past.learnt.recording}
+            self._seen = self._compared(past.learnt.recording, self.model)
+        self._begin_watching()
+        if self._test is None or len(past.begins) != past.rows.shape[1]:
+            return
+        self._begins.extend(past.begins)
+        for row in past.rows.swapaxes(0, 1):
+            self._test.add(*row)
+        if self._test.change() is not None:
+            # The samples that would tell what it is are gone; what still holds shows again.
+            self._restart()
 
     def health(self) -> Health:
         """Return what is known now."""

@@ -1,0 +1,278 @@
+"""Follows the cycles of a running graph: its messages, by control cycle, become samples on a time axis that always increases.
+
+Samples are as a recording of the same graph would have them (:mod:`ehls_ros.recording.alignment`). Time is counted in control
+cycles, so that neither a wall clock that is set nor one that drifts is seen in it; the stamps tell the wall time of an instant.
+"""
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ehls_ros.arrays import Array
+from ehls_ros.recording.topics import DISTURBANCE, LOADER_STATE, VALVE_COMMAND
+
+STATE_SIGNALS = tuple(LOADER_STATE.signals.values())
+COMMAND_SIGNAL = VALVE_COMMAND.signals["spool"]
+DISTURBANCE_SIGNALS = tuple(DISTURBANCE.signals.values())
+
+PATIENCE = 0.2
+"""Time for which a snapshot waits for its command and its disturbance before it counts as without [s]."""
+
+SETTLING = 1.0
+"""Time after the gate has opened that is left out: commands are blended in [s]."""
+
+PAUSE = 1.0
+"""Least time between two runs of the rig on the axis, which makes a new stretch of what follows [s]."""
+
+LONGEST_PAUSE = 400.0 * 86400.0
+"""A longer time between two stamps is a clock that was set [s]."""
+
+CLOCK_SET = 0.05
+"""Distance of a stamp from what the one before leads to, from which on the clock was set, or waited for [s]."""
+
+MOST_ANCHORS = 1000
+"""Anchors kept; the oldest ones are of no change that still matters."""
+
+
+class Anchor(NamedTuple):
+    """An instant on both axes.
+
+    Attributes:
+        time: on the axis of samples [s].
+        stamp_ns: header stamp [ns].
+    """
+
+    time: float
+    stamp_ns: int
+
+
+class Snapshot(NamedTuple):
+    """A loader_state.
+
+    Attributes:
+        stamp_ns: its header's stamp [ns].
+        cycle: its control cycle.
+        values: in the order of its fields.
+        sent_ns: when it was published, by the system's clock [ns].
+    """
+
+    stamp_ns: int
+    cycle: int
+    values: tuple[float, ...]
+    sent_ns: int
+
+
+class Stretch(NamedTuple):
+    """Samples that follow one another, all of them driven by the recorded command.
+
+    Attributes:
+        time_s: shape (n,) [s].
+        signals: values by the names of the data contract, shape (n,).
+        interrupted: whether something lies between the samples before and these.
+    """
+
+    time_s: Array
+    signals: dict[str, Array]
+    interrupted: bool
+
+
+class Follower:
+    """Puts the messages of a graph together.
+
+    Attributes:
+        anchors: wall time along the axis, oldest first.
+        lost: cycles without a snapshot.
+        unanswered: cycles without a command.
+        runs: how often the cycles began anew.
+    """
+
+    def __init__(self, period: float, anchors: Sequence[Anchor] = (), end: float = 0.0) -> None:
+        """Begin without messages.
+
+        Args:
+            period: time between two control cycles [s].
+            anchors: of an earlier follower whose axis goes on.
+            end: where that axis ended [s].
+        """
+        self._period = period
+        self.anchors = list(anchors)
+        self.lost = self.unanswered = self.runs = 0
+        self._offset = math.nan
+        self._end = end
+        self._pending = list[Snapshot]()
+        self._newest = -1
+        self._commands: dict[int, tuple[float, int]] = {}
+        self._disturbances: dict[int, tuple[float, ...]] = {}
+        self._disturbed = False
+        self._drivers = list[tuple[int, str]]()
+        self._driving = list[tuple[int, bool]]()
+        self._settled = -math.inf
+        self._interrupted = True
+
+    # --- messages -----------------------------------------------------------------------------------
+
+    def hear_driver(self, cycle: int, sender: str) -> None:
+        """Learn which controller drives from a cycle on; an empty name: any."""
+        self._drivers = [known for known in self._drivers if known[0] < cycle][-10:]
+        self._drivers.append((cycle, sender))
+
+    def hear_driving(self, driving: bool, sent_ns: int) -> None:
+        """Learn that commands reach the valve, or do so no more, from an instant of the system's clock on [ns]."""
+        self._driving = [*self._driving[-10:], (sent_ns, driving)]
+
+    def hear_commands(self, messages: Iterable[tuple[int, float, str, int]]) -> None:
+        """Take valve commands: cycle, spool [m], sender, and when it was sent [ns]. The first for a cycle counts."""
+        for cycle, spool, sender, sent_ns in messages:
+            if not self._drivers or self._driver(cycle) in {"", sender}:
+                self._commands.setdefault(cycle, (spool, sent_ns))
+
+    def hear_disturbances(self, messages: Iterable[tuple[int, tuple[float, ...]]]) -> None:
+        """Take disturbances: cycle and values in the order of the fields."""
+        for cycle, values in messages:
+            self._disturbances[cycle] = values
+            self._disturbed = True
+
+    def _driver(self, cycle: int) -> str:
+        known = bisect_right(self._drivers, cycle, key=lambda entry: entry[0])
+        return self._drivers[known - 1][1] if known else ""
+
+    # --- samples --------------------------------------------------------------------------------------
+
+    def follow(self, snapshots: Iterable[Snapshot]) -> list[Stretch]:
+        """Take snapshots, and return the samples that are complete.
+
+        Args:
+            snapshots: in the order of their sending.
+        """
+        out = list[Stretch]()
+        for snapshot in snapshots:
+            if snapshot.cycle == self._newest:
+                continue
+            if snapshot.cycle < self._newest:
+                self._end_run(snapshot, out)
+            elif self._newest >= 0:
+                self.lost += snapshot.cycle - self._newest - 1
+            self._newest = snapshot.cycle
+            self._pending.append(snapshot)
+        self._emit(self._ready(), out)
+        return out
+
+    def _end_run(self, first: Snapshot, out: list[Stretch]) -> None:
+        """Let the rig begin anew with a snapshot."""
+        self._emit(len(self._pending), out)
+        self.runs += 1
+        self._offset = math.nan
+        self._commands = {cycle: known for cycle, known in self._commands.items() if known[1] >= first.sent_ns}
+        self._drivers = self._drivers[-1:]
+        self._pending.clear()
+
+    def _ready(self) -> int:
+        """Return how many of the waiting snapshots have all that belongs to them, or need not wait for it any longer.
+
+        The newest waits in any case: whether its command reached the valve shows after it.
+        """
+        patience = self._newest - math.ceil(PATIENCE / self._period)
+        for index, snapshot in enumerate(self._pending[:-1]):
+            known = snapshot.cycle in self._commands and (not self._disturbed or snapshot.cycle in self._disturbances)
+            if not known and snapshot.cycle > patience:
+                return index
+        return max(len(self._pending) - 1, 0)
+
+    def _emit(self, count: int, out: list[Stretch]) -> None:
+        if not count:
+            return
+        rows, following = self._pending[:count], self._pending[1 : count + 1]
+        self._pending = self._pending[count:]
+        if math.isnan(self._offset):
+            self._begin_run(rows[0])
+        time = np.array([row.cycle for row in rows]) * self._period + self._offset
+        self._anchor(rows, time)
+        self._end = float(time[-1])
+        driven = self._driven(rows, following, time)
+        commands = [self._commands.pop(row.cycle, (math.nan, 0))[0] for row in rows]
+        self.unanswered += sum(map(math.isnan, commands))
+        none = (math.nan,) * len(DISTURBANCE_SIGNALS)
+        acting = [self._disturbances.pop(row.cycle, none) for row in rows]
+        self._forget(rows[-1].cycle)
+        table = np.column_stack([np.array([row.values for row in rows]), commands, acting])
+        names = [*STATE_SIGNALS, COMMAND_SIGNAL, *(DISTURBANCE_SIGNALS if self._disturbed else ())]
+        edges = np.flatnonzero(np.diff(driven.astype(np.int8))) + 1
+        for part in np.split(np.arange(count), edges):
+            if driven[part[0]]:
+                signals = {name: table[part, column] for column, name in enumerate(names)}
+                out.append(Stretch(time[part], signals, self._interrupted))
+                self._interrupted = False
+            else:
+                self._interrupted = True
+
+    def _driven(self, rows: Sequence[Snapshot], following: Sequence[Snapshot], time: Array) -> NDArray[np.bool_]:
+        """Tell which samples the recorded command drives, shape (n,)."""
+        if not self._driving:
+            return np.ones(len(rows), dtype=np.bool_)
+        after = [*(row.sent_ns for row in following), rows[-1].sent_ns][: len(rows)]
+        drives = self._drives([row.sent_ns for row in rows]) & self._drives(after)
+        if not np.all(drives):
+            self._settled = float(time[np.flatnonzero(~drives)[-1]]) + SETTLING
+        out: NDArray[np.bool_] = drives & (time >= self._settled)
+        return out
+
+    def _drives(self, sent_ns: Sequence[int]) -> NDArray[np.bool_]:
+        """Tell whether commands reached the valve at instants of the system's clock [ns]."""
+        since = np.array([since_ns for since_ns, _ in self._driving], dtype=np.int64)
+        # What was so before the first word of it is not known; the plant says so on change.
+        known = np.maximum(np.searchsorted(since, np.array(sent_ns, dtype=np.int64), side="right") - 1, 0)
+        return np.array([driving for _, driving in self._driving], dtype=np.bool_)[known]
+
+    def _begin_run(self, first: Snapshot) -> None:
+        """Put the first cycle of a run on the axis: later than what is there, by the time that the stamps say, if they can."""
+        begin = self._end
+        if self.anchors:
+            since = (first.stamp_ns - self.stamp_ns(self._end)) * 1e-9
+            begin += min(max(since, PAUSE), LONGEST_PAUSE)
+        self._offset = begin - first.cycle * self._period
+        self._interrupted = True
+
+    def _anchor(self, rows: Sequence[Snapshot], time: Array) -> None:
+        """Take note of the stamps where those before do not lead to them."""
+        stamps_ns = np.array([row.stamp_ns for row in rows], dtype=np.int64)
+        first = 0
+        while first < len(rows):
+            if not self.anchors or abs(int(stamps_ns[first]) - self.stamp_ns(float(time[first]))) > CLOCK_SET * 1e9:
+                self.anchors = [*self.anchors[1 - MOST_ANCHORS :], Anchor(float(time[first]), int(stamps_ns[first]))]
+            anchor = self.anchors[-1]
+            apart = (stamps_ns[first:] - anchor.stamp_ns) * 1e-9 - (time[first:] - anchor.time)
+            first += int(np.argmax(np.abs(apart) > CLOCK_SET)) if np.any(np.abs(apart) > CLOCK_SET) else len(rows)
+
+    def _forget(self, cycle: int) -> None:
+        """Forget what came too late for its cycle."""
+        for known in (self._commands, self._disturbances):
+            for late in [other for other in known if other <= cycle]:
+                known.pop(late)
+
+    @property
+    def driving(self) -> bool:
+        """Whether commands reach the valve now; what nobody has said is taken so."""
+        return not self._driving or self._driving[-1][1]
+
+    # --- wall time ------------------------------------------------------------------------------------
+
+    @property
+    def end(self) -> float:
+        """Newest time on the axis [s]."""
+        return self._end
+
+    def stamp_ns(self, time: float) -> int:
+        """Return the stamp of an instant on the axis [ns]; 0 where it is not known.
+
+        Args:
+            time: the instant [s].
+        """
+        if not self.anchors or not math.isfinite(time):
+            return 0
+        known = max(bisect_right(self.anchors, time, key=lambda anchor: anchor.time), 1)
+        anchor = self.anchors[known - 1]
+        return max(0, anchor.stamp_ns + round((time - anchor.time) * 1e9))

@@ -1,0 +1,450 @@
+"""`monitor_node`: watches the rig while it runs, and tells what of its model has changed since it was well."""
+
+import gc
+import math
+import os
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, NoReturn
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import Bool, Header
+from std_srvs.srv import Trigger
+
+from ehls_msgs.msg import Disturbance, Driver, LoaderState, ModelChange, ModelHealth, TrackedCoefficient, ValveCommand
+from ehls_ros.diagnosis.monitoring.tracking import Reading
+from ehls_ros.diagnosis.record import USED
+from ehls_ros.errors import BadInput
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.monitoring.examination import InItsOwnProcess
+from ehls_ros.experiments.monitoring.flight_recorder import Flight, FlightRecorder
+from ehls_ros.experiments.monitoring.following import Follower, Snapshot
+from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, State
+from ehls_ros.experiments.monitoring.memory import Memory
+from ehls_ros.experiments.monitoring.monitor import Monitor
+from ehls_ros.experiments.monitoring.parameters import Parameters as Watching
+from ehls_ros.experiments.monitoring.wording import HeldLevel, Word, group, sentence, word
+from ehls_ros.hardware.realtime import be_modest, tidy
+from ehls_ros.nodes.codec import Decoder
+from ehls_ros.nodes.control import NAMESPACE, OK, WARN, ControlNode, run_node
+from ehls_ros.nodes.frames import loader_frame
+from ehls_ros.nodes.graph import NICE
+from ehls_ros.nodes.parameters import declare, values_of
+from ehls_ros.nodes.telemetry import time_of
+from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos
+from ehls_ros.recording.topics import (
+    DIAGNOSTICS,
+    DISTURBANCE,
+    DRIVER,
+    DRIVING,
+    LOADER_STATE,
+    MODEL_HEALTH,
+    VALVE_COMMAND,
+    Topic,
+)
+from ehls_ros.schema import quantity, text
+from ehls_ros.trajectory import Trajectory
+
+REST = 0.1
+"""Time for which messages gather before they are read in bulk [s]; the middleware holds them meanwhile."""
+
+DEPTH = 20_000
+"""Messages that gather while the monitor computes something else: 20 s at 1 kHz."""
+
+TELL = 2.5
+"""Shortest time between two messages, if nothing happens [s]."""
+
+TIDY = 60.0
+"""Time between two times that memory is given back [s]; no cycle waits for this loop."""
+
+QUIET = 2.0
+"""Time without snapshots after which nothing is judged [s]."""
+
+AFTER_TRIP = 0.5
+"""Time after the word of a trip at which the samples before it are here [s]."""
+
+GATE_KEY = "state"
+"""Key in the diagnostics of the node with the safety gate."""
+
+GATE = b"state\0"
+"""The same as it stands in a message."""
+
+CAUSE = "cause_1"
+"""Key of what tripped the gate first."""
+
+MOST_FLIGHTS = 2
+"""Trips that wait to be written; a gate that trips again and again tells nothing more."""
+
+MOST_CHANGES = 50
+"""Changes told, the newest; the memory has all."""
+
+HOUR = 3600.0
+
+UNKNOWN = Estimate(math.nan, math.nan, "")
+
+KEPT_HISTORY = 1440
+"""Readings of the coefficients that stay in this process; the folder has all."""
+
+
+class Parameters(NamedTuple):
+    """What the monitor compares with, and where it keeps what it knows."""
+
+    baseline: Annotated[
+        str, text("recordings from when the rig was well, separated by commas; empty: the rig file and the first minutes")
+    ] = ""
+    folder: Annotated[
+        str, text("folder of memory and flight recorder; empty: runs/monitor, with the namespace of another rig")
+    ] = ""
+    flights: Annotated[int, quantity("1", "gate trips kept by the flight recorder; 0: none", minimum=0, maximum=1000)] = 10
+    flight_size: Annotated[float, quantity("MB", "size of all of them together", minimum=1.0)] = 500.0
+    flight_time: Annotated[float, quantity("s", "time before a trip that is kept", minimum=1.0, maximum=600.0)] = 60.0
+
+
+class MonitorNode(ControlNode):
+    """Follows the graph as the recorder does; no cycle waits for it, and it holds up no sender."""
+
+    answers = False
+    background = True
+
+    def __init__(self) -> None:
+        """Declare the parameters and the services."""
+        super().__init__("monitor_node")
+        declare(self, Watching, live=False)
+        declare(self, Parameters, live=False)
+        self.watching = values_of(self, Watching, self.get_name())
+        self.own = values_of(self, Parameters, self.get_name())
+        self.frame = loader_frame(self.get_namespace())
+        self.asked = deque[str]()
+        self.told: Health | None = None
+        self.create_service(Trigger, "monitor_acknowledge", self._on_acknowledge)
+        self.create_service(Trigger, "monitor_reset", self._on_reset)
+
+    # --- lifecycle ----------------------------------------------------------------------------------
+
+    def prepare(self) -> None:
+        """Read the baselines and what was known before, and open the topics.
+
+        Raises:
+            BadInput: a baseline cannot be read, or the folder cannot be made.
+        """
+        be_modest()
+        namespace = self.get_namespace().strip("/")
+        below = "monitor" if namespace == NAMESPACE else f"monitor_{namespace.replace('/', '_')}"
+        self.folder = Path(self.own.folder or Path("runs") / below)
+        self.baselines = _baselines(self.own.baseline)
+        self.memory = Memory(self.folder, self.spec.rig, tuple(self.baselines))
+        self.recorder = FlightRecorder(self.folder / "flights", self.own.flights, self.own.flight_size)
+        self.held = HeldLevel()
+        self.word = Word(0, "no samples yet")
+        self.failure = ""
+        self.kept = -math.inf
+        self.trip = ""
+        self.tripped = deque[tuple[float, str]]()
+        self.flights = deque[Flight]()
+        self._begin_monitor()
+        self.states = self._cycle_inbox(LoaderState, LOADER_STATE)
+        self.commands = self._cycle_inbox(ValveCommand, VALVE_COMMAND)
+        self.disturbances = self._cycle_inbox(Disturbance, DISTURBANCE)
+        self.drivers = Inbox(self, Driver, DRIVER.name, control_qos(DRIVER.depth), Decoder(Driver, sender=True))
+        self.driving = Inbox(self, Bool, DRIVING.name, control_qos(DRIVING.depth))
+        self.diagnostics = Inbox(self, DiagnosticArray, DIAGNOSTICS.name, QoSProfile(depth=200))
+        self.state, self.command, self.disturbance = (
+            Decoder(LoaderState),
+            Decoder(ValveCommand, sender=True),
+            Decoder(Disturbance),
+        )
+        self.telling = self.create_publisher(ModelHealth, MODEL_HEALTH.name, control_qos(MODEL_HEALTH.depth))
+
+    def _cycle_inbox(self, message: Any, topic: Topic) -> Inbox:
+        """Return an inbox that holds up no sender: in realtime none waits for its word, and what it misses is a gap.
+
+        In lockstep nothing is missed, as in a recording.
+        """
+        if self.lockstep:
+            return Inbox(self, message, topic.name, control_qos(RECORDER_DEPTH))
+        return Inbox(self, message, topic.name, QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
+
+    def release(self) -> None:
+        """Close the topics, and end what is computed."""
+        for inbox in (self.states, self.commands, self.disturbances, self.drivers, self.driving, self.diagnostics):
+            inbox.destroy()
+        self.destroy_publisher(self.telling)
+        self.monitor.close()
+
+    def _begin_monitor(self) -> None:
+        """Make a monitor that goes on where the folder's ended."""
+        self.monitor = Monitor(self.spec.rig, self.watching, InItsOwnProcess(), self.baselines)
+        try:
+            kept = self.memory.restore()
+        except BadInput as error:
+            self.get_logger().warning(f"the monitor learns anew: {error}")
+            kept = None
+        if kept is None:
+            self.follower = Follower(self.spec.settings.control_period)
+            return
+        self.monitor.restore(kept.remembered)
+        self.follower = Follower(self.spec.settings.control_period, kept.anchors, kept.end)
+
+    def start(self) -> None:
+        """Begin to follow."""
+        # The loops with deadlines do without; this one has time, and lists of findings refer to each other.
+        gc.enable()
+        self.heard = self.tidied = time.monotonic()
+        self.published = -math.inf
+
+    def stop(self) -> None:
+        """Keep what is known."""
+        self._keep(happened=True)
+
+    # --- the loop -------------------------------------------------------------------------------------
+
+    def once(self) -> None:
+        """Read what has gathered, and judge what is complete."""
+        time.sleep(REST)
+        events = self._asked()
+        try:
+            events += self._follow()
+        except RuntimeError as error:
+            # A diagnosis that died; the memory is of before it began.
+            self.failure = str(error)
+            self.get_logger().error(self.failure)
+            self.monitor.close()
+            self._begin_monitor()
+        for event in events:
+            self.get_logger().info(f"{event.kind}: {event.text}")
+        self._record_flights()
+        self._keep(happened=bool(events))
+        self._tell(happened=bool(events))
+        if time.monotonic() - self.tidied > TIDY:
+            self.tidied = time.monotonic()
+            tidy()
+
+    def _follow(self) -> list[Event]:
+        """Read all messages, and return what happened."""
+        follower = self.follower
+        while (driver := self.drivers.take()) is not None:
+            follower.hear_driver(driver[1], driver[2])
+        snapshots = [
+            Snapshot(message[0], message[1], message[2:], info["source_timestamp"])
+            for raw, info in _taken(self.states)
+            if (message := self.state(raw)) is not None
+        ]
+        # After the snapshots: what was said before the newest of them is here.
+        for raw, info in _taken(self.driving):
+            follower.hear_driving(deserialize_message(raw, Bool).data, info["source_timestamp"])
+        follower.hear_commands(
+            (message[1], message[2], message[3], info["source_timestamp"])
+            for raw, info in _taken(self.commands)
+            if (message := self.command(raw)) is not None
+        )
+        follower.hear_disturbances(
+            (message[1], message[2:]) for raw, _ in _taken(self.disturbances) if (message := self.disturbance(raw)) is not None
+        )
+        self._hear_trips()
+        if snapshots:
+            self.heard = time.monotonic()
+        events = self.monitor.add(np.zeros(0), {})
+        for stretch in follower.follow(snapshots):
+            if stretch.interrupted:
+                self.monitor.interrupt()
+            events += self.monitor.add(stretch.time_s, stretch.signals)
+        return events
+
+    def _hear_trips(self) -> None:
+        """Take note when the gate trips, once for each trip."""
+        for raw, _ in _taken(self.diagnostics):
+            if GATE not in raw:
+                continue
+            for status in deserialize_message(raw, DiagnosticArray).status:
+                figures = {value.key: value.value for value in status.values}
+                if status.hardware_id != self.get_namespace().strip("/") or GATE_KEY not in figures:
+                    continue
+                cause = figures.get(CAUSE, "")
+                if cause and cause != self.trip:
+                    self.tripped.append((time.monotonic() + AFTER_TRIP, cause))
+                self.trip = cause
+
+    def _asked(self) -> list[Event]:
+        """Do what services were asked for."""
+        events = list[Event]()
+        while self.asked:
+            request = self.asked.popleft()
+            if request == "acknowledge":
+                events.append(Event(self.follower.end, "acknowledged", f"{self.monitor.acknowledge()} changes"))
+            else:
+                self.monitor.reset()
+                events.append(Event(self.follower.end, "reset", "the rig was repaired: what is healthy is learnt anew"))
+        return events
+
+    def _record_flights(self) -> None:
+        """Have what led to a trip written and diagnosed, one flight at a time, and while the monitor diagnoses nothing."""
+        while self.tripped and time.monotonic() > self.tripped[0][0]:
+            _, cause = self.tripped.popleft()
+            recording = self.monitor.recording(self.own.flight_time)
+            if len(recording) and self.own.flights and len(self.flights) < MOST_FLIGHTS:
+                stamp_ns = self.follower.stamp_ns(self.follower.end)
+                self.flights.append(Flight(recording, {"cause": cause, "stamp_ns": stamp_ns}, stamp_ns))
+        busy = self.recorder.busy or (self.told is not None and self.told.state == State.EXAMINING)
+        if not self.flights or busy:
+            return
+        learnt = self.monitor.remembered().learnt
+        baselines = [Path(name) for name in self.baselines]
+        try:
+            folder = self.recorder.begin(self.flights.popleft(), self.spec.rig, baselines, learnt.recording if learnt else None)
+        except OSError as error:
+            self._fail(f"a flight cannot be written: {error}")
+            return
+        self.get_logger().warning(f"the gate has tripped: the time before it is in {folder}")
+
+    def _keep(self, *, happened: bool) -> None:
+        """Keep what is known, at once where something happened."""
+        monitor = self.monitor
+        newest = monitor.history[-1].time if monitor.history else -math.inf
+        if not happened and newest == self.kept and not self.memory.due():
+            return
+        self.kept = newest
+        try:
+            self.memory.keep(monitor.remembered(), self.follower.anchors, self.follower.end, happened=happened)
+        except OSError as error:
+            self._fail(f"what is known cannot be kept: {error}")
+        del monitor.history[:-KEPT_HISTORY]
+
+    def _fail(self, complaint: str) -> None:
+        """Say in log and diagnostics what does not work; the watch goes on."""
+        self.failure = complaint
+        self.get_logger().error(complaint)
+
+    # --- what is told -----------------------------------------------------------------------------------
+
+    def _tell(self, *, happened: bool) -> None:
+        """Publish the rig's health on change, and once in a while."""
+        now = time.monotonic()
+        if not happened and now - self.published < TELL:
+            return
+        self.published = now
+        health = self.monitor.health()
+        if now - self.heard > QUIET:
+            health = health._replace(state=State.IDLE, reason="no cycles arrive")
+        elif not self.follower.driving:
+            health = health._replace(state=State.IDLE, reason="the gate is closed, so no command reaches the valve")
+        self.told = health
+        self.word = self.held.take(word(health, self.spec.rig, self.follower.stamp_ns))
+        self.telling.publish(self._message(health))
+        self.report_change()
+
+    def _message(self, health: Health) -> ModelHealth:
+        stamp_ns = self.follower.stamp_ns
+        now_ns = stamp_ns(self.follower.end)
+        return ModelHealth(
+            header=Header(stamp=time_of(now_ns), frame_id=self.frame),
+            state=int(health.state),
+            reason=health.reason,
+            summary=self.word.sentence,
+            baseline=health.baseline,
+            watched=health.watched / HOUR,
+            outside=health.outside,
+            false_alarms=self.watching.mean_time_between_false_alarms,
+            changes=[self._change(change, now_ns) for change in health.changes[-MOST_CHANGES:]],
+            coefficients=[_coefficient(reading, health.rates.get(reading.name, UNKNOWN)) for reading in health.readings],
+        )
+
+    def _change(self, change: FoundChange, now_ns: int) -> ModelChange:
+        stamp_ns = self.follower.stamp_ns
+        parameters = change.causes[0].parameters if change.causes else {}
+        return ModelChange(
+            number=change.number,
+            cause=change.causes[0].name if change.causes else "",
+            equivalent_to=list(change.causes[0].equivalent_to) if change.causes else [],
+            group=group(change),
+            stage=change.stage,
+            probability=change.causes[0].probability if change.causes else 0.0,
+            parameters=list(parameters),
+            values=[value.value for value in parameters.values()],
+            deviations=[value.std for value in parameters.values()],
+            units=[value.unit for value in parameters.values()],
+            since=time_of(stamp_ns(change.since)),
+            earliest=time_of(stamp_ns(change.earliest)),
+            latest=time_of(stamp_ns(change.latest)),
+            cleared=time_of(stamp_ns(change.cleared)),
+            active=change.active,
+            acknowledged=change.acknowledged,
+            sentence=sentence(change, self.spec.rig, stamp_ns, now_ns),
+        )
+
+    def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        """Report a change that no operator has seen as a warning, and what is known otherwise."""
+        follower, told = self.follower, self.told
+        figures: dict[str, Any] = {"lost": follower.lost, "unanswered": follower.unanswered, "folder": self.folder}
+        if told is not None:
+            figures |= {
+                "state": told.state.name.lower(),
+                "watched_h": told.watched / HOUR,
+                "active_changes": len(told.active),
+                "outside": told.outside,
+                "baseline": told.baseline,
+            }
+        if not self._active.is_set():
+            return OK, "inactive", figures
+        level = WARN if self.failure or self.word.level else OK
+        return level, "; ".join(filter(None, (self.failure, self.word.sentence))), figures
+
+    def _on_acknowledge(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        new = [change for change in self.told.changes if not change.acknowledged] if self.told else []
+        self.asked.append("acknowledge")
+        response.success, response.message = True, "; ".join(change.name for change in new) or "nothing new"
+        return response
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.asked.append("reset")
+        response.success, response.message = True, "what is healthy is learnt anew"
+        return response
+
+
+def _taken(inbox: Inbox) -> Iterator[tuple[bytes, Mapping[str, int]]]:
+    """Yield the messages that wait in an inbox."""
+    while (taken := inbox.take_raw()) is not None:
+        yield taken
+
+
+def _coefficient(reading: Reading, rate: Estimate) -> TrackedCoefficient:
+    return TrackedCoefficient(
+        name=reading.name,
+        unit=reading.unit,
+        value=reading.value,
+        deviation=reading.deviation,
+        told=reading.told,
+        why_not=reading.why_not,
+        rate=rate.value,
+        rate_deviation=rate.std,
+    )
+
+
+def _baselines(names: str) -> dict[str, Trajectory]:
+    """Return the recordings that a parameter names, by their full paths.
+
+    Raises:
+        BadInput: one cannot be read.
+    """
+    paths = [Path(name.strip()).resolve() for name in names.split(",") if name.strip()]
+    if not paths:
+        return {}
+    # Reading files takes libraries that a monitor without baselines has no use for.
+    from ehls_ros.experiments.run_folder import recording_in
+    from ehls_ros.recording.load import load
+
+    return {str(path): load(recording_in(path), None, USED) for path in paths}
+
+
+def main() -> NoReturn:
+    """Run the node, behind whatever has to be in time."""
+    os.nice(NICE)
+    run_node(MonitorNode)
+
+
+if __name__ == "__main__":
+    main()
