@@ -18,6 +18,10 @@ NICENESS = 10
 """Niceness of the process that diagnoses: the rig's own processes come first."""
 
 
+SURE = 0.9
+"""Probability of the first cause, and of those the data cannot tell it from, with which few data are enough."""
+
+
 class Task(NamedTuple):
     """A recording to be diagnosed.
 
@@ -62,6 +66,11 @@ class Finding(NamedTuple):
     depends_on: tuple[str, ...] = ()
     reason: str = ""
     wall_s: float = 0.0
+
+    @property
+    def sure(self) -> bool:
+        """Whether the first cause, or what the data cannot tell it from, is hardly in doubt."""
+        return self.names and self.causes[0].probability * (1 + len(self.causes[0].equivalent_to)) >= SURE
 
     @property
     def names(self) -> bool:

@@ -34,6 +34,7 @@ class FoundChange(NamedTuple):
         named: when the diagnosis had its result, in the samples' time [s].
         cleared: since when it shows no more [s]; NaN while it does.
         acknowledged: whether an operator has seen it.
+        before: whether the rig differed so from its file when the monitor began: it is part of what a change is measured from.
     """
 
     number: int
@@ -47,6 +48,7 @@ class FoundChange(NamedTuple):
     named: float
     cleared: float = math.nan
     acknowledged: bool = False
+    before: bool = False
 
     @property
     def active(self) -> bool:
@@ -57,6 +59,11 @@ class FoundChange(NamedTuple):
     def name(self) -> str:
         """Its first cause, or where it shows."""
         return self.causes[0].name if self.causes else f"unknown change of the {self.stage.replace('_', ' ')}"
+
+    def may_be(self, cause: FoundCause) -> bool:
+        """Return whether a cause is its own, or one that the data cannot tell from it."""
+        own = self.causes[0]
+        return cause.name == own.name or cause.name in own.equivalent_to or own.name in cause.equivalent_to
 
     def sentence(self) -> str:
         """Say what it is."""

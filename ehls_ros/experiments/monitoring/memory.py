@@ -124,6 +124,7 @@ class Memory:
         begins, rows = self._read_blocks(state["blocks"], learnt) if state["blocks"] and learnt else ((), np.zeros((3, 0, 0)))
         remembered = Remembered(
             learnt,
+            rig_from_mapping(state["well"], str(path)),
             rig_from_mapping(state["model"], str(path)),
             tuple(_change(entry) for entry in state["changes"]),
             tuple(Past(entry["time"], _readings(entry["readings"])) for entry in state["history"]),
@@ -141,7 +142,7 @@ class Memory:
             if rows.shape[2] != len(directions) + len(CHANNELS):
                 raise ValueError(f"{name} is of other directions")
             none = np.zeros((0, 0))
-            blocks = [Scores(*row, none) for row in rows.swapaxes(0, 1)]
+            blocks = [Scores(row[0], row[1], row[2], none) for row in rows.swapaxes(0, 1)]
             ends = np.cumsum(data["lengths"]).tolist()
             sections = tuple(tuple(blocks[begin:end]) for begin, end in zip([0, *ends[:-1]], ends, strict=True))
             recording = None
@@ -191,6 +192,7 @@ class Memory:
             **self._of,
             "end": end,
             "anchors": list(anchors),
+            "well": rig_to_mapping(remembered.well),
             "model": rig_to_mapping(remembered.model),
             "changes": [_plain_change(change) for change in remembered.changes],
             "history": [{"time": past.time, "readings": _plain_readings(past.readings)} for past in remembered.history],
@@ -209,7 +211,7 @@ class Memory:
         used = {self._learnt_file, self._blocks_file}
         name = next(name for name in (f"{what}_{i}.npz" for i in range(3)) if name not in used)
         with (self._folder / name).open("wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]  # names of arrays, not of options
+            np.savez(file, **arrays)
             os.fsync(file.fileno())
         return name
 

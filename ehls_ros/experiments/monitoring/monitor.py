@@ -60,6 +60,9 @@ LEARNT_ON = 24
 MOST_LEARNT = 720
 """Blocks from which the scatter is learnt at most."""
 
+UNSURE_UNTIL = 30.0
+"""Time of samples with which a cause in doubt is named, or a change that no effect of the list explains [s]."""
+
 RATES = 60
 """Readings from which the rates of change are found."""
 
@@ -84,7 +87,8 @@ class Monitor:
     Attributes:
         changes: what was found, oldest first.
         history: the coefficients, one entry each ``reading_time``.
-        model: the healthy rig's model with what has changed since.
+        well: the healthy rig's model: the rig file's, with what differed from it when the monitor began.
+        model: the same with what has changed since.
     """
 
     def __init__(
@@ -101,7 +105,7 @@ class Monitor:
         Raises:
             BadInput: a baseline cannot be read as a recording of such a rig.
         """
-        self.rig = self.model = rig
+        self.rig = self.well = self.model = rig
         self.parameters = parameters
         self.changes = list[FoundChange]()
         self.history = list[Past]()
@@ -127,6 +131,7 @@ class Monitor:
         self._outside = deque[bool](maxlen=24)
         self._under_way: Change | None = None
         self._examined = 0
+        self._unsettled = math.nan
         self._readings: tuple[Reading, ...] = ()
         if self._baselines:
             self._learn_from_baselines()
@@ -343,10 +348,13 @@ class Monitor:
         begins = list(self._begins)
         # The block in which it began is only partly changed.
         first = begins[-change.blocks + (1 if change.blocks > 4 else 0)]
-        begin = max(first, now - self.parameters.kept_time)
+        if change.blocks >= len(begins) - 1 and not math.isnan(self._unsettled):
+            # What was named last does not explain all since: more samples tell more.
+            first = self._unsettled
+        begin = self._unsettled = max(first, now - self.parameters.kept_time)
         events.append(Event(now, "noticed", f"{self._quantity(change.quantity)} since {begins[-change.blocks]:.1f} s"))
         baselines = tuple(self._baselines.values())
-        self._examiner.begin(Task(self._samples.between(begin - rules.MONITOR_LEAD, now), self.rig, baselines))
+        self._examiner.begin(Task(self._samples.between(begin - rules.MONITOR_LEAD, now), self.well, baselines))
 
     def _quantity(self, number: int) -> str:
         if number < len(self._directions):
@@ -367,15 +375,16 @@ class Monitor:
             return
         begins = list(self._begins)
         onset, earliest, latest = (begins[-min(n, len(begins))] for n in (change.blocks, change.earliest, change.latest))
-        if found.names:
+        enough = now - self._unsettled >= UNSURE_UNTIL
+        if found.sure or (found.names and enough):
             self._name(found, (onset, earliest, latest), now, events)
-        elif found.verdict == "unknown":
+        elif found.verdict == "unknown" and enough:
             new = self._new_change(found, (onset, earliest, latest), now)
             events.append(Event(now, "named", new.sentence()))
             self._learn_anew()
-        elif found.verdict == "consistent" and self.model is not self.rig:
+        elif found.verdict == "consistent" and self.model is not self.well:
             self._clear(self.changes, now, events)
-            self.model = self.rig
+            self.model = self.well
             self._restart()
         elif change.blocks * rules.MONITOR_BLOCK >= SETTLED:
             events.append(
@@ -390,7 +399,10 @@ class Monitor:
             self._kind = RIG_FILE
         elif found.verdict == "effect" and found.names:
             self._kind = RIG_FILE
-            self._name(found, (begin, -math.inf, begin), now, events)
+            for cause in found.causes:
+                new = self._new_change(found._replace(causes=(cause,)), (begin, -math.inf, begin), now, before=True)
+                events.append(Event(now, "differs", f"from the rig file from the beginning: {new.sentence()}"))
+            self.well = self.model = found.rig
         else:
             self._kind, self._baselines = OWN_RECORDING, {OWN_RECORDING: recording}
             events.append(
@@ -441,31 +453,32 @@ class Monitor:
 
     def _name(self, found: Finding, times: tuple[float, float, float], now: float, events: list[Event]) -> None:
         """Keep what a diagnosis names: a known change has another size, a new one is added, and what is not named is gone."""
-        named = {cause.name: cause for cause in found.causes}
+        named = list(found.causes)
         for index, change in enumerate(self.changes):
-            if not change.active or not change.causes:
+            if not change.active or change.before or not change.causes:
                 continue
-            cause = named.pop(change.name, None)
+            cause = next((cause for cause in named if change.may_be(cause)), None)
             if cause is not None:
+                named.remove(cause)
                 self.changes[index] = change._replace(causes=(cause,))
                 events.append(Event(now, "moved", self.changes[index].sentence()))
             else:
                 self._clear([change], now, events)
-        for cause in named.values():
+        for cause in named:
             new = self._new_change(found._replace(causes=(cause,)), times, now)
             events.append(Event(now, "named", new.sentence()))
         self.model = found.rig
         self._restart()
 
-    def _new_change(self, found: Finding, times: tuple[float, float, float], now: float) -> FoundChange:
+    def _new_change(self, found: Finding, times: tuple[float, float, float], now: float, before: bool = False) -> FoundChange:
         stage = found.causes[0].stage if found.causes else found.unknown_stage
-        new = FoundChange(len(self.changes) + 1, found.causes, stage, found.depends_on, *times, now, now)
+        new = FoundChange(len(self.changes) + 1, found.causes, stage, found.depends_on, *times, now, now, before=before)
         self.changes.append(new)
         return new
 
     def _clear(self, gone: Sequence[FoundChange], now: float, events: list[Event]) -> None:
         for index, change in enumerate(self.changes):
-            if change.active and change in gone:
+            if change.active and not change.before and change in gone:
                 self.changes[index] = change._replace(cleared=now)
                 events.append(Event(now, "cleared", f"{change.name} shows no more"))
 
@@ -484,7 +497,8 @@ class Monitor:
         Recordings of the healthy rig that were given remain what a change is measured from.
         """
         self._examiner.close()
-        self._under_way, self._examined, self.model = None, 0, self.rig
+        self._under_way, self._examined, self._unsettled = None, 0, math.nan
+        self.well = self.model = self.rig
         self._clear(self.changes, float(self._samples.times[-1]) if len(self._samples) else 0.0, [])
         if self._kind == RECORDINGS:
             self._restart()
@@ -503,6 +517,7 @@ class Monitor:
             learnt = Learnt(self._kind, self._directions, sections, self._baselines.get(OWN_RECORDING))
         return Remembered(
             learnt,
+            self.well,
             self.model,
             tuple(self.changes),
             tuple(self.history[-RATES:]),
@@ -518,7 +533,8 @@ class Monitor:
         Args:
             past: what it knew. Times are on the axis that goes on.
         """
-        self.model, self.changes, self.history = past.model, list(past.changes), list(past.history)
+        self.well, self.model = past.well, past.model
+        self.changes, self.history = list(past.changes), list(past.history)
         self._readings, self._watched = past.readings, past.watched
         if past.learnt is None or bool(self._baselines) != (past.learnt.kind == RECORDINGS):
             return

@@ -44,7 +44,8 @@ class Remembered(NamedTuple):
 
     Attributes:
         learnt: what a healthy rig is; None while that is not known.
-        model: the healthy rig's model with what has changed since.
+        well: the healthy rig's model.
+        model: the same with what has changed since.
         changes: what was found, oldest first.
         history: the last readings of the coefficients.
         readings: the newest ones.
@@ -54,6 +55,7 @@ class Remembered(NamedTuple):
     """
 
     learnt: Learnt | None
+    well: Rig
     model: Rig
     changes: tuple[FoundChange, ...]
     history: tuple[Past, ...]
