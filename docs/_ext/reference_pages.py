@@ -150,6 +150,7 @@ TOPICS: Mapping[str, str] = {
     "joint_states": "joint `loader`: position [m], velocity [m/s], effort [N]; an array is empty where nothing is measured",
     "driver": "which controller the gate obeys, and from which cycle on; published on change; not recorded, as each command "
     "names its sender",
+    "accepted_rig": "the rig with the changes that an operator has accepted, for controllers with `accept_rig`; not recorded",
     "standby_command": "what a controller that stands by would command; not recorded",
     "leaving": "sender of a controller that ends; not recorded",
     "/diagnostics": "state of each node",

@@ -65,7 +65,7 @@ class Controller:
         self.status = np.zeros(STATUS_SIZE)
         self._bump = 0.0
         self._own = math.nan
-        self._previous: Any = None
+        self._previous: tuple[Any, Model] | None = None
         self._fade = math.exp(-model.period / BUMP_TIME)
         self._row = np.full(ROW, np.nan)
         self._nowhere, self._unknown = np.full(PLACE, np.nan), np.full(FORESEEN, np.nan)
@@ -91,9 +91,21 @@ class Controller:
         The law uses the new tuning at once; the jump of the command that the change alone would cause is subtracted
         and fades with :data:`BUMP_TIME`.
         """
-        if self._previous is None:
-            self._previous = self.parameters
+        self._keep_previous()
         self.parameters = parameters
+
+    def adopt(self, model: Model) -> None:
+        """Know the rig otherwise from the next step on, likewise without a bump.
+
+        Args:
+            model: the rig as it is now known; companions keep what they were made with.
+        """
+        self._keep_previous()
+        self.model = model
+
+    def _keep_previous(self) -> None:
+        if self._previous is None:
+            self._previous = self.parameters, self.model
 
     def step(
         self,
@@ -143,8 +155,9 @@ class Controller:
         model = self.model if elapsed == 1 else self.model._replace(period=elapsed * self.model.period)
         old: float | None = None
         if self._previous is not None:
+            parameters, known = self._previous
             trial = self._memory.copy()
-            old = self._step(measured, reference, friction, self._previous, model, trial, self.status)
+            old = self._step(measured, reference, friction, parameters, known._replace(period=model.period), trial, self.status)
             self._previous = None
         command: float = self._step(measured, reference, friction, self.parameters, model, self._memory, self.status)
         self._bump *= self._fade**elapsed

@@ -20,9 +20,10 @@ from std_msgs.msg import Bool, String
 from ehls_msgs.msg import ControllerStatus, Driver, FrictionEstimate, LoaderState, ValveCommand
 from ehls_ros.control.controller import Controller, Outlook
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.controllers.base import FORESEEN, SATURATED, STATUS_TO_SI, model_of
+from ehls_ros.control.controllers.base import FORESEEN, SATURATED, STATUS_TO_SI, Model, model_of
 from ehls_ros.control.cycles import KEPT, Cycles, Ready
 from ehls_ros.control.friction_estimator import FrictionEstimator
+from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import check_law, company_of, signal_kind, untold, uses_actuator
 from ehls_ros.nodes.codec import Decoder
@@ -31,8 +32,9 @@ from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class
 from ehls_ros.physics import sensors
-from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.rig import SENSED, rig_from_mapping
 from ehls_ros.recording.topics import (
+    ACCEPTED_RIG,
     ACTUATOR_TOPICS,
     DRIVER,
     DRIVING,
@@ -42,7 +44,8 @@ from ehls_ros.recording.topics import (
     STANDBY_COMMAND,
     Topic,
 )
-from ehls_ros.schema import quantity
+from ehls_ros.recording.yaml_text import parse_yaml
+from ehls_ros.schema import quantity, text
 
 TURN = 0.005
 """Longest wait for one topic before the others are read [s]."""
@@ -69,6 +72,7 @@ class Parameters(NamedTuple):
         float,
         quantity("s", "in realtime, longest time a cycle waits for its friction estimate", minimum=0.0, maximum=60.0),
     ] = 0.005
+    accept_rig: Annotated[bool, text("know the rig as the monitor tells it once an operator has accepted a change")] = False
 
 
 class RowsAhead:
@@ -127,11 +131,21 @@ class ControllerNode(ControlNode):
         declare(self, self.kind.Parameters, values, live=True)
         self.tuning = values_of(self, self.kind.Parameters, self.get_name())
         self.new_tuning: Any = None
+        self.new_model: Model | None = None
         self.tuned_at = -1
         follow(self, self.kind.Parameters, self._retune)
 
     def _retune(self, tuning: Any) -> None:
         self.new_tuning = tuning
+
+    def _on_accepted(self, message: String) -> None:
+        """Take in a rig that an operator has accepted; one that is wrong changes nothing."""
+        try:
+            rig = rig_from_mapping(parse_yaml(message.data, ACCEPTED_RIG.name, "rig"), ACCEPTED_RIG.name)
+        except BadInput as error:
+            self.get_logger().error(f"the accepted rig is not used: {error}")
+            return
+        self.new_model = model_of(rig, self.spec.settings.control_period)
 
     def prepare(self) -> None:
         """Compile the law and open the topics."""
@@ -155,6 +169,9 @@ class ControllerNode(ControlNode):
         self.commands = Outbox(self, ValveCommand, "valve_command", sender=sender)
         self.status = Outbox(self, ControllerStatus, "controller_status", sender=sender)
         self.shadow = Outbox(self, ValveCommand, STANDBY_COMMAND.name, sender=sender)
+        accepts = bool(self.get_parameter("accept_rig").value)
+        kept = control_qos(ACCEPTED_RIG.depth)
+        self.accepted = self.create_subscription(String, ACCEPTED_RIG.name, self._on_accepted, kept) if accepts else None
         self.leaving = self.create_publisher(String, LEAVING.name, control_qos(1))
         self.driver = Inbox(self, Driver, DRIVER.name, decode=Decoder(Driver, sender=True))
         self.others = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
@@ -199,6 +216,8 @@ class ControllerNode(ControlNode):
         for outbox in (self.commands, self.status, self.shadow):
             outbox.destroy()
         self.destroy_publisher(self.leaving)
+        if self.accepted is not None:
+            self.destroy_subscription(self.accepted)
 
     def stop(self) -> None:
         """Say that the node leaves, so that one that stands by can take over."""
@@ -290,6 +309,10 @@ class ControllerNode(ControlNode):
             self.controller.retune(self.new_tuning)
             self.new_tuning = None
             self.tuned_at = ready.cycle
+        if self.new_model is not None:
+            self.controller.adopt(self.new_model)
+            self.new_model = None
+            self.get_logger().info(f"the accepted rig is known from control cycle {ready.cycle} on")
         self.measured[:] = ready.measured
         self.wanted[:] = ready.reference
         fallback = ready.friction is None and self.kind.FRICTION

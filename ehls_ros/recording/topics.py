@@ -153,8 +153,11 @@ STANDBY_COMMAND = Topic("standby_command", "ehls_msgs/msg/ValveCommand")
 LEAVING = Topic("leaving", "std_msgs/msg/String")
 """Sender of a controller that ends."""
 
-HANDOVER_TOPICS = (DRIVER, STANDBY_COMMAND, LEAVING)
-"""Between plant and controllers, for a change of the one that drives; not recorded."""
+ACCEPTED_RIG = Topic("accepted_rig", "std_msgs/msg/String", depth=1, transient_local=True)
+"""The rig file with the changes that an operator has accepted, for controllers that are told of it (``accept_rig``)."""
+
+HANDOVER_TOPICS = (DRIVER, STANDBY_COMMAND, LEAVING, ACCEPTED_RIG)
+"""Between plant, controllers and monitor, for a change of the one that drives or of what it knows; not recorded."""
 
 MODEL_HEALTH = Topic("model_health", "ehls_msgs/msg/ModelHealth", depth=1, transient_local=True)
 """What the monitor knows of the rig; published on change and once in a while; not recorded, as a bag can be watched again."""
