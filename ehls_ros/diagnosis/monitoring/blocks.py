@@ -37,15 +37,18 @@ class Scores(NamedTuple):
 
 
 def telling(evidence: Evidence) -> Evidence:
-    """Return the channels that stand out of their noise: in the others, noise biases what a gain multiplies.
+    """Return what tells something: the channels that stand out of their noise, and none where the piston hardly moves.
+
+    In the others noise biases what a gain multiplies, and what holds a stuck piston depends on more than is measured.
 
     Args:
         evidence: some blocks compared with the model.
     """
     kept = {}
+    moves = evidence.travel >= rules.SLIDING * evidence.setup.presliding
     for c in evidence.channels:
         floor = math.sqrt(float(np.mean(evidence.floor[c] ** 2)))
-        if evidence.sizes[c] >= rules.MONITOR_SIGNAL * floor:
+        if moves and evidence.sizes[c] >= rules.MONITOR_SIGNAL * floor:
             kept[c] = np.ones(len(evidence.floor[c]), dtype=np.bool_)
     return part_of(evidence, kept)
 

@@ -211,13 +211,17 @@ class Monitor:
             return None
         told = telling(evidence)
         if not told.channels:
-            self._reason = "the rig stands still"
+            self._reason = "the piston hardly moves"
             return None
         return told
 
     def _judge(self, begin: float, events: list[Event]) -> None:
         if self._state == State.LEARNING:
-            self._learning.append(begin)
+            if self._compared(self._samples.between(begin - rules.MONITOR_LEAD, begin + AT_ONCE), self.model) is None:
+                # What rests, or moves too little, teaches nothing.
+                return
+            oldest = float(self._samples.times[0]) + rules.MONITOR_LEAD
+            self._learning = [*(kept for kept in self._learning if kept >= oldest), begin]
             if self._under_way_learning:
                 self._end_learning(events)
             return
@@ -347,14 +351,14 @@ class Monitor:
         self._under_way, self._examined, self._state = change, change.blocks, State.EXAMINING
         begins = list(self._begins)
         # The block in which it began is only partly changed.
-        first = begins[-change.blocks + (1 if change.blocks > 4 else 0)]
+        first = begins[1 - change.blocks]
         if change.blocks >= len(begins) - 1 and not math.isnan(self._unsettled):
             # What was named last does not explain all since: more samples tell more.
             first = self._unsettled
         begin = self._unsettled = max(first, now - self.parameters.kept_time)
         events.append(Event(now, "noticed", f"{self._quantity(change.quantity)} since {begins[-change.blocks]:.1f} s"))
         baselines = tuple(self._baselines.values())
-        self._examiner.begin(Task(self._samples.between(begin - rules.MONITOR_LEAD, now), self.well, baselines))
+        self._examiner.begin(Task(self._samples.between(begin, now), self.well, baselines))
 
     def _quantity(self, number: int) -> str:
         if number < len(self._directions):
