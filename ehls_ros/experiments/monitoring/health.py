@@ -34,7 +34,8 @@ class FoundChange(NamedTuple):
         named: when the diagnosis had its result, in the samples' time [s].
         cleared: since when it shows no more [s]; NaN while it does.
         acknowledged: whether an operator has seen it.
-        before: whether the rig differed so from its file when the monitor began: it is part of what a change is measured from.
+        before: whether it is part of what a change is measured from: the rig differed so from its file when the monitor began,
+            or an operator has accepted it.
     """
 
     number: int

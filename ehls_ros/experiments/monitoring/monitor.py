@@ -285,7 +285,7 @@ class Monitor:
 
     def _end_learning(self, events: list[Event]) -> None:
         begin, end = self._learning[0] - rules.MONITOR_LEAD, self._learning[-1] + AT_ONCE
-        self._examiner.begin(Task(self._samples.between(begin, end), self.rig))
+        self._examiner.begin(Task(self._samples.between(begin, end), self.well))
         events.append(Event(end, "learnt", f"{self.parameters.learning_time:g} s learnt; compared with the rig file"))
 
     def _learn_from_baselines(self) -> None:
@@ -494,6 +494,25 @@ class Monitor:
         for index in new:
             self.changes[index] = self.changes[index]._replace(acknowledged=True)
         return len(new)
+
+    def accept(self) -> Rig | None:
+        """Take the rig with its changes for the healthy one from now on, and return it; None if there is none to accept.
+
+        Where recordings are what a change is measured from, what the healthy rig is is learnt again.
+        """
+        new = [i for i, change in enumerate(self.changes) if change.active and change.causes and not change.before]
+        if not new:
+            return None
+        for index in new:
+            self.changes[index] = self.changes[index]._replace(before=True, acknowledged=True)
+        self.well = self.model
+        if self._kind == RIG_FILE:
+            self._restart()
+        else:
+            self._kind, self._baselines = RIG_FILE, {}
+            self._learning.clear()
+            self._learn_anew()
+        return self.well
 
     def reset(self) -> None:
         """Begin anew after a repair: what was found is over, and what the healthy rig is is learnt again.

@@ -1,0 +1,149 @@
+"""The monitor as a whole: what it says of samples, with diagnoses that a test gives it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.monitoring.examination import Finding, FoundCause
+from ehls_ros.experiments.monitoring.health import State
+from ehls_ros.experiments.monitoring.monitor import Monitor
+from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.physics.rig import effects_from_list, rig_from_mapping
+from truth_generator import record
+
+RIG_FILE = Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml"
+ONSET, END = 52.0, 75.0
+LEAK = {"internal_leakage_shift": {"factor": 1.6}}
+
+
+@pytest.fixture(scope="module")
+def rig_file():
+    return yaml.safe_load(RIG_FILE.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def rig(rig_file):
+    return rig_from_mapping(rig_file, RIG_FILE.name)
+
+
+@pytest.fixture(scope="module")
+def streams(rig_file):
+    """A healthy rig, and one that begins to leak in the middle, driven alike."""
+    well, leaking = (record(rig_file, effects, "rich", seed=9, duration=END) for effects in ({}, LEAK))
+    here = well.time < ONSET
+    return well.time, dict(well.columns), {n: np.where(here, well.columns[n], leaking.columns[n]) for n in well.columns}
+
+
+class Scripted:
+    """Gives what a test expects of a diagnosis, and keeps what it was asked."""
+
+    def __init__(self, *findings):
+        self.findings, self.tasks, self.ready = list(findings), [], False
+
+    def begin(self, task):
+        self.tasks.append(task)
+        self.ready = True
+
+    def finding(self):
+        if not self.ready:
+            return None
+        self.ready = False
+        return self.findings.pop(0)
+
+    def close(self):
+        self.ready = False
+
+
+def consistent(rig):
+    return Finding("consistent", (), rig)
+
+
+def leaking(rig, probability=0.99):
+    size = 0.6 * rig.plant.leakage_coefficient
+    use = effects_from_list([{"name": "internal_leakage_shift", "added": size}], "test")
+    cause = FoundCause("internal_leakage_shift", "flow", probability, (), {"added": Estimate(size, 0.01 * size, "m^5/(N s)")})
+    return Finding("effect", (cause,), rig.with_effects(use))
+
+
+def watched(rig, time, signals, *findings, pieces=75):
+    examiner = Scripted(*findings)
+    monitor = Monitor(rig, Parameters(learning_time=30.0), examiner)
+    events = []
+    for part in np.array_split(np.arange(len(time)), pieces):
+        events += monitor.add(time[part], {name: values[part] for name, values in signals.items()})
+    return monitor, examiner, events
+
+
+def kinds(events):
+    return [event.kind for event in events]
+
+
+def test_a_change_is_noticed_named_and_in_the_model_from_then_on(rig, streams):
+    time, _, signals = streams
+    monitor, examiner, events = watched(rig, time, signals, consistent(rig), leaking(rig))
+    assert kinds(events) == ["learnt", "watching", "noticed", "named"]
+    [change] = monitor.changes
+    assert change.name == "internal_leakage_shift"
+    assert change.earliest <= ONSET <= change.latest + 5.0
+    # What is diagnosed is from after the onset.
+    assert examiner.tasks[1].recording.time_s[-1] <= END - ONSET
+    assert [use.name for use in monitor.model.effects] == ["internal_leakage_shift"]
+    told = {reading.name: reading for reading in monitor.health().readings}
+    leakage = told["leakage_coefficient"]
+    assert abs(leakage.value - 1.6 * rig.plant.leakage_coefficient) < 4.0 * leakage.deviation
+
+
+def test_a_healthy_rig_gives_no_word_over_gaps_and_a_restart_of_its_time(rig, streams):
+    time, signals, _ = streams
+    late = np.where(time > 45.0, time + 10.0, time)
+    monitor, _, events = watched(rig, late, signals, consistent(rig))
+    assert kinds(events) == ["learnt", "watching"]
+    health = monitor.health()
+    assert health.state == State.WATCHING
+    assert not health.changes
+
+
+def test_a_cause_in_doubt_waits_for_more_samples(rig, streams):
+    time, _, signals = streams
+    findings = [consistent(rig), *[leaking(rig, 0.6)] * 4]
+    monitor, examiner, events = watched(rig, time, signals, *findings)
+    assert "named" not in kinds(events)
+    assert not monitor.changes
+    # Each time with more of them.
+    lengths = [task.recording.time_s[-1] for task in examiner.tasks[1:]]
+    assert lengths == sorted(lengths)
+    assert len(lengths) >= 2
+
+
+def test_what_differs_from_the_beginning_is_part_of_the_baseline(rig, rig_file):
+    r = record(rig_file, LEAK, "rich", seed=10, duration=45.0)
+    monitor, _, events = watched(rig, r.time, dict(r.columns), leaking(rig))
+    assert kinds(events) == ["learnt", "differs", "watching"]
+    assert monitor.well is monitor.model
+    assert monitor.changes[0].before
+    assert monitor.accept() is None
+
+
+def test_an_accepted_change_is_the_healthy_rig(rig, streams):
+    time, _, signals = streams
+    monitor, _, _ = watched(rig, time, signals, consistent(rig), leaking(rig))
+    assert monitor.accept() is monitor.model
+    assert monitor.well is monitor.model
+    assert monitor.changes[0].before
+    assert monitor.accept() is None
+    assert monitor.acknowledge() == 0
+
+
+def test_a_change_that_no_diagnosis_names_any_more_has_cleared(rig, streams):
+    time, healthy, signals = streams
+    monitor, examiner, _ = watched(rig, time, signals, consistent(rig), leaking(rig), consistent(rig))
+    assert monitor.changes[0].active
+    begin = time[-1] + 0.001
+    for part in np.array_split(np.arange(30000), 30):
+        monitor.add(begin + time[part], {name: values[part] for name, values in healthy.items()})
+    assert not examiner.findings
+    assert not monitor.changes[0].active
+    assert monitor.model is monitor.well
