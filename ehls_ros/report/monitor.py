@@ -19,6 +19,8 @@ from ehls_ros.report.monitor_findings import (
     FROM_ZERO,
     HEADER,
     HOUR,
+    IN_MINUTES,
+    IN_SECONDS,
     MINUTE,
     Clock,
     answer,
@@ -71,8 +73,8 @@ class _Scale:
         self.unit = next(
             unit
             for most, unit in (
-                (10.0 * MINUTE, Unit("s")),
-                (2.0 * HOUR, Unit("min", 1.0 / MINUTE)),
+                (IN_SECONDS, Unit("s")),
+                (IN_MINUTES, Unit("min", 1.0 / MINUTE)),
                 (np.inf, Unit("h", 1.0 / HOUR)),
             )
             if longest <= most
@@ -243,10 +245,10 @@ def _trend(reading: Reading, watched: Watched, scale: _Scale) -> Panel | LeftOut
     traces.append(line(ends, np.full(2, given), "rig file", unit, GREY, dash="dash", width=1.2))
     if limit is not None:
         traces.append(line(ends, np.full(2, limit.limit), "limit", unit, VERMILION, dash="dash", width=1.2))
+    begun = [change.since for change in watched.health.changes if scale.begin <= change.since <= scale.end]
     traces += [
-        time_mark(float(scale.at(max(change.since, scale.begin))), f"change {change.number}", VERMILION)
-        for change in watched.health.changes
-        if change.since <= scale.end
+        time_mark(float(scale.at(since)), "change", VERMILION) | {"legendgroup": "change", "showlegend": not place}
+        for place, since in enumerate(begun)
     ]
     layout = scale.layout([Axis(COEFFICIENTS[reading.name].words, unit)])
     layout["shapes"] = [_grey(*scale.at(np.array([starts[first], times[last - 1]])).tolist()) for first, last in _runs(~told)]

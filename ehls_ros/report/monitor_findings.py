@@ -17,6 +17,9 @@ from ehls_ros.report.page import MISSING_NUMBER, listed, number, signed
 
 MINUTE, HOUR, DAY, YEAR = 60.0, 3600.0, 86400.0, 8766.0 * 3600.0
 
+IN_SECONDS, IN_MINUTES = 10.0 * MINUTE, 2.0 * HOUR
+"""Longest times that are shown in seconds and in minutes [s]."""
+
 NOT_SEEN = "nothing that is recorded depends on it"
 """Why a coefficient has no reading at all."""
 
@@ -46,8 +49,8 @@ FROM_ZERO = Clock()
 
 def duration(seconds: float) -> str:
     """Write a time with its unit."""
-    for longest, unit, symbol in ((2.0 * MINUTE, 1.0, "s"), (2.0 * HOUR, MINUTE, "min"), (2.0 * DAY, HOUR, "h")):
-        if abs(seconds) < longest:
+    for longest, unit, symbol in ((IN_SECONDS, 1.0, "s"), (IN_MINUTES, MINUTE, "min"), (2.0 * DAY, HOUR, "h")):
+        if abs(seconds) <= longest:
             return f"{number(seconds / unit)} {symbol}"
     return f"{number(seconds / DAY)} days"
 

@@ -92,8 +92,8 @@ def jumped(times: Array, values: Array, deviations: Array) -> bool:
     slope = np.sum(weights * (times - middle) * values) / np.sum(weights * (times - middle) ** 2)
     level = values - slope * (times - middle)
     line = float(np.sum(weights * (level - np.average(level, weights=weights)) ** 2))
-    # A scatter below that of the readings' own errors tells nothing.
-    return count * math.log(max(jump / count, 1.0)) + math.log(count) < count * math.log(max(line / count, 1.0))
+    # A scatter below that of the readings' own errors tells nothing. A jump may be anywhere: that costs as much as two numbers.
+    return count * math.log(max(jump / count, 1.0)) + 3.0 * math.log(count) < count * math.log(max(line / count, 1.0))
 
 
 def drifting(rates: Mapping[str, Estimate], history: Sequence[Past]) -> dict[str, Estimate]:
