@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import yaml
 
-from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS
 from ehls_ros.experiments.monitoring import offer as offers
 from ehls_ros.experiments.monitoring import replay as replaying
 from ehls_ros.experiments.monitoring.health import State
@@ -19,10 +18,10 @@ from ehls_ros.trajectory import Trajectory
 from truth_generator import record
 
 RIG = Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml"
-SECONDS, LEARNT, ONSET = 90.0, 30.0, 50.0
+SECONDS, LEARNT, ONSET = 85.0, 30.0, 50.0
 EFFECT, PARAMETER, SIZE = "coulomb_shift", "offset", -180.0
-IN_TIME = 30.0
-"""Time after the onset within which a change of this size has to be named [s]: the diagnosis needs some ten seconds of it."""
+IN_TIME = LEARNT
+"""Time after the onset within which a change has to be named [s]: what told the healthy rig tells the changed one."""
 
 
 class Made(NamedTuple):
@@ -120,8 +119,7 @@ def test_the_shortest_experiment_that_tells_the_rest_is_offered(monkeypatch):
     few = ("pressure_staircase", "velocity_sweep")
     monkeypatch.setattr(offers, "CATALOGUE", {name: offers.CATALOGUE[name] for name in few})
     rig = load_rig(RIG)
-    found = offer(["moving_mass", "coulomb_force"], rig)
-    assert found.name == "velocity_sweep"
-    assert set(found.tells) == {"moving_mass", "coulomb_force"} <= COEFFICIENTS.keys()
+    found = offer(["coulomb_force"], rig)
+    assert (found.name, found.tells) == ("velocity_sweep", ("coulomb_force",))
     assert found.seconds == found.repeats * found.spec["duration"]
     assert offer([], rig) is None
