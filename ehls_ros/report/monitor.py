@@ -181,9 +181,9 @@ def _changes(watched: Watched, clock: Clock) -> list[str]:
     rows: list[Row] = [
         [
             str(change.number),
-            change_sentence(change, clock),
+            change_sentence(change, watched.rig, clock),
             clock.said(change.named),
-            "shows" if change.active else f"gone since {clock.said(change.cleared)}",
+            "still shows" if change.active else f"gone since {clock.said(change.cleared)}",
         ]
         for change in watched.health.changes
     ]

@@ -6,9 +6,11 @@ from datetime import datetime, timedelta
 from typing import NamedTuple
 
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
+from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.health import FoundChange, State
 from ehls_ros.experiments.monitoring.limits import NORMAL_95, Reach
 from ehls_ros.experiments.monitoring.replay import Watched
+from ehls_ros.physics.rig import Rig
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, capital, words
 from ehls_ros.report.diagnosis_findings import fitted as fitted_parameter
 from ehls_ros.report.diagnosis_units import after, likely, percent, quantity, unit_for, value
@@ -59,7 +61,7 @@ def answer(watched: Watched, clock: Clock = FROM_ZERO) -> tuple[str, bool | None
     """Return the rig's health in a sentence, and whether no change shows; None where nothing was judged."""
     health = watched.health
     if health.active:
-        said = [change_sentence(change, clock) for change in health.active[:MOST_SAID]]
+        said = [change_sentence(change, watched.rig, clock) for change in health.active[:MOST_SAID]]
         more = len(health.active) - MOST_SAID
         return f"{'. '.join(said)}{f'. {more} more changes show' if more > 0 else ''}.", False
     if not health.watched or health.state in {State.LEARNING, State.IDLE}:
@@ -70,8 +72,14 @@ def answer(watched: Watched, clock: Clock = FROM_ZERO) -> tuple[str, bool | None
     return f"No change shows in {duration(health.watched)} against {health.baseline}.{cleared}", True
 
 
-def change_sentence(change: FoundChange, clock: Clock) -> str:
-    """Say what changed, by how much, since when and how sure that is."""
+def change_sentence(change: FoundChange, rig: Rig, clock: Clock) -> str:
+    """Say what changed, by how much, since when and how sure that is.
+
+    Args:
+        change: the change.
+        rig: the healthy rig, whose values sizes are measured by.
+        clock: how times are said.
+    """
     since = f"since {clock.said(change.since)}"
     if math.isfinite(change.earliest) and change.latest > change.earliest:
         since += f" (between {clock.said(change.earliest)} and {clock.said(change.latest)})"
@@ -82,10 +90,21 @@ def change_sentence(change: FoundChange, clock: Clock) -> str:
         stage = STAGE_NAMES.get(change.stage, change.stage)  # type: ignore[call-overload]
         return f"The {stage} has changed {since}, the cause unknown{depends}"
     cause = change.causes[0]
-    in_95 = {name: e._replace(std=NORMAL_95 * e.std) for name, e in cause.parameters.items()}
-    sizes = listed([f"{name} {fitted_parameter(cause.name, name, e)}" for name, e in in_95.items()])
+    sizes = listed([_size(cause.name, name, e, rig) for name, e in cause.parameters.items()])
     alike = f"; {listed([words(name).noun for name in cause.equivalent_to])} would look the same" if cause.equivalent_to else ""
     return f"{capital(words(cause.name).noun)} changed {since}: {sizes}, probability {likely(cause.probability)}{alike}"
+
+
+def _size(effect: str, parameter: str, e: Estimate, rig: Rig) -> str:
+    """Write a parameter with its 95 % interval, and where it adds to a coefficient, to how many times its value that leads."""
+    text = f"{parameter} {fitted_parameter(effect, parameter, e._replace(std=NORMAL_95 * e.std))}"
+    added = (c for c in COEFFICIENTS.values() if (c.effect, c.parameter) == (effect, parameter) and c.coefficient)
+    found = next((c for c in added if not c.relative), None)
+    given = 0.0 if found is None else found.given(rig)
+    if found is None or not given:
+        return text
+    factor = written(1.0 + e.value / given, NORMAL_95 * e.std / abs(given))
+    return f"{text}, {found.words} {factor.value} ± {factor.error} times the rig file's"
 
 
 def false_alarms(hours: float) -> str:
