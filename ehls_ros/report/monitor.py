@@ -8,7 +8,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
-from ehls_ros.experiments.monitoring.health import Event
+from ehls_ros.experiments.monitoring.health import Event, FoundChange
 from ehls_ros.experiments.monitoring.limits import NORMAL_95
 from ehls_ros.experiments.monitoring.monitor import Past
 from ehls_ros.experiments.monitoring.replay import Watched
@@ -111,25 +111,28 @@ def daily_report(watched: Watched, folder: Path, day: date, clock: Clock) -> Pat
     begin = (midnight - clock.zero).total_seconds()
     end = (midnight + timedelta(days=1) - clock.zero).total_seconds()
 
-    def moved(time: float) -> float:
-        return time - begin
-
     health = watched.health
-    changes = tuple(
-        change._replace(
-            **{name: moved(getattr(change, name)) for name in ("since", "earliest", "latest", "noticed", "named", "cleared")}
-        )
-        for change in health.changes
-    )
     of_day = watched._replace(
-        health=health._replace(time=moved(health.time), changes=changes),
-        history=tuple(past._replace(time=moved(past.time)) for past in watched.history if begin <= past.time < end),
-        events=tuple(event._replace(time=moved(event.time)) for event in watched.events if begin <= event.time < end),
+        health=health._replace(time=health.time - begin, changes=tuple(_moved(change, -begin) for change in health.changes)),
+        history=tuple(past._replace(time=past.time - begin) for past in watched.history if begin <= past.time < end),
+        events=tuple(event._replace(time=event.time - begin) for event in watched.events if begin <= event.time < end),
         stretches=(),
     )
     path = folder / f"report-{day:%Y-%m-%d}.html"
     write_monitor_report(of_day, path, f"{day:%A, %d %B %Y}", Clock(midnight))
     return path
+
+
+def _moved(change: FoundChange, by: float) -> FoundChange:
+    """Return a change on an axis on which all times are later by some seconds."""
+    return change._replace(
+        since=change.since + by,
+        earliest=change.earliest + by,
+        latest=change.latest + by,
+        noticed=change.noticed + by,
+        named=change.named + by,
+        cleared=change.cleared + by,
+    )
 
 
 def write_monitor_report(watched: Watched, path: Path, source: str = "", clock: Clock = FROM_ZERO) -> None:
@@ -221,7 +224,7 @@ def _time_line(events: Sequence[Event], kinds: Sequence[str], watched: Watched, 
 def _trend(reading: Reading, watched: Watched, scale: _Scale) -> Panel | LeftOut:
     """Draw a coefficient over time; grey where the programme did not tell it."""
     title = capital(COEFFICIENTS[reading.name].words)
-    past = _past(reading, watched)
+    past = [(time, one) for time, one in _past(reading, watched) if time <= scale.end]
     told = np.array([one.told for _, one in past], dtype=np.bool_)
     if not np.any(told):
         return LeftOut(title, reading.why_not)

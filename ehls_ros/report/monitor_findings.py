@@ -22,7 +22,7 @@ MINUTE, HOUR, DAY, YEAR = 60.0, 3600.0, 86400.0, 8766.0 * 3600.0
 IN_SECONDS, IN_MINUTES = 10.0 * MINUTE, 2.0 * HOUR
 """Longest times that are shown in seconds and in minutes [s]."""
 
-NOT_SEEN = "nothing that is recorded depends on it"
+NOT_SEEN, NOT_YET = "nothing that is recorded depends on it", "nothing is judged yet"
 """Why a coefficient has no reading at all."""
 
 MOST_SAID = 2
@@ -130,8 +130,9 @@ def outside(share: float) -> str:
 def known(watched: Watched) -> list[Reading]:
     """Return the coefficients at the end, those that have no reading at all with that reason."""
     there = {reading.name: reading for reading in watched.health.readings}
+    why_not = NOT_SEEN if there else NOT_YET
     return [
-        there.get(name) or Reading(name, coefficient.given(watched.rig), math.inf, "", NOT_SEEN)
+        there.get(name) or Reading(name, coefficient.given(watched.rig), math.inf, "", why_not)
         for name, coefficient in COEFFICIENTS.items()
     ]
 

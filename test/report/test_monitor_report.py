@@ -88,7 +88,15 @@ def test_every_figure_has_units_and_something_in_it(worn, written, without_plotl
 def test_the_head_line_says_what_since_when_and_how_sure(worn, healthy):
     sentence, good = answer(worn)
     assert good is False
-    for words in ("leakage past the piston", "since 10.0 h", "9.72 h and 10.3 h", "98 %", "to the outside", "± 0.020", "1.851 ± 0.042 times"):
+    for words in (
+        "leakage past the piston",
+        "since 10.0 h",
+        "9.72 h and 10.3 h",
+        "98 %",
+        "to the outside",
+        "± 0.020",
+        "1.851 ± 0.042 times",
+    ):
         assert words in sentence
     assert answer(healthy) == ("No change shows in 19.7 h against the rig file.", True)
     idle = healthy._replace(health=healthy.health._replace(state=State.IDLE, reason="the piston rests"))

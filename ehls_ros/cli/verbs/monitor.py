@@ -139,15 +139,15 @@ def _limits(texts: Sequence[str]) -> dict[str, float]:
     for text in texts:
         if text.endswith((".yaml", ".yml")):
             content = read_yaml(Path(text), "limits")
-            pairs = list(content.items()) if isinstance(content, Mapping) else [(text, None)]
+            pairs = list(content.items()) if isinstance(content, Mapping) else [(text, "")]
         else:
             name, _, size = text.partition("=")
             pairs = [(name, size)]
-        for name, size in pairs:
+        for key, value in pairs:
             try:
-                found[str(name)] = float(size)
+                found[str(key)] = float(value)
             except (TypeError, ValueError):
-                raise BadInput(f"--limit has {name}: {size!r}", "command line", "NAME=VALUE, VALUE a number") from None
+                raise BadInput(f"--limit has {key}: {value!r}", "command line", "NAME=VALUE, VALUE a number") from None
     return found
 
 

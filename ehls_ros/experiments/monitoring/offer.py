@@ -61,7 +61,7 @@ def offer(missing: Collection[str], rig: Rig) -> Offer | None:
     """
     if unknown_keys(rig):
         return None
-    found = [made for name in CATALOGUE if (made := _rated(name, set(missing), rig)) is not None]
+    found = [made for name in CATALOGUE if (made := _rated(name, missing, rig)) is not None]
     return max(found, key=lambda made: (len(made.tells), -made.seconds), default=None)
 
 
@@ -83,11 +83,11 @@ def _rated(name: str, missing: Collection[str], rig: Rig) -> Offer | None:
     said = scores(evidence, own)
     scatter = np.full(len(own), rules.LEARNT_SCATTER)
     places = {name: place for place, name in enumerate(numbers)}
-    before: set[str] = set()
+    wanted, before = set(missing), set[str]()
     best = None
     for count in REPEATS:
         read = readings(own, places, rig, count * said.score[: len(own)], count * said.normal, scatter)
-        told = {reading.name for reading in read if reading.told} & missing
+        told = {reading.name for reading in read if reading.told} & wanted
         if told > before:
             tells = tuple(reading.name for reading in read if reading.name in told)
             best = Offer(name, CATALOGUE[name].purpose, count * spec.settings.duration, count, tells, mapping)

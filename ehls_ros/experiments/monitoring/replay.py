@@ -166,6 +166,6 @@ def _driven(part: Part) -> Mask:
 
 def _pieces(time: Array, driven: Mask) -> list[tuple[int, int]]:
     """Return the ranges of samples that are given at once: none spans a pause."""
-    turns = np.flatnonzero(np.diff(np.floor(time / PIECE)) + np.diff(driven.astype(np.int8)) ** 2) + 1
+    turns = np.flatnonzero((np.diff(np.floor(time / PIECE)) > 0.0) | (driven[1:] != driven[:-1])) + 1
     ends = [0, *turns.tolist(), len(time)]
     return [(first, last) for first, last in pairwise(ends) if last > first and driven[first]]
