@@ -19,13 +19,13 @@ from truth_generator import record
 
 RIG = Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml"
 SECONDS, LEARNT, ONSET = 85.0, 30.0, 50.0
-EFFECT, PARAMETER, SIZE = "coulomb_shift", "offset", -180.0
+EFFECT, PARAMETER, SIZE = "valve_gain_shift", "gain", 0.75
 IN_TIME = LEARNT
 """Time after the onset within which a change has to be named [s]: what told the healthy rig tells the changed one."""
 
 
 class Made(NamedTuple):
-    """A recording whose friction changes in its middle, and what was made of it."""
+    """A recording whose valve changes in its middle, and what was made of it."""
 
     trajectory: Trajectory
     watched: Watched
@@ -47,7 +47,7 @@ def made() -> Made:
     first = int(np.searchsorted(well.time, ONSET))
     signals = {name: np.concatenate([values[:first], worn.columns[name][first:]]) for name, values in well.columns.items()}
     trajectory = Trajectory(well.time, signals)
-    return Made(trajectory, *watch([Part("axis", trajectory)], limits={"coulomb_force": 500.0}))
+    return Made(trajectory, *watch([Part("axis", trajectory)], limits={"valve_gain": 0.5}))
 
 
 def test_a_hidden_change_is_named_in_time_with_its_size_and_onset(made):
@@ -74,7 +74,7 @@ def test_the_coefficients_are_tracked_with_intervals(made):
         [reading] = [one for one in past.readings if one.name == "coulomb_force"]
         assert reading.told
         assert reading.value == pytest.approx(friction.coulomb_force, abs=6.0 * reading.deviation + 2.0)
-    assert set(made.watched.limits) == {"coulomb_force"}
+    assert set(made.watched.limits) == {"valve_gain"}
 
 
 class Listening:
