@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from ehls_ros.api.campaign import CampaignResult, campaign
     from ehls_ros.api.diagnosis import DiagnosisResult, diagnose
     from ehls_ros.api.identification import FrictionResult, RigResult, identify
+    from ehls_ros.api.monitoring import MonitorResult, monitor
     from ehls_ros.api.recordings import Recording, load
     from ehls_ros.api.simulation import Simulation, rig, save_rig, simulate
     from ehls_ros.api.verification import VerificationResult, verify
@@ -30,6 +31,7 @@ __all__ = [
     "Estimate",
     "FrictionResult",
     "Metrics",
+    "MonitorResult",
     "Recording",
     "Rig",
     "RigResult",
@@ -43,6 +45,7 @@ __all__ = [
     "evaluate",
     "identify",
     "load",
+    "monitor",
     "rig",
     "save_rig",
     "simulate",
@@ -53,6 +56,7 @@ _HOME = {
     "ehls_ros.api.campaign": ("CampaignResult", "campaign"),
     "ehls_ros.api.diagnosis": ("DiagnosisResult", "diagnose"),
     "ehls_ros.api.identification": ("FrictionResult", "RigResult", "identify"),
+    "ehls_ros.api.monitoring": ("MonitorResult", "monitor"),
     "ehls_ros.api.recordings": ("Recording", "load"),
     "ehls_ros.api.simulation": ("Simulation", "rig", "save_rig", "simulate"),
     "ehls_ros.api.verification": ("VerificationResult", "verify"),

@@ -20,7 +20,9 @@ import yaml
 from docs_snippets import ROOT, SHELL, Block, Command, ParametersOf, Unknown, blocks, commands, members, pages
 
 from ehls_ros.cli.main import main
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS
 from ehls_ros.experiments.campaign.plan import plan_from_mapping
+from ehls_ros.experiments.monitoring.limits import check_limits
 from ehls_ros.experiments.programme_file import load_programme
 from ehls_ros.experiments.spec import spec_from_mapping
 from ehls_ros.families import Family
@@ -172,6 +174,8 @@ def load_yaml(block: Block, folder: Path) -> None:
         spec_from_mapping(data, where, folder)
     elif "blocks" in keys:
         load_programme(folder / block.note)
+    elif keys <= set(COEFFICIENTS):
+        check_limits(data, rig_from_mapping(example, where), where)
     else:
         path = folder / (block.note or "columns.yaml")
         path.write_text(block.text, encoding="utf-8")

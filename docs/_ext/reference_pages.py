@@ -96,6 +96,7 @@ API: Mapping[str, tuple[str, ...]] = {
     "Recordings": ("load", "Recording"),
     "Simulation": ("simulate", "Simulation", "campaign", "CampaignResult"),
     "Diagnosis": ("diagnose", "DiagnosisResult"),
+    "Monitoring": ("monitor", "MonitorResult"),
     "Identification": ("identify", "FrictionResult", "RigResult", "Estimate"),
     "Verification": ("verify", "VerificationResult"),
     "Rigs": ("rig", "save_rig", "Rig"),

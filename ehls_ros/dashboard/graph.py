@@ -68,6 +68,60 @@ class Beginning(NamedTuple):
     nodes: Mapping[str, str]
 
 
+class RigChange(NamedTuple):
+    """A change of the rig that the monitor has found.
+
+    Attributes:
+        sentence: what it is, by how much, since when and how sure.
+        active: whether it still shows.
+        acknowledged: whether an operator has seen it.
+    """
+
+    sentence: str
+    active: bool
+    acknowledged: bool
+
+
+class RigCoefficient(NamedTuple):
+    """A coefficient of the rig as the monitor has it.
+
+    Attributes:
+        name: its name, such as ``leakage_coefficient``.
+        value: its newest value.
+        deviation: standard error.
+        unit: of both, SI.
+        why_not: why the programme does not tell it; empty where it does.
+        times: of the values since this dashboard listens [s].
+        values: those values, NaN where it was not told.
+    """
+
+    name: str
+    value: float
+    deviation: float
+    unit: str
+    why_not: str
+    times: tuple[float, ...]
+    values: tuple[float, ...]
+
+
+class RigHealth(NamedTuple):
+    """What a monitor says of the rig.
+
+    Attributes:
+        state: what it is doing, in a word.
+        summary: the rig's health in a sentence.
+        changes: what it found, newest first.
+        coefficients: the rig's coefficients.
+        outside: fraction of the last minute that lies outside what its baseline covers.
+    """
+
+    state: str
+    summary: str
+    changes: tuple[RigChange, ...] = ()
+    coefficients: tuple[RigCoefficient, ...] = ()
+    outside: float = 0.0
+
+
 class Snapshot(NamedTuple):
     """State of the graph at one moment; all the page says of it comes from one of these.
 
@@ -80,6 +134,7 @@ class Snapshot(NamedTuple):
         activity: what was started here: recording, files.
         started_here: whether nodes started here are running.
         recording: whether a recording started here is running.
+        rig: what a monitor says of the rig; None where there is no monitor.
     """
 
     rate: float = 0.0
@@ -90,6 +145,7 @@ class Snapshot(NamedTuple):
     activity: str = ""
     started_here: bool = False
     recording: bool = False
+    rig: RigHealth | None = None
 
 
 class Answer(NamedTuple):
@@ -127,6 +183,9 @@ class Graph(Protocol):
 
     def acknowledge_stop(self) -> Answer:
         """Acknowledge the engaged emergency stop."""
+
+    def acknowledge_changes(self) -> Answer:
+        """Take note, for the monitor, that an operator has seen the changes of the rig that it found."""
 
     def reset_trips(self) -> Answer:
         """Reset the gate's latched trips."""

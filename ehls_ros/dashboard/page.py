@@ -15,6 +15,7 @@ from ehls_ros.dashboard.experiment import ExperimentTab
 from ehls_ros.dashboard.graph import Graph, Health, Timing
 from ehls_ros.dashboard.panels import PANELS, SIGNALS, SPANS, UNITS, Panel, options
 from ehls_ros.dashboard.programme import programme_line
+from ehls_ros.dashboard.rig_health import RigTab
 from ehls_ros.dashboard.status import WARNING, Remedy, status_of
 from ehls_ros.dashboard.tuning import TuningTab
 from ehls_ros.dashboard.window import INTERVAL
@@ -104,7 +105,7 @@ class Page:
         ui.label(lost).classes("trouble lost")
 
     def _side(self, spec: Path | None, timing: Timing, *, writes: bool) -> None:
-        names = ("Tune", "Experiment", "Nodes") if writes else ("Nodes",)
+        names = ("Tune", "Experiment", "Nodes", "Rig") if writes else ("Nodes", "Rig")
         with ui.tabs().props("dense no-caps align=justify") as tabs:
             made = {name: ui.tab(name).props(f'data-name="tab-{name.lower()}"') for name in names}
         with ui.tab_panels(tabs, value=made[names[0]], animated=False, keep_alive=True):
@@ -115,6 +116,8 @@ class Page:
                     self._experiment = ExperimentTab(self._graph, spec, timing)
             with ui.tab_panel(made["Nodes"]):
                 self._nodes = NodesTab()
+            with ui.tab_panel(made["Rig"]):
+                self._rig = RigTab(self._graph, made["Rig"], writes=writes)
 
     def _send_pictures(self) -> None:
         window = self._graph.window
@@ -151,6 +154,7 @@ class Page:
             pressed.set_visibility(remedy is status.remedy)
         self._beginning.show(snapshot.beginning, was_there=self._was_there)
         self._nodes.show(snapshot.health)
+        self._rig.show(snapshot.rig)
         if self._experiment is not None:
             self._experiment.show(snapshot)
 

@@ -78,6 +78,7 @@ class DashboardGraph(Link):
             activity=self.activity(),
             started_here=self.started_here(),
             recording=self.recording(),
+            rig=self.rig_health(),
         )
 
     def recording(self) -> bool:

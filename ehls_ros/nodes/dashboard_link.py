@@ -28,7 +28,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.dashboard.graph import Answer, Health, Tunable, Value
+from ehls_ros.dashboard.graph import Answer, Health, RigHealth, Tunable, Value
 from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, PEAK, RESPONSE, SIGNALS, VALLEY
 from ehls_ros.dashboard.window import Window
 from ehls_ros.dashboard.words import NAME, figures, line
@@ -37,6 +37,7 @@ from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes import SUFFIX, codec, node_names
 from ehls_ros.nodes.control import NAMESPACE
 from ehls_ros.nodes.dashboard_peaks import Peaks
+from ehls_ros.nodes.dashboard_rig import RigWatch
 from ehls_ros.nodes.graph import GOALS, LOST, PLANTS, REALTIME_PRIORITY
 from ehls_ros.nodes.transport import Inbox, message_class
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS
@@ -184,6 +185,7 @@ class Link:
         self._sent_cycle = np.full(KEPT, -1, dtype=np.int64)
         self._force = np.full(KEPT, np.nan)
         self._peaks = Peaks()
+        self._rig = RigWatch(self._node)
         self._arrivals: list[tuple[float, int]] = []
         self._passes = self._last_arrival = 0
         self.period = 0.0
@@ -211,9 +213,10 @@ class Link:
         for source in self._sources:
             source.destroy()
         self._reports.destroy()
+        self._rig.destroy()
         self._node.destroy_node()
         # Objects that refer to the middleware must be collected before it shuts down.
-        del self._executor, self._sources, self._reports, self._clients, self._node
+        del self._executor, self._sources, self._reports, self._rig, self._clients, self._node
         gc.collect()
         rclpy.try_shutdown()
 
@@ -289,6 +292,14 @@ class Link:
         """Acknowledge the emergency stop that the gate reports."""
         stop = next((node.figures["stop"] for node in self.health() if node.figures.get("stop")), "")
         return self._request(AcknowledgeStop, "acknowledge_stop", AcknowledgeStop.Request(stop=stop))
+
+    def rig_health(self) -> RigHealth | None:
+        """Return what the monitor says of the rig; None without a monitor."""
+        return self._rig.health()
+
+    def acknowledge_changes(self) -> Answer:
+        """Take note, for the monitor, that an operator has seen the changes that it found."""
+        return self._request(Trigger, "monitor_acknowledge", Trigger.Request(), "monitor")
 
     def reset_trips(self) -> Answer:
         """Reset the gate's latched trips."""
@@ -385,10 +396,10 @@ class Link:
                 return None
         return future.result()
 
-    def _request(self, kind: Any, service: str, request: Any) -> Answer:
+    def _request(self, kind: Any, service: str, request: Any, server: str = "plant") -> Answer:
         response = self.call(kind, service, request)
         if response is None:
-            return Answer(done=False, message=f"{service}: no plant node answers")
+            return Answer(done=False, message=f"{service}: no {server} node answers")
         return Answer(response.success, line(response.message))
 
     def _client(self, kind: Any, service: str) -> Any:
@@ -439,6 +450,7 @@ class Link:
                 if taken is not None:
                     self._take_in(source.topic, *taken)
             self._take_reports()
+            self._rig.take()
             self._passes += 1
 
     def _take_in(self, topic: Topic, columns: Mapping[str, NDArray[Any]], sent_ns: NDArray[np.int64]) -> None:

@@ -1,5 +1,6 @@
 """What was done to a run, from its bag: parameters set, transitions of nodes, trips and other changes of the safety gate."""
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -15,6 +16,7 @@ from ehls_ros.recording.alignment import NANOSECONDS, SECONDS, SENT, UNIX_TIME_N
 from ehls_ros.recording.bag_reader import OpenBag, damage_reported, namespace_of, opened, read_topics
 from ehls_ros.recording.topics import (
     DIAGNOSTICS,
+    DRIVING,
     LOADER_STATE,
     PARAMETER_EVENTS,
     TRANSITION_EVENT,
@@ -83,6 +85,45 @@ def read_events(path: Path) -> list[Event]:
         ]
     times = _times(snapshots, np.array([stamp_ns for stamp_ns, _, _ in told], np.int64))
     return [Event(time_s, node, what) for time_s, (_, node, what) in zip(times, told, strict=True)]
+
+
+class Pause(NamedTuple):
+    """A time in which no command reached the valve, on the time base of the bag's trajectory.
+
+    Attributes:
+        begin: time of the last snapshot before [s].
+        end: the same of the first command that reaches it again; infinite where none did [s].
+    """
+
+    begin: float
+    end: float
+
+
+def read_pauses(path: Path) -> list[Pause]:
+    """Read when commands did not reach the valve: the gate was closed, whatever the controller commanded.
+
+    Args:
+        path: folder of the bag, or one storage file.
+
+    Returns:
+        The pauses in their order; none in a bag without :data:`~ehls_ros.recording.topics.DRIVING`.
+
+    Raises:
+        BadInput: the bag cannot be read, or has no ``loader_state``.
+    """
+    with opened(path) as bag:
+        snapshots = read_topics(bag, ())[LOADER_STATE.name]
+        topic = DRIVING.resolve(namespace_of(bag))
+        told = [(stamp_ns, bool(content.data)) for stamp_ns, _, content in _contents(bag, {topic: DRIVING.type})]
+    times = _times(snapshots, np.array([stamp_ns for stamp_ns, _ in told], np.int64))
+    found, since = list[Pause](), None
+    for time, (_, driven) in zip(times, told, strict=True):
+        if driven and since is not None:
+            found.append(Pause(since, -math.inf if time is None else time))
+            since = None
+        elif not driven and since is None:
+            since = -math.inf if time is None else time
+    return found if since is None else [*found, Pause(since, math.inf)]
 
 
 def _contents(bag: OpenBag, types: Mapping[str, str]) -> Iterator[tuple[int, str, Any]]:

@@ -59,8 +59,8 @@ class Served:
         """Return its other output."""
         return "".join(line for line in self.lines if not line.startswith("request: "))
 
-    def tell(self, health: list[Any]) -> None:
-        """Set the diagnostics of the stand-in graph: [node, level, message, figures] each."""
+    def tell(self, health: list[Any] | dict[str, Any]) -> None:
+        """Set the diagnostics of the stand-in graph: [node, level, message, figures] each; or what its monitor says."""
         self.process.stdin.write(json.dumps(health) + "\n")
         self.process.stdin.flush()
 

@@ -1,7 +1,7 @@
 """The dashboard's server on a stand-in graph: `python stand_in.py HOST` serves until SIGINT.
 
 It prints the page's address, then a line for every request that reaches the graph. A line of JSON on its input sets the nodes'
-diagnostics: a list of [node, level, message, figures].
+diagnostics: a list of [node, level, message, figures]. A mapping sets what a monitor says: the fields of RigHealth.
 """
 
 import json
@@ -11,7 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from ehls_ros.dashboard.graph import Answer, Health, Snapshot, Timing, Tunable, Value
+from ehls_ros.dashboard.graph import (
+    Answer,
+    Health,
+    RigChange,
+    RigCoefficient,
+    RigHealth,
+    Snapshot,
+    Timing,
+    Tunable,
+    Value,
+)
 from ehls_ros.dashboard.panels import SIGNALS
 from ehls_ros.dashboard.server import listening, serve
 from ehls_ros.dashboard.window import Window
@@ -29,13 +39,18 @@ class StandIn:
         self.window.add(1e-3 * cycle, dict.fromkeys(SIGNALS, np.sin(1e-3 * cycle)))
         # A closed gate, so that there is a button that opens it: those that are not shown do nothing.
         self._health = (Health("plant_sim_node", 0, "disabled", {"state": "disabled"}),)
+        self._rig: RigHealth | None = None
 
     def listen(self) -> None:
         for line in sys.stdin:
-            self._health = tuple(Health(*node) for node in json.loads(line))
+            said = json.loads(line)
+            if isinstance(said, dict):
+                self._rig = _rig_health(said)
+            else:
+                self._health = tuple(Health(*node) for node in said)
 
     def snapshot(self) -> Snapshot:
-        return Snapshot(rate=1000.0, period=1e-3, health=self._health, started_here=True)
+        return Snapshot(rate=1000.0, period=1e-3, health=self._health, started_here=True, rig=self._rig)
 
     def tunable_nodes(self) -> tuple[str, ...]:
         return ("fasmc_node",)
@@ -51,6 +66,9 @@ class StandIn:
 
     def acknowledge_stop(self) -> Answer:
         return self._request("acknowledge stop")
+
+    def acknowledge_changes(self) -> Answer:
+        return self._request("acknowledge changes")
 
     def reset_trips(self) -> Answer:
         return self._request("reset trips")
@@ -76,6 +94,12 @@ class StandIn:
     def _request(self, request: str) -> Answer:
         print("request:", request, flush=True)
         return Answer(done=True, message=request)
+
+
+def _rig_health(said: dict[str, Any]) -> RigHealth | None:
+    changes = tuple(RigChange(*change) for change in said.pop("changes", ()))
+    coefficients = tuple(RigCoefficient(*coefficient) for coefficient in said.pop("coefficients", ()))
+    return RigHealth(**said, changes=changes, coefficients=coefficients) if said else None
 
 
 if __name__ == "__main__":

@@ -11,9 +11,9 @@ from recorded_runs import loader_state, make_trajectory, serialized
 from ehls_ros.cli.main import main
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
-from ehls_ros.recording.events import Event, read_events
+from ehls_ros.recording.events import Event, Pause, read_events, read_pauses
 from ehls_ros.recording.recovery import recover
-from ehls_ros.recording.topics import DIAGNOSTICS, PARAMETER_EVENTS, transition_topic
+from ehls_ros.recording.topics import DIAGNOSTICS, DRIVING, PARAMETER_EVENTS, transition_topic
 from ehls_ros.recording.typestore import typestore
 
 START_NS = 1_700_000_000 * 10**9
@@ -149,3 +149,14 @@ def test_a_message_that_is_none_is_bad_input(tmp_path: Path, message: bytes):
     bag = record(tmp_path / "bag", lambda write: write(PARAMETER_EVENTS.name, 0.001, message))
     with pytest.raises(BadInput, match=PARAMETER_EVENTS.name):
         read_events(bag)
+
+
+def test_times_without_a_driver_are_read_from_the_bag(tmp_path):
+    def tell(write):
+        # Snapshots are sent at 2, 3, … ms; what is told thrice is one pause.
+        for after_s, driven in ((0.0001, True), (0.0041, False), (0.0052, False), (0.0071, True), (0.0095, False)):
+            message = typestore().serialize_cdr(made(DRIVING.type, data=driven), DRIVING.type)
+            write(DRIVING.name, after_s, bytes(message))
+
+    assert read_pauses(record(tmp_path / "bag", tell)) == [Pause(0.002, 0.005), Pause(0.007, np.inf)]
+    assert read_pauses(record(tmp_path / "none", lambda write: None)) == []

@@ -1,0 +1,129 @@
+"""A rig's recordings watched for changes, as an object: the work of `ehls monitor`."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ehls_ros.api.files import written
+from ehls_ros.api.recordings import Columns, Data, by_name
+from ehls_ros.api.simulation import RigSource
+from ehls_ros.api.simulation import rig as rig_of
+from ehls_ros.diagnosis.record import USED
+from ehls_ros.experiments.monitoring.health import Event, Health
+from ehls_ros.experiments.monitoring.limits import check_limits
+from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.monitoring.replay import Part, Watched, replay
+from ehls_ros.progress import progress_bar
+from ehls_ros.report.monitor import write_monitor_report
+from ehls_ros.report.monitor_findings import answer
+from ehls_ros.schema import parse
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class MonitorResult:
+    """What changed on a rig while recordings were made, and how each coefficient went.
+
+    Attributes:
+        health: what is known at the end: ``health.changes``, ``health.readings``, ``health.rates``.
+        events: what happened, in its order.
+        name: what was watched.
+        watched: all that file and page show.
+    """
+
+    health: Health
+    events: tuple[Event, ...]
+    name: str
+    watched: Watched = field(repr=False)
+
+    @property
+    def sentence(self) -> str:
+        """The rig's health in a sentence."""
+        return answer(self.watched)[0]
+
+    def to_pandas(self) -> "DataFrame":
+        """Return the coefficients over time, a row each: value and standard error are NaN where they are not told."""
+        from pandas import DataFrame  # noqa: PLC0415 - half a second that only tables cost
+
+        columns = ["time_s", "coefficient", "value", "std", "unit", "why_not"]
+        nan = float("nan")
+        rows = [
+            (past.time, r.name, *((r.value, r.deviation) if r.told else (nan, nan)), r.unit, r.why_not)
+            for past in self.watched.history
+            for r in past.readings
+        ]
+        return DataFrame(rows, columns=columns)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the HTML report that `ehls monitor` writes, and return its path.
+
+        Raises:
+            BadInput: the file cannot be written.
+        """
+        return written(path, lambda file: write_monitor_report(self.watched, file, self.name))
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"<{type(self).__name__} {self.name}: {self.sentence}>"
+
+    def _repr_html_(self) -> str:
+        said = "".join(f"<li>{event.time:.1f} s: {escape(event.text)}</li>" for event in self.events)
+        return f"<p><b>{escape(self.sentence)}</b></p><ul>{said}</ul>"
+
+
+def monitor(
+    data: Data | Iterable[Data],
+    rig: RigSource,
+    *,
+    columns: Columns | None = None,
+    baseline: Data | Iterable[Data] = (),
+    mean_time_between_false_alarms: float = 1000.0,
+    learning_time: float = 60.0,
+    reading_time: float = 10.0,
+    limits: Mapping[str, float] | None = None,
+    progress: bool = True,
+) -> MonitorResult:
+    """Watch recordings for changes as if the rig ran, with a stated rate of false alarms.
+
+    Args:
+        data: one or several recordings, or their paths, in the order of their making.
+        rig: the healthy rig as its file describes it, or that file.
+        columns: names and units of the data's own, for paths.
+        baseline: one or several recordings from when the rig was well; none: the first samples are learnt from.
+        mean_time_between_false_alarms: at least [h].
+        learning_time: time that is learnt from without a baseline [s].
+        reading_time: time over which coefficients are averaged [s].
+        limits: limits of coefficients by name, each in its unit, such as ``{"leakage_coefficient": 1.2e-11}``.
+        progress: show a progress bar, in a notebook or on a terminal.
+
+    Returns:
+        The rig's health, what happened, and the coefficients over time. All samples count as driven: of a bag in which the
+        safety gate closed, `ehls monitor` leaves out what was not.
+
+    Raises:
+        BadInput: a value is wrong, the data or the rig cannot be read, or the data are not of such a rig.
+    """
+    asked = {
+        "mean_time_between_false_alarms": mean_time_between_false_alarms,
+        "learning_time": learning_time,
+        "reading_time": reading_time,
+    }
+    parameters = parse(Parameters, asked, "monitor")
+    model = rig_of(rig)
+    check_limits(limits or {}, model, "limits")
+    with progress_bar("watching", shown=progress) as bar:
+        recordings, baselines = by_name(data, columns, USED), by_name(baseline, columns, USED)
+        watched = replay(
+            [Part(name, recording) for name, recording in recordings.items()],
+            model,
+            parameters,
+            baselines=baselines,
+            limits=limits or {},
+            progress=bar,
+            tell=lambda _: None,
+        )
+    return MonitorResult(health=watched.health, events=tuple(watched.events), name=", ".join(recordings), watched=watched)

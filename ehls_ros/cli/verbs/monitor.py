@@ -1,0 +1,205 @@
+"""`ehls monitor`: watch recordings as if the rig ran: what changed, since when, and how each coefficient went."""
+
+import csv
+import json
+import os
+import shutil
+import sys
+import tempfile
+import time
+from argparse import ArgumentParser, Namespace
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from ehls_ros.cli.configured import Configured
+from ehls_ros.cli.folder import writable
+from ehls_ros.diagnosis.record import USED
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.json_document import json_document
+from ehls_ros.experiments.monitoring.document import monitor_document
+from ehls_ros.experiments.monitoring.health import Event
+from ehls_ros.experiments.monitoring.limits import check_limits
+from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.monitoring.replay import Part, Watched, replay
+from ehls_ros.experiments.run_folder import recording_in
+from ehls_ros.experiments.spec import load_rig
+from ehls_ros.experiments.yaml_files import spec_text
+from ehls_ros.progress import progress_bar
+from ehls_ros.recording.columns import ColumnMap, read_columns
+from ehls_ros.recording.events import read_pauses
+from ehls_ros.recording.load import holds_tables, load, recordings
+from ehls_ros.recording.yaml_text import read_yaml
+from ehls_ros.report.monitor import write_monitor_report
+from ehls_ros.report.monitor_findings import HEADER, answer, duration, known, offered, table_row
+from ehls_ros.schema import declarations, parse
+
+HELP = "Watch recordings of a rig for changes, with a stated rate of false alarms: monitor.json, coefficients.csv, a report."
+
+RESULT, TABLE, REPORT, OFFER = "monitor.json", "coefficients.csv", "report.html", "offered_experiment.yaml"
+"""Files in the folder of the results; the last only where an experiment is offered."""
+
+SHORTEST, LONGEST = 10.0, 60.0
+"""Shortest and longest time over which coefficients are averaged unless one is given [s]."""
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments."""
+    declared = {entry.name: entry for entry in declarations(Parameters)}
+    parser.add_argument(
+        "data",
+        type=Path,
+        nargs="+",
+        metavar="DATA",
+        help="recordings in the order of their making: bags, run folders or tables (text, Excel, MAT, TDMS, Parquet)",
+    )
+    parser.add_argument("--rig", type=Path, action=Configured, required=True, help="rig file of the healthy rig")
+    parser.add_argument(
+        "--baseline",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="OLD",
+        help="recordings from when the rig was well; without any, the first samples are learnt from",
+    )
+    parser.add_argument("--columns", type=Path, help="YAML that maps the files' own column names and units")
+    for name, metavar in (("mean_time_between_false_alarms", "H"), ("learning_time", "S")):
+        entry = declared[name]
+        parser.add_argument(
+            f"--{name.replace('_', '-')}",
+            type=float,
+            default=entry.default,
+            metavar=metavar,
+            help=f"{entry.description} [{entry.unit}] (%(default)g)",
+        )
+    averaged = f"{declared['reading_time'].description} [s]"
+    parser.add_argument(
+        "--reading-time",
+        type=float,
+        metavar="S",
+        help=f"{averaged} (default: a twentieth of the recordings, {SHORTEST:g} to {LONGEST:g})",
+    )
+    parser.add_argument(
+        "--limit",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="limit of a coefficient, in its SI unit, such as leakage_coefficient=1.2e-11; or a YAML file of several",
+    )
+    parser.add_argument("--out", type=Path, help="folder of the results (default: none are written)")
+    parser.add_argument("--json", action="store_true", help="end with one line of JSON: monitor.json")
+
+
+def run(options: Namespace) -> int:
+    """Run it."""
+    began = time.perf_counter()
+    columns = read_columns(options.columns) if options.columns else None
+    rig = load_rig(options.rig)
+    limits = _limits(options.limit)
+    check_limits(limits, rig, "--limit")
+    asked = {name: getattr(options, name) for name in ("mean_time_between_false_alarms", "learning_time")}
+    parse(Parameters, asked, "command line")
+    folder = writable(options.out, RESULT) if options.out else None
+    with progress_bar("watching") as bar:
+        bar(0, 1, "reading")
+        parts = [_part(data, columns) for data in recordings(options.data, columns)]
+        baselines = {str(path): load(recording_in(path), columns, USED) for path in options.baseline}
+        seconds = sum(float(part.trajectory.time_s[-1] - part.trajectory.time_s[0]) for part in parts)
+        asked["reading_time"] = options.reading_time or min(max(seconds / 20.0, SHORTEST), LONGEST)
+        parameters = parse(Parameters, asked, "command line")
+        loaded = time.perf_counter()
+        watched = replay(parts, rig, parameters, baselines=baselines, limits=limits, progress=bar, tell=_tell)
+    wall = time.perf_counter() - began
+    sentence, healthy = answer(watched)
+    document = json_document(monitor_document(watched, sentence, healthy, wall))
+    print(sentence)
+    _print(watched)
+    if folder is not None:
+        _write(folder, watched, document, f"{', '.join(part.name for part in parts)} against {options.rig.name}", options.rig)
+        for name in (RESULT, TABLE, REPORT, *([OFFER] if watched.offer else [])):
+            print(f"  {folder / name}")
+    print(f"{duration(seconds)} watched in {wall:.1f} s, {seconds / (time.perf_counter() - loaded):.0f} times real time")
+    if options.json:
+        print(json.dumps(document))
+    return 0
+
+
+def _part(data: Path, columns: ColumnMap | None) -> Part:
+    """Read a recording; of a bag of ours, also when no command reached the valve."""
+    place = recording_in(data)
+    ours = columns is None and not holds_tables(place)
+    return Part(data.name or str(data), load(place, columns, USED), tuple(read_pauses(place)) if ours else ())
+
+
+def _limits(texts: Sequence[str]) -> dict[str, float]:
+    """Read limits: NAME=VALUE each, or a file of them."""
+    found = dict[str, float]()
+    for text in texts:
+        if text.endswith((".yaml", ".yml")):
+            content = read_yaml(Path(text), "limits")
+            pairs = list(content.items()) if isinstance(content, Mapping) else [(text, "")]
+        else:
+            name, _, size = text.partition("=")
+            pairs = [(name, size)]
+        for key, value in pairs:
+            try:
+                found[str(key)] = float(value)
+            except (TypeError, ValueError):
+                raise BadInput(f"--limit has {key}: {value!r}", "command line", "NAME=VALUE, VALUE a number") from None
+    return found
+
+
+# --- results -----------------------------------------------------------------------------------
+
+
+def _write(folder: Path, watched: Watched, document: object, source: str, rig: Path) -> None:
+    """Write all results into a scratch folder, then move them into place: an interruption leaves no incomplete set."""
+    scratch = Path(tempfile.mkdtemp(prefix=".monitor-", dir=folder))
+    try:
+        (scratch / RESULT).write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+        _write_table(scratch / TABLE, watched)
+        write_monitor_report(watched, scratch / REPORT, source)
+        if watched.offer is not None:
+            spec = {**watched.offer.spec, "rig": os.path.relpath(rig, folder)}
+            (scratch / OFFER).write_text(f"# Offered by `ehls monitor`: {watched.offer.purpose}.\n{spec_text(spec)}")
+        else:
+            (folder / OFFER).unlink(missing_ok=True)
+        for file in sorted(scratch.iterdir()):
+            file.replace(folder / file.name)
+    except OSError as error:
+        raise BadInput(f"the results cannot be written ({error.strerror})", str(folder), "a writable folder") from None
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _write_table(path: Path, watched: Watched) -> None:
+    """Write the coefficients over time, a row each; what is not told is empty, with the reason."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file)
+        rows.writerow(["time_s", "coefficient", "value", "std", "unit", "why_not"])
+        for past in watched.history:
+            for reading in past.readings:
+                sizes = [repr(reading.value), repr(reading.deviation)] if reading.told else ["", ""]
+                rows.writerow([f"{past.time:.3f}", reading.name, *sizes, reading.unit, reading.why_not])
+
+
+# --- terminal ----------------------------------------------------------------------------------
+
+
+def _tell(event: Event) -> None:
+    print(f"{event.time:10.1f} s  {event.text}", flush=True)
+
+
+def _print(watched: Watched) -> None:
+    console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 140)
+    table = Table(title="Coefficients")
+    for place, name in enumerate(HEADER):
+        table.add_column(name, no_wrap=not place)
+    for reading in known(watched):
+        table.add_row(*table_row(reading, watched))
+    console.print(table)
+    said = offered(watched)
+    if said:
+        print(said.replace("`", ""))

@@ -1,0 +1,151 @@
+"""Which coefficients drift, and when one that does will reach its limit."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
+from ehls_ros.errors import BadInput, one_of
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.monitoring.monitor import RATES, Past
+from ehls_ros.physics.rig import Rig
+
+NORMAL_95 = 1.959964
+"""Half of the 95 % interval of a normal distribution, in standard deviations."""
+
+FEWEST = 4
+"""Fewest readings that show a jump."""
+
+
+class Reach(NamedTuple):
+    """When a limit is reached.
+
+    Attributes:
+        limit: the limit, in the coefficient's unit.
+        hours: likeliest time until then [h]; 0 where it is reached, NaN where it is not told.
+        earliest, latest: 95 % interval of that time [h].
+        why_not: why it is not told; empty where it is.
+    """
+
+    limit: float
+    hours: float = math.nan
+    earliest: float = math.nan
+    latest: float = math.nan
+    why_not: str = ""
+
+
+def reach(reading: Reading, rate: Estimate | None, limit: float, healthy: float) -> Reach:
+    """Return when a coefficient reaches its limit if it goes on as it did.
+
+    The time is a ratio of two normal variables, the distance and the rate: its interval is Fieller's (Journal of the Royal
+    Statistical Society B 16, 1954), which is finite only where the rate is surely not zero.
+
+    Args:
+        reading: the coefficient now.
+        rate: its change in an hour; None where it is not known.
+        limit: its limit, in its unit.
+        healthy: its value on the healthy rig: a limit above is an upper one, a limit below a lower one.
+    """
+    if not reading.told:
+        return Reach(limit, why_not=reading.why_not)
+    way = math.copysign(1.0, limit - healthy)
+    distance = way * (limit - reading.value)
+    if distance <= 0.0:
+        return Reach(limit, 0.0, 0.0, 0.0)
+    if rate is None:
+        return Reach(limit, why_not="too few readings tell its rate, or it jumped")
+    speed = way * rate.value
+    if abs(speed) <= NORMAL_95 * rate.std:
+        return Reach(limit, why_not="its rate may be zero")
+    if speed <= 0.0:
+        return Reach(limit, why_not="it moves away from its limit")
+    # Roots t of (distance - t speed)^2 = z^2 (deviation^2 + t^2 std^2).
+    square, product = speed**2 - (NORMAL_95 * rate.std) ** 2, distance * speed
+    rest = distance**2 - (NORMAL_95 * reading.deviation) ** 2
+    root = math.sqrt(max(product**2 - square * rest, 0.0))
+    return Reach(limit, distance / speed, max((product - root) / square, 0.0), (product + root) / square)
+
+
+def jumped(times: Array, values: Array, deviations: Array) -> bool:
+    """Tell whether readings are better described by one jump than by a line: a jump has no rate.
+
+    The two are compared by the Bayesian information criterion, with the scatter around each.
+
+    Args:
+        times: of the readings, increasing, shape (n,).
+        values: shape (n,).
+        deviations: their standard errors, shape (n,).
+    """
+    count = len(values)
+    if count < FEWEST:
+        return False
+    weights = 1.0 / deviations**2
+
+    def rest(part: slice) -> float:
+        return float(np.sum(weights[part] * (values[part] - np.average(values[part], weights=weights[part])) ** 2))
+
+    jump = min(rest(slice(None, place)) + rest(slice(place, None)) for place in range(1, count))
+    middle = np.average(times, weights=weights)
+    slope = np.sum(weights * (times - middle) * values) / np.sum(weights * (times - middle) ** 2)
+    level = values - slope * (times - middle)
+    line = float(np.sum(weights * (level - np.average(level, weights=weights)) ** 2))
+    # A scatter below that of the readings' own errors tells nothing. A jump may be anywhere: that costs as much as two numbers.
+    return count * math.log(max(jump / count, 1.0)) + 3.0 * math.log(count) < count * math.log(max(line / count, 1.0))
+
+
+def drifting(rates: Mapping[str, Estimate], history: Sequence[Past]) -> dict[str, Estimate]:
+    """Return the rates of the coefficients that did not jump instead.
+
+    Args:
+        rates: changes in an hour.
+        history: the readings that they come from.
+    """
+    out = {}
+    for name, rate in rates.items():
+        told = [(past.time, r.value, r.deviation) for past in history for r in past.readings if r.name == name and r.told]
+        if not jumped(*np.array(told[-RATES:]).reshape(-1, 3).T):
+            out[name] = rate
+    return out
+
+
+def reaches(
+    readings: Sequence[Reading], rates: Mapping[str, Estimate], limits: Mapping[str, float], rig: Rig
+) -> dict[str, Reach]:
+    """Return when each coefficient that has a limit reaches it.
+
+    Args:
+        readings: the coefficients now.
+        rates: their changes in an hour, of those that are told.
+        limits: the limits by the coefficients' names, each in its unit.
+        rig: the healthy rig.
+    """
+    by_name = {reading.name: reading for reading in readings}
+    found = {}
+    for name, limit in limits.items():
+        if name in by_name:
+            found[name] = reach(by_name[name], rates.get(name), limit, COEFFICIENTS[name].given(rig))
+        else:
+            found[name] = Reach(limit, why_not="it is not tracked on this rig")
+    return found
+
+
+def check_limits(limits: Mapping[str, float], rig: Rig, where: str) -> None:
+    """Refuse limits that no coefficient has.
+
+    Args:
+        limits: by the coefficients' names.
+        rig: the healthy rig.
+        where: where they stand, for the error.
+
+    Raises:
+        BadInput: a name is unknown, a limit is not a finite number, or it is the healthy rig's value.
+    """
+    for name, limit in limits.items():
+        if name not in COEFFICIENTS:
+            raise BadInput(f"coefficient {name!r} is unknown", where, one_of(name, COEFFICIENTS))
+        if not math.isfinite(limit) or limit == COEFFICIENTS[name].given(rig):
+            expected = f"a number above or below the rig's {COEFFICIENTS[name].given(rig):g}"
+            raise BadInput(f"the limit of {name} is {limit:g}", where, expected)

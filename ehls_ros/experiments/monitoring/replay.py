@@ -1,0 +1,171 @@
+"""Recordings watched as if the rig ran: the work of `ehls monitor`, without files."""
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.contradictions import check_suits
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS
+from ehls_ros.diagnosis.record import USED
+from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
+from ehls_ros.experiments.monitoring.examination import AtOnce
+from ehls_ros.experiments.monitoring.health import Event, Health
+from ehls_ros.experiments.monitoring.limits import Reach, drifting, reaches
+from ehls_ros.experiments.monitoring.monitor import Monitor, Past
+from ehls_ros.experiments.monitoring.offer import Offer, offer
+from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.parallel import Workers
+from ehls_ros.physics.rig import Rig
+from ehls_ros.progress import Update
+from ehls_ros.samples import Mask
+from ehls_ros.trajectory import Trajectory
+
+PIECE = 0.25
+"""Time of the samples that are given to the monitor at once [s]."""
+
+APART = 1.0
+"""Time on the monitor's axis between two recordings [s]; what really passed between them is not known."""
+
+
+class Part(NamedTuple):
+    """A recording to be watched.
+
+    Attributes:
+        name: what it is called.
+        trajectory: the recording.
+        pauses: first and last time of each stretch in which no command reached the valve, on its time base [s].
+    """
+
+    name: str
+    trajectory: Trajectory
+    pauses: Sequence[tuple[float, float]] = ()
+
+
+class Stretch(NamedTuple):
+    """Where a recording stands on the monitor's axis.
+
+    Attributes:
+        name: the recording.
+        begin, end: its first and last time [s].
+        not_driven: time of it that was not judged as no command reached the valve [s].
+    """
+
+    name: str
+    begin: float
+    end: float
+    not_driven: float
+
+
+class Watched(NamedTuple):
+    """What a monitor knows of a time in which it watched a rig: all that file and page show.
+
+    Attributes:
+        rig: the healthy rig, as its file describes it.
+        parameters: how it was watched.
+        health: what is known at the end.
+        history: the coefficients over time.
+        events: what happened.
+        stretches: recordings on the time axis; none of a running rig.
+        limits: when the coefficients reach their limits, of those that have one.
+        offer: the shortest experiment that tells what this programme does not; None where all is told, or nothing would.
+    """
+
+    rig: Rig
+    parameters: Parameters
+    health: Health
+    history: Sequence[Past]
+    events: Sequence[Event]
+    stretches: Sequence[Stretch] = ()
+    limits: Mapping[str, Reach] = {}
+    offer: Offer | None = None
+
+
+def replay(
+    parts: Sequence[Part],
+    rig: Rig,
+    parameters: Parameters,
+    *,
+    baselines: Mapping[str, Trajectory],
+    limits: Mapping[str, float],
+    progress: Update,
+    tell: Callable[[Event], None],
+) -> Watched:
+    """Watch recordings, one after the other, each from a stretch of its own.
+
+    Args:
+        parts: the recordings, oldest first.
+        rig: the rig as its file describes it.
+        parameters: how it is watched.
+        baselines: recordings from when the rig was well, by their names; none: the first of the samples are learnt from.
+        limits: limits of coefficients by their names, each in its unit.
+        progress: called with the time watched, the whole time and what is being done [s].
+        tell: called with each event when it happens.
+
+    Raises:
+        BadInput: a recording cannot be read as one of such a rig, or contradicts the rig file.
+    """
+    for name, trajectory in (*((part.name, part.trajectory) for part in parts), *baselines.items()):
+        check_suits(trajectory, rig, name)  # before compiling takes its time
+    with Workers() as workers:
+        compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: progress(done, total, COMPILING))
+    progress(0, 1, "learning from the baselines" if baselines else "watching")
+    monitor = Monitor(rig, parameters, AtOnce(), baselines)
+    events, stretches = list[Event](), list[Stretch]()
+    whole = sum(_seconds(part.trajectory) + APART for part in parts)
+    at = 0.0
+    for part in parts:
+        monitor.interrupt()
+        begin = at
+        time = part.trajectory.time_s - part.trajectory.time_s[0]
+        driven = _driven(part)
+        signals = {name: part.trajectory[name] for name in USED if name in part.trajectory}
+        for first, last in _pieces(time, driven):
+            here = {name: values[first:last] for name, values in signals.items()}
+            for event in monitor.add(begin + time[first:last], here):
+                events.append(event)
+                tell(event)
+            progress(round(begin + time[last - 1]), round(whole), f"watching {part.name}")
+            if last < len(driven) and not driven[last]:
+                monitor.interrupt()
+        at = begin + _seconds(part.trajectory)
+        stretches.append(Stretch(part.name, begin, at, float(np.sum(np.diff(time)[~driven[1:]]))))
+        at += APART
+    monitor.close()
+    health = monitor.health()
+    health = health._replace(rates=drifting(health.rates, monitor.history))
+    progress(round(whole), round(whole), "looking for an experiment that tells the rest")
+    told = {reading.name for reading in health.readings if reading.told}
+    missing = [name for name in COEFFICIENTS if name not in told]
+    return Watched(
+        rig=rig,
+        parameters=parameters,
+        health=health,
+        history=tuple(monitor.history),
+        events=tuple(events),
+        stretches=tuple(stretches),
+        limits=reaches(health.readings, health.rates, limits, rig),
+        offer=offer(missing, rig) if missing and health.readings else None,
+    )
+
+
+def _seconds(trajectory: Trajectory) -> float:
+    return float(trajectory.time_s[-1] - trajectory.time_s[0]) if len(trajectory) else 0.0
+
+
+def _driven(part: Part) -> Mask:
+    """Tell which samples follow a command that reached the valve, shape (n,)."""
+    time = part.trajectory.time_s
+    driven = np.ones(len(time), dtype=np.bool_)
+    for begin, end in part.pauses:
+        driven &= (time < begin) | (time > end)
+    return driven
+
+
+def _pieces(time: Array, driven: Mask) -> list[tuple[int, int]]:
+    """Return the ranges of samples that are given at once: none spans a pause."""
+    turns = np.flatnonzero((np.diff(np.floor(time / PIECE)) > 0.0) | (driven[1:] != driven[:-1])) + 1
+    ends = [0, *turns.tolist(), len(time)]
+    return [(first, last) for first, last in pairwise(ends) if last > first and driven[first]]

@@ -1,0 +1,97 @@
+"""What a monitor says of the rig, as the dashboard shows it."""
+
+import contextlib
+import threading
+from collections import deque
+from typing import Any
+
+import numpy as np
+from rclpy.serialization import deserialize_message
+
+from ehls_msgs.msg import ModelHealth
+from ehls_ros.dashboard.graph import RigChange, RigCoefficient, RigHealth
+from ehls_ros.dashboard.words import NAME, line
+from ehls_ros.nodes.transport import Inbox, control_qos
+from ehls_ros.recording.topics import MODEL_HEALTH
+
+KEPT = 360
+"""Values of a coefficient that a trend has at most."""
+
+CHANGES, COEFFICIENTS = 20, 40
+"""Most changes and coefficients shown."""
+
+LONGEST = 64 * 1024
+"""Size of the largest message read [B]; one with fifteen coefficients and a change has about 3 kB."""
+
+STATES = {
+    ModelHealth.LEARNING: "learning",
+    ModelHealth.WATCHING: "watching",
+    ModelHealth.EXAMINING: "examining",
+    ModelHealth.IDLE: "idle",
+}
+"""What a monitor is doing, in a word."""
+
+
+class RigWatch:
+    """Listens to a monitor, and keeps the coefficients' last values."""
+
+    def __init__(self, node: Any) -> None:
+        """Begin to listen.
+
+        Args:
+            node: the dashboard's node.
+        """
+        self._inbox = Inbox(node, ModelHealth, MODEL_HEALTH.name, control_qos(MODEL_HEALTH.depth), bytes)
+        self._lock = threading.Lock()
+        self._newest: ModelHealth | None = None
+        self._past: dict[str, deque[tuple[float, float]]] = {}
+
+    def take(self) -> None:
+        """Read what has come."""
+        while (taken := self._inbox.take_raw()) is not None:
+            if len(taken[0]) > LONGEST:
+                continue
+            # Another publisher's message may hold invalid UTF-8.
+            with contextlib.suppress(UnicodeDecodeError):
+                self._note(deserialize_message(taken[0], ModelHealth))
+
+    def health(self) -> RigHealth | None:
+        """Return what the monitor said last; None where there is none, or none any more."""
+        with self._lock:
+            said = self._newest
+            past = {name: tuple(points) for name, points in self._past.items()}
+        if said is None or not self._inbox.handle.get_publisher_count():
+            return None
+        changes = [RigChange(line(c.sentence), bool(c.active), bool(c.acknowledged)) for c in said.changes[-CHANGES:]]
+        return RigHealth(
+            state=STATES.get(said.state, ""),
+            summary=line(said.summary),
+            changes=tuple(reversed(changes)),
+            coefficients=tuple(_coefficient(c, past) for c in said.coefficients[:COEFFICIENTS]),
+            outside=float(np.clip(np.nan_to_num(said.outside), 0.0, 1.0)),
+        )
+
+    def destroy(self) -> None:
+        """Stop listening."""
+        self._inbox.destroy()
+
+    def _note(self, said: ModelHealth) -> None:
+        time = said.header.stamp.sec + 1e-9 * said.header.stamp.nanosec
+        with self._lock:
+            self._newest = said
+            for coefficient in said.coefficients[:COEFFICIENTS]:
+                name = line(coefficient.name, NAME)
+                if name not in self._past and len(self._past) == COEFFICIENTS:
+                    continue
+                points = self._past.setdefault(name, deque(maxlen=KEPT))
+                if points and time < points[-1][0]:
+                    points.clear()  # the clock of another run
+                if not points or time > points[-1][0]:
+                    points.append((time, coefficient.value if coefficient.told else float("nan")))
+
+
+def _coefficient(said: Any, past: dict[str, tuple[tuple[float, float], ...]]) -> RigCoefficient:
+    name = line(said.name, NAME)
+    times, values = zip(*past.get(name, ()), strict=True) if past.get(name) else ((), ())
+    why_not = "" if said.told else line(said.why_not) or "not told"
+    return RigCoefficient(name, float(said.value), float(said.deviation), line(said.unit, NAME), why_not, times, values)

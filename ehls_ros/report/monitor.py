@@ -1,0 +1,333 @@
+"""The report of a monitor: the rig's health, what happened, how each coefficient went, and what is not told."""
+
+from collections.abc import Sequence
+from datetime import date, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
+from ehls_ros.experiments.monitoring.health import Event, FoundChange
+from ehls_ros.experiments.monitoring.limits import NORMAL_95
+from ehls_ros.experiments.monitoring.monitor import Past
+from ehls_ros.experiments.monitoring.replay import Watched
+from ehls_ros.report import page
+from ehls_ros.report.diagnosis_findings import capital
+from ehls_ros.report.diagnosis_units import percent, unit_for
+from ehls_ros.report.monitor_findings import (
+    FROM_ZERO,
+    HEADER,
+    HOUR,
+    IN_MINUTES,
+    IN_SECONDS,
+    MINUTE,
+    Clock,
+    answer,
+    change_sentence,
+    duration,
+    false_alarms,
+    known,
+    limit_words,
+    offered,
+    outside,
+    table_row,
+)
+from ehls_ros.report.page import LeftOut, Panel, Row
+from ehls_ros.report.plot import (
+    BLUE,
+    GREY,
+    PURE_NUMBER,
+    VERMILION,
+    Axis,
+    Layout,
+    Trace,
+    Unit,
+    dots,
+    line,
+    packed,
+    stacked_layout,
+    time_layout,
+    time_mark,
+)
+
+DAY_SECONDS = 86400.0
+
+MOST_LISTED = 12
+"""Most events that are listed without a click."""
+
+
+class _Scale:
+    """The time axis of all figures."""
+
+    def __init__(self, watched: Watched, clock: Clock) -> None:
+        """Choose unit and span."""
+        times = [watched.health.time, *(event.time for event in watched.events), *(past.time for past in watched.history)]
+        self.end = max((time for time in times if np.isfinite(time)), default=1.0)
+        if clock.zero is None:
+            self.begin, self.quantity, longest = 0.0, "time since start", self.end
+        else:
+            midnight = datetime.combine(clock.zero.date(), datetime.min.time(), clock.zero.tzinfo)
+            self.begin, self.quantity, longest = (midnight - clock.zero).total_seconds(), "time of day", DAY_SECONDS
+            self.end = self.begin + DAY_SECONDS
+        self.unit = next(
+            unit
+            for most, unit in (
+                (IN_SECONDS, Unit("s")),
+                (IN_MINUTES, Unit("min", 1.0 / MINUTE)),
+                (np.inf, Unit("h", 1.0 / HOUR)),
+            )
+            if longest <= most
+        )
+
+    def at(self, seconds: Array | float) -> Array:
+        """Return times as shown."""
+        return np.asarray((np.asarray(seconds, dtype=np.float64) - self.begin) * self.unit.factor)
+
+    def layout(self, rows: Sequence[Axis]) -> Layout:
+        """Return the layout of a figure over time."""
+        span = (0.0, float(self.at(self.end)))
+        layout = time_layout(span[1], rows)
+        layout["xaxis"] = stacked_layout(Axis(self.quantity, self.unit, span), rows)["xaxis"]
+        layout["xaxis"]["unifiedhovertitle"] = {"text": f"%{{x:,.5~g}} {self.unit.symbol}"}
+        return layout
+
+
+def daily_report(watched: Watched, folder: Path, day: date, clock: Clock) -> Path:
+    """Write the report of one day, and return its path.
+
+    Args:
+        watched: what the monitor knows at the day's end; of history and events, what lies in the day is shown.
+        folder: folder of the reports; it must exist.
+        day: the day, in the clock's time zone.
+        clock: the wall time at which the monitor's axis is 0.
+
+    Raises:
+        ValueError: the clock has no wall time.
+    """
+    if clock.zero is None:
+        raise ValueError("a daily report needs the wall time at which the monitor's axis is 0")
+    midnight = datetime.combine(day, datetime.min.time(), clock.zero.tzinfo)
+    begin = (midnight - clock.zero).total_seconds()
+    end = (midnight + timedelta(days=1) - clock.zero).total_seconds()
+
+    health = watched.health
+    of_day = watched._replace(
+        health=health._replace(time=health.time - begin, changes=tuple(_moved(change, -begin) for change in health.changes)),
+        history=tuple(past._replace(time=past.time - begin) for past in watched.history if begin <= past.time < end),
+        events=tuple(event._replace(time=event.time - begin) for event in watched.events if begin <= event.time < end),
+        stretches=(),
+    )
+    path = folder / f"report-{day:%Y-%m-%d}.html"
+    write_monitor_report(of_day, path, f"{day:%A, %d %B %Y}", Clock(midnight))
+    return path
+
+
+def _moved(change: FoundChange, by: float) -> FoundChange:
+    """Return a change on an axis on which all times are later by some seconds."""
+    return change._replace(
+        since=change.since + by,
+        earliest=change.earliest + by,
+        latest=change.latest + by,
+        noticed=change.noticed + by,
+        named=change.named + by,
+        cleared=change.cleared + by,
+    )
+
+
+def write_monitor_report(watched: Watched, path: Path, source: str = "", clock: Clock = FROM_ZERO) -> None:
+    """Write one self-contained HTML file that shows a rig's health and how it came about.
+
+    Args:
+        watched: what the monitor knows.
+        path: file to write; its folder must exist.
+        source: what was watched, for the line below the heading.
+        clock: how times are said; with a wall time the figures show its day.
+    """
+    sentence, good = answer(watched, clock)
+    scale = _Scale(watched, clock)
+    panels = [_trend(reading, watched, scale) for reading in known(watched)]
+    parts = [
+        ("Changes", _changes(watched, clock)),
+        ("Events", _events(watched, scale, clock)),
+        ("Coefficients", [page.table(HEADER, [table_row(reading, watched) for reading in known(watched) if reading.told])]),
+        ("Trends", [page.figures(panels, columns=2)]),
+        ("Not told", _not_told(watched, panels)),
+        ("What is judged", [page.bullets([false_alarms(watched.parameters.mean_time_between_false_alarms), _judged(watched)])]),
+        ("Method", [page.paragraph(_METHOD)]),
+    ]
+    title = {True: "The rig is healthy", False: "The rig has changed", None: "The rig is not judged"}[good]
+    page.write_page(path, title, source, [page.verdict(sentence, good=good), _facts(watched), *page.sections(parts)])
+
+
+def _facts(watched: Watched) -> str:
+    health = watched.health
+    told = sum(reading.told for reading in known(watched))
+    return page.facts(
+        [
+            ("watched", duration(health.watched)),
+            ("measured from", health.baseline),
+            ("false alarms, at most", f"one in {watched.parameters.mean_time_between_false_alarms:g} h"),
+            ("coefficients told", f"{told} of {len(COEFFICIENTS)}"),
+            ("outside the baseline", percent(health.outside)),
+        ]
+    )
+
+
+def _judged(watched: Watched) -> str:
+    idle = sum(stretch.not_driven for stretch in watched.stretches)
+    driven = f" Of the recordings, {duration(idle)} were not driven and are not judged." if idle > 0.0 else ""
+    return f"{outside(watched.health.outside)}{driven}"
+
+
+def _changes(watched: Watched, clock: Clock) -> list[str]:
+    rows: list[Row] = [
+        [
+            str(change.number),
+            change_sentence(change, watched.rig, clock),
+            clock.said(change.named),
+            "still shows" if change.active else f"gone since {clock.said(change.cleared)}",
+        ]
+        for change in watched.health.changes
+    ]
+    return [page.table(["number", "change", "named at", "now"], rows)] if rows else []
+
+
+def _events(watched: Watched, scale: _Scale, clock: Clock) -> list[str]:
+    events = watched.events
+    if not events:
+        return []
+    kinds = list(dict.fromkeys(event.kind for event in events))
+    rows: list[Row] = [[clock.said(event.time), event.kind, event.text] for event in events]
+    listing = page.table(["time", "event", "what"], rows)
+    if len(rows) > MOST_LISTED:
+        text = "\n".join(f"{clock.said(event.time)}  {event.kind}: {event.text}" for event in events)
+        listing = page.collapsed(f"All {len(events)} events", text)
+    return [page.figures([_time_line(events, kinds, watched, scale)]), listing]
+
+
+def _time_line(events: Sequence[Event], kinds: Sequence[str], watched: Watched, scale: _Scale) -> Panel:
+    traces: list[Trace] = []
+    for place, kind in enumerate(kinds, start=1):
+        own = [event for event in events if event.kind == kind]
+        at = scale.at(np.array([event.time for event in own]))
+        mark = dots(at, np.full(len(own), float(place)), kind, PURE_NUMBER, BLUE, remarks=[event.text for event in own])
+        traces.append(mark | {"hovertemplate": "%{text}", "showlegend": False})
+    traces += [time_mark(float(scale.at(stretch.begin)), stretch.name, GREY) for stretch in watched.stretches[1:]]
+    layout = scale.layout([Axis("", PURE_NUMBER, (len(kinds) + 0.6, 0.4), names=tuple(kinds))])
+    return Panel("Events over time", traces, layout | {"hovermode": "closest"}, height=110 + 26 * len(kinds))
+
+
+# --- trends ------------------------------------------------------------------------------------
+
+
+def _trend(reading: Reading, watched: Watched, scale: _Scale) -> Panel | LeftOut:
+    """Draw a coefficient over time; grey where the programme did not tell it."""
+    title = capital(COEFFICIENTS[reading.name].words)
+    past = [(time, one) for time, one in _past(reading, watched) if time <= scale.end]
+    told = np.array([one.told for _, one in past], dtype=np.bool_)
+    if not np.any(told):
+        return LeftOut(title, reading.why_not)
+    times = np.array([time for time, _ in past])
+    values = np.where(told, [one.value for _, one in past], np.nan)
+    half = NORMAL_95 * np.where(told, [one.deviation for _, one in past], np.nan)
+    given = COEFFICIENTS[reading.name].given(watched.rig)
+    limit = watched.limits.get(reading.name)
+    shown = [given, *([limit.limit] if limit else [])]
+    unit = unit_for(past[int(np.argmax(told))][1].unit, float(np.nanmax(np.abs([*values[told], *shown]))))
+    # A reading holds for the time over which it is averaged.
+    starts = times - watched.parameters.reading_time
+    traces: list[Trace] = []
+    for first, last in _runs(told):
+        x = scale.at(np.concatenate([[max(starts[first], scale.begin)], times[first:last]]))
+        y, width = (np.concatenate([[v[first]], v[first:last]]) for v in (values, half))
+        shared = {"showlegend": first == _runs(told)[0][0]}
+        traces.append(_band(x, (y - width) * unit.factor, (y + width) * unit.factor) | shared | {"legendgroup": "band"})
+        traces.append(line(x, y, "value", unit, BLUE, width=2.0) | shared | {"legendgroup": "value"})
+    ends = scale.at(np.array([scale.begin, scale.end]))
+    traces.append(line(ends, np.full(2, given), "rig file", unit, GREY, dash="dash", width=1.2))
+    if limit is not None:
+        traces.append(line(ends, np.full(2, limit.limit), "limit", unit, VERMILION, dash="dash", width=1.2))
+    begun = [change.since for change in watched.health.changes if scale.begin <= change.since <= scale.end]
+    traces += [
+        time_mark(float(scale.at(since)), "change", VERMILION) | {"legendgroup": "change", "showlegend": not place}
+        for place, since in enumerate(begun)
+    ]
+    layout = scale.layout([Axis(COEFFICIENTS[reading.name].words, unit)])
+    layout["shapes"] = [_grey(*scale.at(np.array([starts[first], times[last - 1]])).tolist()) for first, last in _runs(~told)]
+    layout["yaxis"]["tickformat"] = "~g"
+    return Panel(title, traces, layout, _trend_note(reading, watched, grey=not np.all(told)), height=250)
+
+
+def _past(reading: Reading, watched: Watched) -> list[tuple[float, Reading]]:
+    """Return the readings of a coefficient with their times, the newest last."""
+    newest = Past(watched.health.time, watched.health.readings)
+    behind = [past for past in watched.history if past.time < newest.time - 1.0] if newest.readings else list(watched.history)
+    return [
+        (past.time, one)
+        for past in (*behind, *([newest] if newest.readings else []))
+        for one in past.readings
+        if one.name == reading.name
+    ]
+
+
+def _runs(chosen: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> list[tuple[int, int]]:
+    """Return where each run of chosen places begins, and the place after its end."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
+    return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
+
+
+def _band(x: Array, low: Array, high: Array) -> Trace:
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": packed(np.concatenate([x, x[::-1]])),
+        "y": packed(np.concatenate([low, high[::-1]])),
+        "fill": "toself",
+        "fillcolor": "rgba(0, 114, 178, 0.22)",
+        "line": {"width": 0},
+        "name": "95 %",
+        "hoverinfo": "skip",
+    }
+
+
+def _grey(begin: float, end: float) -> Layout:
+    """Return the shape of a time in which a coefficient was not told."""
+    place = {"type": "rect", "xref": "x", "yref": "paper", "x0": begin, "x1": end, "y0": 0.0, "y1": 1.0}
+    return place | {"fillcolor": "rgba(118, 118, 118, 0.18)", "line": {"width": 0}, "layer": "below"}
+
+
+def _trend_note(reading: Reading, watched: Watched, *, grey: bool) -> str:
+    """Say how a coefficient changes, when it reaches its limit, and why it is not told, if so."""
+    _, _, _, change, _ = table_row(reading, watched)
+    limit = watched.limits.get(reading.name)
+    said = [f"In an hour {change}." if reading.told and change[:1].strip("–") else ""]
+    said.append("" if limit is None else f"Limit {limit_words(limit, reading.unit)}.")
+    said.append(f"Not told now: {reading.why_not}." if not reading.told else "")
+    said.append("Grey: not told." if grey else "")
+    return " ".join(filter(None, said))
+
+
+def _not_told(watched: Watched, panels: Sequence[Panel | LeftOut]) -> list[str]:
+    never = {panel.title: panel.reason for panel in panels if isinstance(panel, LeftOut)}
+    rows: list[Row] = [
+        [COEFFICIENTS[reading.name].words, reading.why_not]
+        for reading in known(watched)
+        if not reading.told or capital(COEFFICIENTS[reading.name].words) in never
+    ]
+    if not rows:
+        return []
+    offer, said = watched.offer, offered(watched)
+    spec = [] if offer is None else [page.collapsed("The offered experiment", page.as_yaml(offer.spec))]
+    return [page.table(["coefficient", "why it is not told"], rows), *([page.paragraph(said)] if said else []), *spec]
+
+
+_METHOD = (
+    "The samples are read in blocks of a few seconds. Each block's residuals of the model are weighed against what each known"
+    " departure would change; that gives a score and its information, which add up over blocks. A change is noticed where a sum"
+    " over the last seconds to an hour exceeds what chance gives once in the mean time between false alarms, all departures and"
+    " times together, with the scatter of blocks as the healthy rig has it. What is noticed is diagnosed against the healthy"
+    " rig on the samples since its onset. The coefficients are fitted together, linearly around the model, to the last blocks;"
+    " their intervals come from the same scatter and contain no error that the whole model has."
+)
+"""How the result is reached."""

@@ -1,0 +1,188 @@
+"""The sentences of a monitor's report."""
+
+import math
+from collections.abc import Mapping
+from datetime import datetime, timedelta
+from typing import NamedTuple
+
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.monitoring.health import FoundChange, State
+from ehls_ros.experiments.monitoring.limits import NORMAL_95, Reach
+from ehls_ros.experiments.monitoring.replay import Watched
+from ehls_ros.physics.rig import Rig
+from ehls_ros.report.diagnosis_findings import STAGE_NAMES, capital, words
+from ehls_ros.report.diagnosis_findings import fitted as fitted_parameter
+from ehls_ros.report.diagnosis_units import after, likely, percent, quantity, unit_for, value
+from ehls_ros.report.identification_findings import written
+from ehls_ros.report.page import MISSING_NUMBER, listed, number, signed
+
+MINUTE, HOUR, DAY, YEAR = 60.0, 3600.0, 86400.0, 8766.0 * 3600.0
+
+IN_SECONDS, IN_MINUTES = 10.0 * MINUTE, 2.0 * HOUR
+"""Longest times that are shown in seconds and in minutes [s]."""
+
+NOT_SEEN, NOT_YET = "nothing that is recorded depends on it", "nothing is judged yet"
+"""Why a coefficient has no reading at all."""
+
+MOST_SAID = 2
+"""Most changes that the head line has in full."""
+
+
+class Clock(NamedTuple):
+    """How times on the monitor's axis are said.
+
+    Attributes:
+        zero: the wall time at which the axis is 0; None: times are said from there.
+    """
+
+    zero: datetime | None = None
+
+    def said(self, seconds: float) -> str:
+        """Return a time in words."""
+        if self.zero is not None:
+            return f"{self.zero + timedelta(seconds=seconds):%Y-%m-%d %H:%M:%S}"
+        return duration(seconds)
+
+
+FROM_ZERO = Clock()
+"""Times are said from the beginning."""
+
+
+def duration(seconds: float) -> str:
+    """Write a time with its unit."""
+    for longest, unit, symbol in ((IN_SECONDS, 1.0, "s"), (IN_MINUTES, MINUTE, "min"), (2.0 * DAY, HOUR, "h")):
+        if abs(seconds) <= longest:
+            return f"{number(seconds / unit)} {symbol}"
+    return f"{number(seconds / DAY)} days"
+
+
+def answer(watched: Watched, clock: Clock = FROM_ZERO) -> tuple[str, bool | None]:
+    """Return the rig's health in a sentence, and whether no change shows; None where nothing was judged."""
+    health = watched.health
+    if health.active:
+        said = [change_sentence(change, watched.rig, clock) for change in health.active[:MOST_SAID]]
+        more = len(health.active) - MOST_SAID
+        return f"{'. '.join(said)}{f'. {more} more changes show' if more > 0 else ''}.", False
+    if not health.watched or health.state in {State.LEARNING, State.IDLE}:
+        reason = health.reason or f"the monitor still learns how the rig scatters, of {duration(health.time)} that it has"
+        return f"Nothing is judged: {reason}.", None
+    past = [change for change in health.changes if not change.active]
+    cleared = f" {len(past)} that showed before are gone." if past else ""
+    return f"No change shows in {duration(health.watched)} against {health.baseline}.{cleared}", True
+
+
+def change_sentence(change: FoundChange, rig: Rig, clock: Clock) -> str:
+    """Say what changed, by how much, since when and how sure that is.
+
+    Args:
+        change: the change.
+        rig: the healthy rig, whose values sizes are measured by.
+        clock: how times are said.
+    """
+    since = f"since {clock.said(change.since)}"
+    if math.isfinite(change.earliest) and change.latest > change.earliest:
+        since += f" (between {clock.said(change.earliest)} and {clock.said(change.latest)})"
+    elif not math.isfinite(change.earliest):
+        since = f"since {clock.said(change.latest)} or earlier"
+    if not change.causes:
+        depends = f", it depends on {listed([quantity(s) for s in change.depends_on])}" if change.depends_on else ""
+        stage = STAGE_NAMES.get(change.stage, change.stage)  # type: ignore[call-overload]
+        return f"The {stage} has changed {since}, the cause unknown{depends}"
+    cause = change.causes[0]
+    sizes = listed([_size(cause.name, name, e, rig) for name, e in cause.parameters.items()])
+    alike = f"; {listed([words(name).noun for name in cause.equivalent_to])} would look the same" if cause.equivalent_to else ""
+    return f"{capital(words(cause.name).noun)} changed {since}: {sizes}, probability {likely(cause.probability)}{alike}"
+
+
+def _size(effect: str, parameter: str, e: Estimate, rig: Rig) -> str:
+    """Write a parameter with its 95 % interval, and where it adds to a coefficient, to how many times its value that leads."""
+    text = f"{parameter} {fitted_parameter(effect, parameter, e._replace(std=NORMAL_95 * e.std))}"
+    added = (c for c in COEFFICIENTS.values() if (c.effect, c.parameter) == (effect, parameter) and c.coefficient)
+    found = next((c for c in added if not c.relative), None)
+    given = 0.0 if found is None else found.given(rig)
+    if found is None or not given:
+        return text
+    factor = written(1.0 + e.value / given, NORMAL_95 * e.std / abs(given))
+    return f"{text}, {found.words} {factor.value} ± {factor.error} times the rig file's"
+
+
+def false_alarms(hours: float) -> str:
+    """Say what the rate of false alarms means."""
+    a_year = YEAR / HOUR / hours
+    often = f"{number(a_year, 2)} a year" if a_year >= 1.0 else f"one in {number(1.0 / a_year, 2)} years"
+    return (
+        f"The rate is set to {number(hours)} h: of a healthy rig that runs day and night, a change is noticed falsely at most"
+        f" {often} on average. What is noticed is diagnosed, and named only if the diagnosis finds it too."
+    )
+
+
+def outside(share: float) -> str:
+    """Say what lies outside the baseline."""
+    if share <= 0.0:
+        return "All of the last minute lay within what the baseline covers."
+    return (
+        f"{percent(share)} of the last minute lay outside what the baseline covers, such as a load or speed that it never had:"
+        " there nothing is judged."
+    )
+
+
+def known(watched: Watched) -> list[Reading]:
+    """Return the coefficients at the end, those that have no reading at all with that reason."""
+    there = {reading.name: reading for reading in watched.health.readings}
+    why_not = NOT_SEEN if there else NOT_YET
+    return [
+        there.get(name) or Reading(name, coefficient.given(watched.rig), math.inf, "", why_not)
+        for name, coefficient in COEFFICIENTS.items()
+    ]
+
+
+def told_words(reading: Reading) -> str:
+    """Write a reading with its 95 % interval."""
+    unit = unit_for(reading.unit, abs(reading.value))
+    text = written(unit.factor * reading.value, unit.factor * NORMAL_95 * reading.deviation)
+    return f"{text.value} ± {text.error}{after(unit)}"
+
+
+HEADER = ("coefficient", "value, 95 %", "rig file", "change in an hour", "limit")
+"""Columns of the table of coefficients."""
+
+
+def table_row(reading: Reading, watched: Watched) -> list[str]:
+    """Return the texts of a coefficient's row in the table."""
+    coefficient = COEFFICIENTS[reading.name]
+    if not reading.told:
+        return [coefficient.words, f"not told: {reading.why_not}", "", "", ""]
+    given = value(coefficient.given(watched.rig), reading.unit)
+    rate = watched.health.rates.get(reading.name)
+    limit = watched.limits.get(reading.name)
+    unit = unit_for(reading.unit, abs(reading.value))
+    change = MISSING_NUMBER
+    if rate is not None:
+        change = f"{signed(unit.factor * rate.value, 2)} ± {number(NORMAL_95 * unit.factor * rate.std, 2)}{after(unit)}"
+    return [coefficient.words, told_words(reading), given, change, "" if limit is None else limit_words(limit, reading.unit)]
+
+
+def limit_words(found: Reach, unit: str) -> str:
+    """Say when a limit is reached."""
+    limit = value(found.limit, unit)
+    if found.why_not:
+        return f"{limit}: time not told, {found.why_not}"
+    if found.hours <= 0.0:
+        return f"{limit}: reached"
+    likeliest, earliest, latest = (duration(hours * HOUR) for hours in (found.hours, found.earliest, found.latest))
+    return f"{limit}: in {likeliest} (95 %: {earliest} to {latest})"
+
+
+def offered(watched: Watched) -> str:
+    """Say which experiment tells what is not told; empty where there is none."""
+    offer = watched.offer
+    if offer is None:
+        return ""
+    names: Mapping[str, str] = {name: COEFFICIENTS[name].words for name in offer.tells}
+    often = "" if offer.repeats == 1 else f", run {offer.repeats} times"
+    takes = f"{offer.purpose}, {duration(offer.seconds)}{often}"
+    return (
+        f"The shortest experiment that tells {listed(list(names.values()))}: `{offer.name}`, {takes}, as simulated on the"
+        " healthy rig."
+    )

@@ -1,0 +1,125 @@
+"""Recordings watched as if the rig ran."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import yaml
+
+from ehls_ros.experiments.monitoring import offer as offers
+from ehls_ros.experiments.monitoring import replay as replaying
+from ehls_ros.experiments.monitoring.health import State
+from ehls_ros.experiments.monitoring.offer import offer
+from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.monitoring.replay import Part, Watched, replay
+from ehls_ros.experiments.spec import load_rig
+from ehls_ros.trajectory import Trajectory
+from truth_generator import record
+
+RIG = Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml"
+SECONDS, LEARNT, ONSET = 85.0, 30.0, 50.0
+EFFECT, PARAMETER, SIZE = "valve_gain_shift", "gain", 0.75
+IN_TIME = LEARNT
+"""Time after the onset within which a change has to be named [s]: what told the healthy rig tells the changed one."""
+
+
+class Made(NamedTuple):
+    """A recording whose valve changes in its middle, and what was made of it."""
+
+    trajectory: Trajectory
+    watched: Watched
+    told: list
+
+
+def watch(parts, **options):
+    told = []
+    rig = load_rig(RIG)
+    parameters = Parameters(learning_time=LEARNT, reading_time=10.0)
+    chosen = {"baselines": {}, "limits": {}, "progress": lambda *_: None, "tell": told.append} | options
+    return replay(parts, rig, parameters, **chosen), told
+
+
+@pytest.fixture(scope="module")
+def made() -> Made:
+    mapping = yaml.safe_load(RIG.read_text())
+    well, worn = (record(mapping, effects, "rich", seed=4, duration=SECONDS) for effects in ({}, {EFFECT: {PARAMETER: SIZE}}))
+    first = int(np.searchsorted(well.time, ONSET))
+    signals = {name: np.concatenate([values[:first], worn.columns[name][first:]]) for name, values in well.columns.items()}
+    trajectory = Trajectory(well.time, signals)
+    return Made(trajectory, *watch([Part("axis", trajectory)], limits={"valve_gain": 0.5}))
+
+
+def test_a_hidden_change_is_named_in_time_with_its_size_and_onset(made):
+    [change] = made.watched.health.changes
+    assert change.name == EFFECT
+    assert ONSET < change.noticed <= change.named < ONSET + IN_TIME
+    assert abs(change.since - ONSET) < 5.0
+    found = change.causes[0].parameters[PARAMETER]
+    assert found.value == pytest.approx(SIZE, abs=5.0 * found.std)
+    assert found.std < 0.05 * abs(SIZE)
+
+
+def test_nothing_is_noticed_while_the_rig_is_healthy(made):
+    assert [event.kind for event in made.told if event.time < ONSET] == ["learnt", "watching"]
+    assert made.told == list(made.watched.events)
+    assert made.watched.health.state == State.WATCHING
+
+
+def test_the_coefficients_are_tracked_with_intervals(made):
+    before = [past for past in made.watched.history if past.time < ONSET]
+    assert len(before) >= 1
+    friction = load_rig(RIG).friction
+    for past in before:
+        [reading] = [one for one in past.readings if one.name == "coulomb_force"]
+        assert reading.told
+        assert reading.value == pytest.approx(friction.coulomb_force, abs=6.0 * reading.deviation + 2.0)
+    assert set(made.watched.limits) == {"valve_gain"}
+
+
+class Listening:
+    """Stands in for the monitor, and keeps what it is given."""
+
+    def __init__(self, *_):
+        self.given, self.interrupts, self.history = [], [], ()
+        Listening.last = self
+
+    def add(self, time_s, signals):
+        assert all(len(values) == len(time_s) for values in signals.values())
+        self.given.append(time_s)
+        return []
+
+    def interrupt(self):
+        self.interrupts.append(sum(map(len, self.given)))
+
+    def close(self):
+        pass
+
+    def health(self):
+        return replaying.Health(0.0, State.IDLE, "", (), (), 0.0, "", 0.0, {})
+
+
+def test_what_was_not_driven_is_not_given_and_begins_a_new_stretch(made, monkeypatch):
+    monkeypatch.setattr(replaying, "Monitor", Listening)
+    whole = made.trajectory
+    short = Trajectory(whole.time_s[:3000] + 100.0, {name: values[:3000] for name, values in whole.signals.items()})
+    watched, _ = watch([Part("one", short, ((100.9995, 101.9995),)), Part("two", short)])
+    times = np.concatenate(Listening.last.given)
+    assert len(times) == 2000 + 3000
+    assert np.all(np.diff(times) > 0.0)
+    # At the begin of each recording, and where driving ended.
+    assert Listening.last.interrupts == [0, 1000, 2000]
+    one, two = watched.stretches
+    assert (one.begin, one.end, one.not_driven) == pytest.approx((0.0, 2.999, 1.0))
+    assert two.begin == times[2000] > one.end
+    assert two.not_driven == 0.0
+
+
+def test_the_shortest_experiment_that_tells_the_rest_is_offered(monkeypatch):
+    few = ("pressure_staircase", "velocity_sweep")
+    monkeypatch.setattr(offers, "CATALOGUE", {name: offers.CATALOGUE[name] for name in few})
+    rig = load_rig(RIG)
+    found = offer(["coulomb_force"], rig)
+    assert (found.name, found.tells) == ("velocity_sweep", ("coulomb_force",))
+    assert found.seconds == found.repeats * found.spec["duration"]
+    assert offer([], rig) is None
