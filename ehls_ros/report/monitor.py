@@ -10,7 +10,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
 from ehls_ros.experiments.monitoring.health import Event, FoundChange
 from ehls_ros.experiments.monitoring.limits import NORMAL_95
-from ehls_ros.experiments.monitoring.monitor import Past
+from ehls_ros.experiments.monitoring.remembered import Past
 from ehls_ros.experiments.monitoring.replay import Watched
 from ehls_ros.report import page
 from ehls_ros.report.diagnosis_findings import capital

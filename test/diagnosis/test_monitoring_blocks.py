@@ -10,13 +10,12 @@ from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.monitoring.blocks import scores, telling
 from ehls_ros.diagnosis.monitoring.directions import directions
 from ehls_ros.diagnosis.monitoring.held import FRICTION
-from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, readings, tracked
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, WANTED, readings, tracked
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import setup
 from ehls_ros.trajectory import Trajectory
 
 SECONDS = 20.0
-WANTED = {(c.effect, c.parameter) for c in COEFFICIENTS.values()}
 
 
 def compared(rig, recording, begin=0.0, end=SECONDS) -> Evidence:

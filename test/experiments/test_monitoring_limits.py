@@ -11,7 +11,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.monitoring.limits import check_limits, drifting, jumped, reach, reaches
-from ehls_ros.experiments.monitoring.monitor import Past
+from ehls_ros.experiments.monitoring.remembered import Past
 from ehls_ros.experiments.spec import load_rig
 
 NAME = "leakage_coefficient"

@@ -14,9 +14,9 @@ from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.monitoring.examination import FoundCause
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, State
 from ehls_ros.experiments.monitoring.limits import Reach
-from ehls_ros.experiments.monitoring.monitor import Past
 from ehls_ros.experiments.monitoring.offer import Offer
 from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.monitoring.remembered import Past
 from ehls_ros.experiments.monitoring.replay import Stretch, Watched
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.report.monitor import daily_report, write_monitor_report

@@ -84,6 +84,10 @@ COEFFICIENTS: Mapping[str, Tracked] = {
 """The coefficients that are tracked, by the names that topic, file and page give them."""
 
 
+WANTED = frozenset((coefficient.effect, coefficient.parameter) for coefficient in COEFFICIENTS.values())
+"""Effects and parameters that depart with a coefficient: these are followed in any case."""
+
+
 class Reading(NamedTuple):
     """What the last blocks say of a coefficient.
 

@@ -10,7 +10,8 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.estimate import Estimate
-from ehls_ros.experiments.monitoring.monitor import RATES, Past
+from ehls_ros.experiments.monitoring.monitor import RATES
+from ehls_ros.experiments.monitoring.remembered import Past
 from ehls_ros.physics.rig import Rig
 
 NORMAL_95 = 1.959964

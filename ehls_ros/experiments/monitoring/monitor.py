@@ -20,7 +20,7 @@ from ehls_ros.diagnosis.monitoring.blocks import Scores, scores, telling
 from ehls_ros.diagnosis.monitoring.change_test import Change, ChangeTest
 from ehls_ros.diagnosis.monitoring.directions import Direction, directions
 from ehls_ros.diagnosis.monitoring.healthy import Healthy, learn, scattering
-from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading, readings, tracked
+from ehls_ros.diagnosis.monitoring.tracking import WANTED, Reading, readings, tracked
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import CHANNELS, setup
 from ehls_ros.errors import BadInput
@@ -50,9 +50,6 @@ MORE = 1.5
 
 SETTLED = 60.0
 """Time after which a change of the scores that no diagnosis confirms is taken for an operating point of its own [s]."""
-
-WANTED = frozenset((coefficient.effect, coefficient.parameter) for coefficient in COEFFICIENTS.values())
-"""Departures that are followed in any case: those of the coefficients."""
 
 LEARNT_ON = 24
 """Blocks without a change after which their scatter is learnt as well."""

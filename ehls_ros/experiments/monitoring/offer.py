@@ -13,9 +13,9 @@ import numpy as np
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import gather
-from ehls_ros.diagnosis.monitoring.blocks import scores
+from ehls_ros.diagnosis.monitoring.blocks import scores, telling
 from ehls_ros.diagnosis.monitoring.directions import directions
-from ehls_ros.diagnosis.monitoring.tracking import readings, tracked
+from ehls_ros.diagnosis.monitoring.tracking import WANTED, readings, tracked
 from ehls_ros.diagnosis.record import USED, prepare
 from ehls_ros.diagnosis.stages import setup
 from ehls_ros.errors import BadInput, WorkFailed
@@ -77,10 +77,11 @@ def _rated(name: str, missing: Collection[str], rig: Rig) -> Offer | None:
         return None
     if not evidence.channels:
         return None
-    found = directions(evidence)
+    evidence = telling(evidence)
+    found = directions(evidence, WANTED)
     numbers = tracked(found)
     own = [found[number] for number in numbers.values()]
-    said = scores(evidence, own)
+    [said] = scores(evidence, own, range(len(own)), [0.0])
     scatter = np.full(len(own), rules.LEARNT_SCATTER)
     places = {name: place for place, name in enumerate(numbers)}
     wanted, before = set(missing), set[str]()

@@ -14,9 +14,10 @@ from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagn
 from ehls_ros.experiments.monitoring.examination import AtOnce
 from ehls_ros.experiments.monitoring.health import Event, Health
 from ehls_ros.experiments.monitoring.limits import Reach, drifting, reaches
-from ehls_ros.experiments.monitoring.monitor import Monitor, Past
+from ehls_ros.experiments.monitoring.monitor import Monitor
 from ehls_ros.experiments.monitoring.offer import Offer, offer
 from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.monitoring.remembered import Past
 from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import Rig
 from ehls_ros.progress import Update
