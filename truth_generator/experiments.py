@@ -15,6 +15,7 @@ from scipy.signal import bilinear, lfilter
 
 Rng = np.random.Generator
 TICK = 1.0e-3  # s, of the control
+LEADING_OVER = 2000  # ticks in which an experiment leads over into the next
 # The paper's constant velocities, mm/s.
 SPEEDS = (2, 3, 4, 6, 8, 10, 12, 14, 16, 20, 25, 30, 45, 60, 75, 90, 105, 120, 135, 150)
 
@@ -316,3 +317,40 @@ def random(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
     v, _ = rates(x)
     over = max(np.abs(x).max() / 0.15, np.abs(v).max() / 0.4, 1.0)
     return from_force(weight + force / over, fd / over, rig, servo)
+
+
+def planned(name: str, rng: Rng, t: np.ndarray, rig: dict) -> Plan:
+    """Plan an experiment, or several in turn with the same kind of loop, joined by `+`: each leads over into the next.
+
+    Raises:
+        KeyError: unknown experiment.
+        ValueError: experiments under force control and under position control in one run.
+    """
+    names = name.split("+")
+    if len(names) == 1:
+        return EXPERIMENTS[name](rng, t, rig)
+    edges = np.round(np.linspace(0, t.size, len(names) + 1)).astype(int)
+    whole: Plan | None = None
+    for one, first, last in zip(names, edges[:-1], edges[1:], strict=True):
+        begin = max(first - LEADING_OVER, 0)
+        plan = EXPERIMENTS[one](rng, t[: last - begin], rig)
+        whole = plan if whole is None else _followed(whole, plan, first - begin)
+    return whole
+
+
+def _followed(before: Plan, after: Plan, over: int) -> Plan:
+    """Return a plan led over into another one within its last ticks."""
+    if (before.w_force, before.w_position) != (after.w_force, after.w_position):
+        raise ValueError("one run is under force control or under position control, not both")
+    share = np.linspace(0.0, 1.0, over)
+    share = share * share * (3.0 - 2.0 * share)
+
+    def joined(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.concatenate([a[:-over], a[-over:] + share * (b[:over] - a[-over:]), b[over:]])
+
+    signals = {key: joined(getattr(before, key), getattr(after, key)) for key in ("force", "position", "disturbance", "servo")}
+    recorded = before.servo_recorded or after.servo_recorded
+    speed = rates(signals["position"])[0]
+    return Plan(
+        **signals, speed=speed, w_force=before.w_force, w_position=before.w_position, x0=before.x0, servo_recorded=recorded
+    )

@@ -681,16 +681,52 @@ def control(dt, k, seen, f_ref, x_ref, v_ref, memory, p):
 
 
 @nb.njit(cache=True)
+def ticks_of(delay, dt):
+    """Return a delay as whole ticks and a rest."""
+    whole = int(delay / dt + 1.0e-9)
+    part = max(delay - whole * dt, 0.0)
+    return whole, part if part >= 1.0e-9 else 0.0
+
+
+@nb.njit(cache=True)
+def become(y, before, now, target, plays, sensor_memory):
+    """Give the states that meant nothing before a change of the rig the values with which nothing jumps."""
+    if before.p_lag == 0.0:
+        y[PM] = y[PL]
+    if before.droop + before.droop_square == 0.0:
+        y[PS] = before.supply
+    if before.hose == 0.0:
+        y[ZH] = y[PL]
+    if before.creep == 0.0:
+        y[ZS] = y[X]
+    if before.second_rate == 0.0:
+        y[WV] = 0.0
+    if before.play == 0.0:
+        plays[:] = target / before.valve_gain
+    if before.p_play == 0.0:
+        sensor_memory[0] = y[PL]
+    if before.two_body == 0.0 and now.two_body != 0.0:
+        y[XB], y[VB] = y[X], y[V]
+        force = now.area * y[PL]
+        if now.load_on_second != 0.0:  # the hinge carries the load
+            y[XB] -= force / now.second_stiffness + math.copysign(0.5 * now.gap, force)
+        else:
+            y[XB] -= now.second_share * now.mass * now.gravity / now.second_stiffness
+
+
+@nb.njit(cache=True)
 def simulate(  # noqa: PLR0912 - the loop is the algorithm
-    p, y, modes, dt, f_ref, x_ref, v_ref, fd, servo, hold, control_noise, zero, held,
+    rigs, begins, y, modes, dt, f_ref, x_ref, v_ref, fd, servo, hold, control_noise, zero, held,
     at, noise, same_times, signals, commands, disturbances, displacements, states,
 ):  # fmt: skip
     """Run an experiment; return the number of control ticks completed.
 
+    rigs, begins: what the rig is, and from which tick on, the first 0.
     At the control's ticks, one tick longer than the run: f_ref, x_ref, v_ref, fd, servo, zero, held; also control_noise.
     at: times of the recording's samples, with sample_noise; same_times: whether they are the ticks. The rest is output.
     """
     n_ticks = f_ref.size - 1
+    p, piece = rigs[0], 0
     n = N_BASE + int(p.n_elements)
     history = np.empty((n_ticks + 1, N_CHANNELS))
     u = np.empty(n_ticks)
@@ -698,15 +734,17 @@ def simulate(  # noqa: PLR0912 - the loop is the algorithm
     marked = np.zeros(N_ELEMENTS, np.int64)
     seen, now, last, last_recorded = np.zeros(N_CHANNELS), np.zeros(N_CHANNELS), np.zeros(N_CHANNELS), np.zeros(N_CHANNELS)
     force_memory, sensor_memory, plays = np.zeros(2), np.zeros(2), np.zeros(N_PLAYS)
-    whole = int(p.command_delay / dt + 1.0e-9)
-    part = max(p.command_delay - whole * dt, 0.0)
-    if part < 1.0e-9:
-        part = 0.0
+    whole, part = ticks_of(p.command_delay, dt)
     h, row, spool_free = 2.0e-4, 0, True
     sensor_memory[0], sensor_memory[1] = y[PL], p.area * y[PL]
     target = spool_target(0.0, 0.0, plays, p)
     for k in range(n_ticks):
         t, end = k * dt, (k + 1) * dt
+        while piece + 1 < begins.size and k >= begins[piece + 1]:
+            piece += 1
+            become(y, p, rigs[piece], target, plays, sensor_memory)
+            p = rigs[piece]
+            whole, part = ticks_of(p.command_delay, dt)
         true_signals(t, y, p, history[k])
         sense(t, dt, k, history, history[k], p, control_noise[k], zero[k], held[k], sensor_memory, last, seen)
         u[k] = control(dt, k, seen, f_ref, x_ref, v_ref, force_memory, p)

@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from . import kernel
 from .effects import EFFECTS, LISTED, Effect, Sizes, hang, wander
-from .experiments import EXPERIMENTS, TICK, Plan
+from .experiments import TICK, Plan, planned
 from .forms import Day, FormErrors
 from .other_forms import OTHER_FORMS
 
@@ -148,6 +148,15 @@ def effect_of(name: str, given: Sizes) -> tuple[Effect, Sizes]:
     return effect, effect.neutral | given
 
 
+def _grown(healthy: np.ndarray, effects: Mapping[str, Sizes]) -> np.ndarray:
+    """Return the kernel's record of a rig with effects."""
+    p = healthy.copy()
+    for name, given in effects.items():
+        effect, sizes = effect_of(name, given)
+        effect.apply(p[0], sizes)
+    return p
+
+
 def start(p: np.ndarray, plan: Plan, rig: Mapping[str, Any]) -> np.ndarray:
     """Return the initial state: at rest with the nominal load in balance."""
     y = np.zeros(kernel.N_BASE + int(p["n_elements"]))
@@ -180,13 +189,14 @@ def record(
     forms: FormErrors | None = None,
     day: Day | None = None,
     disturbed: bool = True,
+    growth: Sequence[tuple[float, Mapping[str, Sizes]]] = (),
 ) -> Recording:
     """Run an experiment on a rig with hidden effects.
 
     Args:
         rig: content of the rig file.
         effects: sizes by the effects' names, as `draw_effect` and `draw_other_form` give them; sizes left out are neutral.
-        experiment: name in `EXPERIMENTS`.
+        experiment: name in `EXPERIMENTS`, or several in turn, joined by `+`, as `planned` takes them.
         seed: of the experiment, the noise and random effects; noise and experiment do not depend on the effects.
         duration: duration, s.
         rate: sampling rate of the recording, 1/s; the control always runs at 1 kHz.
@@ -198,6 +208,7 @@ def record(
         forms: how the rig differs from every model; by default it is the rig file's model.
         day: its condition, which varies without any fault; by default the rig file's.
         disturbed: whether a disturbance force acts; without it the same motion takes another force.
+        growth: other sizes of effects, each from a time on, s, in the order of the times; no random effects.
 
     Raises:
         KeyError: unknown experiment or effect.
@@ -209,7 +220,7 @@ def record(
     chance, noise_of, plan_of = (np.random.default_rng(s) for s in seeds)
     n_ticks = max(round(duration / TICK), 1)
     ticks = TICK * np.arange(n_ticks + 1)
-    plan = EXPERIMENTS[experiment](plan_of, ticks, rig)
+    plan = planned(experiment, plan_of, ticks, rig)
     if not disturbed:
         plan.force, plan.disturbance = plan.force - plan.disturbance, np.zeros(n_ticks + 1)
 
@@ -223,6 +234,7 @@ def record(
         truth["forms"] = {stage: {"kinds": list(forms.kinds[stage]), "size": size} for stage, size in forms.sizes.items()}
     if day is not None:
         day.apply(p[0])
+    healthy = p.copy()
     if {"hinge_backlash", "flexible_mode"} <= set(effects):
         raise ValueError("hinge_backlash and flexible_mode: there is one second body, not two")
     for name, given in effects.items():
@@ -239,9 +251,11 @@ def record(
         truth["near"][name] = list(effect.near)
         if name not in LISTED:
             truth["outside"].append(name)
-    p["w_force"], p["w_position"] = plan.w_force, plan.w_position
+    rigs = np.concatenate([p, *(_grown(healthy, sizes) for _, sizes in growth)])
+    begins = np.array([0, *(round(time / TICK) for time, _ in growth)], np.int64)
+    rigs["w_force"], rigs["w_position"] = plan.w_force, plan.w_position
     for name, channel in CHANNELS.items():
-        p["noise_std"][0, channel], p["resolution"][0, channel] = (noise * value for value in sensor(rig, name))
+        rigs["noise_std"][:, channel], rigs["resolution"][:, channel] = (noise * value for value in sensor(rig, name))
 
     n = math.floor(n_ticks * TICK * rate + 1e-6)
     at = np.arange(n) / rate
@@ -253,7 +267,7 @@ def record(
     y = start(p[0], plan, rig)
     states = np.empty((n if internals else 0, y.size))
     done = kernel.simulate(
-        p[0], y, np.zeros(kernel.N_ELEMENTS, np.int64), TICK,
+        rigs, begins, y, np.zeros(kernel.N_ELEMENTS, np.int64), TICK,
         plan.force, plan.position, plan.speed, plan.disturbance, plan.servo, hold, control_noise, zero, held,
         at, sample_noise, same, signals, command, disturbance, displacement, states,
     )  # fmt: skip
