@@ -1,10 +1,13 @@
 """Latency and missed cycles of the graph on a rig behind UDP, compared with an empty rclpy echo at the same rate.
 
-usage: bridge_timing.py [--seconds 60] [--rounds 1] [--controller fasmc_output_feedback]
+usage: bridge_timing.py [--seconds 60] [--rounds 1] [--controller fasmc_output_feedback] [--monitor]
 
 Each node is a process, over Fast DDS; the rig is `ehls rig-emulator` at 1 kHz on its own clock. A round is echo, graph, echo,
 so that both see the same state of the machine. The echo is the round trip of one small, reliable message per millisecond
 between two processes with rclpy's events executor, at the nodes' realtime priority.
+
+With --monitor, each round runs the graph twice, with and without `monitor_node`, in alternating order; the last line says what
+the monitor itself took.
 """
 
 import argparse
@@ -15,7 +18,10 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import rclpy
@@ -29,7 +35,7 @@ from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import load_spec
 from ehls_ros.hardware.realtime import claim, exact_wake_ups
-from ehls_ros.nodes.graph import REALTIME_PRIORITY, Plant, graph_environment, run_graph
+from ehls_ros.nodes.graph import REALTIME_PRIORITY, Plant, graph_environment, node_processes, run_graph
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.trajectory import Trajectory
 
@@ -73,8 +79,20 @@ def echo() -> np.ndarray:
     return np.array([float(trip) for trip in asking.stdout.split()])
 
 
-def graph(seconds: float, controller: str) -> Trajectory:
-    """Run the graph on the emulated rig and return its recording."""
+class Cost(NamedTuple):
+    """What a process took.
+
+    Attributes:
+        share: of a processor.
+        memory: resident at the end [MiB].
+    """
+
+    share: float
+    memory: float
+
+
+def graph(seconds: float, controller: str, watched: bool = False) -> tuple[Trajectory, Cost | None]:
+    """Run the graph on the emulated rig and return its recording, and what the monitor took if there was one."""
     spec = load_spec(SPEC)
     spec = spec._replace(
         settings=spec.settings._replace(duration=seconds), controller=spec.controller._replace(name=controller)
@@ -86,11 +104,33 @@ def graph(seconds: float, controller: str) -> Trajectory:
         with tempfile.TemporaryDirectory() as folder:
             run_folder = RunFolder.create(Path(folder) / "run", "bridge", overwrite=True)
             run_folder.write_spec(spec)
-            run_graph(spec, run_folder, "realtime", "mcap", plant=Plant("bridge"))
-            return read_bag(run_folder.bag)
+            with _monitor(Path(folder)) if watched else nullcontext() as process:
+                run_graph(spec, run_folder, "realtime", "mcap", plant=Plant("bridge"))
+                cost = None if process is None else _cost(process.pid)
+            return read_bag(run_folder.bag), cost
     finally:
         emulator.send_signal(signal.SIGINT)
         emulator.wait(20)
+
+
+@contextmanager
+def _monitor(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a monitor beside the graph that comes up."""
+    environment = graph_environment()
+    os.environ["ROS_DOMAIN_ID"] = environment["ROS_DOMAIN_ID"]
+    own = {"monitor_node": {"spec": str(SPEC), "folder": str(folder / "monitor"), "learning_time": 30.0}}
+    with node_processes(["monitor_node"], own, folder, environment) as [running]:
+        yield running.process
+
+
+def _cost(process: int) -> Cost:
+    """Return what a process has taken since it began to wait for the rig."""
+    stat = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    ticks = os.sysconf("SC_CLK_TCK")
+    lived = float(Path("/proc/uptime").read_text(encoding="utf-8").split()[0]) - float(stat[19]) / ticks
+    status = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
+    memory = next(line.split()[1] for line in status.splitlines() if line.startswith("VmRSS"))
+    return Cost((float(stat[11]) + float(stat[12])) / ticks / lived, float(memory) / 1024.0)
 
 
 def main() -> None:
@@ -99,6 +139,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="length of each run of the graph")
     parser.add_argument("--rounds", type=int, default=1, help="rounds of echo, graph, echo")
     parser.add_argument("--controller", default="fasmc_output_feedback", help="control law")
+    parser.add_argument("--monitor", action="store_true", help="run each round with and without monitor_node")
     parser.add_argument("--be", choices=("echo", "asker"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.be:
@@ -109,19 +150,29 @@ def main() -> None:
     print("                                     p50      p99    p99.9      max  [us]")
     for number in range(options.rounds):
         before = echo()
-        trajectory = graph(options.seconds, options.controller)
-        after = echo()
-        metrics = evaluate(trajectory)
-        response = trajectory["response_s"]
-        answered = response[np.isfinite(response)]
-        floor = np.concatenate([before, after])
-        lost = int(np.sum(~np.isfinite(trajectory["force_n"])))
-        print(f"{number + 1} snapshot to command             {percentiles(answered)}")
-        print(f"  empty rclpy echo, round trip    {percentiles(floor)}")
-        ratios = np.percentile(answered, [50, 99]) / np.percentile(floor, [50, 99])
-        print(f"  ratio {ratios[0]:.2f} at p50, {ratios[1]:.2f} at p99; {metrics.missed_cycles} of {metrics.cycles} cycles")
-        print(f"  unanswered ({100 * metrics.missed_cycles / metrics.cycles:.2f} %), {lost} snapshots lost in the bag,")
-        print(f"  largest error in the last half {metrics.max_error_n:.0f} N")
+        kinds = [False, True] if options.monitor else [False]
+        runs = [(watched, *graph(options.seconds, options.controller, watched)) for watched in kinds[:: (-1) ** number]]
+        floor = np.concatenate([before, echo()])
+        for watched, trajectory, cost in sorted(runs, key=lambda run: run[0]):
+            tell(f"{number + 1} snapshot to command" + (", monitored" if watched else ""), trajectory, floor)
+            if cost is not None:
+                print(
+                    f"  the monitor took {100 * cost.share:.1f} % of a processor, its start included, and {cost.memory:.0f} MiB"
+                )
+        print(f"  empty rclpy echo, round trip      {percentiles(floor)}")
+
+
+def tell(what: str, trajectory: Trajectory, floor: np.ndarray) -> None:
+    """Print the latency of a run beside the echo's round trips [s]."""
+    metrics = evaluate(trajectory)
+    response = trajectory["response_s"]
+    answered = response[np.isfinite(response)]
+    lost = int(np.sum(~np.isfinite(trajectory["force_n"])))
+    print(f"{what:34s}{percentiles(answered)}")
+    ratios = np.percentile(answered, [50, 99]) / np.percentile(floor, [50, 99])
+    print(f"  ratio {ratios[0]:.2f} at p50, {ratios[1]:.2f} at p99; {metrics.missed_cycles} of {metrics.cycles} cycles")
+    print(f"  unanswered ({100 * metrics.missed_cycles / metrics.cycles:.2f} %), {lost} snapshots lost in the bag,")
+    print(f"  largest error in the last half {metrics.max_error_n:.0f} N")
 
 
 if __name__ == "__main__":
