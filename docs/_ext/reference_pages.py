@@ -324,7 +324,7 @@ def nodes_page() -> str:
                 for topic in (*topics.TOPICS, topics.MODEL_HEALTH, *topics.HANDOVER_TOPICS)
             ),
         ),
-        "## Services\n\nOf the plant node, `plant_sim_node` or `hardware_bridge_node`, of `programme_node` and `monitor_node`.\n",
+        "## Services\n\nOf the plant node (`plant_sim_node` or `hardware_bridge_node`), `programme_node`, `monitor_node`.\n",
         rows_of(("service", "type", "what it does"), services()),
         "## Parameters of every node\n",
         table(import_module("ehls_ros.nodes.control").Common),

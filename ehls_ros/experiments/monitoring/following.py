@@ -110,7 +110,7 @@ class Follower:
         self._disturbed = False
         self._drivers = list[tuple[int, str]]()
         self._driving = list[tuple[int, bool]]()
-        self._settled = -math.inf
+        self._shut = -math.inf
         self._interrupted = True
 
     # --- messages -----------------------------------------------------------------------------------
@@ -158,7 +158,11 @@ class Follower:
                 self.lost += snapshot.cycle - self._newest - 1
             self._newest = snapshot.cycle
             self._pending.append(snapshot)
-        self._emit(self._ready(), out)
+        ready = self._ready()
+        last = self._pending[ready - 1] if ready else None
+        self._emit(ready, out)
+        if last is not None:
+            self._forget(last)
         return out
 
     def _end_run(self, first: Snapshot, out: list[Stretch]) -> None:
@@ -197,7 +201,6 @@ class Follower:
         self.unanswered += sum(map(math.isnan, commands))
         none = (math.nan,) * len(DISTURBANCE_SIGNALS)
         acting = [self._disturbances.pop(row.cycle, none) for row in rows]
-        self._forget(rows[-1].cycle)
         table = np.column_stack([np.array([row.values for row in rows]), commands, acting])
         names = [*STATE_SIGNALS, COMMAND_SIGNAL, *(DISTURBANCE_SIGNALS if self._disturbed else ())]
         edges = np.flatnonzero(np.diff(driven.astype(np.int8))) + 1
@@ -215,9 +218,9 @@ class Follower:
             return np.ones(len(rows), dtype=np.bool_)
         after = [*(row.sent_ns for row in following), rows[-1].sent_ns][: len(rows)]
         drives = self._drives([row.sent_ns for row in rows]) & self._drives(after)
-        if not np.all(drives):
-            self._settled = float(time[np.flatnonzero(~drives)[-1]]) + SETTLING
-        out: NDArray[np.bool_] = drives & (time >= self._settled)
+        shut = np.maximum.accumulate(np.where(drives, self._shut, time))
+        self._shut = float(shut[-1])
+        out: NDArray[np.bool_] = drives & (time >= shut + SETTLING)
         return out
 
     def _drives(self, sent_ns: Sequence[int]) -> NDArray[np.bool_]:
@@ -247,11 +250,11 @@ class Follower:
             apart = (stamps_ns[first:] - anchor.stamp_ns) * 1e-9 - (time[first:] - anchor.time)
             first += int(np.argmax(np.abs(apart) > CLOCK_SET)) if np.any(np.abs(apart) > CLOCK_SET) else len(rows)
 
-    def _forget(self, cycle: int) -> None:
-        """Forget what came too late for its cycle."""
-        for known in (self._commands, self._disturbances):
-            for late in [other for other in known if other <= cycle]:
-                known.pop(late)
+    def _forget(self, last: Snapshot) -> None:
+        """Forget what came too late for its cycle; what comes much later is of another run."""
+        late = last.sent_ns + round(PAUSE * 1e9)
+        self._commands = {cycle: c for cycle, c in self._commands.items() if cycle > last.cycle or c[1] > late}
+        self._disturbances = {cycle: d for cycle, d in self._disturbances.items() if cycle > last.cycle}
 
     @property
     def driving(self) -> bool:
