@@ -179,12 +179,14 @@ class Follower:
 
         The newest waits in any case: whether its command reached the valve shows after it.
         """
-        patience = self._newest - math.ceil(PATIENCE / self._period)
+        if not self._pending:
+            return 0
+        patience_ns = self._pending[-1].sent_ns - round(PATIENCE * 1e9)
         for index, snapshot in enumerate(self._pending[:-1]):
             known = snapshot.cycle in self._commands and (not self._disturbed or snapshot.cycle in self._disturbances)
-            if not known and snapshot.cycle > patience:
+            if not known and snapshot.sent_ns > patience_ns:
                 return index
-        return max(len(self._pending) - 1, 0)
+        return len(self._pending) - 1
 
     def _emit(self, count: int, out: list[Stretch]) -> None:
         if not count:
