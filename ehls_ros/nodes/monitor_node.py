@@ -23,7 +23,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.examination import NICENESS, InItsOwnProcess
 from ehls_ros.experiments.monitoring.flight_recorder import Flight, FlightRecorder
-from ehls_ros.experiments.monitoring.following import Follower, Snapshot
+from ehls_ros.experiments.monitoring.following import LONG_PATIENCE, PATIENCE, Follower, Snapshot
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, State
 from ehls_ros.experiments.monitoring.memory import Memory
 from ehls_ros.experiments.monitoring.monitor import Monitor
@@ -183,11 +183,11 @@ class MonitorNode(ControlNode):
         except BadInput as error:
             self.get_logger().warning(f"the monitor learns anew: {error}")
             kept = None
-        if kept is None:
-            self.follower = Follower(self.spec.settings.control_period)
-            return
-        self.monitor.restore(kept.remembered)
-        self.follower = Follower(self.spec.settings.control_period, kept.anchors, kept.end)
+        patience = LONG_PATIENCE if self.lockstep else PATIENCE
+        anchors, end = (kept.anchors, kept.end) if kept else ((), 0.0)
+        self.follower = Follower(self.spec.settings.control_period, anchors, end, patience)
+        if kept is not None:
+            self.monitor.restore(kept.remembered)
 
     def start(self) -> None:
         """Begin to follow."""

@@ -22,6 +22,9 @@ DISTURBANCE_SIGNALS = tuple(DISTURBANCE.signals.values())
 PATIENCE = 0.2
 """Time for which a snapshot waits for its command and its disturbance before it counts as without [s]."""
 
+LONG_PATIENCE = 10.0
+"""The same in lockstep, where each snapshot has both; only the middleware may deliver them late."""
+
 SETTLING = 1.0
 """Time after the gate has opened that is left out: commands are blended in [s]."""
 
@@ -90,15 +93,17 @@ class Follower:
         runs: how often the cycles began anew.
     """
 
-    def __init__(self, period: float, anchors: Sequence[Anchor] = (), end: float = 0.0) -> None:
+    def __init__(self, period: float, anchors: Sequence[Anchor] = (), end: float = 0.0, patience: float = PATIENCE) -> None:
         """Begin without messages.
 
         Args:
             period: time between two control cycles [s].
             anchors: of an earlier follower whose axis goes on.
             end: where that axis ended [s].
+            patience: time for which a snapshot waits for what belongs to its cycle, by the system's clock [s].
         """
         self._period = period
+        self._patience_ns = round(patience * 1e9)
         self.anchors = list(anchors)
         self.lost = self.unanswered = self.runs = 0
         self._offset = math.nan
@@ -181,7 +186,7 @@ class Follower:
         """
         if not self._pending:
             return 0
-        patience_ns = self._pending[-1].sent_ns - round(PATIENCE * 1e9)
+        patience_ns = self._pending[-1].sent_ns - self._patience_ns
         for index, snapshot in enumerate(self._pending[:-1]):
             known = snapshot.cycle in self._commands and (not self._disturbed or snapshot.cycle in self._disturbances)
             if not known and snapshot.sent_ns > patience_ns:
