@@ -45,6 +45,8 @@ ARGUMENTS = {
     "namespace": ("ehls", "namespace of nodes and topics; a second rig needs its own, such as rig2", None),
     "log_level": ("info", "least severity that is logged: debug, info, warn, error or fatal", None),
     "record": ("", "folder to record a bag into; empty: no recording", None),
+    "monitor": ("false", "true: watch the rig's health; memory and flight recorder go to runs/monitor", ["true", "false"]),
+    "baseline": ("", "with the monitor: recordings from when the rig was well, separated by commas", None),
     "frames": (
         "true",
         "true: start robot_state_publisher, if it is installed, so that RViz and Foxglove show the rig moving",
@@ -87,11 +89,14 @@ def nodes(context: LaunchContext) -> list[Node]:
         own["disturbance_node"] = {}
     if chosen["record"]:
         own["recorder_node"] = {"bag": chosen["record"]}
+    if chosen["monitor"] == "true":
+        own["monitor_node"] = {"baseline": chosen["baseline"]} if chosen["baseline"] else {}
     if chosen["programme"]:
         for name in {reference, "recorder_node"} & set(own):
             own[name]["programme"] = chosen["programme"]
     left_out = set(chosen["without"].split(","))
-    own[plant] = {"partners": ",".join(name for name in own if name not in left_out)}
+    # The rig does not wait for who only watches it.
+    own[plant] = {"partners": ",".join(name for name in own if name not in {*left_out, "monitor_node"})}
     if chosen["bridge"]:
         own[plant]["bridge"] = chosen["bridge"]
     return [

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 from markdown_it import MarkdownIt
 
 from ehls_ros.cli.main import parser
-from ehls_ros.recording.topics import HANDOVER_TOPICS, TOPICS
+from ehls_ros.recording.topics import HANDOVER_TOPICS, MODEL_HEALTH, TOPICS
 from ehls_ros.schema import Declaration
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -149,7 +149,7 @@ class ParametersOf:
 
     def topics(self) -> set[str]:
         """Return the topics."""
-        return {topic.resolve() for topic in (*TOPICS, *HANDOVER_TOPICS)}
+        return {topic.resolve() for topic in (*TOPICS, MODEL_HEALTH, *HANDOVER_TOPICS)}
 
 
 def check(command: Command, parameters_of: ParametersOf, made: Sequence[str]) -> Namespace | None:

@@ -154,6 +154,7 @@ TOPICS: Mapping[str, str] = {
     "accepted_rig": "the rig with the changes that an operator has accepted, for controllers with `accept_rig`; not recorded",
     "standby_command": "what a controller that stands by would command; not recorded",
     "leaving": "sender of a controller that ends; not recorded",
+    "model_health": "what the monitor knows of the rig: changes, coefficients; on change and once in a while; not recorded",
     "/diagnostics": "state of each node",
     "/parameter_events": "changes of parameters",
     "/rosout": "log of all nodes",
@@ -167,6 +168,8 @@ SERVICES: Mapping[str, str] = {
     "programme_stop": "stops the test programme: along its own path to rest, then to the force held",
     "programme_resume": "goes on with a stopped programme where it was",
     "programme_skip": "leaves the running block for the next one",
+    "monitor_acknowledge": "takes note that an operator has seen the changes that were found: no warning of them any more",
+    "monitor_reset": "after a repair: what was found is over, and what the healthy rig is is learnt again",
     "enable": "lets commands through with a blend-in, or shuts them off",
     "switch_controller": "hands the valve to a controller that stands by, without a bump; refused if none has that name",
 }
@@ -320,10 +323,10 @@ def nodes_page() -> str:
             ("topic", "type", "what it holds"),
             (
                 (f"`{topic.resolve()}`", f"`{topic.type}`", TOPICS[topic.name])
-                for topic in (*topics.TOPICS, *topics.HANDOVER_TOPICS)
+                for topic in (*topics.TOPICS, topics.MODEL_HEALTH, *topics.HANDOVER_TOPICS)
             ),
         ),
-        "## Services\n\nServices of the plant node, `plant_sim_node` or `hardware_bridge_node`, and of `programme_node`.\n",
+        "## Services\n\nOf the plant node (`plant_sim_node` or `hardware_bridge_node`), `programme_node`, `monitor_node`.\n",
         rows_of(("service", "type", "what it does"), services()),
         "## Parameters of every node\n",
         table(import_module("ehls_ros.nodes.control").Common),
@@ -346,6 +349,8 @@ def own_parameters(node: str) -> tuple[type, ...]:
     sets: list[type] = [module.Parameters] if hasattr(module, "Parameters") else []
     if node in {"plant_sim_node", "hardware_bridge_node"}:
         sets.insert(0, import_module("ehls_ros.nodes.plant").Parameters)
+    if node == "monitor_node":
+        sets.insert(0, import_module("ehls_ros.experiments.monitoring.parameters").Parameters)
     return tuple(sets)
 
 
@@ -370,8 +375,8 @@ def launch_arguments() -> Mapping[str, tuple[str, str, list[str] | None]]:
 def services() -> Iterator[tuple[str, str, str]]:
     """Yield name, type and description of every service, from the calls that create them."""
     yield from plant_services()
-    for request in ("stop", "resume", "skip"):
-        name = f"programme_{request}"
+    names = (*(f"programme_{request}" for request in ("stop", "resume", "skip")), "monitor_acknowledge", "monitor_reset")
+    for name in names:
         yield f"`{topics.NAMESPACE}/{name}`", "`std_srvs/srv/Trigger`", SERVICES[name]
 
 
@@ -395,7 +400,7 @@ def messages_page() -> str:
     for path in sorted(MESSAGES.glob("*.msg")):
         lines = path.read_text(encoding="utf-8").splitlines()
         about = " ".join(line.removeprefix("#").strip() for line in lines if line.startswith("#"))
-        fields = [found for line in lines if (found := re.match(r"(\S+)\s+(\w+)\s*(?:#\s*(.*))?$", line))]
+        fields = [found for line in lines if (found := re.match(r"(\S+)\s+(\w+(?:=\w+)?)\s*(?:#\s*(.*))?$", line))]
         rows = ((f"`{name}`", f"`{kind}`", comment or "–") for kind, name, comment in (field.groups() for field in fields))
         parts.append(f"## {path.stem}\n\n{about}\n\n{rows_of(('field', 'type', 'description'), rows)}")
     return "\n".join(parts)

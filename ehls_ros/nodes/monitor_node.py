@@ -21,9 +21,9 @@ from ehls_ros.diagnosis.monitoring.tracking import Reading
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
-from ehls_ros.experiments.monitoring.examination import InItsOwnProcess
+from ehls_ros.experiments.monitoring.examination import NICENESS, InItsOwnProcess
 from ehls_ros.experiments.monitoring.flight_recorder import Flight, FlightRecorder
-from ehls_ros.experiments.monitoring.following import Follower, Snapshot
+from ehls_ros.experiments.monitoring.following import LONG_PATIENCE, PATIENCE, Follower, Snapshot
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, State
 from ehls_ros.experiments.monitoring.memory import Memory
 from ehls_ros.experiments.monitoring.monitor import Monitor
@@ -33,7 +33,6 @@ from ehls_ros.hardware.realtime import be_modest, tidy
 from ehls_ros.nodes.codec import Decoder
 from ehls_ros.nodes.control import NAMESPACE, OK, WARN, ControlNode, run_node
 from ehls_ros.nodes.frames import loader_frame
-from ehls_ros.nodes.graph import NICE
 from ehls_ros.nodes.parameters import declare, values_of
 from ehls_ros.nodes.telemetry import time_of
 from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos
@@ -137,7 +136,7 @@ class MonitorNode(ControlNode):
         below = "monitor" if namespace == NAMESPACE else f"monitor_{namespace.replace('/', '_')}"
         self.folder = Path(self.own.folder or Path("runs") / below)
         self.baselines = _baselines(self.own.baseline)
-        self.memory = Memory(self.folder, self.spec.rig, tuple(self.baselines))
+        self.memory = Memory(self.folder, self.spec.controller_rig, tuple(self.baselines))
         self.recorder = FlightRecorder(self.folder / "flights", self.own.flights, self.own.flight_size)
         self.held = HeldLevel()
         self.word = Word(0, "no samples yet")
@@ -178,17 +177,17 @@ class MonitorNode(ControlNode):
 
     def _begin_monitor(self) -> None:
         """Make a monitor that goes on where the folder's ended."""
-        self.monitor = Monitor(self.spec.rig, self.watching, InItsOwnProcess(), self.baselines)
+        self.monitor = Monitor(self.spec.controller_rig, self.watching, InItsOwnProcess(), self.baselines)
         try:
             kept = self.memory.restore()
         except BadInput as error:
             self.get_logger().warning(f"the monitor learns anew: {error}")
             kept = None
-        if kept is None:
-            self.follower = Follower(self.spec.settings.control_period)
-            return
-        self.monitor.restore(kept.remembered)
-        self.follower = Follower(self.spec.settings.control_period, kept.anchors, kept.end)
+        patience = LONG_PATIENCE if self.lockstep else PATIENCE
+        anchors, end = (kept.anchors, kept.end) if kept else ((), 0.0)
+        self.follower = Follower(self.spec.settings.control_period, anchors, end, patience)
+        if kept is not None:
+            self.monitor.restore(kept.remembered)
 
     def start(self) -> None:
         """Begin to follow."""
@@ -274,6 +273,7 @@ class MonitorNode(ControlNode):
         events = list[Event]()
         while self.asked:
             request = self.asked.popleft()
+            self.held.release()
             if request == "acknowledge":
                 events.append(Event(self.follower.end, "acknowledged", f"{self.monitor.acknowledge()} changes"))
             else:
@@ -295,7 +295,9 @@ class MonitorNode(ControlNode):
         learnt = self.monitor.remembered().learnt
         baselines = [Path(name) for name in self.baselines]
         try:
-            folder = self.recorder.begin(self.flights.popleft(), self.spec.rig, baselines, learnt.recording if learnt else None)
+            folder = self.recorder.begin(
+                self.flights.popleft(), self.spec.controller_rig, baselines, learnt.recording if learnt else None
+            )
         except OSError as error:
             self._fail(f"a flight cannot be written: {error}")
             return
@@ -333,7 +335,7 @@ class MonitorNode(ControlNode):
         elif not self.follower.driving:
             health = health._replace(state=State.IDLE, reason="the gate is closed, so no command reaches the valve")
         self.told = health
-        self.word = self.held.take(word(health, self.spec.rig, self.follower.stamp_ns))
+        self.word = self.held.take(word(health, self.spec.controller_rig, self.follower.stamp_ns))
         self.telling.publish(self._message(health))
         self.report_change()
 
@@ -373,7 +375,7 @@ class MonitorNode(ControlNode):
             cleared=time_of(stamp_ns(change.cleared)),
             active=change.active,
             acknowledged=change.acknowledged,
-            sentence=sentence(change, self.spec.rig, stamp_ns, now_ns),
+            sentence=sentence(change, self.spec.controller_rig, stamp_ns, now_ns),
         )
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
@@ -442,7 +444,7 @@ def _baselines(names: str) -> dict[str, Trajectory]:
 
 def main() -> NoReturn:
     """Run the node, behind whatever has to be in time."""
-    os.nice(NICE)
+    os.nice(NICENESS)
     run_node(MonitorNode)
 
 

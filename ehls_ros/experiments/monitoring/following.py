@@ -22,6 +22,9 @@ DISTURBANCE_SIGNALS = tuple(DISTURBANCE.signals.values())
 PATIENCE = 0.2
 """Time for which a snapshot waits for its command and its disturbance before it counts as without [s]."""
 
+LONG_PATIENCE = 10.0
+"""The same in lockstep, where each snapshot has both; only the middleware may deliver them late."""
+
 SETTLING = 1.0
 """Time after the gate has opened that is left out: commands are blended in [s]."""
 
@@ -90,15 +93,17 @@ class Follower:
         runs: how often the cycles began anew.
     """
 
-    def __init__(self, period: float, anchors: Sequence[Anchor] = (), end: float = 0.0) -> None:
+    def __init__(self, period: float, anchors: Sequence[Anchor] = (), end: float = 0.0, patience: float = PATIENCE) -> None:
         """Begin without messages.
 
         Args:
             period: time between two control cycles [s].
             anchors: of an earlier follower whose axis goes on.
             end: where that axis ended [s].
+            patience: time for which a snapshot waits for what belongs to its cycle, by the system's clock [s].
         """
         self._period = period
+        self._patience_ns = round(patience * 1e9)
         self.anchors = list(anchors)
         self.lost = self.unanswered = self.runs = 0
         self._offset = math.nan
@@ -110,7 +115,7 @@ class Follower:
         self._disturbed = False
         self._drivers = list[tuple[int, str]]()
         self._driving = list[tuple[int, bool]]()
-        self._settled = -math.inf
+        self._shut = -math.inf
         self._interrupted = True
 
     # --- messages -----------------------------------------------------------------------------------
@@ -158,7 +163,11 @@ class Follower:
                 self.lost += snapshot.cycle - self._newest - 1
             self._newest = snapshot.cycle
             self._pending.append(snapshot)
-        self._emit(self._ready(), out)
+        ready = self._ready()
+        last = self._pending[ready - 1] if ready else None
+        self._emit(ready, out)
+        if last is not None:
+            self._forget(last)
         return out
 
     def _end_run(self, first: Snapshot, out: list[Stretch]) -> None:
@@ -175,12 +184,14 @@ class Follower:
 
         The newest waits in any case: whether its command reached the valve shows after it.
         """
-        patience = self._newest - math.ceil(PATIENCE / self._period)
+        if not self._pending:
+            return 0
+        patience_ns = self._pending[-1].sent_ns - self._patience_ns
         for index, snapshot in enumerate(self._pending[:-1]):
             known = snapshot.cycle in self._commands and (not self._disturbed or snapshot.cycle in self._disturbances)
-            if not known and snapshot.cycle > patience:
+            if not known and snapshot.sent_ns > patience_ns:
                 return index
-        return max(len(self._pending) - 1, 0)
+        return len(self._pending) - 1
 
     def _emit(self, count: int, out: list[Stretch]) -> None:
         if not count:
@@ -197,7 +208,6 @@ class Follower:
         self.unanswered += sum(map(math.isnan, commands))
         none = (math.nan,) * len(DISTURBANCE_SIGNALS)
         acting = [self._disturbances.pop(row.cycle, none) for row in rows]
-        self._forget(rows[-1].cycle)
         table = np.column_stack([np.array([row.values for row in rows]), commands, acting])
         names = [*STATE_SIGNALS, COMMAND_SIGNAL, *(DISTURBANCE_SIGNALS if self._disturbed else ())]
         edges = np.flatnonzero(np.diff(driven.astype(np.int8))) + 1
@@ -215,9 +225,9 @@ class Follower:
             return np.ones(len(rows), dtype=np.bool_)
         after = [*(row.sent_ns for row in following), rows[-1].sent_ns][: len(rows)]
         drives = self._drives([row.sent_ns for row in rows]) & self._drives(after)
-        if not np.all(drives):
-            self._settled = float(time[np.flatnonzero(~drives)[-1]]) + SETTLING
-        out: NDArray[np.bool_] = drives & (time >= self._settled)
+        shut = np.maximum.accumulate(np.where(drives, self._shut, time))
+        self._shut = float(shut[-1])
+        out: NDArray[np.bool_] = drives & (time >= shut + SETTLING)
         return out
 
     def _drives(self, sent_ns: Sequence[int]) -> NDArray[np.bool_]:
@@ -247,11 +257,11 @@ class Follower:
             apart = (stamps_ns[first:] - anchor.stamp_ns) * 1e-9 - (time[first:] - anchor.time)
             first += int(np.argmax(np.abs(apart) > CLOCK_SET)) if np.any(np.abs(apart) > CLOCK_SET) else len(rows)
 
-    def _forget(self, cycle: int) -> None:
-        """Forget what came too late for its cycle."""
-        for known in (self._commands, self._disturbances):
-            for late in [other for other in known if other <= cycle]:
-                known.pop(late)
+    def _forget(self, last: Snapshot) -> None:
+        """Forget what came too late for its cycle; what comes much later is of another run."""
+        late = last.sent_ns + round(PAUSE * 1e9)
+        self._commands = {cycle: c for cycle, c in self._commands.items() if cycle > last.cycle or c[1] > late}
+        self._disturbances = {cycle: d for cycle, d in self._disturbances.items() if cycle > last.cycle}
 
     @property
     def driving(self) -> bool:

@@ -105,14 +105,14 @@ class Memory:
             BadInput: the files cannot be read; the next state takes their place.
         """
         path = self._folder / STATE
+        if not path.exists():
+            return None
         try:
             state = json.loads(path.read_text(encoding="utf-8"))
             if {key: state.get(key) for key in self._of} != self._of:
                 path.replace(path.with_suffix(".other_rig"))
                 return None
             kept = self._kept(state, path)
-        except FileNotFoundError:
-            return None
         except (OSError, ValueError, KeyError, TypeError, AttributeError, BadInput) as error:
             raise BadInput(f"what the monitor knew cannot be read ({error})", str(path), EXPECTED) from None
         self._learnt, self._learnt_file = kept.remembered.learnt, state["learnt"]

@@ -52,6 +52,10 @@ class HeldLevel:
         self._held: Word | None = None
         self._since = 0.0
 
+    def release(self) -> None:
+        """Let the next word count whatever it is: an operator has acted."""
+        self._held = None
+
     def take(self, word: Word) -> Word:
         """Return what to tell where this is so now."""
         now = self._clock()

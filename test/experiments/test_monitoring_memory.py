@@ -1,0 +1,185 @@
+"""A monitor that is killed goes on where it was: nothing is lost, nothing is alarmed."""
+
+import csv
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehls_ros.errors import BadInput
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.loop import run_in_process
+from ehls_ros.experiments.monitoring.examination import Finding, FoundCause, Task
+from ehls_ros.experiments.monitoring.following import Anchor
+from ehls_ros.experiments.monitoring.health import FoundChange, State
+from ehls_ros.experiments.monitoring.memory import COEFFICIENTS, STATE, Memory
+from ehls_ros.experiments.monitoring.monitor import Monitor
+from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.spec import Spec
+from ehls_ros.trajectory import Trajectory
+
+WATCHED = Parameters(learning_time=30.0, reading_time=10.0)
+ANCHORS = (Anchor(0.0, 1_700_000_000 * 10**9),)
+PARAMETERS = {"added": Estimate(2e-12, 1e-13, "m^3/(s*Pa)")}
+LEAKS = FoundCause("internal_leakage_shift", "flow", 0.98, ("turbulent_leakage",), PARAMETERS)
+CHANGE = FoundChange(1, (LEAKS,), "flow", (), 30.0, -np.inf, 33.0, 35.0, 36.0, acknowledged=True)
+
+
+class FindsNothing:
+    """An examiner who finds the rig as its file describes it."""
+
+    def __init__(self) -> None:
+        self.task: Task | None = None
+
+    def begin(self, task: Task) -> None:
+        self.task = task
+
+    def finding(self) -> Finding | None:
+        task, self.task = self.task, None
+        return task and Finding("consistent", (), task.rig)
+
+    def close(self) -> None:
+        self.task = None
+
+
+@pytest.fixture(scope="module")
+def healthy(rig_file: Path) -> tuple[Spec, Trajectory]:
+    from ehls_ros.experiments.spec import spec_from_mapping
+
+    plain = {
+        "rig": rig_file.name,
+        "reference": {"name": "sine", "amplitude": 1e4, "frequency": 0.5},
+        "disturbance": {"name": "force", "signal": {"name": "sine", "amplitude": 5e3, "frequency": 1.0}},
+        "controller": {"name": "fasmc"},
+        "duration": 60.0,
+    }
+    spec = spec_from_mapping(plain, "spec.yaml", rig_file.parent)
+    return spec, run_in_process(spec)
+
+
+@pytest.fixture(scope="module")
+def rig_file() -> Path:
+    return Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
+
+
+def fed(monitor: Monitor, trajectory: Trajectory, begin: float, end: float) -> list[str]:
+    """Give a monitor the samples of a time, and return what happened."""
+    first, last = np.searchsorted(trajectory.time_s, [begin, end])
+    events = []
+    for part in np.array_split(np.arange(first, last), max(1, (last - first) // 500)):
+        signals = {name: values[part] for name, values in trajectory.signals.items() if values.ndim == 1}
+        events += [event.kind for event in monitor.add(trajectory.time_s[part], signals)]
+    return events
+
+
+@pytest.fixture(scope="module")
+def kept(healthy: tuple[Spec, Trajectory], tmp_path_factory: pytest.TempPathFactory) -> tuple[Monitor, Path]:
+    """Return a monitor that watches, with a change that was found, and the folder in which it has kept what it knows."""
+    spec, trajectory = healthy
+    folder = tmp_path_factory.mktemp("monitor")
+    monitor = Monitor(spec.rig, WATCHED, FindsNothing())
+    assert fed(monitor, trajectory, 0.0, 45.0) == ["learnt", "watching"]
+    monitor.changes.append(CHANGE)
+    Memory(folder, spec.rig).keep(monitor.remembered(), ANCHORS, 45.0)
+    return monitor, folder
+
+
+@pytest.fixture
+def folder(kept: tuple[Monitor, Path], tmp_path: Path) -> Path:
+    return Path(shutil.copytree(kept[1], tmp_path / "copy"))
+
+
+def test_it_goes_on_with_all_it_knew_and_without_an_alarm(healthy, kept, folder: Path):
+    spec, trajectory = healthy
+    before, _ = kept
+    found = Memory(folder, spec.rig).restore()
+    assert found is not None
+    assert (found.anchors, found.end) == (ANCHORS, 45.0)
+    after = Monitor(spec.rig, WATCHED, FindsNothing())
+    after.restore(found.remembered)
+    assert [str(change) for change in after.changes] == [str(CHANGE)]
+    assert after.history == before.history
+    assert [past.time for past in after.history] == pytest.approx([40.4], abs=3.0)
+    assert after.health().watched == before.health().watched > 0.0
+    was, now, was_watched = before.remembered(), after.remembered(), before.health().watched
+    assert now.begins == was.begins
+    assert np.allclose(now.rows, was.rows, rtol=1e-6)
+    assert [d.key for d in now.learnt.directions] == [d.key for d in was.learnt.directions]
+    # The next block is judged, as it would have been.
+    assert fed(after, trajectory, 45.0, 49.0) == fed(before, trajectory, 45.0, 49.0) == []
+    assert after.health().state == State.WATCHING
+    assert after.health().watched == was_watched + 2.5
+    assert np.allclose(after.remembered().rows[:, -1], before.remembered().rows[:, -1], rtol=1e-3, atol=1e-6)
+
+
+def test_the_history_grows_by_what_is_new(healthy, folder: Path):
+    spec, trajectory = healthy
+    lines = (folder / COEFFICIENTS).read_text(encoding="utf-8").splitlines()
+    memory = Memory(folder, spec.rig)
+    after = Monitor(spec.rig, WATCHED, FindsNothing())
+    after.restore(memory.restore().remembered)
+    memory.keep(after.remembered(), ANCHORS, 45.0)
+    assert (folder / COEFFICIENTS).read_text(encoding="utf-8").splitlines() == lines
+    fed(after, trajectory, 45.0, 59.0)
+    memory.keep(after.remembered(), ANCHORS, 59.0)
+    with (folder / COEFFICIENTS).open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [list(row.values()) for row in rows][: len(lines) - 1] == [line.split(",") for line in lines[1:]]
+    new = {reading.name: reading for reading in after.history[-1].readings if reading.told}
+    assert {row["name"]: float(row["value"]) for row in rows[len(lines) - 1 :]} == pytest.approx(
+        {name: reading.value for name, reading in new.items()}, rel=1e-6
+    )
+    assert rows[-1]["time"].startswith("2023-11-14T22:1")
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda folder: (folder / STATE).write_text("{", encoding="utf-8"),
+        lambda folder: next(folder.glob("learnt*")).write_bytes(b"PK"),
+        lambda folder: next(folder.glob("blocks*")).unlink(),
+        lambda folder: (folder / STATE).write_text(
+            (folder / STATE).read_text(encoding="utf-8").replace("internal_leakage_shift", "x", 1).replace("cause", "c"),
+            encoding="utf-8",
+        ),
+    ],
+)
+def test_what_cannot_be_read_is_said_and_written_anew(healthy, kept, folder: Path, spoil: Callable[[Path], object]):
+    spoil(folder)
+    memory = Memory(folder, healthy[0].rig)
+    with pytest.raises(BadInput, match="cannot be read"):
+        memory.restore()
+    memory.keep(kept[0].remembered(), ANCHORS, 50.0)
+    assert Memory(folder, healthy[0].rig).restore().end == 50.0
+
+
+def test_a_writer_that_is_killed_leaves_the_state_before(healthy, kept, folder: Path, monkeypatch: pytest.MonkeyPatch):
+    memory = Memory(folder, healthy[0].rig)
+    memory.restore()
+    monkeypatch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError("killed")))
+    with pytest.raises(OSError, match="killed"):
+        memory.keep(kept[0].remembered(), ANCHORS, 50.0)
+    monkeypatch.undo()
+    assert Memory(folder, healthy[0].rig).restore().end == 45.0
+
+
+def test_another_rig_learns_for_itself(healthy, folder: Path):
+    rig = healthy[0].rig
+    other = rig._replace(plant=rig.plant._replace(moving_mass=2.0 * rig.plant.moving_mass))
+    assert Memory(folder, other).restore() is None
+    assert json.loads((folder / "memory.other_rig").read_text(encoding="utf-8"))["end"] == 45.0
+    assert Memory(folder, rig, ["a healthy recording"]).restore() is None
+
+
+def test_a_repair_begins_anew(healthy, folder: Path):
+    spec, trajectory = healthy
+    monitor = Monitor(spec.rig, WATCHED, FindsNothing())
+    monitor.restore(Memory(folder, spec.rig).restore().remembered)
+    fed(monitor, trajectory, 45.0, 46.0)
+    monitor.reset()
+    assert monitor.health().active == ()
+    assert monitor.health().state == State.LEARNING
+    assert monitor.remembered().learnt is None

@@ -1,0 +1,76 @@
+"""What the monitor says, and that its level does not flap."""
+
+import math
+import time
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.monitoring.examination import FoundCause
+from ehls_ros.experiments.monitoring.health import FoundChange, Health, State
+from ehls_ros.experiments.monitoring.wording import GOOD, HOLD, WARNING, HeldLevel, Word, group, moment, word
+from ehls_ros.experiments.spec import load_rig
+
+RIG = load_rig(Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml")
+MONDAY = round(datetime(2026, 11, 23, 9, 12).astimezone().timestamp()) * 10**9
+LEAKAGE = RIG.plant.leakage_coefficient
+
+
+def change(name: str, stage: str, alike: tuple[str, ...] = (), **parameters: Estimate) -> FoundChange:
+    return FoundChange(1, (FoundCause(name, stage, 0.98, alike, parameters),), stage, (), 0.0, -math.inf, 1.0, 2.0, 3.0)
+
+
+LEAK = change("internal_leakage_shift", "flow", added=Estimate(1.3 * LEAKAGE, 0.1 * LEAKAGE, "m^3/(s*Pa)"))
+BIAS = change("pressure_sensor_bias", "sensors", ("constant_load",), bias=Estimate(2e5, 1e4, "Pa"))
+UNKNOWN = FoundChange(2, (), "force_balance", ("velocity",), 0.0, 0.0, 1.0, 2.0, 3.0)
+
+
+def said(*changes: FoundChange, state: State = State.WATCHING) -> Word:
+    health = Health(60.0, state, "", changes, (), 7200.0, "the rig file", 0.0, {})
+    return word(health, RIG, lambda instant: MONDAY + round(instant * 1e9))
+
+
+def test_a_change_is_said_with_size_since_when_and_whose_fault():
+    assert said(LEAK) == Word(WARNING, "rig: internal leakage 2.3 × ± 0.2 since Mon 09:12, 98 %")
+    assert said(BIAS).sentence == (
+        "sensor: offset of the pressure sensor 2e+05 ± 2e+04 Pa since Mon 09:12, 98 % (or constant_load)"
+    )
+    assert said(UNKNOWN).sentence == "unknown change of the force balance since Mon 09:12, depends on velocity"
+    assert (group(LEAK), group(BIAS), group(UNKNOWN)) == ("flow", "sensors", "")
+
+
+def test_it_warns_until_an_operator_has_seen_it():
+    assert said().level == said(LEAK._replace(acknowledged=True)).level == said(LEAK._replace(cleared=9.0)).level == GOOD
+    assert said().sentence == "no change against the rig file in 2 h"
+    assert said(LEAK._replace(acknowledged=True)).sentence.startswith("acknowledged: rig: internal leakage")
+    assert "nothing is judged" in said(state=State.IDLE).sentence
+
+
+def test_a_level_holds_unless_it_worsens():
+    now = [0.0]
+    held = HeldLevel(lambda: now[0])
+    good, bad = Word(GOOD, "well"), Word(WARNING, "worn")
+    told = []
+    for second in range(4 * round(HOLD)):
+        now[0] = float(second)
+        told.append(held.take(bad if second % 7 == 3 else good).level)
+    assert told[:4] == [GOOD, GOOD, GOOD, WARNING]
+    switches = [i for i in range(1, len(told)) if told[i] != told[i - 1]]
+    assert len(switches) <= 2 * len(told) / HOLD
+    assert all(
+        told[i] == WARNING for begin in switches if told[begin] for i in range(begin, min(begin + round(HOLD), len(told)))
+    )
+
+
+def test_moments_are_said_as_an_operator_would(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("TZ", "UTC")
+    time.tzset()
+    stamp_ns = 1_700_000_000 * 10**9
+    assert moment(stamp_ns, stamp_ns) == "Tue 22:13"
+    assert moment(stamp_ns, stamp_ns + 30 * 86400 * 10**9) == "2023-11-14 22:13"
+    assert moment(12_500_000_000, 20_000_000_000) == "12.5 s"
+    assert moment(0, stamp_ns) == "before the watch"
+    monkeypatch.undo()
+    time.tzset()

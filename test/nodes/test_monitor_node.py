@@ -1,0 +1,151 @@
+"""The monitor follows a graph without being of it: it finds what changed, survives a kill, and keeps what led to a trip."""
+
+import json
+import math
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
+
+from ehls_msgs.msg import Disturbance, LoaderState, ModelHealth, ValveCommand
+from ehls_ros.experiments.loop import run_in_process
+from ehls_ros.experiments.spec import load_spec
+from ehls_ros.nodes.codec import Encoder
+from ehls_ros.nodes.transport import control_qos
+from ehls_ros.recording.bag_reader import is_closed, read_bag
+from ehls_ros.recording.topics import DISTURBANCE, LOADER_STATE, VALVE_COMMAND, Topic
+from ehls_ros.trajectory import Trajectory
+
+GRAPH = ("reference_node", "disturbance_node", "friction_estimator_node", "fasmc_node")
+RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
+WALL = 1_700_000_000 * 10**9
+ADDED = 2.0e-12
+"""Leakage that the rig has beyond its file [m^5/(N s)]."""
+
+
+class Replay:
+    """Sends a trajectory's messages, as the graph in which it was recorded would have."""
+
+    def __init__(self, participant: Any, trajectory: Trajectory) -> None:
+        self._trajectory = trajectory
+        self._topics = [
+            (
+                topic,
+                Encoder(kind, "loader", sender="fasmc_node"),
+                participant.node.create_publisher(kind, topic.name, control_qos(50_000)),
+            )
+            for topic, kind in ((LOADER_STATE, LoaderState), (VALVE_COMMAND, ValveCommand), (DISTURBANCE, Disturbance))
+        ]
+        self._clock = participant.node.create_publisher(Clock, "/clock", control_qos(1))
+        self._clock.publish(Clock(clock=Time(sec=1)))
+        participant.until(lambda: all(publisher.get_subscription_count() for *_, publisher in self._topics))
+
+    def send(self, first: int, last: int, epoch_ns: int = WALL) -> None:
+        """Send the messages of some cycles."""
+        rows = [self._rows(topic, first, last) for topic, *_ in self._topics]
+        for cycle, values in zip(range(first, last), zip(*rows, strict=True), strict=True):
+            for (_, encode, publisher), row in zip(self._topics, values, strict=True):
+                publisher.handle.publish_raw(encode(epoch_ns + cycle * 10**6, cycle, *row))
+
+    def _rows(self, topic: Topic, first: int, last: int) -> list[list[float]]:
+        columns = [self._trajectory[name][first:last] for name in topic.signals.values()]
+        return np.column_stack(columns).tolist()
+
+
+@pytest.fixture(scope="module")
+def leaky(tmp_path_factory: pytest.TempPathFactory) -> Trajectory:
+    """Return 45 s of a rig that leaks more than its file says."""
+    text = (
+        "title: a leaky rig\nduration: 45.0\nrig: {rig}\neffects: [{{name: internal_leakage_shift, added: {added}}}]\n"
+        "reference: {{name: sine, amplitude: 1.0e+4, frequency: 0.5}}\ncontroller: {{name: fasmc}}\n"
+        "disturbance: {{name: force, signal: {{name: sine, amplitude: 5.0e+3, frequency: 1.0}}}}\n"
+    )
+    path = tmp_path_factory.mktemp("leaky") / "spec.yaml"
+    path.write_text(text.format(rig=RIG, added=ADDED), encoding="utf-8")
+    return run_in_process(load_spec(path))
+
+
+def newest(heard: list[Any], condition: Callable[[Any], bool]) -> Callable[[], bool]:
+    return lambda: bool(heard) and condition(heard[-1])
+
+
+def says(diagnostics: list[DiagnosticArray], level: int, sentence: str) -> bool:
+    """Tell whether the monitor's newest diagnostics have a level, and begin with a sentence."""
+    own = [s for array in diagnostics for s in array.status if s.name == "monitor_node"]
+    return bool(own) and own[-1].level == bytes([level]) and own[-1].message.startswith(sentence)
+
+
+def test_it_finds_what_differs_and_goes_on_after_a_kill(graph, participant, spec_file, tmp_path: Path, leaky: Trajectory):
+    def start() -> Replay:
+        graph.start("monitor_node", spec=spec_file(), timing="lockstep", learning_time=30.0, folder=tmp_path / "monitor")
+        return Replay(participant, leaky)
+
+    heard, diagnostics = participant.collect(ModelHealth, "model_health"), participant.collect(DiagnosticArray, "/diagnostics")
+    replay = start()
+    replay.send(0, 32_000)
+    participant.until(newest(heard, lambda health: bool(health.changes)))
+    replay.send(32_000, 36_000)
+    participant.until(newest(heard, lambda health: health.watched > 0.0))
+    health = heard[-1]
+    [change] = health.changes
+    assert (change.cause, change.group, change.active, change.acknowledged) == ("internal_leakage_shift", "flow", True, False)
+    assert change.values[0] == pytest.approx(ADDED, abs=4.0 * change.deviations[0])
+    assert change.sentence.startswith("rig: internal leakage ")
+    assert health.header.stamp.sec == pytest.approx(WALL // 10**9 + 36, abs=2)
+    told = {coefficient.name: coefficient for coefficient in health.coefficients}
+    assert told["leakage_coefficient"].told
+    assert all(math.isinf(c.deviation) and c.why_not for c in told.values() if not c.told)
+    participant.until(lambda: says(diagnostics, 1, change.sentence))
+
+    assert participant.call(Trigger, "monitor_acknowledge", Trigger.Request()).message == "internal_leakage_shift"
+    participant.until(lambda: says(diagnostics, 0, f"acknowledged: {change.sentence}"))
+    participant.until(newest(heard, lambda health: health.changes[0].acknowledged))
+    graph.kill("monitor_node")
+    watched = heard[-1].watched
+    heard.clear()
+
+    # The rig was started anew meanwhile, and its clock was set back.
+    replay = start()
+    replay.send(36_000, 41_000, WALL - 3600 * 10**9)
+    participant.until(newest(heard, lambda health: health.watched > watched))
+    again = heard[-1]
+    assert again.state == ModelHealth.WATCHING
+    assert [(c.number, c.cause, c.acknowledged, c.since) for c in again.changes] == [(1, change.cause, True, change.since)]
+    assert {health.state for health in heard} <= {ModelHealth.WATCHING, ModelHealth.IDLE}
+
+
+def test_a_trip_leaves_a_bag_and_a_monitor_that_hangs_holds_nobody_up(graph, participant, spec_file, tmp_path: Path):
+    spec = spec_file(duration=1000.0)
+    folder = tmp_path / "monitor"
+    monitor = graph.start("monitor_node", spec=spec, timing="lockstep", folder=folder, flight_time=3.0)
+    heard, states = participant.collect(ModelHealth, "model_health"), participant.collect(LoaderState, "loader_state")
+    participant.until(lambda: bool(heard))
+    for name in (*GRAPH, "plant_sim_node"):
+        more = {"partners": ",".join(GRAPH), "speed": 4.0} if name == "plant_sim_node" else {}
+        graph.start(name, spec=spec, timing="lockstep", **more)
+    participant.until(lambda: bool(states) and states[-1].cycle > 4000)
+    assert participant.call(Trigger, "emergency_stop", Trigger.Request()).success
+    participant.until(lambda: any(is_closed(bag) for bag in folder.glob("flights/*/bag")))
+    [flight] = folder.glob("flights/*")
+    found = read_bag(flight / "bag")
+    assert found.time_s[-1] == pytest.approx(3.0, abs=0.1)
+    assert np.isfinite(found["valve_command_m"]).all()
+    assert "emergency stop" in found.metadata["trip"]["cause"]
+    participant.until(newest(heard, lambda health: health.state == ModelHealth.IDLE and "gate" in health.reason))
+    assert all(not health.changes for health in heard)
+    graph.freeze(monitor)
+    cycle = states[-1].cycle
+    participant.until(lambda: states[-1].cycle > cycle + 5000)
+    monitor.send_signal(signal.SIGCONT)
+    participant.until((flight / "diagnosis" / "diagnosis.json").exists)
+    assert json.loads((flight / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))["verdict"]
