@@ -168,6 +168,8 @@ SERVICES: Mapping[str, str] = {
     "programme_stop": "stops the test programme: along its own path to rest, then to the force held",
     "programme_resume": "goes on with a stopped programme where it was",
     "programme_skip": "leaves the running block for the next one",
+    "monitor_accept": "takes the rig with its changes for the healthy one: writes `rig_accepted.yaml`, tells controllers with "
+    "`accept_rig`, and measures the force error before and after",
     "monitor_acknowledge": "takes note that an operator has seen the changes that were found: no warning of them any more",
     "monitor_reset": "after a repair: what was found is over, and what the healthy rig is is learnt again",
     "enable": "lets commands through with a blend-in, or shuts them off",
@@ -375,7 +377,7 @@ def launch_arguments() -> Mapping[str, tuple[str, str, list[str] | None]]:
 def services() -> Iterator[tuple[str, str, str]]:
     """Yield name, type and description of every service, from the calls that create them."""
     yield from plant_services()
-    names = (*(f"programme_{request}" for request in ("stop", "resume", "skip")), "monitor_acknowledge", "monitor_reset")
+    names = (*(f"programme_{request}" for request in ("stop", "resume", "skip")), "monitor_accept", "monitor_acknowledge", "monitor_reset")
     for name in names:
         yield f"`{topics.NAMESPACE}/{name}`", "`std_srvs/srv/Trigger`", SERVICES[name]
 

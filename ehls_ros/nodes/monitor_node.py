@@ -13,14 +13,25 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
-from std_msgs.msg import Bool, Header
+from std_msgs.msg import Bool, Header, String
 from std_srvs.srv import Trigger
 
-from ehls_msgs.msg import Disturbance, Driver, LoaderState, ModelChange, ModelHealth, TrackedCoefficient, ValveCommand
+from ehls_msgs.msg import (
+    ControllerStatus,
+    Disturbance,
+    Driver,
+    LoaderState,
+    ModelChange,
+    ModelHealth,
+    TrackedCoefficient,
+    ValveCommand,
+)
+from ehls_ros.control.controllers.base import FORCE_ERROR
 from ehls_ros.diagnosis.monitoring.tracking import Reading
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.monitoring.benefit import Benefit
 from ehls_ros.experiments.monitoring.examination import NICENESS, InItsOwnProcess
 from ehls_ros.experiments.monitoring.flight_recorder import Flight, FlightRecorder
 from ehls_ros.experiments.monitoring.following import LONG_PATIENCE, PATIENCE, Follower, Snapshot
@@ -29,6 +40,7 @@ from ehls_ros.experiments.monitoring.memory import Memory
 from ehls_ros.experiments.monitoring.monitor import Monitor
 from ehls_ros.experiments.monitoring.parameters import Parameters as Watching
 from ehls_ros.experiments.monitoring.wording import HeldLevel, Word, group, sentence, word
+from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.hardware.realtime import be_modest, tidy
 from ehls_ros.nodes.codec import Decoder
 from ehls_ros.nodes.control import NAMESPACE, OK, WARN, ControlNode, run_node
@@ -36,7 +48,10 @@ from ehls_ros.nodes.frames import loader_frame
 from ehls_ros.nodes.parameters import declare, values_of
 from ehls_ros.nodes.telemetry import time_of
 from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos
+from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.topics import (
+    ACCEPTED_RIG,
+    CONTROLLER_STATUS,
     DIAGNOSTICS,
     DISTURBANCE,
     DRIVER,
@@ -75,6 +90,15 @@ GATE = b"state\0"
 
 CAUSE = "cause_1"
 """Key of what tripped the gate first."""
+
+ACCEPTED = "rig_accepted.yaml"
+"""File of the rig with the changes that an operator has accepted, in the monitor's folder."""
+
+BENEFIT = 30.0
+"""Time over which the force error is measured before and after controllers are told of an accepted rig [s]."""
+
+SETTLING = 2.0
+"""Time between both [s]."""
 
 MOST_FLIGHTS = 2
 """Trips that wait to be written; a gate that trips again and again tells nothing more."""
@@ -121,6 +145,7 @@ class MonitorNode(ControlNode):
         self.asked = deque[str]()
         self.told: Health | None = None
         self.create_service(Trigger, "monitor_acknowledge", self._on_acknowledge)
+        self.create_service(Trigger, "monitor_accept", self._on_accept)
         self.create_service(Trigger, "monitor_reset", self._on_reset)
 
     # --- lifecycle ----------------------------------------------------------------------------------
@@ -152,12 +177,17 @@ class MonitorNode(ControlNode):
         self.drivers = Inbox(self, Driver, DRIVER.name, control_qos(DRIVER.depth), Decoder(Driver, sender=True))
         self.driving = Inbox(self, Bool, DRIVING.name, control_qos(DRIVING.depth))
         self.diagnostics = Inbox(self, DiagnosticArray, DIAGNOSTICS.name, QoSProfile(depth=200))
-        self.state, self.command, self.disturbance = (
+        self.state, self.command, self.disturbance, self.status = (
             Decoder(LoaderState),
             Decoder(ValveCommand, sender=True),
             Decoder(Disturbance),
+            Decoder(ControllerStatus),
         )
         self.telling = self.create_publisher(ModelHealth, MODEL_HEALTH.name, control_qos(MODEL_HEALTH.depth))
+        self.accepted = self.create_publisher(String, ACCEPTED_RIG.name, control_qos(ACCEPTED_RIG.depth))
+        self.benefit: Benefit | None = None
+        self.rig_told = ""
+        self.errors: Inbox | None = None
 
     def _cycle_inbox(self, message: Any, topic: Topic) -> Inbox:
         """Return an inbox that holds up no sender: in realtime none waits for its word, and what it misses is a gap.
@@ -172,7 +202,9 @@ class MonitorNode(ControlNode):
         """Close the topics, and end what is computed."""
         for inbox in (self.states, self.commands, self.disturbances, self.drivers, self.driving, self.diagnostics):
             inbox.destroy()
+        self._end_benefit()
         self.destroy_publisher(self.telling)
+        self.destroy_publisher(self.accepted)
         self.monitor.close()
 
     def _begin_monitor(self) -> None:
@@ -208,6 +240,7 @@ class MonitorNode(ControlNode):
         events = self._asked()
         try:
             events += self._follow()
+            events += self._measure_benefit()
         except RuntimeError as error:
             # A diagnosis that died; the memory is of before it began.
             self.failure = str(error)
@@ -276,10 +309,49 @@ class MonitorNode(ControlNode):
             self.held.release()
             if request == "acknowledge":
                 events.append(Event(self.follower.end, "acknowledged", f"{self.monitor.acknowledge()} changes"))
+            elif request == "accept":
+                events.append(Event(self.follower.end, "accepted", self._accept()))
             else:
                 self.monitor.reset()
                 events.append(Event(self.follower.end, "reset", "the rig was repaired: what is healthy is learnt anew"))
         return events
+
+    def _accept(self) -> str:
+        """Take the changes as the rig's own, write its file, and begin to measure what it brings to tell the controllers."""
+        rig = self.monitor.accept()
+        if rig is None:
+            return "there is no change with a cause to accept"
+        self.rig_told = rig_text(rig_to_mapping(rig))
+        path = self.folder / ACCEPTED
+        try:
+            path.write_text(self.rig_told, encoding="utf-8")
+        except OSError as error:
+            self._fail(f"the accepted rig cannot be written: {error}")
+        self._end_benefit()
+        self.benefit = Benefit(round(BENEFIT / self.spec.settings.control_period))
+        self.errors = self._cycle_inbox(ControllerStatus, CONTROLLER_STATUS)
+        return f"the rig with its changes is {path}; controllers with accept_rig are told in {BENEFIT:g} s"
+
+    def _measure_benefit(self) -> list[Event]:
+        """Measure the force error before and after controllers are told of an accepted rig."""
+        if self.benefit is None or self.errors is None:
+            return []
+        decoded = (self.status(raw) for raw, _ in _taken(self.errors))
+        self.benefit.add(np.array([message[2 + FORCE_ERROR] for message in decoded if message is not None]))
+        if self.benefit.ready:
+            self.accepted.publish(String(data=self.rig_told))
+            self.benefit.tell(round(SETTLING / self.spec.settings.control_period))
+            return [Event(self.follower.end, "told", "the controllers are told of the accepted rig")]
+        if not self.benefit.complete:
+            return []
+        said = self.benefit.sentence()
+        self._end_benefit()
+        return [Event(self.follower.end, "benefit", said)]
+
+    def _end_benefit(self) -> None:
+        if self.errors is not None:
+            self.errors.destroy()
+        self.benefit, self.errors = None, None
 
     def _record_flights(self) -> None:
         """Have what led to a trip written and diagnosed, one flight at a time, and while the monitor diagnoses nothing."""
@@ -399,6 +471,14 @@ class MonitorNode(ControlNode):
         new = [change for change in self.told.changes if not change.acknowledged] if self.told else []
         self.asked.append("acknowledge")
         response.success, response.message = True, "; ".join(change.name for change in new) or "nothing new"
+        return response
+
+    def _on_accept(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        changes = [change for change in self.told.active if change.causes and not change.before] if self.told else []
+        response.success = bool(changes)
+        response.message = "; ".join(change.name for change in changes) or "there is no change with a cause to accept"
+        if changes:
+            self.asked.append("accept")
         return response
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -16,7 +16,7 @@ from ehls_ros.experiments.monitoring.examination import Finding, FoundCause, Tas
 from ehls_ros.experiments.monitoring.following import Anchor
 from ehls_ros.experiments.monitoring.health import FoundChange, State
 from ehls_ros.experiments.monitoring.memory import COEFFICIENTS, STATE, Memory
-from ehls_ros.experiments.monitoring.monitor import Monitor
+from ehls_ros.experiments.monitoring.monitor import AT_ONCE, Monitor
 from ehls_ros.experiments.monitoring.parameters import Parameters
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.trajectory import Trajectory
@@ -108,10 +108,10 @@ def test_it_goes_on_with_all_it_knew_and_without_an_alarm(healthy, kept, folder:
     assert now.begins == was.begins
     assert np.allclose(now.rows, was.rows, rtol=1e-6)
     assert [d.key for d in now.learnt.directions] == [d.key for d in was.learnt.directions]
-    # The next block is judged, as it would have been.
-    assert fed(after, trajectory, 45.0, 49.0) == fed(before, trajectory, 45.0, 49.0) == []
+    # The next blocks are judged, as they would have been.
+    assert fed(after, trajectory, 45.0, 52.0) == fed(before, trajectory, 45.0, 52.0) == []
     assert after.health().state == State.WATCHING
-    assert after.health().watched == was_watched + 2.5
+    assert after.health().watched == was_watched + AT_ONCE
     assert np.allclose(after.remembered().rows[:, -1], before.remembered().rows[:, -1], rtol=1e-3, atol=1e-6)
 
 

@@ -1,0 +1,65 @@
+"""What it brings to tell a controller of a change: the force error before and after."""
+
+import math
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+
+
+class Benefit:
+    """Compares the force error over equal times before and after a controller is told.
+
+    Attributes:
+        told: whether the controller has been told.
+    """
+
+    def __init__(self, cycles: int) -> None:
+        """Begin to measure.
+
+        Args:
+            cycles: control cycles before, and after.
+        """
+        self._cycles = cycles
+        self._squares = [0.0, 0.0]
+        self._largest = [0.0, 0.0]
+        self._counts = [0, 0]
+        self._left = 0
+        self.told = False
+
+    @property
+    def ready(self) -> bool:
+        """Whether enough cycles have been measured before: it is time to tell the controller."""
+        return not self.told and self._counts[0] >= self._cycles
+
+    @property
+    def complete(self) -> bool:
+        """Whether enough cycles have been measured after."""
+        return self._counts[1] >= self._cycles
+
+    def add(self, errors: Array) -> None:
+        """Take in the force errors of some cycles, NaN where there is none, shape (n,) [N]."""
+        errors = errors[np.isfinite(errors)]
+        if self._left > 0:
+            skipped = min(self._left, len(errors))
+            self._left, errors = self._left - skipped, errors[skipped:]
+        part = int(self.told)
+        if not len(errors) or self._counts[part] >= self._cycles:
+            return
+        self._counts[part] += len(errors)
+        self._squares[part] += float(errors @ errors)
+        self._largest[part] = max(self._largest[part], float(np.max(np.abs(errors))))
+
+    def tell(self, settling: int) -> None:
+        """Take note that the controller is told.
+
+        Args:
+            settling: cycles that count neither before nor after.
+        """
+        self.told, self._left = True, settling
+
+    def sentence(self) -> str:
+        """Say what it brought."""
+        before, after = (math.sqrt(s / max(n, 1)) for s, n in zip(self._squares, self._counts, strict=True))
+        largest = " to ".join(f"{value:.3g}" for value in self._largest)
+        return f"force error before and after the controller was told: {before:.3g} to {after:.3g} N rms, {largest} N at most"

@@ -1,0 +1,35 @@
+"""A controller is told of a rig that an operator has accepted, if it was started so."""
+
+import pytest
+
+pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
+
+from std_msgs.msg import String
+
+from ehls_msgs.msg import LoaderState
+from ehls_ros.experiments.spec import load_spec
+from ehls_ros.experiments.yaml_files import rig_text
+from ehls_ros.nodes.transport import control_qos
+from ehls_ros.physics.rig import rig_to_mapping
+from ehls_ros.recording.topics import ACCEPTED_RIG
+
+KNOWN, WRONG = "the accepted rig is known from control cycle", "the accepted rig is not used"
+
+
+def test_a_controller_that_accepts_knows_the_rig_from_the_next_cycle_on_and_refuses_a_wrong_one(graph, participant, spec_file):
+    path = spec_file(duration=1000.0, controller="sic")
+    states = participant.collect(LoaderState, "loader_state")
+    common = {"spec": path, "timing": "lockstep"}
+    graph.start("sic_node", **common, accept_rig=True)
+    for name in ("reference_node", "disturbance_node"):
+        graph.start(name, **common)
+    graph.start("plant_sim_node", **common, speed=0.5, partners="sic_node,reference_node,disturbance_node")
+    participant.until(lambda: bool(states))
+    telling = participant.node.create_publisher(String, ACCEPTED_RIG.name, control_qos(ACCEPTED_RIG.depth))
+    telling.publish(String(data="plant: 3"))
+    participant.until(lambda: WRONG in graph.log("sic_node"))
+    assert KNOWN not in graph.log("sic_node")
+    telling.publish(String(data=rig_text(rig_to_mapping(load_spec(path).rig))))
+    participant.until(lambda: KNOWN in graph.log("sic_node"))
+    cycle = states[-1].cycle
+    participant.until(lambda: states[-1].cycle > cycle + 100)
