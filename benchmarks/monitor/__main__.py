@@ -52,7 +52,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--hours", type=float, default=1.0, help="healthy: hours, episodes together (%(default)s)")
     parser.add_argument("--minutes", type=float, default=60.0, help="healthy: length of an episode (%(default)s)")
     parser.add_argument("--forms", type=float, help="healthy: largest form error, as a fraction of the largest terms")
-    parser.add_argument("--cases", type=int, default=40, help="hidden: number of cases, all effects equally often (%(default)s)")
+    parser.add_argument("--cases", type=int, default=40, help="hidden: number of cases, all effects in turn (%(default)s)")
     parser.add_argument("--drift", action="store_true", help="hidden: effects that grow")
     parser.add_argument("--closed-loop", action="store_true", help="hidden: under the adaptive controller")
     parser.add_argument("--healthy", type=Path, nargs="+", help="peers: results of `healthy`")

@@ -1,7 +1,7 @@
 """Effects that begin while the adaptive controller runs, in the package's own simulator.
 
-truth_generator has a controller of its own, which does not adapt. Here FASMC runs, whose disturbance estimate swallows what the rig
-becomes; the plant is the package's, so that what is tested is the loop and not the physics.
+truth_generator has a controller of its own, which does not adapt. Here FASMC runs, whose disturbance estimate swallows what the
+rig becomes; the plant is the package's, so that what is tested is the loop and not the physics.
 """
 
 import time

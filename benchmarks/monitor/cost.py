@@ -31,8 +31,8 @@ def show(console: Console) -> None:
     recording = recording_of(Onset(PROGRAMMES, 1, DURATION, ()))
     monitor = Monitor(rig(), Parameters(), Timed())
     feed(monitor, part(recording, 0.0, LEARNT))
-    rest = part(recording, LEARNT, DURATION)
-    rest = rest._replace(time_s=rest.time_s + LEARNT)
+    later = part(recording, LEARNT, DURATION)
+    rest = Trajectory(later.time_s + LEARNT, later.signals)
     began, used = time.perf_counter(), time.process_time()
     feed(monitor, rest)
     wall, used = time.perf_counter() - began, time.process_time() - used
@@ -53,28 +53,31 @@ def _parts(recording: Trajectory) -> tuple[dict[str, list[float]], int]:
     followed = directions(gather(first, rig(), setup(first, rig()), 0))
     test: ChangeTest | None = None
     out: dict[str, list[float]] = defaultdict(list)
-    for begin in np.arange(LEARNT, DURATION - 5.0, rules.MONITOR_BLOCK):
-        own = part(recording, begin - rules.MONITOR_LEAD, begin + rules.MONITOR_BLOCK)
+    begins = (rules.MONITOR_LEAD + rules.MONITOR_BLOCK * np.arange(rules.MONITOR_AT_ONCE)).tolist()
+    length = rules.MONITOR_AT_ONCE * rules.MONITOR_BLOCK
+    for begin in np.arange(LEARNT, DURATION - length, length):
+        own = part(recording, begin - rules.MONITOR_LEAD, begin + length)
         times = [time.perf_counter()]
         record = prepare(own, rig(), "the rig")
         times.append(time.perf_counter())
         compared = setup(record, rig())
         times.append(time.perf_counter())
-        evidence = gather(record, rig(), compared, 0)
+        evidence = gather(record, rig(), compared, 0, rules.MONITOR_REALISATIONS)
         times.append(time.perf_counter())
-        found = scores(evidence, followed)
+        blocks = scores(evidence, followed, (), begins)
         times.append(time.perf_counter())
-        test = ChangeTest(_any(len(found.score)), 1000.0) if test is None else test
-        test.add(found.score, found.information, found.share)
-        test.change()
+        test = ChangeTest(_any(len(blocks[0].score)), 1000.0) if test is None else test
+        for found in blocks:
+            test.add(found.score, found.information, found.share)
+            test.change()
         times.append(time.perf_counter())
         names = ("record prepared", "channels found", "residuals and noise floor", "scores of the directions", "test")
         for name, took in zip(names, np.diff(times), strict=True):
-            out[name].append(float(took))
+            out[name].append(float(took) / rules.MONITOR_AT_ONCE)
     return out, len(followed)
 
 
 def _any(count: int) -> Healthy:
     """Return a scatter that no time depends on."""
     zero, one = np.zeros(count), np.ones(count)
-    return Healthy(zero, np.full(count, np.inf), one, zero, one, 100.0, zero, zero, zero > 1.0)
+    return Healthy(zero, np.full(count, np.inf), one, zero, one, 100.0)

@@ -40,7 +40,8 @@ def draw(seed: int, number: int, pool: Mapping[str, Any] | None = None) -> tuple
     if pool is None:
         name = effect_of(seed, number)
     else:
-        name = sorted(pool)[int(np.random.default_rng([seed, number // len(pool), 22]).permutation(len(pool))[number % len(pool)])]
+        turn, place = divmod(number, len(pool))
+        name = sorted(pool)[int(np.random.default_rng([seed, turn, 22]).permutation(len(pool))[place])]
     case = shown(rng, seed, number, "singles", OFFLINE, lambda: {name: draw_effect(name, rng, rig_file())})
     return name, case.experiment, case.record_seed, case.hidden
 

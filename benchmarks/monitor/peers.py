@@ -1,6 +1,6 @@
 """Simpler detectors on the same streams: the drift detectors of river, a plain CUSUM and an EWMA.
 
-Each watches the power of the whitened residual in each channel, block by block, with its mean and scatter from the first minute.
+Each watches the power of the whitened residual in each channel, block by block, by its mean and scatter in the first minute.
 They name nothing; the stage of the channel that alarms first is the best they say. Each is tuned to the most sensitive of its
 settings that raises no false alarm in the healthy hours.
 """
@@ -117,7 +117,9 @@ def peers() -> dict[str, Peer]:
     }
     if drift is not None:
         out |= {
-            "ADWIN": Peer(np.geomspace(0.3, 1e-12, 24).tolist(), lambda d: River(drift.ADWIN(delta=d, clock=1, grace_period=5))),
+            "ADWIN": Peer(
+                np.geomspace(0.3, 1e-12, 24).tolist(), lambda d: River(drift.ADWIN(delta=d, clock=1, grace_period=5))
+            ),
             "PageHinkley": Peer(
                 np.geomspace(4.0, 4000.0, 31).tolist(),
                 lambda t: River(drift.PageHinkley(min_instances=5, delta=REFERENCE, threshold=t, alpha=1.0)),
@@ -131,7 +133,7 @@ def peers() -> dict[str, Peer]:
 
 
 def standardised(powers: Sequence[Sequence[float]]) -> np.ndarray:
-    """Return the powers of a stream's blocks after the first ones, by the mean and scatter of these, shape (blocks, channels)."""
+    """Return the powers of the blocks after the first ones, by the mean and scatter of these, shape (blocks, channels)."""
     values = np.array(powers, dtype=np.float64).reshape(-1, len(CHANNELS))
     with np.errstate(all="ignore"):
         first = values[:LEARNT]
@@ -176,7 +178,7 @@ def show(healthy: Sequence[Row], hidden: Sequence[Row], console: Console) -> Non
     cases = [row for row in hidden if "error" not in row and row.get("powers") and judge(row).counts]
     title = f"{len(cases)} effects that begin while the rig runs, and {hours:.1f} h of healthy rigs"
     table = Table(title=title, title_justify="left")
-    for column in ("", "setting", "false alarms", "noticed", "right stage", "right name", "onset to noticed: median [quartiles]"):
+    for column in ("", "setting", "false alarms", "noticed", "right stage", "right name", "onset to noticed: median"):
         table.add_column(column)
     judged = [judge(row) for row in cases]
     false = sum(event["kind"] == "noticed" for row in healthy for event in row.get("events", ()))

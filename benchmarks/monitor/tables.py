@@ -17,8 +17,8 @@ Row = dict[str, Any]
 TAIL = (4.0, 4.5, 5.0, 5.5, 6.0, 6.5, 7.0)
 """Sums, in standard deviations, whose frequency is compared with theory."""
 
-UNCONFIRMED = ("unconfirmed",)
 LONG = 1e3
+"""Hours whose running time is projected."""
 
 
 def rate(count: int, hours: float) -> tuple[float, float, float]:
@@ -47,7 +47,8 @@ def line_of(row: Row) -> str:
     if "largest" in row:
         kinds = ", ".join(f"{e['kind']} at {e['time']:.0f} s ({e['text']})" for e in row["events"] if e["kind"] not in _USUAL)
         most = max(row["largest"], default=0.0)
-        return f"{row['number']:4d} {row['kind']} {row['watched_h']:.2f} h in {row['wall_s']:.0f} s, largest {most:.1f}; {kinds}"
+        took = f"{row['watched_h']:.2f} h in {row['wall_s']:.0f} s"
+        return f"{row['number']:4d} {row['kind']} {took}, largest {most:.1f}; {kinds}"
     j = judge(row)
     return f"{row['number']:4d} {'ok   ' if j.right else 'WRONG' if j.counts else '-    '} {row['effect']}: {j.words}"
 
@@ -61,12 +62,13 @@ def show_healthy(rows: Sequence[Row], console: Console) -> None:
     kinds = {kind: [row for row in good if row["kind"] == kind] for kind in dict.fromkeys(row["kind"] for row in good)}
     table = Table(title="false alarms, with the exact 95 % interval of the rate", title_justify="left")
     names = [f"noticed at {hours:g} h" for hours in SETTINGS]
-    for column in ("rig", "hours", *names, f"diagnosed as a fault at {SETTINGS[0]:g} h", "not confirmed", "differs from its file"):
+    for column in ("rig", "hours", *names, f"named at {SETTINGS[0]:g} h", "not confirmed", "differs from its file"):
         table.add_column(column)
     for kind, of in {**kinds, "all": good}.items():
         hours = sum(row["watched_h"] for row in of)
         noticed = [
-            sum(incidents(row["largest"], row["bounds"][place]) for row in of if row["bounds"]) for place in range(len(SETTINGS))
+            sum(incidents(row["largest"], row["bounds"][place]) for row in of if row["bounds"])
+            for place in range(len(SETTINGS))
         ]
         events = [event["kind"] for row in of for event in row["events"]]
         table.add_row(
@@ -86,7 +88,8 @@ def show_healthy(rows: Sequence[Row], console: Console) -> None:
 
 
 def _show_tail(rows: Sequence[Row], console: Console) -> None:
-    table = Table(title="largest sum of a block: blocks above a size, against chance for all sums together", title_justify="left")
+    title = "largest sum of a block: blocks above a size, against chance for all sums together"
+    table = Table(title=title, title_justify="left")
     for column in ("standard deviations", "blocks", "at most by chance (Bonferroni)"):
         table.add_column(column)
     blocks = np.array([value for row in rows for value in row["largest"]])

@@ -76,7 +76,7 @@ def feed(monitor: Monitor, recording: Trajectory, largest: list[float] | None = 
     Args:
         monitor: the monitor.
         recording: the recording, on its axis.
-        largest: takes the largest sum of each block, in standard deviations.
+        largest: takes the largest sum each time that blocks are judged, in standard deviations.
     """
     events = list[Event]()
     for times, signals in in_chunks(recording):
@@ -103,7 +103,7 @@ def _power(recording: Trajectory, rig: Rig, lead: float) -> list[float]:
     try:
         record = prepare(recording, rig, "the rig")
         compared = setup(record, rig)
-        evidence = gather(record, rig, compared, 0)
+        evidence = gather(record, rig, compared, 0, rules.MONITOR_REALISATIONS)
     except BadInput:
         return [float("nan")] * len(CHANNELS)
     found = dict.fromkeys(CHANNELS, float("nan"))
