@@ -6,7 +6,7 @@ Every part is the one the nodes run, in the same order, so that both give the sa
 import os
 import platform
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from types import ModuleType
 from typing import Any, NamedTuple, cast
 
@@ -32,7 +32,7 @@ from ehls_ros.experiments.spec import Spec, Use, check_spec, company_of, signal_
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.plant import TEMPERATURE
 from ehls_ros.physics.plausibility import implausible
-from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.physics.sensors import POSITION, VELOCITY
 from ehls_ros.physics.simulator import Constants, Simulated, Simulator, State, at_rest, parts_of, plant_kernel
 from ehls_ros.recording.topics import ACTUATOR_TOPICS, CONTROLLER_STATUS, DISTURBANCE, LOADER_STATE, REFERENCE_TOPICS
@@ -243,6 +243,22 @@ class ClosedLoop:
         nothing = np.empty((0, self.columns.status.stop))
         self._run(0, nothing, np.empty((0, FOLLOWED)), np.empty((0, ROW)), np.random.default_rng())
 
+    def become(self, rig: Rig) -> None:
+        """Let the loader's rig be another one from the next cycle on; its sensors stay as they are.
+
+        Args:
+            rig: one with the same effects, of other sizes.
+
+        Raises:
+            BadInput: it has other effects, which the loop is not compiled for.
+        """
+        settings = self._spec.settings
+        now = at_rest(self._spec._replace(rig=rig).loader_rig(), *_timing(self._spec))
+        if now.parts.effects.names != self._plant.parts.effects.names:
+            wanted = ", ".join(self._plant.parts.effects.names) or "none"
+            raise BadInput(f"a rig with the effects {now.parts.effects.names}", settings.title, f"those of the loop: {wanted}")
+        self._plant = self._plant._replace(rig=now.rig, constants=now.constants)
+
     def blocks(self) -> Iterator[Block]:
         """Run the experiment.
 
@@ -374,18 +390,24 @@ def _check_memory(spec: Spec, columns: int) -> None:
         )
 
 
-def run_in_stretches(spec: Spec) -> Iterator[Trajectory]:
+def run_in_stretches(spec: Spec, later: Sequence[tuple[float, Rig]] = ()) -> Iterator[Trajectory]:
     """Run an experiment without ROS, only as far ahead as somebody asks.
 
     Args:
         spec: the experiment.
+        later: what its rig becomes, each from the first stretch on that begins at a time or later [s], in their order; see
+            :meth:`ClosedLoop.become`.
 
     Yields:
         What :func:`run_in_process` returns, :data:`CHUNK` cycles at a time. Its memory is used again for the next stretch.
     """
     loop = ClosedLoop(spec)
+    waiting = list(later)
     for block in loop.blocks():
         yield _trajectory(spec, loop.columns, block.record, block.reference, block.disturbance, block.first)
+        end = (block.first + len(block.record)) * spec.settings.control_period
+        while waiting and end >= waiting[0][0]:
+            loop.become(waiting.pop(0)[1])
 
 
 def _trajectory(
