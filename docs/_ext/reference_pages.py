@@ -377,7 +377,12 @@ def launch_arguments() -> Mapping[str, tuple[str, str, list[str] | None]]:
 def services() -> Iterator[tuple[str, str, str]]:
     """Yield name, type and description of every service, from the calls that create them."""
     yield from plant_services()
-    names = (*(f"programme_{request}" for request in ("stop", "resume", "skip")), "monitor_accept", "monitor_acknowledge", "monitor_reset")
+    names = (
+        *(f"programme_{request}" for request in ("stop", "resume", "skip")),
+        "monitor_accept",
+        "monitor_acknowledge",
+        "monitor_reset",
+    )
     for name in names:
         yield f"`{topics.NAMESPACE}/{name}`", "`std_srvs/srv/Trigger`", SERVICES[name]
 
