@@ -1,6 +1,6 @@
 """How far baselines cover the operating points of a new recording."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -14,21 +14,45 @@ COVERED = (POSITION, VELOCITY, PRESSURE, SPOOL, COMMAND, LOAD)
 """Signals that tell an operating point; the oil's temperature moves from day to day anyway."""
 
 
-def covered(healthy: Sequence[Evidence], new: Evidence) -> tuple[Coverage, ...]:
-    """Tell how much of the new recording lies where no baseline has been, signal by signal."""
-    ends = (rules.SEEN, 1.0 - rules.SEEN)
-    known = [signals_along(e.comparison(), e.rig) for e in healthy]
+Range = tuple[float, float]
+"""Smallest and largest value, but for a few samples."""
+
+
+def ranges(healthy: Sequence[Evidence]) -> dict[str, Range]:
+    """Return between which values each signal was where the rig was well."""
+    out = dict[str, Range]()
+    for evidence in healthy:
+        for name, (low, high) in _ranges(evidence).items():
+            before = out.get(name, (low, high))
+            out[name] = min(before[0], low), max(before[1], high)
+    return out
+
+
+def covered(known: Mapping[str, Range], new: Evidence) -> tuple[Coverage, ...]:
+    """Tell how much of a new recording lies where no baseline has been, signal by signal.
+
+    Args:
+        known: what the baselines cover, as :func:`ranges` gives it.
+        new: the recording compared with the model.
+    """
+    along, here = signals_along(new.comparison(), new.rig), _ranges(new)
     out = []
-    for name, values in signals_along(new.comparison(), new.rig).items():
-        ranges = [np.quantile(k[name], ends) for k in known if name in k]
-        if name not in COVERED or not ranges:
+    for name in here:
+        if name not in known:
             continue
-        low, high = min(float(r[0]) for r in ranges), max(float(r[1]) for r in ranges)
+        low, high = known[name]
         margin = rules.MARGIN * (high - low) + rules.NOISE_MARGIN * new.record.noise.get(name, 0.0)
+        values = along[name]
         beyond = float(np.mean((values < low - margin) | (values > high + margin)))
-        here = np.quantile(values, ends)
-        out.append(Coverage(name, (low, high), (float(here[0]), float(here[1])), beyond))
+        out.append(Coverage(name, (low, high), here[name], beyond))
     return tuple(out)
+
+
+def _ranges(evidence: Evidence) -> dict[str, Range]:
+    ends = (rules.SEEN, 1.0 - rules.SEEN)
+    along = signals_along(evidence.comparison(), evidence.rig)
+    found = {name: np.quantile(values, ends) for name, values in along.items() if name in COVERED}
+    return {name: (float(low), float(high)) for name, (low, high) in found.items()}
 
 
 def remarks(coverage: Sequence[Coverage]) -> list[str]:

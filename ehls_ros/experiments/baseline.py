@@ -9,7 +9,7 @@ import numpy as np
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.coefficients import unit_of, value_of
-from ehls_ros.diagnosis.coverage import covered, remarks
+from ehls_ros.diagnosis.coverage import covered, ranges, remarks
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.discrepancy import Expected
@@ -89,7 +89,7 @@ def diagnose_against(
         judge=judge,
     )
     evidence, expected = judged[0] if judged else (None, {})
-    coverage = () if evidence is None else covered([b.evidence for b in healthy], evidence)
+    coverage = () if evidence is None else covered(ranges([b.evidence for b in healthy]), evidence)
     not_compared = () if evidence is None else tuple(c for c in evidence.channels if c not in natural.channels)
     summary = BaselineSummary(
         recordings=called,

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 import yaml
 
+from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.examination import Finding, FoundCause
 from ehls_ros.experiments.monitoring.health import State
-from ehls_ros.experiments.monitoring.monitor import Monitor
+from ehls_ros.experiments.monitoring.monitor import RECORDINGS, Monitor
 from ehls_ros.experiments.monitoring.parameters import Parameters
 from ehls_ros.physics.rig import effects_from_list, rig_from_mapping
+from ehls_ros.trajectory import Trajectory
 from truth_generator import record
 
 RIG_FILE = Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml"
@@ -147,3 +149,17 @@ def test_a_change_that_no_diagnosis_names_any_more_has_cleared(rig, streams):
     assert not examiner.findings
     assert not monitor.changes[0].active
     assert monitor.model is monitor.well
+
+
+def test_recordings_of_the_healthy_rig_are_the_baseline_and_one_that_is_too_short_is_refused(rig, streams):
+    time, healthy, leak = streams
+    recording = Trajectory(time, healthy)
+    monitor = Monitor(rig, Parameters(), Scripted(leaking(rig)), {"old": recording})
+    assert monitor.health().state == State.WATCHING
+    assert monitor.health().baseline == RECORDINGS
+    later = time >= ONSET
+    events = monitor.add(time[later], {name: values[later] for name, values in leak.items()})
+    assert kinds(events) == ["noticed", "named"]
+    short = Trajectory(time[:4000], {name: values[:4000] for name, values in healthy.items()})
+    with pytest.raises(BadInput, match="in which the piston moves"):
+        Monitor(rig, Parameters(), Scripted(), {"short": short})

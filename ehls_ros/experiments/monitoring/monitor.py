@@ -14,7 +14,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.coverage import covered
+from ehls_ros.diagnosis.coverage import Range, covered, ranges
 from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.monitoring.blocks import Scores, scores, telling
 from ehls_ros.diagnosis.monitoring.change_test import Change, ChangeTest
@@ -121,7 +121,7 @@ class Monitor:
         self._test: ChangeTest | None = None
         self._sections = list[list[Scores]]()
         self._since = list[Scores]()
-        self._seen: Evidence | None = None
+        self._seen: dict[str, Range] = {}
         self._begins = deque[float](maxlen=rules.LONGEST_WATCH)
         self._recent = deque[Scores](maxlen=max(1, round(parameters.reading_time / rules.MONITOR_BLOCK)))
         self._read = 0
@@ -236,9 +236,7 @@ class Monitor:
 
     def _is_outside(self, evidence: Evidence) -> bool:
         """Tell whether a block lies where no healthy recording has been; the rig file's model holds everywhere."""
-        outside = False
-        if self._kind != RIG_FILE and self._seen is not None:
-            outside = any(item.beyond > rules.MENTIONED_UNSEEN for item in covered([self._seen], evidence))
+        outside = self._kind != RIG_FILE and any(item.beyond > rules.MENTIONED_UNSEEN for item in covered(self._seen, evidence))
         self._outside.append(outside)
         return outside
 
@@ -286,6 +284,7 @@ class Monitor:
         events.append(Event(end, "learnt", f"{self.parameters.learning_time:g} s learnt; compared with the rig file"))
 
     def _learn_from_baselines(self) -> None:
+        seen = list[Evidence]()
         for name, recording in self._baselines.items():
             evidence = self._compared(recording, self.rig)
             if evidence is None:
@@ -293,7 +292,7 @@ class Monitor:
             if not self._directions:
                 self._directions = directions(evidence, WANTED)
                 self._numbers = tracked(self._directions)
-                self._seen = evidence
+            seen.append(evidence)
             time, section = recording.time_s, list[Scores]()
             for begin in np.arange(time[0], time[-1] - AT_ONCE - rules.MONITOR_LEAD, AT_ONCE):
                 part = slice(*np.searchsorted(time, [begin, begin + rules.MONITOR_LEAD + AT_ONCE]))
@@ -301,8 +300,16 @@ class Monitor:
                 section += self._blocks(begin, samples)[1]
             if section:
                 self._sections.append(section)
-        self._kind = RECORDINGS
+        if not self._sections:
+            what = f"no recording of the healthy rig has {AT_ONCE + rules.MONITOR_LEAD:g} s in which the piston moves"
+            raise BadInput(what, ", ".join(self._baselines), "longer recordings of the rig at work")
+        self._kind, self._seen = RECORDINGS, ranges(seen)
         self._begin_watching()
+
+    def _learn_ranges(self, recording: Trajectory) -> None:
+        """Learn between which values the signals of the healthy rig were."""
+        evidence = self._compared(recording, self.model)
+        self._seen = {} if evidence is None else ranges([evidence])
 
     def _begin_watching(self) -> None:
         healthy = self._healthy()
@@ -415,7 +422,7 @@ class Monitor:
             return
         self._directions = directions(evidence, WANTED)
         self._numbers = tracked(self._directions)
-        self._seen = self._compared(recording, self.model)
+        self._learn_ranges(recording)
         section = list[Scores]()
         for learnt in self._learning:
             section += self._blocks(learnt)[1]
@@ -563,7 +570,7 @@ class Monitor:
         self._sections = [list(section) for section in past.learnt.sections]
         if past.learnt.recording is not None:
             self._baselines = {OWN_RECORDING: past.learnt.recording}
-            self._seen = self._compared(past.learnt.recording, self.model)
+            self._learn_ranges(past.learnt.recording)
         self._begin_watching()
         if self._test is None or len(past.begins) != past.rows.shape[1]:
             return
