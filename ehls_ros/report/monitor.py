@@ -10,7 +10,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
 from ehls_ros.experiments.monitoring.health import Event, FoundChange
 from ehls_ros.experiments.monitoring.limits import NORMAL_95
-from ehls_ros.experiments.monitoring.monitor import Past
+from ehls_ros.experiments.monitoring.monitor import RIG_FILE, Past
 from ehls_ros.experiments.monitoring.replay import Watched
 from ehls_ros.report import page
 from ehls_ros.report.diagnosis_findings import capital
@@ -169,7 +169,7 @@ def _facts(watched: Watched) -> str:
             ("measured from", health.baseline),
             ("false alarms, at most", f"one in {watched.parameters.mean_time_between_false_alarms:g} h"),
             ("coefficients told", f"{told} of {len(COEFFICIENTS)}"),
-            ("outside the baseline", percent(health.outside)),
+            *([] if health.baseline == RIG_FILE else [("outside the baseline", percent(health.outside))]),
         ]
     )
 
@@ -177,7 +177,7 @@ def _facts(watched: Watched) -> str:
 def _judged(watched: Watched) -> str:
     idle = sum(stretch.not_driven for stretch in watched.stretches)
     driven = f" Of the recordings, {duration(idle)} were not driven and are not judged." if idle > 0.0 else ""
-    return f"{outside(watched.health.outside)}{driven}"
+    return f"{outside(watched.health.outside, watched.health.baseline)}{driven}"
 
 
 def _changes(watched: Watched, clock: Clock) -> list[str]:

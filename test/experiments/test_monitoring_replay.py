@@ -123,3 +123,5 @@ def test_the_shortest_experiment_that_tells_the_rest_is_offered(monkeypatch):
     assert (found.name, found.tells) == ("velocity_sweep", ("coulomb_force",))
     assert found.seconds == found.repeats * found.spec["duration"]
     assert offer([], rig) is None
+    # Without the force no experiment tells the friction.
+    assert offer(["coulomb_force"], rig, ["position_m", "valve_command_m", "spool_m"]) is None

@@ -135,7 +135,9 @@ def test_rate_and_limit_stand_with_their_intervals(worn, written, without_plotly
     cells = row(text, "Coefficients", "internal leakage")
     assert cells[3] == "+0.010 ± 0.00020 cm³/(s bar)"
     assert cells[4] == "1.2 cm³/(s bar): in 2.58 days (95 %: 2.42 days to 2.77 days)"
-    assert "25 % of the last minute lay outside" in text
+    assert "nothing lies outside it" in text
+    old = worn._replace(health=worn.health._replace(baseline="healthy recordings"))
+    assert "25 % of the last minute lay outside" in page_of(written, old)
     assert "2.00 min were not driven" in text or "120 s were not driven" in text
 
 

@@ -139,6 +139,7 @@ def replay(
     progress(round(whole), round(whole), "looking for an experiment that tells the rest")
     told = {reading.name for reading in health.readings if reading.told}
     missing = [name for name in COEFFICIENTS if name not in told]
+    recorded = [name for name in USED if any(name in part.trajectory for part in parts)]
     return Watched(
         rig=rig,
         parameters=parameters,
@@ -147,7 +148,7 @@ def replay(
         events=tuple(events),
         stretches=tuple(stretches),
         limits=reaches(health.readings, health.rates, limits, rig),
-        offer=offer(missing, rig) if missing and health.readings else None,
+        offer=offer(missing, rig, recorded) if missing and health.readings else None,
     )
 
 
