@@ -10,7 +10,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
 from ehls_ros.experiments.monitoring.health import Event, FoundChange
 from ehls_ros.experiments.monitoring.limits import NORMAL_95
-from ehls_ros.experiments.monitoring.monitor import RIG_FILE, Past
+from ehls_ros.experiments.monitoring.monitor import Past
 from ehls_ros.experiments.monitoring.replay import Watched
 from ehls_ros.report import page
 from ehls_ros.report.diagnosis_findings import capital
@@ -25,6 +25,7 @@ from ehls_ros.report.monitor_findings import (
     Clock,
     answer,
     change_sentence,
+    covers_all,
     duration,
     false_alarms,
     known,
@@ -169,7 +170,7 @@ def _facts(watched: Watched) -> str:
             ("measured from", health.baseline),
             ("false alarms, at most", f"one in {watched.parameters.mean_time_between_false_alarms:g} h"),
             ("coefficients told", f"{told} of {len(COEFFICIENTS)}"),
-            *([] if health.baseline == RIG_FILE else [("outside the baseline", percent(health.outside))]),
+            *([] if covers_all(health.baseline) else [("outside the baseline", percent(health.outside))]),
         ]
     )
 

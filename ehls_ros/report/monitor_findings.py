@@ -118,6 +118,11 @@ def false_alarms(hours: float) -> str:
     )
 
 
+def covers_all(baseline: str) -> bool:
+    """Tell whether nothing can lie outside a baseline: the rig file's model holds everywhere."""
+    return baseline == RIG_FILE
+
+
 def outside(share: float, baseline: str) -> str:
     """Say what lies outside the baseline.
 
@@ -125,7 +130,7 @@ def outside(share: float, baseline: str) -> str:
         share: fraction of the last minute.
         baseline: what a change is measured from.
     """
-    if baseline == RIG_FILE:
+    if covers_all(baseline):
         return "The baseline is the rig file, whose model holds at every load and speed: nothing lies outside it."
     if share <= 0.0:
         return "All of the last minute lay within what the baseline covers."
