@@ -128,6 +128,8 @@ def test_what_is_not_told_is_grey_with_the_reason(worn, written, without_plotly)
     assert len(rows(text, "Not told")) == len(COEFFICIENTS)
     assert "velocity_sweep" in text
     assert "run 2 times" in text
+    text = page_of(written, worn._replace(offer=None, missing=(MASS,)))
+    assert "No experiment of the catalogue would tell moving mass from the signals" in text
 
 
 def test_rate_and_limit_stand_with_their_intervals(worn, written, without_plotly):

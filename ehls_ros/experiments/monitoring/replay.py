@@ -71,7 +71,8 @@ class Watched(NamedTuple):
         events: what happened.
         stretches: recordings on the time axis; none of a running rig.
         limits: when the coefficients reach their limits, of those that have one.
-        offer: the shortest experiment that tells what this programme does not; None where all is told, or nothing would.
+        missing: names of the coefficients that this programme does not tell.
+        offer: the shortest experiment that tells most of them; None where none would.
     """
 
     rig: Rig
@@ -81,6 +82,7 @@ class Watched(NamedTuple):
     events: Sequence[Event]
     stretches: Sequence[Stretch] = ()
     limits: Mapping[str, Reach] = {}
+    missing: tuple[str, ...] = ()
     offer: Offer | None = None
 
 
@@ -137,10 +139,10 @@ def replay(
     monitor.close()
     health = monitor.health()
     told = {reading.name for reading in health.readings if reading.told}
-    missing = [name for name in COEFFICIENTS if name not in told]
+    missing = tuple(name for name in COEFFICIENTS if name not in told) if health.readings else ()
     recorded = [name for name in USED if any(name in part.trajectory for part in parts)]
     progress(round(whole), round(whole), "looking for an experiment that tells the rest")
-    offered = offer(missing, rig, recorded) if missing and told else None
+    offered = offer(missing, rig, recorded) if missing else None
     health = health._replace(readings=told_apart(health.readings, health.active), rates=drifting(health.rates, monitor.history))
     return Watched(
         rig=rig,
@@ -150,6 +152,7 @@ def replay(
         events=tuple(events),
         stretches=tuple(stretches),
         limits=reaches(health.readings, health.rates, limits, rig),
+        missing=missing,
         offer=offered,
     )
 
