@@ -303,7 +303,7 @@ def _trend_note(reading: Reading, watched: Watched, *, grey: bool) -> str:
     _, _, _, change, _ = table_row(reading, watched)
     limit = watched.limits.get(reading.name)
     said = [f"In an hour {change}." if reading.told and change[:1].strip("–") else ""]
-    said.append("" if limit is None else f"Limit {limit_words(limit, reading.unit)}.")
+    said.append("" if limit is None or not reading.told else f"Limit {limit_words(limit, reading.unit)}.")
     said.append(f"Not told now: {reading.why_not}." if not reading.told else "")
     said.append("Grey: not told." if grey else "")
     return " ".join(filter(None, said))

@@ -191,8 +191,8 @@ def offered(watched: Watched) -> str:
     """Say which experiment tells what is not told; empty where all is told, or nothing was judged."""
     offer = watched.offer
     if offer is None:
-        names = [COEFFICIENTS[name].words for name in watched.missing]
-        return f"No experiment of the catalogue would tell {listed(names)} from the signals that are there." if names else ""
+        grey = [COEFFICIENTS[name].words for name in watched.missing]
+        return f"No experiment of the catalogue would tell {listed(grey)} from the signals that are there." if grey else ""
     names: Mapping[str, str] = {name: COEFFICIENTS[name].words for name in offer.tells}
     often = "" if offer.repeats == 1 else f", run {offer.repeats} times"
     takes = f"{offer.purpose}, {duration(offer.seconds)}{often}"

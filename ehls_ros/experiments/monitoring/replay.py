@@ -19,6 +19,7 @@ from ehls_ros.experiments.monitoring.monitor import Monitor, Past
 from ehls_ros.experiments.monitoring.offer import Offer, offer
 from ehls_ros.experiments.monitoring.parameters import Parameters
 from ehls_ros.parallel import Workers
+from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig
 from ehls_ros.progress import Update
 from ehls_ros.samples import Mask
@@ -168,7 +169,7 @@ def told_apart(found: Sequence[Reading], changes: Sequence[FoundChange]) -> tupl
     """
     first = [change.causes[0] for change in changes if change.causes]
     named = {cause.name for cause in first}
-    alike = {name: cause.name for cause in first for name in cause.equivalent_to if name not in named}
+    alike = {name: EFFECTS.load(cause.name).WORDS.noun for cause in first for name in cause.equivalent_to if name not in named}
     return tuple(
         reading._replace(deviation=math.inf, why_not=f"what has changed is taken for {alike[effect]}, which looks the same")
         if reading.told and (effect := COEFFICIENTS[reading.name].effect) in alike
