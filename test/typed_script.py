@@ -14,6 +14,7 @@ run = assert_type(ehls.simulate("sine_fd2", rig=rig, duration=2.0, controller={"
 assert_type(run.metrics.max_error_n, float)
 assert_type(run.spec, ehls.Spec)
 found = assert_type(ehls.diagnose(read, rig, baseline=[run, "old.csv"]), ehls.DiagnosisResult)
+seen = assert_type(ehls.monitor([read, run], rig, limits={"coulomb_force": 800.0}), ehls.MonitorResult)
 assert_type(found.causes[0].parameters["offset"], ehls.Estimate)
 assert_type(found.extended, ehls.Rig)
 friction = assert_type(ehls.identify([read, "slow.csv"], "rig.yaml", elements=3), ehls.FrictionResult)

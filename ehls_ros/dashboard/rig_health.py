@@ -52,15 +52,17 @@ class RigTab:
         self._all.set_visibility(rig is not None)
         if rig is None:
             return
-        changed = any(change.active for change in rig.changes)
+        new = any(not change.acknowledged for change in rig.changes)
         self._summary.set_text(rig.summary)
-        self._summary.classes(add=f"level-{WARNING if changed else GOOD}", remove=f"level-{GOOD if changed else WARNING}")
+        # Seen on every tab until somebody acknowledges.
+        for place, wrong in ((self._summary, any(change.active for change in rig.changes)), (self._tab, new)):
+            place.classes(add=f"level-{WARNING if wrong else GOOD}", remove=f"level-{GOOD if wrong else WARNING}")
         beyond = f"; {percent(rig.outside)} of the last minute lies outside what the baseline covers" if rig.outside else ""
         self._said.set_text(f"{rig.state}{beyond}")
         self._changes.set_content(changes_list(rig.changes))
         self._changes.set_visibility(bool(rig.changes))
         if self._acknowledge is not None:
-            self._acknowledge.set_visibility(any(not change.acknowledged for change in rig.changes))
+            self._acknowledge.set_visibility(new)
         self._coefficients.set_content(trends_table(rig.coefficients))
 
 

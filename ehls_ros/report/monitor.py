@@ -25,6 +25,7 @@ from ehls_ros.report.monitor_findings import (
     Clock,
     answer,
     change_sentence,
+    covers_all,
     duration,
     false_alarms,
     known,
@@ -169,7 +170,7 @@ def _facts(watched: Watched) -> str:
             ("measured from", health.baseline),
             ("false alarms, at most", f"one in {watched.parameters.mean_time_between_false_alarms:g} h"),
             ("coefficients told", f"{told} of {len(COEFFICIENTS)}"),
-            ("outside the baseline", percent(health.outside)),
+            *([] if covers_all(health.baseline) else [("outside the baseline", percent(health.outside))]),
         ]
     )
 
@@ -177,7 +178,7 @@ def _facts(watched: Watched) -> str:
 def _judged(watched: Watched) -> str:
     idle = sum(stretch.not_driven for stretch in watched.stretches)
     driven = f" Of the recordings, {duration(idle)} were not driven and are not judged." if idle > 0.0 else ""
-    return f"{outside(watched.health.outside)}{driven}"
+    return f"{outside(watched.health.outside, watched.health.baseline)}{driven}"
 
 
 def _changes(watched: Watched, clock: Clock) -> list[str]:
@@ -302,7 +303,7 @@ def _trend_note(reading: Reading, watched: Watched, *, grey: bool) -> str:
     _, _, _, change, _ = table_row(reading, watched)
     limit = watched.limits.get(reading.name)
     said = [f"In an hour {change}." if reading.told and change[:1].strip("–") else ""]
-    said.append("" if limit is None else f"Limit {limit_words(limit, reading.unit)}.")
+    said.append("" if limit is None or not reading.told else f"Limit {limit_words(limit, reading.unit)}.")
     said.append(f"Not told now: {reading.why_not}." if not reading.told else "")
     said.append("Grey: not told." if grey else "")
     return " ".join(filter(None, said))

@@ -9,6 +9,7 @@ from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.health import FoundChange, State
 from ehls_ros.experiments.monitoring.limits import NORMAL_95, Reach
+from ehls_ros.experiments.monitoring.monitor import RIG_FILE
 from ehls_ros.experiments.monitoring.replay import Watched
 from ehls_ros.physics.rig import Rig
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, capital, words
@@ -117,8 +118,20 @@ def false_alarms(hours: float) -> str:
     )
 
 
-def outside(share: float) -> str:
-    """Say what lies outside the baseline."""
+def covers_all(baseline: str) -> bool:
+    """Tell whether nothing can lie outside a baseline: the rig file's model holds everywhere."""
+    return baseline == RIG_FILE
+
+
+def outside(share: float, baseline: str) -> str:
+    """Say what lies outside the baseline.
+
+    Args:
+        share: fraction of the last minute.
+        baseline: what a change is measured from.
+    """
+    if covers_all(baseline):
+        return "The baseline is the rig file, whose model holds at every load and speed: nothing lies outside it."
     if share <= 0.0:
         return "All of the last minute lay within what the baseline covers."
     return (
@@ -175,10 +188,11 @@ def limit_words(found: Reach, unit: str) -> str:
 
 
 def offered(watched: Watched) -> str:
-    """Say which experiment tells what is not told; empty where there is none."""
+    """Say which experiment tells what is not told; empty where all is told, or nothing was judged."""
     offer = watched.offer
     if offer is None:
-        return ""
+        grey = [COEFFICIENTS[name].words for name in watched.missing]
+        return f"No experiment of the catalogue would tell {listed(grey)} from the signals that are there." if grey else ""
     names: Mapping[str, str] = {name: COEFFICIENTS[name].words for name in offer.tells}
     often = "" if offer.repeats == 1 else f", run {offer.repeats} times"
     takes = f"{offer.purpose}, {duration(offer.seconds)}{often}"

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 import yaml
 
+from ehls_ros.diagnosis.monitoring.tracking import Reading
 from ehls_ros.experiments.monitoring import offer as offers
 from ehls_ros.experiments.monitoring import replay as replaying
-from ehls_ros.experiments.monitoring.health import State
+from ehls_ros.experiments.monitoring.examination import FoundCause
+from ehls_ros.experiments.monitoring.health import FoundChange, State
 from ehls_ros.experiments.monitoring.offer import offer
 from ehls_ros.experiments.monitoring.parameters import Parameters
-from ehls_ros.experiments.monitoring.replay import Part, Watched, replay
+from ehls_ros.experiments.monitoring.replay import Part, Watched, replay, told_apart
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.trajectory import Trajectory
 from truth_generator import record
@@ -115,6 +117,18 @@ def test_what_was_not_driven_is_not_given_and_begins_a_new_stretch(made, monkeyp
     assert two.not_driven == 0.0
 
 
+@pytest.mark.parametrize(("name", "told"), [("external_leakage", False), ("internal_leakage_shift", True)])
+def test_a_coefficient_that_a_look_alike_has_taken_over_is_not_told(name, told):
+    alike = ({"external_leakage", "internal_leakage_shift"} - {name}).pop()
+    cause = FoundCause(name, "flow", 0.5, (alike,), {})
+    change = FoundChange(1, (cause,), "flow", (), 1.0, 1.0, 1.0, 2.0, 2.0)
+    given = [Reading("leakage_coefficient", 4.7e-12, 1e-14, "m^5/(N s)"), Reading("valve_gain", 1.0, 1e-4, "1")]
+    leakage, gain = told_apart(given, [change])
+    assert leakage.told is told
+    assert ("a leakage to the outside, which looks the same" in leakage.why_not) is not told
+    assert gain == given[1]
+
+
 def test_the_shortest_experiment_that_tells_the_rest_is_offered(monkeypatch):
     few = ("pressure_staircase", "velocity_sweep")
     monkeypatch.setattr(offers, "CATALOGUE", {name: offers.CATALOGUE[name] for name in few})
@@ -123,3 +137,5 @@ def test_the_shortest_experiment_that_tells_the_rest_is_offered(monkeypatch):
     assert (found.name, found.tells) == ("velocity_sweep", ("coulomb_force",))
     assert found.seconds == found.repeats * found.spec["duration"]
     assert offer([], rig) is None
+    # Without the force no experiment tells the friction.
+    assert offer(["coulomb_force"], rig, ["position_m", "valve_command_m", "spool_m"]) is None

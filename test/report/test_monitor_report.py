@@ -128,6 +128,8 @@ def test_what_is_not_told_is_grey_with_the_reason(worn, written, without_plotly)
     assert len(rows(text, "Not told")) == len(COEFFICIENTS)
     assert "velocity_sweep" in text
     assert "run 2 times" in text
+    text = page_of(written, worn._replace(offer=None, missing=(MASS,)))
+    assert "No experiment of the catalogue would tell moving mass from the signals" in text
 
 
 def test_rate_and_limit_stand_with_their_intervals(worn, written, without_plotly):
@@ -135,7 +137,9 @@ def test_rate_and_limit_stand_with_their_intervals(worn, written, without_plotly
     cells = row(text, "Coefficients", "internal leakage")
     assert cells[3] == "+0.010 ± 0.00020 cm³/(s bar)"
     assert cells[4] == "1.2 cm³/(s bar): in 2.58 days (95 %: 2.42 days to 2.77 days)"
-    assert "25 % of the last minute lay outside" in text
+    assert "nothing lies outside it" in text
+    old = worn._replace(health=worn.health._replace(baseline="healthy recordings"))
+    assert "25 % of the last minute lay outside" in page_of(written, old)
     assert "2.00 min were not driven" in text or "120 s were not driven" in text
 
 

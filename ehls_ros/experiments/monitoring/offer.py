@@ -49,29 +49,30 @@ class Offer(NamedTuple):
     spec: Mapping[str, Any]
 
 
-def offer(missing: Collection[str], rig: Rig) -> Offer | None:
+def offer(missing: Collection[str], rig: Rig, signals: Collection[str] = USED) -> Offer | None:
     """Return the experiment that tells most of some coefficients, and of those that tell as many the shortest.
 
     Args:
         missing: names in :data:`~ehls_ros.diagnosis.monitoring.tracking.COEFFICIENTS`.
         rig: the healthy rig.
+        signals: names of the signals that are recorded.
 
     Returns:
         The experiment; None where none of them tells any, or the rig cannot be simulated.
     """
     if unknown_keys(rig):
         return None
-    found = [made for name in CATALOGUE if (made := _rated(name, missing, rig)) is not None]
+    found = [made for name in CATALOGUE if (made := _rated(name, missing, rig, signals)) is not None]
     return max(found, key=lambda made: (len(made.tells), -made.seconds), default=None)
 
 
-def _rated(name: str, missing: Collection[str], rig: Rig) -> Offer | None:
+def _rated(name: str, missing: Collection[str], rig: Rig, signals: Collection[str]) -> Offer | None:
     """Return an experiment with what it tells of some coefficients; None where that is nothing."""
     mapping = catalogue_spec(name, rig)
     try:
         spec = spec_from_mapping({**mapping, "rig": rig_to_mapping(rig)}, "catalogue", Path())
         run = run_in_process(spec)
-        record = prepare(Trajectory(run.time_s, {s: run[s] for s in USED if s in run}), rig, name)
+        record = prepare(Trajectory(run.time_s, {s: run[s] for s in signals if s in run}), rig, name)
         evidence = gather(record, rig, setup(record, rig), 0)
     except (BadInput, WorkFailed):
         return None

@@ -1,5 +1,6 @@
 """Recordings watched as if the rig ran: the work of `ehls monitor`, without files."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -8,17 +9,18 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.contradictions import check_suits
-from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
 from ehls_ros.experiments.monitoring.examination import AtOnce
-from ehls_ros.experiments.monitoring.health import Event, Health
+from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health
 from ehls_ros.experiments.monitoring.limits import Reach, drifting, reaches
 from ehls_ros.experiments.monitoring.monitor import Monitor
 from ehls_ros.experiments.monitoring.offer import Offer, offer
 from ehls_ros.experiments.monitoring.parameters import Parameters
 from ehls_ros.experiments.monitoring.remembered import Past
 from ehls_ros.parallel import Workers
+from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig
 from ehls_ros.progress import Update
 from ehls_ros.samples import Mask
@@ -71,7 +73,8 @@ class Watched(NamedTuple):
         events: what happened.
         stretches: recordings on the time axis; none of a running rig.
         limits: when the coefficients reach their limits, of those that have one.
-        offer: the shortest experiment that tells what this programme does not; None where all is told, or nothing would.
+        missing: names of the coefficients that this programme does not tell.
+        offer: the shortest experiment that tells most of them; None where none would.
     """
 
     rig: Rig
@@ -81,6 +84,7 @@ class Watched(NamedTuple):
     events: Sequence[Event]
     stretches: Sequence[Stretch] = ()
     limits: Mapping[str, Reach] = {}
+    missing: tuple[str, ...] = ()
     offer: Offer | None = None
 
 
@@ -136,10 +140,12 @@ def replay(
         at += APART
     monitor.close()
     health = monitor.health()
-    health = health._replace(rates=drifting(health.rates, monitor.history))
-    progress(round(whole), round(whole), "looking for an experiment that tells the rest")
     told = {reading.name for reading in health.readings if reading.told}
-    missing = [name for name in COEFFICIENTS if name not in told]
+    missing = tuple(name for name in COEFFICIENTS if name not in told) if health.readings else ()
+    recorded = [name for name in USED if any(name in part.trajectory for part in parts)]
+    progress(round(whole), round(whole), "looking for an experiment that tells the rest")
+    offered = offer(missing, rig, recorded) if missing else None
+    health = health._replace(readings=told_apart(health.readings, health.active), rates=drifting(health.rates, monitor.history))
     return Watched(
         rig=rig,
         parameters=parameters,
@@ -148,7 +154,28 @@ def replay(
         events=tuple(events),
         stretches=tuple(stretches),
         limits=reaches(health.readings, health.rates, limits, rig),
-        offer=offer(missing, rig) if missing and health.readings else None,
+        missing=missing,
+        offer=offered,
+    )
+
+
+def told_apart(found: Sequence[Reading], changes: Sequence[FoundChange]) -> tuple[Reading, ...]:
+    """Return readings without those that a change under another name has in it.
+
+    A leakage may be inside or outside: where it is in the model as an outer one, the inner one reads as if it were healthy.
+
+    Args:
+        found: the readings.
+        changes: the changes that show.
+    """
+    first = [change.causes[0] for change in changes if change.causes]
+    named = {cause.name for cause in first}
+    alike = {name: EFFECTS.load(cause.name).WORDS.noun for cause in first for name in cause.equivalent_to if name not in named}
+    return tuple(
+        reading._replace(deviation=math.inf, why_not=f"what has changed is taken for {alike[effect]}, which looks the same")
+        if reading.told and (effect := COEFFICIENTS[reading.name].effect) in alike
+        else reading
+        for reading in found
     )
 
 
