@@ -12,6 +12,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.baseline import diagnose_against
 from ehls_ros.physics.rig import Rig
+from ehls_ros.process import end_with
 from ehls_ros.trajectory import Trajectory
 
 NICENESS = 10
@@ -127,6 +128,12 @@ class AtOnce:
         """Nothing is under way."""
 
 
+def _give_way(parent: int) -> None:
+    """Begin the process that diagnoses: behind all others, and not beyond the end of its monitor."""
+    end_with(parent)
+    os.nice(NICENESS)
+
+
 class InItsOwnProcess:
     """Diagnoses in another process, which gives way to the rig's own."""
 
@@ -138,7 +145,7 @@ class InItsOwnProcess:
     def begin(self, task: Task) -> None:
         """Begin a diagnosis."""
         if self._workers is None:
-            self._workers = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), os.nice, (NICENESS,))
+            self._workers = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _give_way, (os.getpid(),))
         self._under_way = self._workers.submit(examine, task)
 
     def finding(self) -> Finding | None:
