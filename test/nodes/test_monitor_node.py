@@ -107,7 +107,7 @@ def test_it_finds_what_differs_and_goes_on_after_a_kill(graph, participant, spec
     assert (change.cause, change.group, change.active, change.acknowledged) == ("internal_leakage_shift", "flow", True, False)
     assert change.values[0] == pytest.approx(ADDED, abs=4.0 * change.deviations[0])
     assert change.sentence.startswith("rig: internal leakage ")
-    assert health.header.stamp.sec == pytest.approx(WALL // 10**9 + 36, abs=2)
+    assert 32 <= health.header.stamp.sec - WALL // 10**9 <= 36
     told = {coefficient.name: coefficient for coefficient in health.coefficients}
     assert any(c.told and 0.0 < c.deviation < abs(c.value) for c in told.values())
     assert all(math.isinf(c.deviation) and c.why_not for c in told.values() if not c.told)
