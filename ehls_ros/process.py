@@ -1,8 +1,24 @@
-"""Ending a process that has used the middleware."""
+"""Ends of processes: one that has used the middleware, and one whose parent ends."""
 
+import ctypes
 import os
+import signal
 import sys
 from typing import NoReturn
+
+PR_SET_PDEATHSIG = 1
+
+
+def end_with(parent: int) -> None:
+    """Let this process end when the one that started it does, even if that is killed.
+
+    Args:
+        parent: id of the process that started it.
+    """
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        # It ended before this was asked for.
+        os._exit(1)
 
 
 def end(code: int) -> NoReturn:

@@ -2,16 +2,19 @@
 
 import multiprocessing
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from typing import NamedTuple, Protocol
 
 from ehls_ros.diagnosis.diagnose import diagnose
-from ehls_ros.diagnosis.result import NAMING, Diagnosis, Verdict
+from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Rival, Verdict
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.baseline import diagnose_against
-from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.effects.base import Form
+from ehls_ros.physics.rig import EffectUse, Rig
+from ehls_ros.process import end_with
 from ehls_ros.trajectory import Trajectory
 
 NICENESS = 10
@@ -29,11 +32,13 @@ class Task(NamedTuple):
         recording: the samples.
         rig: the model they are compared with.
         baselines: recordings from when the rig was well; none: the rig file is what they are judged by.
+        preferred: effects that are named rather than others that the data cannot tell from them, the most wanted first.
     """
 
     recording: Trajectory
     rig: Rig
     baselines: tuple[Trajectory, ...] = ()
+    preferred: tuple[str, ...] = ()
 
 
 class FoundCause(NamedTuple):
@@ -87,20 +92,54 @@ def examine(task: Task) -> Finding:
             found = diagnose(task.recording, task.rig, "the last samples", threads=1)
     except BadInput as error:
         return Finding("insufficient", (), task.rig, reason=str(error))
-    return _short(found)
+    return _short(found, task.preferred)
 
 
-def _short(found: Diagnosis) -> Finding:
-    causes = tuple(FoundCause(c.name, c.stage, c.probability, c.equivalent_to, dict(c.parameters)) for c in found.causes)
+def _short(found: Diagnosis, preferred: Sequence[str]) -> Finding:
+    causes, rig = list[FoundCause](), found.extended
+    for cause in found.causes:
+        named = FoundCause(cause.name, cause.stage, cause.probability, cause.equivalent_to, dict(cause.parameters))
+        other = _preferred(cause, preferred, found.rig)
+        if other is not None:
+            alike = tuple(name for name in (cause.name, *cause.equivalent_to) if name != other.name)
+            named = named._replace(name=other.name, equivalent_to=alike, parameters=dict(other.parameters))
+            rig = _exchanged(rig, cause.name, other)
+        causes.append(named)
     return Finding(
         found.verdict,
-        causes,
-        found.extended,
+        tuple(causes),
+        rig,
         found.unknown_stage or "",
         found.depends_on,
         "; ".join(found.missing) if found.verdict == "insufficient" else "",
         found.wall_s,
     )
+
+
+def _preferred(cause: Cause, preferred: Sequence[str], rig: Rig) -> Rival | None:
+    """Return the most wanted effect that the data cannot tell from a cause; None where that is the cause itself.
+
+    Without it, one change would have this name in one diagnosis and that in the next.
+    """
+    rivals = {rival.name: rival for rival in cause.rivals if rival.name in cause.equivalent_to}
+    for name in preferred:
+        if name == cause.name:
+            return None
+        if name in rivals and any(set(form.free) == set(rivals[name].parameters) for form in _plain_forms(name, rig)):
+            return rivals[name]
+    return None
+
+
+def _plain_forms(name: str, rig: Rig) -> list[Form]:
+    """Return the forms of an effect all of whose parameters are fitted or neutral."""
+    return [form for form in EFFECTS.load(name).forms(rig) if not form.fixed]
+
+
+def _exchanged(rig: Rig, name: str, other: Rival) -> Rig:
+    """Return a rig with another effect in the place of one."""
+    values = {parameter: value.value for parameter, value in other.parameters.items()}
+    use = EffectUse(other.name, EFFECTS.load(other.name).Parameters(**values))
+    return rig._replace(effects=tuple(use if old.name == name else old for old in rig.effects))
 
 
 class Examiner(Protocol):
@@ -136,6 +175,12 @@ class AtOnce:
         """Nothing is under way."""
 
 
+def _give_way(parent: int) -> None:
+    """Begin the process that diagnoses: behind all others, and not beyond the end of its monitor."""
+    end_with(parent)
+    os.nice(NICENESS)
+
+
 class InItsOwnProcess:
     """Diagnoses in another process, which gives way to the rig's own."""
 
@@ -147,7 +192,7 @@ class InItsOwnProcess:
     def begin(self, task: Task) -> None:
         """Begin a diagnosis."""
         if self._workers is None:
-            self._workers = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), os.nice, (NICENESS,))
+            self._workers = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _give_way, (os.getpid(),))
         self._under_way = self._workers.submit(examine, task)
 
     def finding(self) -> Finding | None:

@@ -20,7 +20,7 @@ from ehls_ros.diagnosis.monitoring.blocks import Scores, scores, telling
 from ehls_ros.diagnosis.monitoring.change_test import Change, ChangeTest
 from ehls_ros.diagnosis.monitoring.directions import Direction, directions
 from ehls_ros.diagnosis.monitoring.healthy import Healthy, learn, scattering
-from ehls_ros.diagnosis.monitoring.tracking import WANTED, Reading, readings, tracked
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, WANTED, Reading, readings, tracked
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import CHANNELS, setup
 from ehls_ros.errors import BadInput
@@ -280,7 +280,7 @@ class Monitor:
 
     def _end_learning(self, events: list[Event]) -> None:
         begin, end = self._learning[0] - rules.MONITOR_LEAD, self._learning[-1] + AT_ONCE
-        self._examiner.begin(Task(self._samples.between(begin, end), self.well))
+        self._examiner.begin(Task(self._samples.between(begin, end), self.well, preferred=self._preferred()))
         events.append(Event(end, "learnt", f"{self.parameters.learning_time:g} s learnt; compared with the rig file"))
 
     def _learn_from_baselines(self) -> None:
@@ -362,7 +362,12 @@ class Monitor:
         begin = self._unsettled = max(first, now - self.parameters.kept_time)
         events.append(Event(now, "noticed", f"{self._quantity(change.quantity)} since {begins[-change.blocks]:.1f} s"))
         baselines = tuple(self._baselines.values())
-        self._examiner.begin(Task(self._samples.between(begin, now), self.well, baselines))
+        self._examiner.begin(Task(self._samples.between(begin, now), self.well, baselines, self._preferred()))
+
+    def _preferred(self) -> tuple[str, ...]:
+        """Return the effects that are named rather than their look-alikes: those that were, and those of the coefficients."""
+        known = (change.name for change in self.changes if change.active and change.causes)
+        return tuple(dict.fromkeys([*known, *(coefficient.effect for coefficient in COEFFICIENTS.values())]))
 
     def _quantity(self, number: int) -> str:
         if number < len(self._directions):
