@@ -10,8 +10,7 @@ from ehls_ros.diagnosis.monitoring.tracking import Reading
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.files import configured
-from ehls_ros.experiments.monitoring.limits import check_limits, drifting, jumped, reach, reaches
-from ehls_ros.experiments.monitoring.remembered import Past
+from ehls_ros.experiments.monitoring.limits import check_limits, reach, reaches
 from ehls_ros.experiments.spec import load_rig
 
 NAME = "leakage_coefficient"
@@ -61,23 +60,6 @@ def test_no_time_is_told_that_the_data_do_not_tell(now, rate, why_not):
     found = reach(now, rate, 10.0, HEALTHY)
     assert why_not in found.why_not
     assert math.isnan(found.hours)
-
-
-def test_a_jump_has_no_rate_and_a_drift_has():
-    times = np.arange(20.0)
-    noise = np.random.default_rng(2).normal(0.0, 0.02, (3, 20))
-    deviations = np.full(20, 0.02)
-    stepped, drifted, steady = HEALTHY + np.array([times >= 8.0, 0.1 * times, 0.0 * times]) + noise
-    assert jumped(times, stepped, deviations)
-    assert not jumped(times, drifted, deviations)
-    assert not jumped(times, steady, deviations)
-
-    def rates(values):
-        history = [Past(time, (reading(value, 0.02),)) for time, value in zip(times, values, strict=True)]
-        return drifting({NAME: Estimate(1.0, 0.1, "1/h")}, history)
-
-    assert rates(stepped) == {}
-    assert NAME in rates(drifted)
 
 
 def test_a_coefficient_that_has_no_reading_says_so(rig):

@@ -1,24 +1,16 @@
-"""Which coefficients drift, and when one that does will reach its limit."""
+"""When a coefficient that drifts will reach its limit."""
 
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import numpy as np
-
-from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.estimate import Estimate
-from ehls_ros.experiments.monitoring.monitor import RATES
-from ehls_ros.experiments.monitoring.remembered import Past
 from ehls_ros.physics.rig import Rig
 
 NORMAL_95 = 1.959964
 """Half of the 95 % interval of a normal distribution, in standard deviations."""
-
-FEWEST = 4
-"""Fewest readings that show a jump."""
 
 
 class Reach(NamedTuple):
@@ -68,48 +60,6 @@ def reach(reading: Reading, rate: Estimate | None, limit: float, healthy: float)
     rest = distance**2 - (NORMAL_95 * reading.deviation) ** 2
     root = math.sqrt(max(product**2 - square * rest, 0.0))
     return Reach(limit, distance / speed, max((product - root) / square, 0.0), (product + root) / square)
-
-
-def jumped(times: Array, values: Array, deviations: Array) -> bool:
-    """Tell whether readings are better described by one jump than by a line: a jump has no rate.
-
-    The two are compared by the Bayesian information criterion, with the scatter around each.
-
-    Args:
-        times: of the readings, increasing, shape (n,).
-        values: shape (n,).
-        deviations: their standard errors, shape (n,).
-    """
-    count = len(values)
-    if count < FEWEST:
-        return False
-    weights = 1.0 / deviations**2
-
-    def rest(part: slice) -> float:
-        return float(np.sum(weights[part] * (values[part] - np.average(values[part], weights=weights[part])) ** 2))
-
-    jump = min(rest(slice(None, place)) + rest(slice(place, None)) for place in range(1, count))
-    middle = np.average(times, weights=weights)
-    slope = np.sum(weights * (times - middle) * values) / np.sum(weights * (times - middle) ** 2)
-    level = values - slope * (times - middle)
-    line = float(np.sum(weights * (level - np.average(level, weights=weights)) ** 2))
-    # A scatter below that of the readings' own errors tells nothing. A jump may be anywhere: that costs as much as two numbers.
-    return count * math.log(max(jump / count, 1.0)) + 3.0 * math.log(count) < count * math.log(max(line / count, 1.0))
-
-
-def drifting(rates: Mapping[str, Estimate], history: Sequence[Past]) -> dict[str, Estimate]:
-    """Return the rates of the coefficients that did not jump instead.
-
-    Args:
-        rates: changes in an hour.
-        history: the readings that they come from.
-    """
-    out = {}
-    for name, rate in rates.items():
-        told = [(past.time, r.value, r.deviation) for past in history for r in past.readings if r.name == name and r.told]
-        if not jumped(*np.array(told[-RATES:]).reshape(-1, 3).T):
-            out[name] = rate
-    return out
 
 
 def reaches(

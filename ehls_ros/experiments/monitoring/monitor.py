@@ -24,10 +24,10 @@ from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, WANTED, Reading
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import CHANNELS, setup
 from ehls_ros.errors import BadInput
-from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.examination import Examiner, Finding, Task
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, State
 from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.monitoring.rates import RATES, rates
 from ehls_ros.experiments.monitoring.remembered import Learnt, Past, Remembered
 from ehls_ros.experiments.monitoring.samples import Samples
 from ehls_ros.physics.rig import Rig
@@ -59,11 +59,6 @@ MOST_LEARNT = 720
 
 UNSURE_UNTIL = 30.0
 """Time of samples with which a cause in doubt is named, or a change that no effect of the list explains [s]."""
-
-RATES = 60
-"""Readings from which the rates of change are found."""
-
-FEWEST_RATES = 5
 
 
 class Judged(NamedTuple):
@@ -599,32 +594,8 @@ class Monitor:
             self._watched,
             self._kind,
             outside,
-            self._rates(),
+            rates(self.history),
         )
-
-    def _rates(self) -> dict[str, Estimate]:
-        """Return the change of each coefficient in an hour, from lines through the last readings."""
-        out = dict[str, Estimate]()
-        series = dict[str, list[tuple[float, Reading]]]()
-        for past in self.history[-RATES:]:
-            for reading in past.readings:
-                if reading.told:
-                    series.setdefault(reading.name, []).append((past.time / 3600.0, reading))
-        for name, points in series.items():
-            if len(points) < FEWEST_RATES:
-                continue
-            hours = np.array([hour for hour, _ in points])
-            values = np.array([reading.value for _, reading in points])
-            weights = 1.0 / np.array([reading.deviation for _, reading in points]) ** 2
-            middle = float(np.average(hours, weights=weights))
-            spread = float(np.sum(weights * (hours - middle) ** 2))
-            if spread <= 0.0:
-                continue
-            slope = float(np.sum(weights * (hours - middle) * values)) / spread
-            rest = values - np.average(values, weights=weights) - slope * (hours - middle)
-            grown = max(1.0, float(np.sum(weights * rest**2)) / (len(points) - 2))
-            out[name] = Estimate(slope, math.sqrt(grown / spread), f"{points[0][1].unit}/h")
-        return out
 
     def close(self) -> None:
         """End what is under way."""

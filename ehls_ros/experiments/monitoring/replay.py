@@ -14,7 +14,7 @@ from ehls_ros.diagnosis.record import USED
 from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
 from ehls_ros.experiments.monitoring.examination import AtOnce
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health
-from ehls_ros.experiments.monitoring.limits import Reach, drifting, reaches
+from ehls_ros.experiments.monitoring.limits import Reach, reaches
 from ehls_ros.experiments.monitoring.monitor import Monitor
 from ehls_ros.experiments.monitoring.offer import Offer, offer
 from ehls_ros.experiments.monitoring.parameters import Parameters
@@ -145,7 +145,7 @@ def replay(
     recorded = [name for name in USED if any(name in part.trajectory for part in parts)]
     progress(round(whole), round(whole), "looking for an experiment that tells the rest")
     offered = offer(missing, rig, recorded) if missing else None
-    health = health._replace(readings=told_apart(health.readings, health.active), rates=drifting(health.rates, monitor.history))
+    health = health._replace(readings=told_apart(health.readings, health.active))
     return Watched(
         rig=rig,
         parameters=parameters,
