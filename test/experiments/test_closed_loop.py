@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ehls_ros.control.controllers.base import model_of
-from ehls_ros.experiments.loop import ClosedLoop, run_in_process, simulator_of
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.loop import ClosedLoop, run_in_process, run_in_stretches, simulator_of
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.trajectory import SIGNALS, Trajectory
 
@@ -290,3 +291,26 @@ def test_without_a_disturbance_the_error_vanishes(make_spec):
     run = run_in_process(make_spec(duration=5.0))
     assert np.max(np.abs(run["force_error_n"][run.time_s > 4.0])) < 1.0
     assert not np.any(run["disturbance_force_n"])
+
+
+def test_a_rig_that_becomes_another_one_within_a_run_goes_on_from_its_state(make_spec):
+    spec = make_spec(reference=REFERENCES["sine"], duration=6.0)
+    leaking = spec.rig._replace(plant=spec.rig.plant._replace(leakage_coefficient=20.0 * spec.rig.plant.leakage_coefficient))
+
+    def pressure(later: Any) -> Any:
+        return np.concatenate([part["load_pressure_pa"].copy() for part in run_in_stretches(spec, later)])
+
+    healthy, changed, same = pressure(()), pressure([(3.0, leaking)]), pressure([(3.0, spec.rig)])
+    assert np.array_equal(same, healthy)
+    # Stretches are 2 s long: the first that begins at 3 s or later begins at 4 s.
+    assert np.array_equal(changed[:4001], healthy[:4001])
+    moved = np.abs(changed - healthy)
+    assert moved[4001] < 1e3
+    assert np.max(moved[4001:]) > 1e3
+
+
+def test_a_rig_cannot_become_one_with_other_effects(make_spec):
+    spec = make_spec(duration=1.0)
+    other = make_spec(duration=1.0, effects=[{"name": "constant_load", "force": 1.0}])
+    with pytest.raises(BadInput, match="effects"):
+        ClosedLoop(spec).become(other.rig)
