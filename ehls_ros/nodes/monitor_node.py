@@ -3,6 +3,8 @@
 import gc
 import math
 import os
+import subprocess
+import sys
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -39,7 +41,8 @@ from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, S
 from ehls_ros.experiments.monitoring.memory import Memory
 from ehls_ros.experiments.monitoring.monitor import Monitor
 from ehls_ros.experiments.monitoring.parameters import Parameters as Watching
-from ehls_ros.experiments.monitoring.wording import HeldLevel, Word, group, sentence, word
+from ehls_ros.experiments.monitoring.rates import MOST_HISTORY
+from ehls_ros.experiments.monitoring.wording import HeldLevel, Word, group, sentence, today, word
 from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.hardware.realtime import be_modest, tidy
 from ehls_ros.nodes.codec import Decoder
@@ -109,9 +112,6 @@ MOST_CHANGES = 50
 HOUR = 3600.0
 
 UNKNOWN = Estimate(math.nan, math.nan, "")
-
-KEPT_HISTORY = 1440
-"""Readings of the coefficients that stay in this process; the folder has all."""
 
 
 class Parameters(NamedTuple):
@@ -226,6 +226,7 @@ class MonitorNode(ControlNode):
         # The loops with deadlines do without; this one has time, and lists of findings refer to each other.
         gc.enable()
         self.heard = self.tidied = time.monotonic()
+        self.day = today()
         self.published = -math.inf
 
     def stop(self) -> None:
@@ -252,6 +253,7 @@ class MonitorNode(ControlNode):
         self._record_flights()
         self._keep(happened=bool(events))
         self._tell(happened=bool(events))
+        self._report_day()
         if time.monotonic() - self.tidied > TIDY:
             self.tidied = time.monotonic()
             tidy()
@@ -375,6 +377,18 @@ class MonitorNode(ControlNode):
             return
         self.get_logger().warning(f"the gate has tripped: the time before it is in {folder}")
 
+    def _report_day(self) -> None:
+        """Have the report of a day written once it is over, by another process: figures take memory."""
+        if (now := today()) == self.day:
+            return
+        over, self.day = self.day, now
+        self._keep(happened=True)
+        command = [sys.executable, "-m", "ehls_ros", "report", str(self.folder), "--day", over.isoformat()]
+        self.reporting = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+        )
+        self.get_logger().info(f"the report of {over} is written to {self.folder}")
+
     def _keep(self, *, happened: bool) -> None:
         """Keep what is known, at once where something happened."""
         monitor = self.monitor
@@ -386,7 +400,7 @@ class MonitorNode(ControlNode):
             self.memory.keep(monitor.remembered(), self.follower.anchors, self.follower.end, happened=happened)
         except OSError as error:
             self._fail(f"what is known cannot be kept: {error}")
-        del monitor.history[:-KEPT_HISTORY]
+        del monitor.history[:-MOST_HISTORY]
 
     def _fail(self, complaint: str) -> None:
         """Say in log and diagnostics what does not work; the watch goes on."""

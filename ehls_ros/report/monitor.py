@@ -94,7 +94,7 @@ class _Scale:
         return layout
 
 
-def daily_report(watched: Watched, folder: Path, day: date, clock: Clock) -> Path:
+def daily_report(watched: Watched, folder: Path, day: date, clock: Clock, out: Path | None = None) -> Path:
     """Write the report of one day, and return its path.
 
     Args:
@@ -102,6 +102,7 @@ def daily_report(watched: Watched, folder: Path, day: date, clock: Clock) -> Pat
         folder: folder of the reports; it must exist.
         day: the day, in the clock's time zone.
         clock: the wall time at which the monitor's axis is 0.
+        out: the file; by default one in the folder that is named after the day.
 
     Raises:
         ValueError: the clock has no wall time.
@@ -119,7 +120,7 @@ def daily_report(watched: Watched, folder: Path, day: date, clock: Clock) -> Pat
         events=tuple(event._replace(time=event.time - begin) for event in watched.events if begin <= event.time < end),
         stretches=(),
     )
-    path = folder / f"report-{day:%Y-%m-%d}.html"
+    path = out or folder / f"report-{day:%Y-%m-%d}.html"
     write_monitor_report(of_day, path, f"{day:%A, %d %B %Y}", Clock(midnight))
     return path
 

@@ -4,17 +4,20 @@ import csv
 import json
 import shutil
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ehls_ros.cli.main import main
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.monitoring.examination import Finding, FoundCause, Task
 from ehls_ros.experiments.monitoring.following import Anchor
 from ehls_ros.experiments.monitoring.health import FoundChange, State
+from ehls_ros.experiments.monitoring.kept import watched_until
 from ehls_ros.experiments.monitoring.memory import COEFFICIENTS, STATE, Memory
 from ehls_ros.experiments.monitoring.monitor import AT_ONCE, Monitor
 from ehls_ros.experiments.monitoring.parameters import Parameters
@@ -183,3 +186,20 @@ def test_a_repair_begins_anew(healthy, folder: Path):
     assert monitor.health().active == ()
     assert monitor.health().state == State.LEARNING
     assert monitor.remembered().learnt is None
+
+
+def test_the_report_of_a_day_is_made_of_the_folder(healthy, kept, folder: Path, capsys):
+    """The stamps are those of the anchors: what was found is said with its wall time."""
+    begin = datetime.fromtimestamp(ANCHORS[-1].stamp_ns * 1e-9).astimezone()
+    watched, midnight = watched_until(folder, begin.date())
+    assert midnight.date() == begin.date()
+    [past] = watched.history
+    assert midnight.timestamp() + past.time == pytest.approx(ANCHORS[-1].stamp_ns * 1e-9 + 40.4 - ANCHORS[-1].time, abs=3.0)
+    assert {r.name: r.value for r in past.readings} == pytest.approx(
+        {r.name: r.value for r in kept[0].history[0].readings if r.told}, rel=1e-6
+    )
+    assert watched.health.changes[0].name == CHANGE.name
+    assert main(["report", str(folder), "--day", begin.date().isoformat()]) == 0
+    page = folder / f"report-{begin.date()}.html"
+    assert capsys.readouterr().out.strip() == str(page)
+    assert "internal leakage" in page.read_text(encoding="utf-8")

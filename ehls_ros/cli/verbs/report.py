@@ -1,29 +1,39 @@
 """`ehls report`: show recorded data."""
 
 from argparse import ArgumentParser, Namespace
+from datetime import date
 from pathlib import Path
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.causal_limit import evaluate_recording
+from ehls_ros.experiments.monitoring.kept import is_kept, watched_until
+from ehls_ros.experiments.monitoring.wording import today
 from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.recording.columns import read_columns
 from ehls_ros.recording.events import read_events
 from ehls_ros.recording.load import holds_tables, load
 from ehls_ros.report.experiment import write_experiment_report
+from ehls_ros.report.monitor import daily_report
+from ehls_ros.report.monitor_findings import Clock
 
-HELP = "Write the HTML report of a bag, a run folder or a table."
+HELP = "Write the HTML report of a bag, a run folder, a table, or a day of a monitor."
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("data", type=Path, help="a bag, a run folder, or a recording in any format of `ehls diagnose`")
+    parser.add_argument(
+        "data", type=Path, help="a bag, a run folder, a recording in any format of `ehls diagnose`, or a monitor's folder"
+    )
     parser.add_argument("--columns", type=Path, help="YAML that maps the data's own column names and units")
-    parser.add_argument("--out", type=Path, help="HTML file (default: report.html beside the data)")
+    parser.add_argument("--day", type=date.fromisoformat, help="day of a monitor's folder, as 2026-01-31 (default: today)")
+    parser.add_argument("--out", type=Path, help="HTML file (default: report.html beside the data; of a day report-<day>.html)")
 
 
 def run(options: Namespace) -> int:
     """Write it."""
     data: Path = options.data
+    if is_kept(data):
+        return _of_day(data, options.day or today(), options.out)
     recording = recording_in(data)
     trajectory = load(recording, read_columns(options.columns) if options.columns else None)
     events = [] if options.columns or holds_tables(recording) else read_events(recording)
@@ -33,4 +43,15 @@ def run(options: Namespace) -> int:
     except OSError as error:
         raise BadInput(f"the report cannot be written ({error.strerror})", str(out), "a writable place (--out)") from None
     print(out)
+    return 0
+
+
+def _of_day(folder: Path, day: date, out: Path | None) -> int:
+    """Write the report of a day of a monitor."""
+    watched, midnight = watched_until(folder, day)
+    try:
+        path = daily_report(watched, folder, day, Clock(midnight), out)
+    except OSError as error:
+        raise BadInput(f"the report cannot be written ({error.strerror})", str(out or folder), "a writable place") from None
+    print(path)
     return 0

@@ -126,9 +126,9 @@ class Memory:
             learnt,
             rig_from_mapping(state["well"], str(path)),
             rig_from_mapping(state["model"], str(path)),
-            tuple(_change(entry) for entry in state["changes"]),
-            tuple(Past(entry["time"], _readings(entry["readings"])) for entry in state["history"]),
-            _readings(state["readings"]),
+            tuple(change_of(entry) for entry in state["changes"]),
+            tuple(Past(entry["time"], readings_of(entry["readings"])) for entry in state["history"]),
+            readings_of(state["readings"]),
             float(state["watched"]),
             begins,
             rows,
@@ -295,7 +295,8 @@ def _plain_readings(readings: Sequence[Reading]) -> list[dict[str, Any]]:
     return [reading._asdict() for reading in readings]
 
 
-def _readings(entries: Sequence[Mapping[str, Any]]) -> tuple[Reading, ...]:
+def readings_of(entries: Sequence[Mapping[str, Any]]) -> tuple[Reading, ...]:
+    """Return readings as the state has them."""
     return tuple(Reading(**entry) for entry in entries)
 
 
@@ -307,7 +308,8 @@ def _plain_change(change: FoundChange) -> dict[str, Any]:
     return {**change._asdict(), "causes": causes}
 
 
-def _change(entry: Mapping[str, Any]) -> FoundChange:
+def change_of(entry: Mapping[str, Any]) -> FoundChange:
+    """Return a change as the state has it."""
     causes = tuple(
         FoundCause(
             **{

@@ -9,6 +9,9 @@ from ehls_ros.arrays import Array
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.remembered import Past
 
+MOST_HISTORY = 1440
+"""Readings of which a process or a report of one day needs no more."""
+
 RATES = 60
 """Readings from which the rates of change are found."""
 

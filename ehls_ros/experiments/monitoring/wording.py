@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from datetime import datetime
+from datetime import date, datetime
 from typing import NamedTuple
 
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Tracked
@@ -34,6 +34,11 @@ INTERVAL = 1.96
 
 Wall = Callable[[float], int]
 """The stamp of an instant on the monitor's axis [ns]; 0: unknown."""
+
+
+def today() -> date:
+    """Return the day in the local time zone."""
+    return datetime.now().astimezone().date()
 
 
 class Word(NamedTuple):
