@@ -11,10 +11,10 @@ QUANTITIES = 12
 INFORMATION = 100.0
 
 
-def healthy(scatter=1.0, certainty=np.inf, spread=0.0):
+def healthy(scatter=1.0, certainty=np.inf, spread=0.0, remainder=0.0):
     rows = np.full((4, QUANTITIES), 0.0)
     rows[1:] = np.array([certainty, scatter, spread])[:, None]
-    return Healthy(*rows, np.ones(QUANTITIES), 1e4)
+    return Healthy(*rows, np.ones(QUANTITIES), 1e4, np.full(QUANTITIES, remainder))
 
 
 def feed(test, score, information=INFORMATION):
@@ -91,6 +91,35 @@ def test_a_departure_within_the_healthy_spread_or_too_small_to_matter_is_none():
         small.add(score, np.full(QUANTITIES, INFORMATION), np.full(QUANTITIES, 0.5 * rules.RELEVANT / 0.3))
         assert spread.change() is None
         assert small.change() is None
+
+
+def test_a_departure_no_larger_than_what_the_model_leaves_of_a_healthy_rig_is_none():
+    """A departure of 0.5 changes the balance by half a hundredth."""
+    rng = np.random.default_rng(9)
+    rough, exact = ChangeTest(healthy(remainder=0.02), 1000.0), ChangeTest(healthy(), 1000.0)
+    found = []
+    for _ in range(100):
+        score = noise(rng, 0.5)
+        for test in (rough, exact):
+            feed(test, score)
+        assert rough.change() is None
+        found.append(exact.change())
+    assert any(found)
+
+
+def test_the_onset_is_sought_in_what_departs_alike():
+    """A long time with less before is not part of it."""
+    rng = np.random.default_rng(10)
+    test = ChangeTest(healthy(), 1000.0, np.ones(QUANTITIES, dtype=np.bool_))
+    for _ in range(200):
+        feed(test, noise(rng, -1.0))
+        assert test.change() is None
+    for blocks in range(1, 40):  # noqa: B007
+        feed(test, noise(rng, 0.5))
+        if (found := test.change()) is not None:
+            break
+    assert found is not None
+    assert found.earliest <= blocks + 1
 
 
 def test_of_what_the_healthy_rig_told_nothing_no_change_is_told():

@@ -124,7 +124,9 @@ class ChangeTest:
         self.largest = float(ratio[row, quantity]) * self.bound
         if ratio[row, quantity] <= 1.0:
             return None
-        return self._since(int(quantity), float(ratio[row, quantity]), sums[:, quantity], information[:, quantity])
+        # What departs the other way is another change, or the tolerance of a quantity of which only a rise counts.
+        same = np.where(sums[:, quantity] * sums[rows[row], quantity] > 0.0, sums[:, quantity], 0.0)
+        return self._since(int(quantity), float(ratio[row, quantity]), same, information[:, quantity])
 
     def _sums(self) -> tuple[Array, Array, Array, Array]:
         """Return what is summed from each block to the newest.
@@ -146,8 +148,9 @@ class ChangeTest:
     def _deviation(self, information: Array, share: Array) -> Array:
         """Return the standard deviation of a healthy rig's sums, infinite for what it told nothing of."""
         healthy = self.healthy
-        # No model of a rig is better than that.
-        tolerated = np.divide(rules.TOLERANCE, share, out=np.zeros_like(share), where=share > 0.0)
+        # No model of a rig is better than that, and what it leaves of a healthy one is no departure.
+        error = np.broadcast_to(rules.TOLERANCE + healthy.remainder / self.bound, share.shape)
+        tolerated = np.divide(error, share, out=np.zeros_like(share), where=share > 0.0)
         unsure = np.full_like(healthy.certainty, np.inf)
         np.divide(healthy.scatter**2 * healthy.dependence, healthy.certainty, out=unsure, where=healthy.certainty > 0.0)
         size = healthy.spread**2 + tolerated**2 + unsure

@@ -91,6 +91,24 @@ def changes(comparison: Comparison, evidence: Evidence, direction: Direction) ->
     return {c: other[c] - base[c] for c in evidence.channels if other[c] is not base[c]}
 
 
+def remainders(evidence: Evidence, found: Sequence[Direction]) -> Array:
+    """Return what the model leaves beside noise in the channels that each departure touches, the largest, shape (directions,).
+
+    Args:
+        evidence: a recording of the healthy rig compared with the model.
+        found: the departures.
+
+    Returns:
+        Its rms, as a fraction of the largest term of the channel's balance.
+    """
+    left = {}
+    for c in evidence.channels:
+        whole, noise = evidence.nrmse(c, evidence.base.values[c]), evidence.noise_nrmse(c)
+        left[c] = math.sqrt(max(whole**2 - noise**2, 0.0))
+    comparison = evidence.comparison()
+    return np.array([max((left[c] for c in changes(comparison, evidence, d)), default=0.0) for d in found])
+
+
 def _distinct(worker: Worker, found: Sequence[Direction], always: int) -> Iterator[Direction]:
     """Yield the directions that change anything and are not like one before; the first ones always."""
     kept = list[dict[Channel, Array]]()

@@ -23,6 +23,8 @@ class Healthy(NamedTuple):
         spread: standard deviation of the size from section to section that was found, shape (n,).
         dependence: by how much the variance of a sum over blocks exceeds that of independent ones, shape (n,).
         freedom: degrees of freedom of the scatter.
+        remainder: rms of what the model leaves of a healthy rig's balance beside noise, as a fraction of its largest term: that
+            much of it may look like a departure where the rig runs another programme, shape (n,).
     """
 
     level: Array
@@ -31,6 +33,7 @@ class Healthy(NamedTuple):
     spread: Array
     dependence: Array
     freedom: float
+    remainder: Array
 
 
 def learn(score: Array, information: Array, section: NDArray[np.intp]) -> Healthy:
@@ -58,7 +61,8 @@ def learn(score: Array, information: Array, section: NDArray[np.intp]) -> Health
     noise = np.divide(scatter**2 * dependence, own, out=np.zeros_like(own), where=seen)
     between = np.sum(np.where(seen, (sizes - level) ** 2, 0.0), axis=0) - np.sum(noise, axis=0) * (1.0 - 1.0 / count)
     spread = np.sqrt(np.maximum(between, 0.0) / np.maximum(count - 1, 1))
-    return Healthy(level, certainty, scatter, spread, dependence, rules.LEARNT_BLOCKS + len(score))
+    freedom = rules.LEARNT_BLOCKS + len(score)
+    return Healthy(level, certainty, scatter, spread, dependence, freedom, np.zeros_like(level))
 
 
 def scattering(found: Healthy, more: Healthy) -> Healthy:

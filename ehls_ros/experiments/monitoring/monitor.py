@@ -18,7 +18,7 @@ from ehls_ros.diagnosis.coverage import Range, covered, ranges
 from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.monitoring.blocks import Scores, scores, telling
 from ehls_ros.diagnosis.monitoring.change_test import Change, ChangeTest
-from ehls_ros.diagnosis.monitoring.directions import Direction, directions
+from ehls_ros.diagnosis.monitoring.directions import Direction, directions, remainders
 from ehls_ros.diagnosis.monitoring.healthy import Healthy, learn, scattering
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, WANTED, Reading, readings, tracked
 from ehls_ros.diagnosis.record import prepare
@@ -117,6 +117,7 @@ class Monitor:
         self._sections = list[list[Scores]]()
         self._since = list[Scores]()
         self._seen: dict[str, Range] = {}
+        self._remainder: Array = np.zeros(0)
         self._begins = deque[float](maxlen=rules.LONGEST_WATCH)
         self._recent = deque[Scores](maxlen=max(1, round(parameters.reading_time / rules.MONITOR_BLOCK)))
         self._read = 0
@@ -279,7 +280,7 @@ class Monitor:
         events.append(Event(end, "learnt", f"{self.parameters.learning_time:g} s learnt; compared with the rig file"))
 
     def _learn_from_baselines(self) -> None:
-        seen = list[Evidence]()
+        seen = list[Evidence | None]()
         for name, recording in self._baselines.items():
             evidence = self._compared(recording, self.rig)
             if evidence is None:
@@ -298,13 +299,16 @@ class Monitor:
         if not self._sections:
             what = f"no recording of the healthy rig has {AT_ONCE + rules.MONITOR_LEAD:g} s in which the piston moves"
             raise BadInput(what, ", ".join(self._baselines), "longer recordings of the rig at work")
-        self._kind, self._seen = RECORDINGS, ranges(seen)
+        self._kind = RECORDINGS
+        self._learn_remainder(seen)
         self._begin_watching()
 
-    def _learn_ranges(self, recording: Trajectory) -> None:
-        """Learn between which values the signals of the healthy rig were."""
-        evidence = self._compared(recording, self.model)
-        self._seen = {} if evidence is None else ranges([evidence])
+    def _learn_remainder(self, recordings: Sequence[Evidence | None]) -> None:
+        """Learn from recordings of the healthy rig what the model leaves of them, and between which values they were."""
+        compared = [evidence for evidence in recordings if evidence is not None]
+        left = [remainders(evidence, self._directions) for evidence in compared]
+        self._remainder = np.max(left, axis=0) if left else np.zeros(len(self._directions))
+        self._seen = ranges(compared)
 
     def _begin_watching(self) -> None:
         healthy = self._healthy()
@@ -336,7 +340,10 @@ class Monitor:
         power = np.arange(len(found.level)) >= len(self._directions)
         found = found._replace(level=np.where(power, np.maximum(found.level, 0.0) + rules.POWER_TOLERATED, found.level))
         if self._kind != RIG_FILE:
-            return found
+            # What the model leaves grows with the motion: its power tells nothing.
+            unknown = power & (found.level > 2.0 * rules.POWER_TOLERATED)
+            remainder = np.concatenate([self._remainder, np.zeros(len(CHANNELS))])
+            return found._replace(certainty=np.where(unknown, 0.0, found.certainty), remainder=remainder)
         direction = ~power
         biased = np.abs(found.level) * np.sqrt(found.certainty) > rules.BIASED * found.scatter * np.sqrt(found.dependence)
         return found._replace(
@@ -422,7 +429,7 @@ class Monitor:
             return
         self._directions = directions(evidence, WANTED)
         self._numbers = tracked(self._directions)
-        self._learn_ranges(recording)
+        self._learn_remainder([self._compared(recording, self.model)])
         section = list[Scores]()
         for learnt in self._learning:
             section += self._blocks(learnt)[1]
@@ -565,12 +572,14 @@ class Monitor:
         self._readings, self._watched = past.readings, past.watched
         if past.learnt is None or bool(self._baselines) != (past.learnt.kind == RECORDINGS):
             return
-        self._kind, self._directions = past.learnt.kind, past.learnt.directions
+        self._kind = past.learnt.kind
+        if [d.key for d in self._directions] != [d.key for d in past.learnt.directions]:
+            self._directions, self._remainder = past.learnt.directions, np.zeros(len(past.learnt.directions))
         self._numbers = tracked(self._directions)
         self._sections = [list(section) for section in past.learnt.sections]
         if past.learnt.recording is not None:
             self._baselines = {OWN_RECORDING: past.learnt.recording}
-            self._learn_ranges(past.learnt.recording)
+            self._learn_remainder([self._compared(past.learnt.recording, self.model)])
         self._begin_watching()
         if self._test is None or len(past.begins) != past.rows.shape[1]:
             return
