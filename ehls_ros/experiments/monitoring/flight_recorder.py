@@ -13,7 +13,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -136,18 +136,16 @@ def write(folder: Path) -> list[str]:
     return ["diagnose", str(folder / BAG), "--rig", str(folder / RIG), *baseline, "--out", str(folder / RESULTS)]
 
 
-def main() -> int:
+def main() -> NoReturn:
     """Write a flight's bag, and become its diagnosis."""
     os.nice(NICENESS)
     try:
         arguments = write(Path(sys.argv[1]))
     except (BadInput, OSError) as error:
-        sys.stderr.write(f"{error}\n")
-        return 1
+        sys.exit(str(error))
     sys.stderr.flush()
     os.execv(sys.executable, [sys.executable, "-m", "ehls_ros", *arguments])  # noqa: S606 - a list of arguments, no shell
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

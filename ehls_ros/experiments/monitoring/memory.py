@@ -141,7 +141,7 @@ class Memory:
             if rows.shape[2] != len(directions) + len(CHANNELS):
                 raise ValueError(f"{name} is of other directions")
             none = np.zeros((0, 0))
-            blocks = [Scores(*row, none) for row in rows.swapaxes(0, 1)]
+            blocks = [Scores(row[0], row[1], row[2], none) for row in rows.swapaxes(0, 1)]
             ends = np.cumsum(data["lengths"]).tolist()
             sections = tuple(tuple(blocks[begin:end]) for begin, end in zip([0, *ends[:-1]], ends, strict=True))
             recording = None
@@ -209,7 +209,7 @@ class Memory:
         used = {self._learnt_file, self._blocks_file}
         name = next(name for name in (f"{what}_{i}.npz" for i in range(3)) if name not in used)
         with (self._folder / name).open("wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]  # names of arrays, not of options
+            np.savez(file, **arrays)
             os.fsync(file.fileno())
         return name
 
