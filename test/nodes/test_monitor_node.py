@@ -118,13 +118,13 @@ def test_it_finds_what_differs_and_goes_on_after_a_kill(graph, participant, spec
     participant.until(newest(heard, lambda health: health.changes[0].acknowledged))
     graph.kill("monitor_node")
     replay.close()
-    watched = heard[-1].watched
     heard.clear()
 
     # The rig was started anew meanwhile, and its clock was set back.
     replay = start()
+    participant.until(lambda: bool(heard))
     replay.send(36_000, 41_000, WALL - 3600 * 10**9)
-    participant.until(newest(heard, lambda health: health.watched > watched))
+    participant.until(newest(heard, lambda health: health.watched > heard[0].watched))
     again = heard[-1]
     assert again.state == ModelHealth.WATCHING
     assert [(c.number, c.cause, c.acknowledged, c.since) for c in again.changes] == [(1, change.cause, True, change.since)]
