@@ -162,9 +162,6 @@ HANDOVER_TOPICS = (DRIVER, STANDBY_COMMAND, LEAVING, ACCEPTED_RIG)
 MODEL_HEALTH = Topic("model_health", "ehls_msgs/msg/ModelHealth", depth=1, transient_local=True)
 """What the monitor knows of the rig; published on change and once in a while; not recorded, as a bag can be watched again."""
 
-MODEL_HEALTH = Topic("model_health", "ehls_msgs/msg/ModelHealth", depth=1, transient_local=True)
-"""What the monitor knows of the rig; published on change and once in a while; not recorded, as a bag can be watched again."""
-
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 
 FORCE = Topic("force", "std_msgs/msg/Float64")
