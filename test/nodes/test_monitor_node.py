@@ -100,14 +100,14 @@ def test_it_finds_what_differs_and_goes_on_after_a_kill(graph, participant, spec
     replay = start()
     replay.send(0, 32_000)
     participant.until(newest(heard, lambda health: bool(health.changes)))
-    replay.send(32_000, 36_000)
+    replay.send(32_000, 38_000)
     participant.until(newest(heard, lambda health: health.watched > 0.0))
     health = heard[-1]
     [change] = health.changes
     assert (change.cause, change.group, change.active, change.acknowledged) == ("internal_leakage_shift", "flow", True, False)
     assert change.values[0] == pytest.approx(ADDED, abs=4.0 * change.deviations[0])
     assert change.sentence.startswith("rig: internal leakage ")
-    assert 32 <= health.header.stamp.sec - WALL // 10**9 <= 36
+    assert 32 <= health.header.stamp.sec - WALL // 10**9 <= 38
     told = {coefficient.name: coefficient for coefficient in health.coefficients}
     assert any(c.told and 0.0 < c.deviation < abs(c.value) for c in told.values())
     assert all(math.isinf(c.deviation) and c.why_not for c in told.values() if not c.told)
@@ -123,7 +123,7 @@ def test_it_finds_what_differs_and_goes_on_after_a_kill(graph, participant, spec
     # The rig was started anew meanwhile, and its clock was set back.
     replay = start()
     participant.until(lambda: bool(heard))
-    replay.send(36_000, 41_000, WALL - 3600 * 10**9)
+    replay.send(38_000, 45_000, WALL - 3600 * 10**9)
     participant.until(newest(heard, lambda health: health.watched > heard[0].watched))
     again = heard[-1]
     assert again.state == ModelHealth.WATCHING
