@@ -8,7 +8,6 @@ that a cause that grows is the same change, and one that is gone has cleared.
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -59,18 +58,6 @@ MOST_LEARNT = 720
 
 UNSURE_UNTIL = 30.0
 """Time of samples with which a cause in doubt is named, or a change that no effect of the list explains [s]."""
-
-
-class Judged(NamedTuple):
-    """A block that was judged.
-
-    Attributes:
-        begin: its first time [s].
-        scores: what it says.
-    """
-
-    begin: float
-    scores: Scores
 
 
 class Monitor:
