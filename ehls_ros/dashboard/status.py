@@ -13,16 +13,14 @@ from ehls_ros.dashboard.graph import Health, Snapshot
 from ehls_ros.dashboard.panels import UNITS
 from ehls_ros.hardware.gate_parameters import REACTIONS
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
+from ehls_ros.recording.topics import OF_GATE, TRIPPED_BY
 from ehls_ros.schema import declarations
 
-GATE = "state"
-"""Diagnostics key by which the node with the safety gate is known."""
+STATE = "state"
+"""Diagnostics key of the safety gate's state."""
 
 STOP = "stop"
 """Diagnostics key that names the emergency stop while one is engaged."""
-
-CAUSE = "cause_1"
-"""Diagnostics key of what tripped the gate first."""
 
 TOO_SLOW = "too slow"
 """Part of a node's message when this machine cannot keep its cycle time."""
@@ -84,9 +82,9 @@ def _absent(snapshot: Snapshot, *, was_there: bool) -> Status:
 
 def _running(snapshot: Snapshot) -> Status:
     """Return what to say while cycles arrive."""
-    gate = next((node for node in snapshot.health if GATE in node.figures), None)
+    gate = next((node for node in snapshot.health if OF_GATE in node.figures), None)
     speed = f"{snapshot.rate:.0f} cycles/s{_pace(snapshot)}"
-    if gate is not None and gate.figures.get(CAUSE):
+    if gate is not None and gate.figures.get(TRIPPED_BY):
         tripped = "stopped" if gate.figures.get(STOP) else "tripped"
         return Status(f"{tripped}, valve closed, {speed}", BAD, *_trip(gate, snapshot))
     if snapshot.complaint:
@@ -96,7 +94,7 @@ def _running(snapshot: Snapshot) -> Status:
     wrong = f"{worst.node}: {worst.message}" if worst is not None and worst.level else ""
     # The cause before its consequence.
     trouble = ". ".join(dict.fromkeys(filter(None, (slow, wrong))))
-    if gate is not None and gate.figures[GATE] == "disabled":
+    if gate is not None and gate.figures[STATE] == "disabled":
         return Status(f"valve closed, {speed}", WARNING, trouble or "The safety gate is closed.", Remedy.ENABLE)
     level = min(worst.level, BAD) if worst is not None else GOOD
     return Status(f"{TOO_SLOW if slow else 'running'}, {speed}", level, trouble)
@@ -110,7 +108,7 @@ def _pace(snapshot: Snapshot) -> str:
 
 def _trip(gate: Health, snapshot: Snapshot) -> tuple[str, Remedy]:
     """Return what happened, why and what to press."""
-    happened = explained(gate.figures[CAUSE])
+    happened = explained(gate.figures[TRIPPED_BY])
     if gate.figures.get(STOP):
         remedy, then = Remedy.ACKNOWLEDGE, f", then {Remedy.RESET.value}"
     else:

@@ -61,6 +61,8 @@ from ehls_ros.recording.topics import (
     DRIVING,
     LOADER_STATE,
     MODEL_HEALTH,
+    OF_GATE,
+    TRIPPED_BY,
     VALVE_COMMAND,
     Topic,
 )
@@ -85,14 +87,8 @@ QUIET = 2.0
 AFTER_TRIP = 0.5
 """Time after the word of a trip at which the samples before it are here [s]."""
 
-GATE_KEY = "state"
-"""Key in the diagnostics of the node with the safety gate."""
-
-GATE = b"state\0"
-"""The same as it stands in a message."""
-
-CAUSE = "cause_1"
-"""Key of what tripped the gate first."""
+GATE = f"{OF_GATE}\0".encode()
+"""The key of the safety gate's diagnostics as it stands in a message."""
 
 ACCEPTED = "rig_accepted.yaml"
 """File of the rig with the changes that an operator has accepted, in the monitor's folder."""
@@ -296,9 +292,9 @@ class MonitorNode(ControlNode):
                 continue
             for status in deserialize_message(raw, DiagnosticArray).status:
                 figures = {value.key: value.value for value in status.values}
-                if status.hardware_id != self.get_namespace().strip("/") or GATE_KEY not in figures:
+                if status.hardware_id != self.get_namespace().strip("/") or OF_GATE not in figures:
                     continue
-                cause = figures.get(CAUSE, "")
+                cause = figures.get(TRIPPED_BY, "")
                 if cause and cause != self.trip:
                     self.tripped.append((time.monotonic() + AFTER_TRIP, cause))
                 self.trip = cause

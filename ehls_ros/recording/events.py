@@ -18,6 +18,7 @@ from ehls_ros.recording.topics import (
     DIAGNOSTICS,
     DRIVING,
     LOADER_STATE,
+    OF_GATE,
     PARAMETER_EVENTS,
     TRANSITION_EVENT,
     known_topic,
@@ -42,9 +43,6 @@ VALUES: Mapping[int, str] = MappingProxyType(
 
 PRIMARY_STATES = range(1, 5)
 """Lifecycle states in which a node stays, as lifecycle_msgs numbers them; the others are transitions under way."""
-
-OF_GATE = "owner"
-"""Diagnostic value that only plants have; the messages beside it tell the state of the safety gate."""
 
 
 class Event(NamedTuple):

@@ -163,6 +163,8 @@ MODEL_HEALTH = Topic("model_health", "ehls_msgs/msg/ModelHealth", depth=1, trans
 """What the monitor knows of the rig; published on change and once in a while; not recorded, as a bag can be watched again."""
 
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+OF_GATE, TRIPPED_BY = "owner", "cause_1"
+"""Keys in the diagnostics of the node with the safety gate: only it has the first, and the second while it is tripped."""
 
 FORCE = Topic("force", "std_msgs/msg/Float64")
 WRENCH = Topic("wrench", "geometry_msgs/msg/WrenchStamped")

@@ -38,7 +38,7 @@ class StandIn:
         cycle = np.arange(CYCLES)
         self.window.add(1e-3 * cycle, dict.fromkeys(SIGNALS, np.sin(1e-3 * cycle)))
         # A closed gate, so that there is a button that opens it: those that are not shown do nothing.
-        self._health = (Health("plant_sim_node", 0, "disabled", {"state": "disabled"}),)
+        self._health = (Health("plant_sim_node", 0, "disabled", {"state": "disabled", "owner": "nobody"}),)
         self._rig: RigHealth | None = None
 
     def listen(self) -> None:

@@ -10,7 +10,7 @@ from ehls_ros.hardware.safety_gate import LEFT, STOP, Cause, Gate
 
 
 def plant(level=0, message="active", **figures):
-    return Health("plant_sim_node", level, message, {"state": "active", **figures})
+    return Health("plant_sim_node", level, message, {"state": "active", "owner": "nobody", **figures})
 
 
 def said(*health, rate=1000.0, was_there=True, **more):

@@ -71,7 +71,7 @@ def test_texts_of_the_graph_are_shown_and_not_run(server, chromium):
 
 def test_a_slow_machine_is_named_before_its_consequences(server, chromium):
     slow = "machine too slow: 720 cycles/s of 1000 asked"
-    gate = ["plant_sim_node", 2, "tripped: command too old", {"state": "cut"}]
+    gate = ["plant_sim_node", 2, "tripped: command too old", {"state": "cut", "owner": "nobody"}]
     with chromium.tab(server.address) as tab:
         trouble = "document.querySelector('[data-name=trouble]').innerText"
         server.tell([["fasmc_node", 1, slow, {}], gate])
