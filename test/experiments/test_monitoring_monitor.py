@@ -120,6 +120,26 @@ def test_a_cause_in_doubt_waits_for_more_samples(rig, streams):
     assert len(lengths) >= 2
 
 
+def test_samples_that_cannot_be_judged_teach_nothing(rig, streams):
+    time, signals, _ = streams
+    refused = Finding("insufficient", (), rig, reason="the piston hardly moves")
+    monitor, _, events = watched(rig, time, signals, refused, consistent(rig))
+    assert kinds(events) == ["learnt", "insufficient", "learnt", "watching"]
+    assert not monitor.changes
+
+
+def test_what_no_diagnosis_confirms_is_an_operating_point_only_after_a_minute(rig, rig_file):
+    healthy, leaking = (record(rig_file, effects, "rich", seed=11, duration=135.0) for effects in ({}, LEAK))
+    here = healthy.time < ONSET
+    signals = {n: np.where(here, healthy.columns[n], leaking.columns[n]) for n in healthy.columns}
+    _, examiner, events = watched(rig, healthy.time, signals, *[consistent(rig)] * 12, pieces=135)
+    noticed = next(event for event in events if event.kind == "noticed")
+    [accepted] = [event for event in events if event.kind == "unconfirmed"]
+    assert accepted.time >= noticed.time + 60.0
+    assert kinds(events).index("unconfirmed") > kinds(events).index("noticed") + 1
+    assert examiner.findings
+
+
 def test_what_differs_from_the_beginning_is_part_of_the_baseline(rig, rig_file):
     r = record(rig_file, LEAK, "rich", seed=10, duration=45.0)
     monitor, _, events = watched(rig, r.time, dict(r.columns), leaking(rig))
@@ -127,6 +147,9 @@ def test_what_differs_from_the_beginning_is_part_of_the_baseline(rig, rig_file):
     assert monitor.well is monitor.model
     assert monitor.changes[0].before
     assert monitor.accept() is None
+    [leakage] = [reading for reading in monitor.health().readings if reading.name == "leakage_coefficient"]
+    assert leakage.told
+    assert abs(leakage.value - 1.6 * rig.plant.leakage_coefficient) < 4.0 * leakage.deviation
 
 
 def test_an_accepted_change_is_the_healthy_rig(rig, streams):

@@ -69,7 +69,8 @@ def directions(evidence: Evidence, always: Container[tuple[str, str]] = ()) -> t
         always: effect and parameter of those that are wanted however much they are like others.
     """
     worker = Worker(evidence)
-    found, _ = candidates(evidence.record, evidence.rig, ())
+    # An effect that the model has already may grow: it departs beside itself.
+    found, _ = candidates(evidence.record, evidence.rig._replace(effects=()), ())
     out = dict[tuple[str, str], Direction]()
     for cause in found:
         if not cause.parts_mass and all((cause.name, parameter) not in out for parameter in cause.free):

@@ -48,7 +48,7 @@ MORE = 1.5
 """Factor by which the samples since an onset must have grown before they are diagnosed again."""
 
 SETTLED = 60.0
-"""Time after which a change of the scores that no diagnosis confirms is taken for an operating point of its own [s]."""
+"""Time since it was noticed after which a change that no diagnosis confirms is taken for an operating point of its own [s]."""
 
 LEARNT_ON = 24
 """Blocks without a change after which their scatter is learnt as well."""
@@ -111,7 +111,7 @@ class Monitor:
         self._outside = deque[bool](maxlen=24)
         self._under_way: Change | None = None
         self._examined = 0
-        self._unsettled = math.nan
+        self._unsettled = self._noticed = math.nan
         self._readings: tuple[Reading, ...] = ()
         if self._baselines:
             self._learn_from_baselines()
@@ -341,6 +341,8 @@ class Monitor:
     # --- examination ------------------------------------------------------------------------------
 
     def _examine(self, change: Change, now: float, events: list[Event]) -> None:
+        if not self._examined:
+            self._noticed = now
         self._under_way, self._examined, self._state = change, change.blocks, State.EXAMINING
         begins = list(self._begins)
         # The block in which it began is only partly changed.
@@ -388,7 +390,7 @@ class Monitor:
             self._clear(self.changes, now, events)
             self.model = self.well
             self._restart()
-        elif change.blocks * rules.MONITOR_BLOCK >= SETTLED:
+        elif now - self._noticed >= SETTLED:
             events.append(
                 Event(now, "unconfirmed", "no diagnosis confirms the change: taken for an operating point of its own")
             )
@@ -397,6 +399,11 @@ class Monitor:
     def _learnt(self, found: Finding, now: float, events: list[Event]) -> None:
         begin, end = self._learning[0] - rules.MONITOR_LEAD, self._learning[-1] + AT_ONCE
         recording = self._samples.between(begin, end)
+        if found.verdict == "insufficient":
+            self._learning.clear()
+            self._reason = found.reason
+            events.append(Event(now, "insufficient", f"learnt from further samples: {found.reason}"))
+            return
         if found.verdict == "consistent":
             self._kind = RIG_FILE
         elif found.verdict == "effect" and found.names:
