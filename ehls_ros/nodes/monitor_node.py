@@ -276,13 +276,14 @@ class MonitorNode(ControlNode):
             (message[1], message[2:]) for raw, _ in _taken(self.disturbances) if (message := self.disturbance(raw)) is not None
         )
         self._hear_trips()
-        if snapshots:
-            self.heard = time.monotonic()
         events = self.monitor.add(np.zeros(0), {})
         for stretch in follower.follow(snapshots):
             if stretch.interrupted:
                 self.monitor.interrupt()
             events += self.monitor.add(stretch.time_s, stretch.signals)
+        if snapshots:
+            # After the work on them, which may take long: what arrives meanwhile waits.
+            self.heard = time.monotonic()
         return events
 
     def _hear_trips(self) -> None:

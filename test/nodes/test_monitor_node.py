@@ -123,14 +123,11 @@ def test_it_finds_what_differs_and_goes_on_after_a_kill(graph, participant, spec
     # The rig was started anew meanwhile, and its clock was set back.
     replay = start()
     participant.until(lambda: bool(heard))
-
-    def went_on(health: ModelHealth) -> bool:
-        return health.state == ModelHealth.WATCHING and health.watched > heard[0].watched
-
     replay.send(38_000, 45_000, WALL - 3600 * 10**9)
-    participant.until(lambda: any(went_on(health) for health in heard))
+    participant.until(newest(heard, lambda health: health.watched > heard[0].watched))
     again = heard[-1]
     assert [(c.number, c.cause, c.acknowledged, c.since) for c in again.changes] == [(1, change.cause, True, change.since)]
+    # It learns nothing anew, and is idle until the first cycle and after the last.
     assert {health.state for health in heard} <= {ModelHealth.WATCHING, ModelHealth.IDLE}
 
 
