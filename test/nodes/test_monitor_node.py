@@ -14,6 +14,7 @@ pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.event_handler import PublisherEventCallbacks
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
@@ -39,16 +40,28 @@ class Replay:
     def __init__(self, participant: Any, trajectory: Trajectory) -> None:
         self._node = participant.node
         self._trajectory = trajectory
+        self.readers = dict[str, int]()
         self._topics = [
             (
                 topic,
                 Encoder(kind, "loader", sender="fasmc_node"),
-                participant.node.create_publisher(kind, topic.name, control_qos(50_000)),
+                participant.node.create_publisher(kind, topic.name, control_qos(50_000), event_callbacks=self._counting(topic)),
             )
             for topic, kind in ((LOADER_STATE, LoaderState), (VALVE_COMMAND, ValveCommand), (DISTURBANCE, Disturbance))
         ]
         self._clock = participant.node.create_publisher(Clock, "/clock", control_qos(1))
-        participant.until(lambda: all(publisher.get_subscription_count() for *_, publisher in self._topics))
+
+    def _counting(self, topic: Topic) -> PublisherEventCallbacks:
+        """Count who has ever joined a topic: one that was killed seems to be there for a while."""
+
+        def joined(matched: Any) -> None:
+            self.readers[topic.name] = matched.total_count
+
+        return PublisherEventCallbacks(matched=joined)
+
+    def has(self, readers: int) -> bool:
+        """Tell whether as many have joined each topic."""
+        return len(self.readers) == len(self._topics) and min(self.readers.values()) >= readers
 
     def send(self, first: int, last: int, epoch_ns: int = WALL) -> None:
         """Send the messages of some cycles."""
@@ -92,12 +105,13 @@ def says(diagnostics: list[DiagnosticArray], level: int, sentence: str) -> bool:
 
 
 def test_it_finds_what_differs_and_goes_on_after_a_kill(graph, participant, spec_file, tmp_path: Path, leaky: Trajectory):
-    def start() -> Replay:
+    def start() -> None:
         graph.start("monitor_node", spec=spec_file(), timing="lockstep", learning_time=30.0, folder=tmp_path / "monitor")
-        return Replay(participant, leaky)
 
     heard, diagnostics = participant.collect(ModelHealth, "model_health"), participant.collect(DiagnosticArray, "/diagnostics")
-    replay = start()
+    replay = Replay(participant, leaky)
+    start()
+    participant.until(lambda: replay.has(readers=1))
     replay.send(0, 32_000)
     participant.until(newest(heard, lambda health: bool(health.changes)))
     replay.send(32_000, 38_000)
@@ -121,8 +135,10 @@ def test_it_finds_what_differs_and_goes_on_after_a_kill(graph, participant, spec
     heard.clear()
 
     # The rig was started anew meanwhile, and its clock was set back.
-    replay = start()
-    participant.until(lambda: bool(heard))
+    replay = Replay(participant, leaky)
+    participant.until(lambda: replay.has(readers=1))
+    start()
+    participant.until(lambda: bool(heard) and replay.has(readers=2))
     replay.send(38_000, 45_000, WALL - 3600 * 10**9)
     participant.until(newest(heard, lambda health: health.watched > heard[0].watched))
     again = heard[-1]
