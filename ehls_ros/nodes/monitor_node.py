@@ -250,7 +250,8 @@ class MonitorNode(ControlNode):
         self._keep(happened=bool(events))
         self._tell(happened=bool(events))
         self._report_day()
-        if time.monotonic() - self.tidied > TIDY:
+        # What was learnt or diagnosed took more memory than it needs from now on.
+        if events or time.monotonic() - self.tidied > TIDY:
             self.tidied = time.monotonic()
             tidy()
 

@@ -48,9 +48,8 @@ PAIRS = {
 STRANGE = {
     "spool_slew_limit": {"rate": 1e-3},
     "pressure_sensor_hysteresis": {"half_width": 1.5e5},
-    # Imitated to more than 90 % by a dead zone with a gain, and by an overdamped mass.
+    # Imitated to more than 90 % by a dead zone with a gain.
     "laminar_orifice": {"opening": 6e-5},
-    "inertial_friction": {"force": 280.0, "acceleration": 0.7},
 }
 
 
@@ -122,9 +121,9 @@ def test_what_is_not_on_the_list_is_unexplained_in_its_stage_and_nothing_is_held
         assert d.gain.closed_fraction >= rules.WORTHWHILE, told(d)
 
 
-def drawn(number, rig_file):
+def drawn(rig_file):
     """Draw one visible effect and the experiment's seed; return them with its visibility."""
-    rng = np.random.default_rng([SEED, number])
+    rng = np.random.default_rng(SEED)
     while True:
         name = str(rng.choice(sorted(LISTED)))
         seed = int(rng.integers(2**31))
@@ -138,9 +137,8 @@ def drawn(number, rig_file):
                 return name, sizes, experiment, seed, seen
 
 
-@pytest.mark.parametrize("number", range(2))
-def test_no_drawn_effect_gets_a_wrong_name_with_confidence(number, rig_file, recorded, diagnosed):
-    name, sizes, experiment, seed, seen = drawn(number, rig_file)
+def test_no_drawn_effect_gets_a_wrong_name_with_confidence(rig_file, recorded, diagnosed):
+    name, sizes, experiment, seed, seen = drawn(rig_file)
     d = diagnosed(recorded({name: sizes}, experiment, seed=seed, duration=DURATION))
     said = f"EHLS_HIDDEN_SEED={SEED}: {name} {sizes}, {experiment}, visible by {seen}: {told(d)}"
     print(said)
