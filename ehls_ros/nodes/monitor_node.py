@@ -221,6 +221,7 @@ class MonitorNode(ControlNode):
         """Begin to follow."""
         # The loops with deadlines do without; this one has time, and lists of findings refer to each other.
         gc.enable()
+        tidy()
         self.heard = self.tidied = time.monotonic()
         self.day = today()
         self.published = -math.inf
