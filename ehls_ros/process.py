@@ -1,4 +1,4 @@
-"""Ends of processes: one that has used the middleware, and one whose parent ends."""
+"""Processes: those behind all others, and how those end that have used the middleware, or whose parent ends."""
 
 import ctypes
 import os
@@ -7,6 +7,14 @@ import sys
 from typing import NoReturn
 
 PR_SET_PDEATHSIG = 1
+
+NICENESS = 10
+"""Niceness of a process that gives way. At 19 a busy processor would leave it next to nothing."""
+
+
+def give_way() -> None:
+    """Let this process give way to others; one whose parent does so already is not put further behind."""
+    os.setpriority(os.PRIO_PROCESS, 0, max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
 
 
 def end_with(parent: int) -> None:

@@ -2,7 +2,6 @@
 
 import gc
 import math
-import os
 import subprocess
 import sys
 import time
@@ -34,7 +33,7 @@ from ehls_ros.diagnosis.record import USED
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.benefit import Benefit
-from ehls_ros.experiments.monitoring.examination import NICENESS, InItsOwnProcess
+from ehls_ros.experiments.monitoring.examination import InItsOwnProcess
 from ehls_ros.experiments.monitoring.flight_recorder import Flight, FlightRecorder
 from ehls_ros.experiments.monitoring.following import LONG_PATIENCE, PATIENCE, Follower, Snapshot
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, State
@@ -52,6 +51,7 @@ from ehls_ros.nodes.parameters import declare, values_of
 from ehls_ros.nodes.telemetry import time_of
 from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos
 from ehls_ros.physics.rig import rig_to_mapping
+from ehls_ros.process import give_way
 from ehls_ros.recording.topics import (
     ACCEPTED_RIG,
     CONTROLLER_STATUS,
@@ -537,7 +537,7 @@ def _baselines(names: str) -> dict[str, Trajectory]:
 
 def main() -> NoReturn:
     """Run the node, behind whatever has to be in time."""
-    os.nice(NICENESS)
+    give_way()
     run_node(MonitorNode)
 
 

@@ -14,12 +14,8 @@ from ehls_ros.experiments.baseline import diagnose_against
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Form
 from ehls_ros.physics.rig import EffectUse, Rig
-from ehls_ros.process import end_with
+from ehls_ros.process import end_with, give_way
 from ehls_ros.trajectory import Trajectory
-
-NICENESS = 10
-"""Niceness of the process that diagnoses: the rig's own processes come first."""
-
 
 SURE = 0.9
 """Probability of the first cause, and of those the data cannot tell it from, with which few data are enough."""
@@ -178,7 +174,7 @@ class AtOnce:
 def _give_way(parent: int) -> None:
     """Begin the process that diagnoses: behind all others, and not beyond the end of its monitor."""
     end_with(parent)
-    os.nice(NICENESS)
+    give_way()
 
 
 class InItsOwnProcess:

@@ -20,10 +20,8 @@ import numpy as np
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.physics.rig import Rig, rig_to_mapping
+from ehls_ros.process import give_way
 from ehls_ros.trajectory import Trajectory
-
-NICENESS = 19
-"""Niceness of the process: whatever else runs comes first."""
 
 SAMPLES, ORDER, RIG, BAG, BASELINE, RESULTS, LOG = (
     "samples.npz", "order.json", "rig.yaml", "bag", "baseline", "diagnosis", "log.txt",
@@ -138,7 +136,7 @@ def write(folder: Path) -> list[str]:
 
 def main() -> NoReturn:
     """Write a flight's bag, and become its diagnosis."""
-    os.nice(NICENESS)
+    give_way()
     try:
         arguments = write(Path(sys.argv[1]))
     except (BadInput, OSError) as error:
