@@ -38,6 +38,16 @@ def test_a_cycle_waits_for_its_command_and_goes_without_after_a_while():
     assert second.time_s[0] - first.time_s[-1] == pytest.approx(PERIOD)
 
 
+def test_a_command_that_was_never_sent_is_not_waited_for_once_later_ones_are_there():
+    follower = Follower(PERIOD, patience=10.0)
+    follower.hear_commands(commands(50, 100))
+    assert not follower.follow(snapshots(0, 150))
+    follower.hear_commands(commands(150, 250))
+    [stretch] = follower.follow(snapshots(150, 250))
+    assert len(stretch.time_s) == 399
+    assert np.flatnonzero(np.isnan(stretch.signals["valve_command_m"])).tolist() == list(range(50))
+
+
 def test_only_the_command_of_the_driving_controller_counts():
     follower = Follower(PERIOD)
     follower.hear_driver(0, "sic")

@@ -25,6 +25,9 @@ PATIENCE = 0.2
 LONG_PATIENCE = 10.0
 """The same in lockstep, where each snapshot has both; only the middleware may deliver them late."""
 
+OVERDUE = 200
+"""Cycles after which a message will not come any more: each sender's messages come in their order."""
+
 SETTLING = 1.0
 """Time after the gate has opened that is left out: commands are blended in [s]."""
 
@@ -187,9 +190,12 @@ class Follower:
         if not self._pending:
             return 0
         patience_ns = self._pending[-1].sent_ns - self._patience_ns
+        newest = max(self._commands, default=-1)
+        if self._disturbed:
+            newest = min(newest, max(self._disturbances, default=-1))
         for index, snapshot in enumerate(self._pending[:-1]):
             known = snapshot.cycle in self._commands and (not self._disturbed or snapshot.cycle in self._disturbances)
-            if not known and snapshot.sent_ns > patience_ns:
+            if not known and snapshot.sent_ns > patience_ns and snapshot.cycle > newest - OVERDUE:
                 return index
         return len(self._pending) - 1
 
