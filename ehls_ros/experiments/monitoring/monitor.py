@@ -47,6 +47,12 @@ LOOKED_AT = 20.0
 MORE = 1.5
 """Factor by which the samples since an onset must have grown before they are diagnosed again."""
 
+AGAIN = 60.0
+"""Time after which they are diagnosed again in any case: a drift shows more of itself in the latest samples [s]."""
+
+DRIFTING = 0.75
+"""Power of the time since the onset with which the sums of a drift grow at least; those of a steady change grow as its root."""
+
 SETTLED = 60.0
 """Time since it was noticed after which a change that no diagnosis confirms is taken for an operating point of its own [s]."""
 
@@ -111,7 +117,8 @@ class Monitor:
         self._outside = deque[bool](maxlen=24)
         self._under_way: Change | None = None
         self._examined = 0
-        self._unsettled = self._noticed = math.nan
+        self._unsettled = self._noticed = self._asked = math.nan
+        self._first: Change | None = None
         self._readings: tuple[Reading, ...] = ()
         if self._baselines:
             self._learn_from_baselines()
@@ -240,7 +247,7 @@ class Monitor:
         if change is None:
             self._examined = 0
             self._learn_on(found)
-        elif change.blocks >= MORE * self._examined:
+        elif change.blocks >= MORE * self._examined or begin + rules.MONITOR_BLOCK - self._asked >= AGAIN:
             self._examine(change, begin + rules.MONITOR_BLOCK, events)
 
     def _read_off(self) -> tuple[Reading, ...]:
@@ -342,7 +349,8 @@ class Monitor:
 
     def _examine(self, change: Change, now: float, events: list[Event]) -> None:
         if not self._examined:
-            self._noticed = now
+            self._noticed, self._first = now, change
+        self._asked = now
         self._under_way, self._examined, self._state = change, change.blocks, State.EXAMINING
         begins = list(self._begins)
         # The block in which it began is only partly changed.
@@ -390,11 +398,16 @@ class Monitor:
             self._clear(self.changes, now, events)
             self.model = self.well
             self._restart()
-        elif now - self._noticed >= SETTLED:
+        elif now - self._noticed >= SETTLED and not self._drifts(change):
             events.append(
                 Event(now, "unconfirmed", "no diagnosis confirms the change: taken for an operating point of its own")
             )
             self._accept(change.blocks)
+
+    def _drifts(self, change: Change) -> bool:
+        """Tell whether a change has grown since it was noticed first."""
+        first = change if self._first is None else self._first
+        return change.ratio > first.ratio * (change.blocks / first.blocks) ** DRIFTING
 
     def _learnt(self, found: Finding, now: float, events: list[Event]) -> None:
         begin, end = self._learning[0] - rules.MONITOR_LEAD, self._learning[-1] + AT_ONCE
