@@ -407,7 +407,7 @@ class Monitor:
     def _drifts(self, change: Change) -> bool:
         """Tell whether a change has grown since it was noticed first."""
         first = change if self._first is None else self._first
-        return change.ratio > first.ratio * (change.blocks / first.blocks) ** DRIFTING
+        return change.ratio > first.ratio * math.pow(change.blocks / first.blocks, DRIFTING)
 
     def _learnt(self, found: Finding, now: float, events: list[Event]) -> None:
         begin, end = self._learning[0] - rules.MONITOR_LEAD, self._learning[-1] + AT_ONCE
