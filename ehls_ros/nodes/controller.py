@@ -263,18 +263,26 @@ class ControllerNode(ControlNode):
         if newest == "" and self.lockstep and time.perf_counter() - self.replied < HEARING:
             # Before the plant opens the next cycle, it says whose answer came first.
             return False
-        if newest in {"", self.sender} | self.heard | self.relays:
+        if newest in {"", self.sender}:
             return True
         self._listen()
-        if newest not in self.heard and time.perf_counter() - self.named > HEARING:
+        silent = newest not in self.heard and time.perf_counter() - self.named > HEARING
+        if silent and not self._will_be_heard(newest):
             self.relays.add(newest)
         return newest in self.heard | self.relays
 
     def _listen(self) -> None:
-        """Take in what other controllers tell the valve."""
+        """Take in what other controllers tell the valve; one that is heard after all is no relay."""
         while (message := self.others.take()) is not None:
             self.told.append(message[1:4])
             self.heard.add(message[3])
+            self.relays.discard(message[3])
+
+    def _will_be_heard(self, sender: str) -> bool:
+        """Return whether a sender's node publishes commands where this node does: all that lacks is a match."""
+        publishers = self.get_publishers_info_by_topic("valve_command")
+        names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers}
+        return sender.rpartition("-")[0] in names
 
     def _driver_of(self, cycle: int) -> str:
         """Return the sender whose answer to a cycle the plant wants; empty: the first to come."""

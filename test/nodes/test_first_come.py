@@ -12,6 +12,7 @@ from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.experiments.spec import load_spec
+from ehls_ros.nodes.transport import control_qos
 from ehls_ros.physics.rig import SENSED
 
 LAWS = ("sic", "fasmc_output_feedback")
@@ -76,3 +77,41 @@ def test_of_two_controllers_that_wait_for_the_plant_one_drives_and_the_other_sta
             law.step(*heard)
         else:
             assert abs(law.follow(*heard, sent[cycle - 1]) - stood_by[cycle]) <= EXACT
+
+
+def test_a_driver_that_is_heard_late_is_no_relay(graph, participant, spec_file):
+    """The test is plant and driver at once, and says nothing as driver until it counts as one that passes commands on."""
+    path = spec_file(duration=1000.0, controller="sic")
+    publish = {
+        topic: participant.node.create_publisher(kind, topic, control_qos()).publish
+        for kind, topic in (
+            (Driver, "driver"),
+            (LoaderState, "loader_state"),
+            (ForceReference, "force_reference"),
+            (ValveCommand, "valve_command"),
+        )
+    }
+    commands = participant.collect(ValveCommand, "valve_command")
+    shadows = participant.collect(ValveCommand, "standby_command")
+    late = "/elsewhere/late_node-1"
+
+    def cycle(number):
+        publish["force_reference"](ForceReference(cycle=number))
+        publish["loader_state"](LoaderState(cycle=number))
+
+    def answered(number):
+        return any(message.cycle == number and message.sender != late for message in (*commands, *shadows))
+
+    publish["driver"](Driver(cycle=0, sender=late))
+    cycle(0)
+    graph.start("sic_node", spec=path, timing="lockstep")
+    participant.until(lambda: answered(0))
+    assert not shadows
+    # It may read a snapshot before the command that was sent first, but not for long.
+    for number in range(1, 20):
+        publish["valve_command"](ValveCommand(cycle=number - 1, sender=late))
+        cycle(number)
+        participant.until(lambda number=number: answered(number))
+        if shadows:
+            return
+    pytest.fail("it never stood by")
