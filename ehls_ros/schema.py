@@ -7,7 +7,8 @@ YAML checks, ROS descriptors, command-line help and the tables in the documentat
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from types import NoneType, UnionType
+from functools import cache
+from types import MappingProxyType, NoneType, UnionType
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from ehls_ros.errors import BadInput, one_of
@@ -105,6 +106,25 @@ class Declaration(NamedTuple):
     description: str
 
 
+class Field(NamedTuple):
+    """What is declared of a field: its type without the note, and the note."""
+
+    kind: Any
+    note: Note
+
+
+def fields_of(parameters: Any) -> Mapping[str, Field]:
+    """Return what is declared of each field of a ``NamedTuple`` class."""
+    return _fields_of(parameters)
+
+
+@cache
+def _fields_of(parameters: Any) -> Mapping[str, Field]:
+    # Python works annotations out anew each time it is asked.
+    hints = get_type_hints(parameters, include_extras=True)
+    return MappingProxyType({name: _annotated(hint) for name, hint in hints.items()})
+
+
 def declarations(parameters: type) -> Iterator[Declaration]:
     """Yield the declarations of a parameter set, in order.
 
@@ -115,8 +135,7 @@ def declarations(parameters: type) -> Iterator[Declaration]:
         One entry per field; ``default`` is ``None`` if the field has none.
     """
     defaults: Mapping[str, Any] = getattr(parameters, "_field_defaults", {})
-    for name, hint in get_type_hints(parameters, include_extras=True).items():
-        kind, note = _annotated(hint)
+    for name, (kind, note) in fields_of(parameters).items():
         low = note.above if note.minimum is None else note.minimum
         yield Declaration(name, kind, defaults.get(name), note.unit, low, note.maximum, note.description)
 
@@ -139,17 +158,16 @@ def parse(
     Raises:
         BadInput: naming the first offending key, its value and what was expected.
     """
-    hints = get_type_hints(parameters, include_extras=True)
+    fields = fields_of(parameters)
     values = dict(absent or {})
-    required = hints.keys() - getattr(parameters, "_field_defaults", {}).keys() - values.keys()
-    unknown = next((key for key in data if key not in hints), None)
+    required = fields.keys() - getattr(parameters, "_field_defaults", {}).keys() - values.keys()
+    unknown = next((key for key in data if key not in fields), None)
     if unknown is not None:
-        raise BadInput(f"key '{unknown}' is unknown", where, one_of(unknown, hints))
-    for key, hint in hints.items():
-        _, note = _annotated(hint)
+        raise BadInput(f"key '{unknown}' is unknown", where, one_of(unknown, fields))
+    for key, (kind, note) in fields.items():
         if key in data:
             try:
-                values[key] = fitted(hint, data[key])
+                values[key] = _fitted(kind, note, data[key])
             except Misfit as misfit:
                 what = f"{key}{misfit.place} is {misfit.value!r}"
                 raise BadInput(what, where, f"{misfit.expected}{_advice(misfit)}{note.explained()}") from None
@@ -165,7 +183,7 @@ def missing_key(key: str, note: Note, where: str) -> BadInput:
 
 def notes(parameters: type) -> dict[str, Note]:
     """Return what is declared of each field of a parameter set."""
-    return {name: _annotated(hint)[1] for name, hint in get_type_hints(parameters, include_extras=True).items()}
+    return {name: field.note for name, field in fields_of(parameters).items()}
 
 
 def from_json(kind: Any, document: str | bytes) -> Any:
@@ -202,7 +220,10 @@ def fitted(kind: Any, value: Any) -> Any:
     Raises:
         Misfit: it is something else, or out of its range.
     """
-    kind, note = _annotated(kind)
+    return _fitted(*_annotated(kind), value)
+
+
+def _fitted(kind: Any, note: Note, value: Any) -> Any:
     made = _of_type(kind, value)
     if made is None:
         return None
@@ -217,20 +238,20 @@ def fitted(kind: Any, value: Any) -> Any:
     return made
 
 
-def _annotated(hint: Any) -> tuple[Any, Note]:
+def _annotated(hint: Any) -> Field:
     """Split an annotation into type and note."""
     if get_origin(hint) is not Annotated:
-        return hint, Note()
+        return Field(hint, Note())
     kind, *notes = get_args(hint)
-    return kind, next((note for note in notes if isinstance(note, Note)), Note())
+    return Field(kind, next((note for note in notes if isinstance(note, Note)), Note()))
 
 
 def _of_type(kind: Any, value: Any) -> Any:
+    if kind in _PLAIN:
+        return _plain(kind, value)
     origin, arguments = get_origin(kind), get_args(kind)
     if kind is Any or (value is None and NoneType in arguments):
         return value
-    if kind in _PLAIN:
-        return _plain(kind, value)
     if origin in {Union, UnionType}:
         [kind] = set(arguments) - {NoneType}
         return fitted(kind, value)

@@ -279,12 +279,14 @@ class ClosedLoop:
         first = 0
         while first < cycles:
             count = min(CHUNK, cycles - first)
-            place = reference.place(first, count)
-            count = self.company.room(first, place)
-            place, record, wanted = place[:count], kept[:count], reference.rows(first, count)
+            if self.company:
+                place = reference.place(first, count)
+                count = self.company.room(first, place)
+            record, wanted = kept[:count], reference.rows(first, count)
             rows = np.full((count, FOLLOWED), np.nan)
             rows[:, :FORESEEN] = wanted
-            self.company.ahead(Upcoming(first, rows, place, actuator.rows(first, count)))
+            if self.company:
+                self.company.ahead(Upcoming(first, rows, place[:count], actuator.rows(first, count)))
             if not kind.REACTS:
                 disturbance = cast(Planned, disturbing).rows(first, count)
                 self._run(first, record, rows, disturbance, random)
@@ -295,16 +297,17 @@ class ClosedLoop:
                     disturbance[i], one = following, slice(i, i + 1)
                     self._run(first + i, record[one], rows[one], disturbance[one], random)
                     following = disturbing.following(first + i, record[i, POSITION], record[i, VELOCITY])
-            past = Past(
-                first,
-                rows,
-                wanted,
-                place,
-                record[:, self.columns.measured],
-                record[:, self.columns.command],
-                record[:, self.columns.status],
-            )
-            self._control = self._control._replace(model=self.company.done(past, self._control.model))
+            if self.company:
+                past = Past(
+                    first,
+                    rows,
+                    wanted,
+                    place[:count],
+                    record[:, self.columns.measured],
+                    record[:, self.columns.command],
+                    record[:, self.columns.status],
+                )
+                self._control = self._control._replace(model=self.company.done(past, self._control.model))
             # A sensor may hide what the rig itself comes to.
             lost = implausible(record[:, : self.columns.command + 1], spec.rig.limits)
             hidden = implausible(self._plant.state.truth[np.newaxis], spec.rig.limits)

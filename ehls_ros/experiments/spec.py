@@ -203,6 +203,7 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
     disturbance = _disturbance(data.get("disturbance"), f"{where}: disturbance", folder)
     acting = DISTURBANCES.load(disturbance.name).loader_effects(disturbance.parameters)
     known = _known_effects(data.get("known_effects") or [], (*rig.effects, *acting), f"{where}: known_effects")
+    compensation = data["compensation"] if "compensation" in data else default_observer(controller_rig)
     spec = Spec(
         settings=settings,
         rig=rig,
@@ -210,9 +211,7 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
         reference=_use(REFERENCES, data.get("reference"), f"{where}: reference", folder),
         disturbance=disturbance,
         controller=_use(CONTROLLERS, data.get("controller"), f"{where}: controller", folder),
-        compensation=_use(
-            OBSERVERS, data.get("compensation", default_observer(controller_rig)), f"{where}: compensation", folder
-        ),
+        compensation=_use(OBSERVERS, compensation, f"{where}: compensation", folder),
         companions=_companions(data.get("companions") or [], f"{where}: companions", folder),
     )
     _sampled_once(spec.reference, f"{where}: reference")

@@ -422,10 +422,10 @@ def beyond(values: Array, limits: Limits, signal: str, factor: float) -> Exceeda
         signal: one of :data:`LIMIT_UNITS`.
         factor: multiple of half the permitted range.
     """
-    away = np.nan_to_num(excess(values, limits, signal), nan=0.0, posinf=math.inf)
-    row = int(np.argmax(away))
-    if not away[row] > factor:
+    away = excess(values, limits, signal)
+    if not np.any(away > factor):
         return None
+    row = int(np.nanargmax(away))
     return Exceedance(row, _compared_to_limit(float(values[row]), limits, signal))
 
 
@@ -453,14 +453,18 @@ def implausible(readings: Array, limits: Limits) -> Exceedance | None:
     Returns:
         Its row and what is wrong, with advice; of several signals the one farthest out. None if all are possible.
     """
-    columns = {signal: readings[:, SENSED.index(signal)] for signal in LIMIT_UNITS}
-    away = np.max([excess(values, limits, signal) for signal, values in columns.items()], axis=0)
-    found = np.flatnonzero(~np.isfinite(readings).all(axis=1) | (away > ABORT_FACTOR))
-    if not found.size:
+    middle, farthest = np.zeros(readings.shape[1]), np.full(readings.shape[1], np.finfo(np.float64).max)
+    for signal in LIMIT_UNITS:
+        low, high = within(limits, signal)
+        column = SENSED.index(signal)
+        middle[column], farthest[column] = 0.5 * (low + high), ABORT_FACTOR * 0.5 * (high - low)
+    possible = np.abs(readings - middle) <= farthest
+    if possible.all():
         return None
-    row = int(found[0])
+    row = int(np.argmin(possible.all(axis=1)))
     if not np.isfinite(readings[row]).all():
         return Exceedance(row, f"the rig's state is no longer finite; {ADVICE}")
-    farthest = max(columns, key=lambda signal: float(excess(columns[signal][row], limits, signal)))
-    compared = _compared_to_limit(float(columns[farthest][row]), limits, farthest)
+    values = {signal: readings[row, SENSED.index(signal)] for signal in LIMIT_UNITS}
+    worst = max(values, key=lambda signal: float(excess(values[signal], limits, signal)))
+    compared = _compared_to_limit(float(values[worst]), limits, worst)
     return Exceedance(row, f"the rig's state is impossible: {compared}; {ADVICE}")
