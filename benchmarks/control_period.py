@@ -1,0 +1,69 @@
+"""The force error of each law against its control period, on the paper's rig and on the emulated one.
+
+The error is that of the true force, the largest of the last half, in N; on the emulated rig its median over the seeds of the
+sensors' noise. Sensors, valve and what delays the command stay as the rig file has them. `python -m benchmarks.control_period`
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.true_error import true_cycles
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.loop import Implausible, run_in_process
+from ehls_ros.experiments.metrics import evaluate
+from ehls_ros.experiments.spec import Spec, spec_from_mapping
+from ehls_ros.recording.yaml_text import read_yaml
+
+EXPERIMENTS = Path(__file__).resolve().parent.parent / "config" / "experiments"
+PERIODS = (2e-3, 1e-3, 5e-4, 2.5e-4)
+IDEAL = (("sine_fd1", "fasmc"), ("sine_fd2", "fasmc"), ("sine_fd1", "fasmc_predictive"), ("sine_fd2", "fasmc_predictive"))
+MEASURED = tuple(
+    (f"measured_{name}", law)
+    for law in ("fasmc_output_feedback", "fasmc_predictive")
+    for name in ("constant_fd1", "sine_fd1", "constant_fd2", "sine_fd2")
+)
+
+
+def spec_of(name: str, law: str, period: float, seed: int) -> Spec:
+    """Return one of the experiments with another law and period."""
+    path = EXPERIMENTS / f"{name}.yaml"
+    content = dict(read_yaml(path, "spec"))
+    if law == "fasmc_predictive" and name.startswith("measured"):
+        content["known_effects"] = ["command_delay", "coupling_stiffness"]
+    return spec_from_mapping({**content, "controller": law, "control_period": period, "seed": seed}, str(path), path.parent)
+
+
+def error_of(spec: Spec) -> float:
+    """Return the largest true force error of the last half [N]; infinite if the force is lost."""
+    if spec.controller.name == "fasmc":
+        # Its sensors are ideal: what is measured is true.
+        try:
+            return evaluate(run_in_process(spec)).max_error_n
+        except Implausible:
+            return np.inf
+    error = true_cycles(spec).largest()
+    return error if np.isfinite(error) else np.inf
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=3, help="runs of each cell of the emulated rig (default: %(default)s)")
+    seeds = range(parser.parse_args().seeds)
+    print(f"{'law':24}{'experiment':24}" + "".join(f"{1e3 * period:>9g} ms" for period in PERIODS))
+    for name, law in (*IDEAL, *MEASURED):
+        text = f"{law:24}{name:24}"
+        for period in PERIODS:
+            try:
+                found = [error_of(spec_of(name, law, period, seed)) for seed in (seeds if name in dict(MEASURED) else (0,))]
+                text += f"{np.median(found):12.3g}"
+            except BadInput as error:
+                text += f"{'refused':>12}"
+                print(error)
+        print(text, flush=True)
+
+
+if __name__ == "__main__":
+    main()
