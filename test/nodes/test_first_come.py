@@ -45,17 +45,17 @@ def test_of_two_controllers_that_wait_for_the_plant_one_drives_and_the_other_sta
         graph.start(name, spec=path, timing="lockstep")
     graph.start("plant_sim_node", spec=path, timing="lockstep", speed=0.5, partners=",".join(partners))
     participant.until(lambda: all(len(heard) > CYCLES for heard in (states, references, commands, shadows)))
+    # On a busy machine it may miss cycles until the plant knows that it stands by, or the first one altogether; then none.
+    participant.until(lambda: shadows[-1].cycle - shadows[-CYCLES].cycle == CYCLES - 1)
 
     [nobody, first] = told
     assert (nobody.sender, first.cycle) == ("", 0)
     assert {message.sender for message in commands if message.cycle > 0} == {first.sender}
     [standing_by] = {message.sender for message in shadows}
     assert standing_by != first.sender
-    # On a busy machine it may miss cycles until the plant knows that it stands by, or the first one altogether.
     stood_by = {message.cycle: message.spool for message in shadows}
     answered_first = standing_by in {message.sender for message in commands}
     whole = answered_first and all(cycle in stood_by for cycle in range(1, CYCLES))
-    assert all(cycle in stood_by for cycle in range(CYCLES // 2, CYCLES))
     # A command that the other sent before it could know who drives is no fault.
     participant.until(lambda: any(int(figures["cycle"]) > CYCLES for figures in told_by_plant()))
     assert told_by_plant()[-1]["fault_second_sender"] == "warn, 0 times"
