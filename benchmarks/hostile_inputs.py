@@ -506,7 +506,8 @@ def parquet(name: str, groups: int, **columns: Any) -> Callable[[Path], Path]:
 
 def nested_lists(folder: Path) -> Path:
     """A Parquet file with lists 200 deep."""
-    kind, value = pa.float64(), 0.0
+    kind = pa.float64()
+    value: float | list[Any] = 0.0
     for _ in range(200):
         kind, value = pa.list_(kind), [value]
     table = pa.table({"time_s": [0.0], "force_n": pa.array([value], kind)})
