@@ -1,6 +1,6 @@
 """Latency and missed cycles of the graph on a rig behind UDP, compared with an empty rclpy echo at the same rate.
 
-usage: bridge_timing.py [--seconds 60] [--rounds 1] [--controller fasmc_output_feedback] [--monitor]
+usage: python -m benchmarks.bridge_timing [--seconds 60] [--rounds 1] [--controller fasmc_output_feedback] [--monitor]
 
 Each node is a process, over Fast DDS; the rig is `ehls rig-emulator` at 1 kHz on its own clock. A round is echo, graph, echo,
 so that both see the same state of the machine. The echo is the round trip of one small, reliable message per millisecond
@@ -25,11 +25,11 @@ from typing import NamedTuple
 
 import numpy as np
 import rclpy
-from graph_timing import answer_echoes, percentiles
 from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
+from benchmarks.graph_timing import answer_echoes, percentiles
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.run_folder import RunFolder
@@ -38,6 +38,9 @@ from ehls_ros.hardware.realtime import claim, exact_wake_ups
 from ehls_ros.nodes.graph import REALTIME_PRIORITY, Plant, graph_environment, node_processes, run_graph
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.trajectory import Trajectory
+
+ROOT = Path(__file__).resolve().parents[1]
+ITSELF = (sys.executable, "-m", "benchmarks.bridge_timing")
 
 PERIOD = 1e-3
 ECHO_SECONDS = 10.0
@@ -50,7 +53,11 @@ def be_asker() -> None:
     node = rclpy.create_node("asker")
     publisher = node.create_publisher(Float64, "there", 10)
     trips: list[float] = []
-    node.create_subscription(Float64, "back", lambda message: trips.append(time.perf_counter() - message.data), 10)
+
+    def back(message: Float64) -> None:
+        trips.append(time.perf_counter() - message.data)
+
+    node.create_subscription(Float64, "back", back, 10)
     executor = EventsExecutor()
     executor.add_node(node)
     while publisher.get_subscription_count() == 0 or node.count_publishers("back") == 0:
@@ -70,10 +77,8 @@ def be_asker() -> None:
 def echo() -> np.ndarray:
     """Return the round trips of an empty echo between two processes [s]."""
     environment = graph_environment()
-    answering = subprocess.Popen([sys.executable, __file__, "--be", "echo"], env=environment)
-    asking = subprocess.run(
-        [sys.executable, __file__, "--be", "asker"], env=environment, check=True, capture_output=True, text=True
-    )
+    answering = subprocess.Popen([*ITSELF, "--be", "echo"], cwd=ROOT, env=environment)
+    asking = subprocess.run([*ITSELF, "--be", "asker"], cwd=ROOT, env=environment, check=True, capture_output=True, text=True)
     answering.send_signal(signal.SIGINT)
     answering.wait(10)
     return np.array([float(trip) for trip in asking.stdout.split()])

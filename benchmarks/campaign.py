@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -122,7 +122,7 @@ def main() -> None:
         file.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
         specs = [run.spec for run in load_plan(file).runs()]
         run_one(specs[0])
-        places = {
+        places: dict[str, Callable[[], Cost]] = {
             "bare loop": lambda: bare(specs),
             "two bare loops": lambda: side_by_side(specs),
             "--jobs 1": lambda: campaign(file, "--jobs", "1"),

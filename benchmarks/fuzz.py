@@ -22,6 +22,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, MutableSequence, Sequence
 from contextlib import closing
+from functools import partial
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from types import FrameType
@@ -427,7 +428,7 @@ SAMPLES = 3
 
 def short_run() -> Trajectory:
     """Return a run with a few samples."""
-    time_s = 0.001 * np.arange(SAMPLES)
+    time_s = 0.001 * np.arange(SAMPLES, dtype=np.float64)
     signals = {name: np.linspace(1.0, 2.0, SAMPLES) for name in ("position_m", "force_n")}
     signals["friction_elements_n"] = np.ones((SAMPLES, 2))
     return Trajectory(time_s, signals, {"seed": 3})
@@ -475,13 +476,12 @@ def bags() -> list[Files]:
     makers: list[Callable[[Path], Files]] = []
     storages: tuple[Storage, ...] = ("mcap", "sqlite3")
     for storage in storages:
-        makers.append(lambda folder, storage=storage: own_bag(folder, storage))
-        makers.append(lambda folder, storage=storage: killed_bag(folder, storage))
-        makers.extend(
-            lambda folder, storage=storage, mode=mode: foreign_bag(folder, storage, mode)
+        makers += [partial(own_bag, storage=storage), partial(killed_bag, storage=storage)]
+        makers += [
+            partial(foreign_bag, storage=storage, compression=mode)
             for mode in (CompressionMode.NONE, CompressionMode.MESSAGE, CompressionMode.STORAGE)
             if (storage, mode) != ("sqlite3", CompressionMode.STORAGE)
-        )
+        ]
     for make in makers:
         with tempfile.TemporaryDirectory() as folder:
             made.append(make(Path(folder)))

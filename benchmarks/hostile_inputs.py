@@ -1,11 +1,12 @@
 """Files made to hang a reader or exhaust its memory: the answer to each, and the time and memory it takes.
 
-python benchmarks/hostile_inputs.py
+python benchmarks/hostile_inputs.py [--only Parquet]
 
 Each is read in a process of its own. Time is processor time, of that process and its children; memory is the
 largest resident set of any of them. The first line is a process that only imports the readers.
 """
 
+import argparse
 import json
 import os
 import resource
@@ -506,7 +507,8 @@ def parquet(name: str, groups: int, **columns: Any) -> Callable[[Path], Path]:
 
 def nested_lists(folder: Path) -> Path:
     """A Parquet file with lists 200 deep."""
-    kind, value = pa.float64(), 0.0
+    kind = pa.float64()
+    value: float | list[Any] = 0.0
     for _ in range(200):
         kind, value = pa.list_(kind), [value]
     table = pa.table({"time_s": [0.0], "force_n": pa.array([value], kind)})
@@ -687,15 +689,19 @@ def row(name: str, answer: Answer) -> str:
 
 def main() -> None:
     """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default="", metavar="TEXT", help="inputs with this in their names")
+    parser.add_argument("--read", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.read is not None:
+        read_and_tell(options.read)
+        return
     print(HEADER)
     print(row("(nothing)", ask(None)))
-    for name, make in INPUTS.items():
+    for name in [name for name in INPUTS if options.only in name]:
         with tempfile.TemporaryDirectory() as folder:
-            print(row(name, ask(make(Path(folder)))), flush=True)
+            print(row(name, ask(INPUTS[name](Path(folder)))), flush=True)
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--read"]:
-        read_and_tell(sys.argv[2])
-    else:
-        main()
+    main()

@@ -87,7 +87,7 @@ def given(rig: Rig, seed: int, repeats: int) -> dict[str, Trajectory]:
         for signal, sensor, values in (("position_m", "position", x), ("force_n", "force", force + elements)):
             s = rig.sensors[sensor]
             signals[signal] = np.round((values + s.noise_std * random.standard_normal(len(v))) / s.resolution) * s.resolution
-        out[name] = Trajectory(np.arange(len(v)) * period, signals)
+        out[name] = Trajectory(np.arange(len(v), dtype=np.float64) * period, signals)
     return out
 
 

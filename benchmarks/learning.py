@@ -27,6 +27,7 @@ from ehls_ros.control.companions.base import PLACE
 from ehls_ros.control.controller import Controller, Outlook
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.disturbances import DISTURBANCES
+from ehls_ros.control.disturbances.position_servo import PositionServo
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import Spec, company_of, spec_from_mapping
 from ehls_ros.physics import sensors
@@ -129,9 +130,12 @@ class Run:
 
     def soften(self, share: float) -> None:
         """Let the coupling lose a share of its stiffness."""
-        parameters = self._servo._parameters  # noqa: SLF001 - a specimen that cracks is no feature of the servo
+        servo = self._servo
+        if not isinstance(servo, PositionServo):
+            raise TypeError(f"no coupling: {type(servo).__name__}")
+        parameters = servo._parameters  # noqa: SLF001 - a specimen that cracks is no feature of the servo
         softer = parameters._replace(stiffness=(1.0 - share) * parameters.stiffness)
-        self._servo._parameters = softer  # noqa: SLF001
+        servo._parameters = softer  # noqa: SLF001
         use = self._spec.disturbance._replace(parameters=softer)
         rig = self._spec._replace(disturbance=use).loader_rig()
         self._simulator.constants = Simulator(rig, self._period).constants

@@ -1,6 +1,6 @@
 """What `learning` with `method: peak_valley` brings: errors of peak, valley, mean and phase by load cycle.
 
-usage: peak_valley.py [--seeds 2] [--gain 1.0] [--method peak_valley] [--only rig]
+usage: python -m benchmarks.peak_valley [--seeds 2] [--gain 1.0] [--method peak_valley] [--only rig]
 
 `PI` is `sic` without compensation of the motion, 100 1/s and 100 1/s^2, against a servo that stands still. Otherwise the servo
 moves by 50 mm at 0.5 Hz.

@@ -21,6 +21,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -96,7 +97,7 @@ def messages(cycles: int, seed: int) -> list[tuple[str, int, bytes]]:
     signals["friction_slipping"] = draw.integers(0, 2, (cycles, 4)).astype(float)
     signals["saturated"] = signals["friction_fallback"] = draw.integers(0, 2, cycles).astype(float)
     signals["response_s"] = draw.integers(10**5, 10**6, cycles) / 1e9
-    trajectory = Trajectory(START_NS / 1e9 + 1e-3 * np.arange(cycles), signals, {})
+    trajectory = Trajectory(START_NS / 1e9 + 1e-3 * np.arange(cycles, dtype=np.float64), signals, {})
     sent = [
         (stamp_ns, stream.topic.name, message)
         for stream in streams_of(trajectory, "benchmark")
@@ -205,7 +206,7 @@ def edited(draw: random.Random, bag: Path, file: str) -> str:
         for key in ("messages", "newest_ns"):
             note = {**whole, "flushed": {**whole["flushed"], topic: {**whole["flushed"][topic], key: count}}}
             sealed = resealed(note) if draw.random() < 0.5 else note
-            changes[f"{name} {key}"] = lambda note=sealed: path.write_text(json.dumps(note), encoding="utf-8")
+            changes[f"{name} {key}"] = partial(path.write_text, json.dumps(sealed), encoding="utf-8")
     what = draw.choice(list(changes))
     changes[what]()
     return what

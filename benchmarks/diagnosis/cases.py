@@ -6,7 +6,7 @@ A case depends only on the run's seed and its own number, not on how many cases 
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, is_dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -196,7 +196,10 @@ def healthy_of(case: Case) -> list[Recording]:
 
 def _recorded(case: Case, hidden: Mapping[str, Any], experiment: str, seed: int, day: int) -> Recording:
     condition = case.days[day] if case.days else None
-    same = {"seed": seed, "duration": case.duration, "forms": case.forms, "day": condition, "disturbed": case.disturbed}
+    same = partial(
+        record, rig_file(), hidden, experiment, seed=seed, duration=case.duration, forms=case.forms, day=condition,
+        disturbed=case.disturbed,
+    )  # fmt: skip
     if case.measurement is None:
-        return record(rig_file(), hidden, experiment, **same)
-    return measured(record(rig_file(), hidden, experiment, rate=FINE, noise=0.0, **same), rig_file(), seed, case.measurement)
+        return same()
+    return measured(same(rate=FINE, noise=0.0), rig_file(), seed, case.measurement)

@@ -216,9 +216,8 @@ def make_skew(seed: int, number: int, duration: float) -> Case:
     record_seed, redrawn = _seed(rng), 0
     while name is not None:
         hidden = {name: draw_effect(name, rng, rig_file())}
-        same = {"seed": record_seed, "duration": duration, "disturbed": disturbed}
-        without = background(rig_file(), experiment, **same)
-        alone = record(rig_file(), hidden, experiment, noise=0.0, **same)
+        without = background(rig_file(), experiment, seed=record_seed, duration=duration, disturbed=disturbed)
+        alone = record(rig_file(), hidden, experiment, seed=record_seed, duration=duration, disturbed=disturbed, noise=0.0)
         seen = {name: {stage: round(value, 3) for stage, value in against(without, rig_file(), alone).items()}}
         told_from_skew = name not in LATE or hidden[name]["delay"] >= LEAST_DELAY
         if (told_from_skew and max(seen[name].values()) >= SHOWS) or redrawn >= MOST_DRAWS:
@@ -288,7 +287,7 @@ EXAMS: dict[str, Exam] = {
 
 def numbers(exam: str, count: int, only: str | None) -> list[int]:
     """Return the numbers of the first cases, optionally of one kind only."""
-    found, number = [], 0
+    found, number = list[int](), 0
     while len(found) < count:
         if only is None or EXAMS[exam].kind_of(number) == only:
             found.append(number)

@@ -8,12 +8,14 @@ verdict `unknown`. Names joined by `|` are effects with the same function: eithe
 import time
 import warnings
 from collections.abc import Callable
+from importlib.util import find_spec
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.record import (
     COMMAND,
@@ -25,16 +27,15 @@ from ehls_ros.diagnosis.record import (
     TEMPERATURE,
     prepare,
 )
-from ehls_ros.diagnosis.stages import setup
+from ehls_ros.diagnosis.stages import Channel, setup
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
-try:
-    from pysindy import STLSQ
-except ImportError:
-    STLSQ = None
+WITH_PYSINDY = find_spec("pysindy") is not None
+"""Whether pysindy is there."""
 
-Array = NDArray[np.float64]
+if WITH_PYSINDY:
+    from pysindy import STLSQ
 
 PENALTY = 32.0
 """Cost of a coefficient, in units of BIC's log n (chosen by `--tune`): windows overlap, and no model is exact."""
@@ -45,7 +46,7 @@ LEAST_EXPLAINED = 0.05
 DEVIATIONS = 0.0
 """Standard errors by which a sparser model may exceed the least held-out error (chosen by `--tune`)."""
 
-SENSOR_CHANNELS = {"cell", "velocity"}
+SENSOR_CHANNELS: frozenset[Channel] = frozenset({"cell", "velocity"})
 """Channels in which two sensors of one quantity are compared."""
 
 MOST_NAMED = 4
@@ -72,7 +73,7 @@ class Term(NamedTuple):
 
     effect: str
     variant: int
-    values: dict[str, Array]
+    values: dict[Channel, Array]
 
 
 class Problem(NamedTuple):
@@ -85,8 +86,8 @@ class Problem(NamedTuple):
         wall_s: time of the preparation [s].
     """
 
-    residuals: dict[str, Array]
-    blocks: dict[str, NDArray[np.intp]]
+    residuals: dict[Channel, Array]
+    blocks: dict[Channel, NDArray[np.intp]]
     terms: list[Term]
     wall_s: float
 
@@ -112,18 +113,20 @@ def library(evidence: Evidence, rig: Rig) -> list[Term]:
     """Return the functions that a careful engineer would try, for every listed effect."""
     record, comparison, plant = evidence.record, evidence.comparison(), rig.plant
     dt, signals = record.period, record.signals
-    motion = comparison.motion(rig)
+    given = rig.effective()
+    motion = comparison.motion(given)
     x, v, p = motion.position, motion.velocity, motion.pressure
     xv, u, fd, ps = signals[SPOOL], signals[COMMAND], signals[LOAD], signals[SUPPLY]
     a = np.gradient(v, dt)
     dp = comparison.local_fit(signals[PRESSURE], 1)
     level = rig.friction.coulomb_force
-    rub = (comparison.friction(rig)[:, 0] - rig.friction.viscous_coefficient * v) / level
+    friction = comparison.friction(given)[:, 0]
+    rub = (friction - rig.friction.viscous_coefficient * v) / level
     side = np.tanh(v / 1e-3)
     one = np.ones_like(x)
     root = np.sqrt(np.maximum(ps - np.sign(xv) * p, 0.0))
     flow = np.abs(xv) * root
-    spool = comparison.simulated_spool(rig)
+    spool = comparison.simulated_spool(given)
     rate = np.gradient(spool, dt)
     behind = lag(rate, plant.valve_bandwidth, dt)
     first, second = (np.maximum(0.5 * (plant.supply_pressure + s * p), 1e3) for s in (1.0, -1.0))
@@ -132,9 +135,8 @@ def library(evidence: Evidence, rig: Rig) -> list[Term]:
 
     def add(effect: str, variant: int = 0, **shows: Array) -> None:
         """Add a function, one coefficient for all channels."""
-        channels = {c: values for c, values in shows.items() if c in evidence.channels}
-        if channels:
-            means = {c: evidence.means(c, values) / evidence.floor[c] for c, values in channels.items()}  # type: ignore[arg-type]
+        means = {c: evidence.means(c, shows[c]) / evidence.floor[c] for c in evidence.channels if c in shows}
+        if means:
             out.append(Term(effect, variant, means))
 
     def rubs(**changes: float) -> Array:
@@ -144,8 +146,8 @@ def library(evidence: Evidence, rig: Rig) -> list[Term]:
         }
         if "element_stiffness" in changes:
             changed["element_stiffness"] = tuple(changes["element_stiffness"] * k for k in rig.friction.element_stiffness)
-        moved = comparison.friction(rig._replace(friction=rig.friction._replace(**changed)))[:, 0]
-        return np.asarray(moved - comparison.friction(rig)[:, 0])
+        moved: Array = comparison.friction(rig._replace(friction=rig.friction._replace(**changed)).effective())[:, 0]
+        return moved - friction
 
     def read_wrong(effect: str, pressure: Array) -> None:
         """Add the effect of an error in the measured pressure."""
@@ -294,7 +296,7 @@ def bic(problem: Problem, penalty: float = PENALTY) -> list[str]:
         key = (term.effect, term.variant)
         groups[key] = np.column_stack([groups[key], column]) if key in groups else column
 
-    def squares(values: Array) -> dict[str, float]:
+    def squares(values: Array) -> dict[Channel, float]:
         return {c: max(float(values[part] @ values[part]), 1e-12) for c, part in parts.items()}
 
     chosen, rest, named = np.empty((len(e), 0)), e, list[str]()
@@ -348,7 +350,7 @@ class Path(NamedTuple):
     squares: Array
 
 
-def paths(problem: Problem) -> dict[str, Path]:
+def paths(problem: Problem) -> dict[Channel, Path]:
     """Fit each channel with every threshold on each half of the blocks and evaluate it on the other half."""
     out = {}
     for channel, e in problem.residuals.items():
@@ -370,7 +372,7 @@ def paths(problem: Problem) -> dict[str, Path]:
 
 
 def stlsq(
-    problem: Problem, tried: dict[str, Path] | None = None, deviations: float = DEVIATIONS, least: float = LEAST_EXPLAINED
+    problem: Problem, tried: dict[Channel, Path] | None = None, deviations: float = DEVIATIONS, least: float = LEAST_EXPLAINED
 ) -> list[str]:
     """Fit each channel by pysindy's sequentially thresholded least squares and name the effects of the terms kept.
 
@@ -406,5 +408,5 @@ PEERS: dict[str, Callable[[Problem], list[str]]] = {
     "forward selection by BIC": lambda problem: bic(problem, 1.0),
     f"the same, {PENALTY:g} log n for log n": bic,
 }
-if STLSQ is not None:
+if WITH_PYSINDY:
     PEERS["pysindy STLSQ"] = stlsq

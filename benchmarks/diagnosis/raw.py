@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.diagnosis.cases import rig, rig_file, trajectory_of
+from benchmarks.diagnosis.cases import Hidden, rig, rig_file, trajectory_of
 from ehls_ros.recording.columns import ColumnMap, Cylinder
 from ehls_ros.recording.conversion import converted
 from ehls_ros.recording.joining import join
@@ -71,9 +71,7 @@ KINDS: Mapping[str, Kind] = {
 }
 
 
-def visible(
-    kind: str, hidden: Mapping[str, Mapping[str, object]], experiment: str, seed: int, duration: float
-) -> dict[str, float]:
+def visible(kind: str, hidden: Hidden, experiment: str, seed: int, duration: float) -> dict[str, float]:
     """Return how far an effect stands out of noise and of what the data's rate leaves of the nominal equations, by stage."""
     data = KINDS[kind]
     full = record(rig_file(), hidden, experiment, seed=seed, duration=duration, noise=0.0)

@@ -3,6 +3,7 @@
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -255,7 +256,7 @@ def by_effect(judged: Judged) -> Table:
     table = Table(title="by effect", title_justify="left")
     for column in ("hidden", "alone", "in pairs, pair right", "in pairs, itself named", "|error|, median", "intervals hold"):
         table.add_column(column)
-    rows: dict[str, dict[str, list]] = defaultdict(lambda: defaultdict(list))
+    rows: dict[str, dict[str, list[Any]]] = defaultdict(lambda: defaultdict(list))
     for r, j in judged:
         for name in r.get("hidden", {}):
             if r["kind"] == "pairs":

@@ -9,7 +9,8 @@ from rich.table import Table
 
 from benchmarks.diagnosis import cases, exams
 from benchmarks.diagnosis.judge import Row, peer_right
-from benchmarks.diagnosis.peers import STLSQ, Path, Problem, bic, paths, problem_of, stlsq
+from benchmarks.diagnosis.peers import WITH_PYSINDY, Path, Problem, bic, paths, problem_of, stlsq
+from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.trajectory import Trajectory
 
 SEED, CASES = 990_001, 60
@@ -21,17 +22,17 @@ LEAST = (0.0, 0.02, 0.05, 0.1, 0.2)
 
 def tune(console: Console) -> None:
     """Print the peers' results for all thresholds, without effects outside the list, where they can never be right."""
-    problems: list[tuple[Row, Problem, dict[str, Path]]] = []
+    problems: list[tuple[Row, Problem, dict[Channel, Path]]] = []
     numbers = [n for n in exams.numbers("clean", 2 * CASES, None) if cases.kind_of(n) != "outside"][:CASES]
     for number in track(numbers, "recordings", console=console):
         case = cases.make(SEED, number, 60.0)
         recording = cases.recording_of(case)
         problem = problem_of(Trajectory(recording.time, recording.columns), cases.rig())
-        problems.append((case._asdict(), problem, {} if STLSQ is None else paths(problem)))
+        problems.append((case._asdict(), problem, paths(problem) if WITH_PYSINDY else {}))
     settings: list[tuple[str, Any]] = [
         (f"BIC, penalty {p:g} log n", lambda problem, _, p=p: bic(problem, p)) for p in PENALTIES
     ]
-    if STLSQ is not None:
+    if WITH_PYSINDY:
         settings += [
             (f"STLSQ, {d:g} deviations, {le:g} explained", lambda problem, tried, d=d, le=le: stlsq(problem, tried, d, le))
             for d in DEVIATIONS

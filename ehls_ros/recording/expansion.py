@@ -15,7 +15,7 @@ from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, NamedTuple
 
-import lz4.frame  # type: ignore[import-untyped]
+import lz4.frame
 import yaml
 
 from ehls_ros.errors import BadInput
