@@ -219,14 +219,14 @@ class PlantNode(ControlNode):
         self.untold = (cycle * self.period, stamp_ns, signals)
 
     def ask_again(self, cycle: int) -> None:
-        """Repeat the present snapshot if it is unanswered for long and it, or its answer, may have been sent too early.
+        """Repeat the present snapshot if an answer to it stays away and either may have been sent too early.
 
-        A controller with ROS's default profile receives nothing that was sent before it was matched, and a plant in lockstep
-        would wait for its answer forever.
+        A node with ROS's default profile receives nothing that was sent before it was matched, and what it sends before that
+        is lost: a plant in lockstep would wait for its answer forever.
         """
         if time.perf_counter() - self.asked > PATIENCE:
             self.asked = time.perf_counter()
-            self._change_driver(cycle)
+            self._change_driver(cycle + (self.answered >= cycle))
             if self.commands.volatile or self.state.has_volatile_reader():
                 _, stamp_ns, signals = self.untold
                 self.state.send(stamp_ns, cycle, *signals)
