@@ -32,6 +32,7 @@ from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos
+from ehls_ros.process import Stopping
 from ehls_ros.recording.topics import DEPTH, DRIVER, DRIVING, LEAVING, STANDBY_COMMAND
 from ehls_ros.schema import quantity, text
 
@@ -111,7 +112,7 @@ class PlantNode(ControlNode):
         self.create_service(SetBool, "enable", self._on_enable)
         self.create_service(SwitchController, "switch_controller", self._on_switch)
 
-    def bring_up(self, stopping: threading.Event) -> bool:
+    def bring_up(self, stopping: Stopping) -> bool:
         """Configure; activate once the partners are active, so that the first cycle finds all who answer it."""
         if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
             return False
