@@ -106,9 +106,12 @@ class Graph:
         return time.monotonic()
 
     def stop(self, name: str, number: int = signal.SIGINT) -> int:
-        process = self.processes.pop(name)
+        process = self.processes[name]
         process.send_signal(number)
-        return process.wait(PATIENCE)
+        code = process.wait(PATIENCE)
+        # One that hangs stays, and is killed after the test.
+        del self.processes[name]
+        return code
 
     def log(self, name: str) -> str:
         return (self.folder / f"{name}.log").read_text(encoding="utf-8")
