@@ -1,7 +1,8 @@
-"""Processes: those behind all others, and how those end that have used the middleware, or whose parent ends."""
+"""Processes: what tells them to stop, those behind all others, and how those end that used the middleware or lost a parent."""
 
 import ctypes
 import os
+import queue
 import signal
 import sys
 from typing import NoReturn
@@ -10,6 +11,38 @@ PR_SET_PDEATHSIG = 1
 
 NICENESS = 10
 """Niceness of a process that gives way. At 19 a busy processor would leave it next to nothing."""
+
+
+class Stopping:
+    """Whether a process was told to stop.
+
+    A signal handler may set it whatever the handler interrupts. In a ``threading.Event`` it may interrupt the main thread's own
+    call, which holds the event's lock: then the handler waits for that lock forever.
+    """
+
+    def __init__(self) -> None:
+        """Begin without having been told."""
+        self._told = False
+        # Its put is the one in the library that is made for signal handlers.
+        self._wake: queue.SimpleQueue[None] = queue.SimpleQueue()
+
+    def set(self) -> None:
+        """Tell to stop."""
+        self._told = True
+        self._wake.put(None)
+
+    def is_set(self) -> bool:
+        """Return whether the process was told."""
+        return self._told
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until told, at most for a time [s], and return whether it was; for one thread."""
+        if not self._told:
+            try:
+                self._wake.get(timeout=seconds)
+            except queue.Empty:
+                return self._told
+        return True
 
 
 def give_way() -> None:

@@ -31,7 +31,7 @@ from ehls_ros.hardware.courtesy import Courtesy, statistics_of
 from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups
 from ehls_ros.nodes.mismatches import Mismatches
 from ehls_ros.nodes.parameters import DeclaredParameters, declare
-from ehls_ros.process import end
+from ehls_ros.process import Stopping, end
 from ehls_ros.recording.topics import CLOCK
 from ehls_ros.schema import quantity, text
 
@@ -230,7 +230,7 @@ class ControlNode(DeclaredParameters):
                 self.courtesy.close()
                 self.courtesy = None
 
-    def bring_up(self, stopping: threading.Event) -> bool:
+    def bring_up(self, stopping: Stopping) -> bool:
         """Configure and activate; return whether both succeeded. If not, the log has the reason.
 
         Args:
@@ -239,7 +239,7 @@ class ControlNode(DeclaredParameters):
         success = TransitionCallbackReturn.SUCCESS
         return bool(self.trigger_configure() == success and self.trigger_activate() == success)
 
-    def work(self, stopping: threading.Event) -> None:
+    def work(self, stopping: Stopping) -> None:
         """Run the loop whenever the node is active, until told to stop."""
         exact_wake_ups()
         # By default the other thread may keep the interpreter for 5 ms.
@@ -257,7 +257,7 @@ class ControlNode(DeclaredParameters):
                 self.stop()
                 self._idle.set()
 
-    def _turn(self, stopping: threading.Event) -> None:
+    def _turn(self, stopping: Stopping) -> None:
         """Turn the loop and check the heartbeat of the service thread, which handles the emergency stop."""
         silence, turned = 0.0, time.monotonic()
         while self._active.is_set() and not stopping.is_set():
@@ -384,7 +384,7 @@ def _refusal(request: Any, response: Any, reason: str) -> Any:
 class _Services:
     """The thread that serves a node's services and timers; if it fails, the node stops."""
 
-    def __init__(self, node: ControlNode, stopping: threading.Event) -> None:
+    def __init__(self, node: ControlNode, stopping: Stopping) -> None:
         self.failure = ""
         self._stopping = stopping
         self._executor = EventsExecutor()
@@ -436,7 +436,7 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
         make: builds the node, after ``rclpy.init``.
     """
     be_frugal()
-    stopping = threading.Event()
+    stopping = Stopping()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopping.set())
     # However the node is started, it is visible on this host only unless the variable says otherwise.

@@ -75,6 +75,15 @@ GONE = 1.0
 SILENCE, FORGOTTEN and GONE are counted in passes of the reading thread, so that a stalled dashboard does not time nodes out.
 """
 
+SERVICES = (
+    (Trigger, "emergency_stop"),
+    (AcknowledgeStop, "acknowledge_stop"),
+    (Trigger, "reset_trips"),
+    (SetBool, "enable"),
+    (Trigger, "monitor_acknowledge"),
+)
+"""What the page's buttons ask of plant and monitor."""
+
 INSISTS = 2.0
 """Time for which a reset or enabling that is refused is asked for again [s]: the ramp to null takes its time."""
 
@@ -177,6 +186,9 @@ class Link:
         self._heard: dict[str, _Heard] = {}
         self._forgotten: dict[str, int] = {}
         self._clients: dict[str, Any] = {}
+        # Known before they are needed: a node drops the answer to a client that it has not discovered yet.
+        for kind, service in SERVICES:
+            self._client(kind, service)
         self._reports = Inbox(self._node, DiagnosticArray, "/diagnostics", QoSProfile(depth=REPORTS), bytes)
         self._sources = [_Source(self._node, topic) for topic in TOPICS]
         self._origin_ns: int | None = None

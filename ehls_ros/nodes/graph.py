@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -33,6 +32,7 @@ from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, signal_kind, uses_actuator
 from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes.control import CLOCK_TOPIC, LOCKSTEP, NAMESPACE, PARENT, REALTIME
+from ehls_ros.process import Stopping
 from ehls_ros.recording.bag_reader import is_closed
 from ehls_ros.recording.topics import ACTUATOR_TOPICS, CYCLE_TOPICS, FRICTION_ESTIMATE, PROGRAMME_POINT, REFERENCE_TOPICS
 from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
@@ -235,12 +235,12 @@ def node_parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, st
 
 
 @contextmanager
-def _interrupts_noted() -> Iterator[threading.Event]:
+def _interrupts_noted() -> Iterator[Stopping]:
     """Note SIGINT and SIGTERM, for the conductor to act on between two steps.
 
     An exception raised by the handler could land in a destructor or callback, which would swallow it.
     """
-    noted = threading.Event()
+    noted = Stopping()
 
     def note(number: int, frame: FrameType | None) -> None:
         noted.set()
@@ -321,7 +321,7 @@ def conduct(conductor: "Conductor", cycles: int, progress: Callable[[int, int], 
 class Conductor:
     """Takes running nodes through their lifecycle and watches them."""
 
-    def __init__(self, running: list[Running], plant: Plant, timing: str, interrupted: threading.Event) -> None:
+    def __init__(self, running: list[Running], plant: Plant, timing: str, interrupted: Stopping) -> None:
         """Join the graph; once ``interrupted`` is set, the work ends with KeyboardInterrupt."""
         self._interrupted = interrupted
         self._running = running
@@ -417,7 +417,9 @@ class Conductor:
             if not client.service_is_ready():
                 continue
             future = client.call_async(SetBool.Request(data=True))
-            while not future.done() and time.monotonic() < deadline:
+            # The answer may get lost; the gate may be enabled twice.
+            again = min(deadline, time.monotonic() + LOST)
+            while not future.done() and time.monotonic() < again:
                 self._spin()
             if future.done() and future.result().success:
                 return

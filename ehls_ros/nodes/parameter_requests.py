@@ -26,6 +26,9 @@ SETTLED = 1.5
 ANSWERED = 30.0
 """Longest wait for an answer [s]; on a busy machine, real-time nodes leave other threads little time."""
 
+AGAIN = 2.0
+"""Time after which an unanswered request is repeated [s]: a node drops an answer to a client that it has not discovered yet."""
+
 LOOK = 0.1
 """Time between two looks at the graph [s]."""
 
@@ -161,7 +164,7 @@ class Requests:
         client = self._node.create_client(SwitchController, service)
         if not client.wait_for_service(FOUND):
             raise WorkFailed(f"no plant node offers {service}")
-        answer = self._answered(node, client.call_async(SwitchController.Request(controller=node)))
+        answer = self._answered(node, lambda: client.call_async(SwitchController.Request(controller=node)))
         if not answer.success:
             raise WorkFailed(f"Switch refused: {answer.message}")
         return str(answer.message)
@@ -183,13 +186,19 @@ class Requests:
         client = AsyncParameterClient(self._node, node)
         if not client.wait_for_services(FOUND):
             raise WorkFailed(f"{node} offers no parameter services")
-        return self._answered(node, request(client))
+        return self._answered(node, lambda: request(client))
 
-    def _answered(self, node: str, future: Any) -> Any:
-        rclpy.spin_until_future_complete(self._node, future, self._executor, ANSWERED)
-        if not future.done():
-            raise WorkFailed(f"{node} has not answered for {ANSWERED:g} s")
-        return future.result()
+    def _answered(self, node: str, request: Callable[[], Any]) -> Any:
+        """Return the first answer to a request that may be followed more than once."""
+        asked: list[Any] = []
+        deadline = time.monotonic() + ANSWERED
+        while (left := deadline - time.monotonic()) > 0.0:
+            asked.append(request())
+            rclpy.spin_until_future_complete(self._node, asked[-1], self._executor, min(left, AGAIN))
+            for future in asked:
+                if future.done():
+                    return future.result()
+        raise WorkFailed(f"{node} has not answered for {ANSWERED:g} s")
 
 
 @contextmanager

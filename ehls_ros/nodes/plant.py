@@ -32,6 +32,7 @@ from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos
+from ehls_ros.process import Stopping
 from ehls_ros.recording.topics import DEPTH, DRIVER, DRIVING, LEAVING, STANDBY_COMMAND
 from ehls_ros.schema import quantity, text
 
@@ -111,7 +112,7 @@ class PlantNode(ControlNode):
         self.create_service(SetBool, "enable", self._on_enable)
         self.create_service(SwitchController, "switch_controller", self._on_switch)
 
-    def bring_up(self, stopping: threading.Event) -> bool:
+    def bring_up(self, stopping: Stopping) -> bool:
         """Configure; activate once the partners are active, so that the first cycle finds all who answer it."""
         if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
             return False
@@ -219,14 +220,14 @@ class PlantNode(ControlNode):
         self.untold = (cycle * self.period, stamp_ns, signals)
 
     def ask_again(self, cycle: int) -> None:
-        """Repeat the present snapshot if it is unanswered for long and it, or its answer, may have been sent too early.
+        """Repeat the present snapshot if an answer to it stays away and either may have been sent too early.
 
-        A controller with ROS's default profile receives nothing that was sent before it was matched, and a plant in lockstep
-        would wait for its answer forever.
+        A node with ROS's default profile receives nothing that was sent before it was matched, and what it sends before that
+        is lost: a plant in lockstep would wait for its answer forever.
         """
         if time.perf_counter() - self.asked > PATIENCE:
             self.asked = time.perf_counter()
-            self._change_driver(cycle)
+            self._change_driver(cycle + (self.answered >= cycle))
             if self.commands.volatile or self.state.has_volatile_reader():
                 _, stamp_ns, signals = self.untold
                 self.state.send(stamp_ns, cycle, *signals)

@@ -104,7 +104,7 @@ class PlantSimNode(PlantNode):
         if self.answered == self.cycle and self.cycle in self.disturbances:
             if self.standby_answered():
                 self._advance()
-        elif not complete:
+        else:
             self.ask_again(self.cycle)
 
     def _once_realtime(self) -> None:

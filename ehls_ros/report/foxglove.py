@@ -16,6 +16,7 @@ import foxglove
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 
 from ehls_ros.errors import BadInput
+from ehls_ros.process import Stopping
 from ehls_ros.recording.topics import CYCLE_TOPICS, RESPONSE, Topic
 from ehls_ros.recording.trajectory_messages import streams_of
 from ehls_ros.recording.typestore import typestore
@@ -90,7 +91,7 @@ def play(
     rate: float,
     publish: Callable[[Message], None],
     tell_time: Callable[[int], None],
-    stopping: threading.Event,
+    stopping: Stopping,
 ) -> None:
     """Publish messages when they are due, never earlier and at most :data:`TICK` later.
 
@@ -143,7 +144,7 @@ class Viewers(ServerListener):
         with self._changed:
             return bool(self._asked) and time.monotonic() - self._since > SETTLED
 
-    def wait(self, *, present: bool, stopping: threading.Event) -> None:
+    def wait(self, *, present: bool, stopping: Stopping) -> None:
         """Wait until a viewer is present, or none is; or until told to stop."""
         while self.present() != present and not stopping.is_set():
             with self._changed:
@@ -214,7 +215,7 @@ class FoxgloveServer:
             channel.close()
 
 
-def serve(server: FoxgloveServer, sources: Sequence[Source], rate: float, stopping: threading.Event) -> None:
+def serve(server: FoxgloveServer, sources: Sequence[Source], rate: float, stopping: Stopping) -> None:
     """Play while a viewer is present, and again for the next one after all have left, until told to stop.
 
     Args:

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,9 @@ from ehls_ros.recording.bag_reader import read_bag
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 
 RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
+
+ASK_AGAIN = 1.0
+"""Time after which an unanswered request is repeated [s]."""
 
 SPEC = f"""
 title: gentle
@@ -93,10 +97,14 @@ def parameter(domain):
     client = node.create_client(GetParameters, "fasmc_node/get_parameters")
 
     def ask(name: str) -> float:
-        assert client.wait_for_service(PATIENCE)
-        future = client.call_async(GetParameters.Request(names=[name]))
-        executor.spin_until_future_complete(future, PATIENCE)
-        return future.result().values[0].double_value
+        asked, deadline = [], time.monotonic() + PATIENCE
+        # DDS may lose an answer to a client that it has just found.
+        while not any(future.done() for future in asked):
+            assert time.monotonic() < deadline, "the controller does not answer"
+            assert client.wait_for_service(PATIENCE)
+            asked.append(client.call_async(GetParameters.Request(names=[name])))
+            executor.spin_until_future_complete(asked[-1], ASK_AGAIN)
+        return next(future.result() for future in asked if future.done()).values[0].double_value
 
     yield ask
     executor.shutdown()

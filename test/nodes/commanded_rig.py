@@ -18,8 +18,6 @@ import numpy as np
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from emulated_rig import ROOT, acknowledged, own_port
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetState
 from patience import PATIENCE
 from std_srvs.srv import SetBool, Trigger
 
@@ -168,11 +166,11 @@ class CommandedRig:
 
     def transition(self, label: str) -> bool:
         """Request a transition of the bridge and return whether it succeeded."""
-        return bool(self.ask(ChangeState, f"{BRIDGE}/change_state", transition=Transition(label=label)).success)
+        return bool(self.participant.change(BRIDGE, label))
 
     def state(self) -> str:
         """Return the bridge's lifecycle state."""
-        return str(self.ask(GetState, f"{BRIDGE}/get_state").current_state.label)
+        return str(self.participant.state_of(BRIDGE))
 
     def said(self) -> dict[str, str]:
         """Return the values and the message of diagnostics that the bridge publishes after this call."""

@@ -32,8 +32,17 @@ POSITION = "{name: velocity_sweep, velocities: [0.02], travel: 2.0e-3, rest: 0.0
 GRACE = 120.0
 """Time the nodes have to exit before they are killed [s]."""
 
-ASK_AGAIN = 3.0
-"""Time after which an unanswered request is repeated [s]."""
+ASK_AGAIN, LOOK_AGAIN = 3.0, 0.5
+"""Time after which an unanswered request is repeated, and one that changes nothing [s]."""
+
+GOALS = {
+    "configure": "inactive",
+    "activate": "active",
+    "deactivate": "inactive",
+    "cleanup": "unconfigured",
+    "shutdown": "finalized",
+}
+"""State that a lifecycle transition leads to."""
 
 RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
 
@@ -97,9 +106,12 @@ class Graph:
         return time.monotonic()
 
     def stop(self, name: str, number: int = signal.SIGINT) -> int:
-        process = self.processes.pop(name)
+        process = self.processes[name]
         process.send_signal(number)
-        return process.wait(PATIENCE)
+        code = process.wait(PATIENCE)
+        # One that hangs stays, and is killed after the test.
+        del self.processes[name]
+        return code
 
     def log(self, name: str) -> str:
         return (self.folder / f"{name}.log").read_text(encoding="utf-8")
@@ -143,11 +155,14 @@ class Heard(list[Any]):
 
     Attributes:
         published_ns: when each was published, by the system's clock [ns].
+        publishers: returns the number of publishers that it hears by now. What they sent before may be lost to it, except
+            for the newest messages of those that keep some.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.published_ns: list[int] = []
+        self.publishers: Callable[[], int] = lambda: 0
 
     def add(self, message: Any, info: dict[str, int]) -> None:
         """Receive a message."""
@@ -196,9 +211,13 @@ class Participant:
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Return a service's answer; the request is repeated until the first answer."""
+        return self.ask(kind, service, request)[0]
+
+    def ask(self, kind: Any, service: str, request: Any) -> tuple[Any, bool]:
+        """Do the same, and return as well whether an earlier request may have been followed whose answer got lost."""
         client = self.node.create_client(kind, service)
         deadline = time.monotonic() + PATIENCE
-        wait = ASK_AGAIN
+        wait = LOOK_AGAIN if kind.__name__.startswith(("Get", "List", "Describe")) else ASK_AGAIN
         asked: list[Any] = []
 
         def answers() -> list[Any]:
@@ -208,12 +227,27 @@ class Participant:
             assert time.monotonic() < deadline, f"{service} does not answer"
             self.until(client.service_is_ready)
             asked.append(client.call_async(request))
-            # A killed server still seems to be there for a while, and swallows requests.
+            # A killed server still seems to be there for a while, and swallows requests; a new one may lose its answer.
             again = time.monotonic() + wait
             self.until(lambda again=again: answers() or time.monotonic() > again)
             wait *= 2.0
         self.node.destroy_client(client)
-        return answers()[0]
+        return answers()[0], not asked[0].done()
+
+    def change(self, node: str, transition: str) -> bool:
+        """Request a lifecycle node's transition, by its label, and return whether it was made."""
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        request = ChangeState.Request(transition=Transition(label=transition))
+        answer, repeated = self.ask(ChangeState, f"{node}/change_state", request)
+        return bool(answer.success) or (repeated and self.state_of(node) == GOALS[transition])
+
+    def state_of(self, node: str) -> str:
+        """Return the label of a lifecycle node's state."""
+        from lifecycle_msgs.srv import GetState
+
+        return str(self.call(GetState, f"{node}/get_state", GetState.Request()).current_state.label)
 
     def collect(self, kind: Any, topic: str) -> Heard:
         from ehls_ros.nodes.transport import RECORDER_DEPTH, control_qos
@@ -221,7 +255,7 @@ class Participant:
         heard = Heard()
         # A graph in lockstep is faster than this executor: what waits for it must not be overwritten.
         qos = control_qos(RECORDER_DEPTH) if not topic.startswith("/") else 10
-        self.node.create_subscription(kind, topic, heard.add, qos)
+        heard.publishers = self.node.create_subscription(kind, topic, heard.add, qos).get_publisher_count
         return heard
 
     def publishers(self, topic: str) -> list[Any]:

@@ -4,6 +4,7 @@
 """
 
 import tempfile
+import time
 import unittest
 from pathlib import Path
 
@@ -24,6 +25,9 @@ from launch import LaunchDescription
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMESPACE = "rig2"
+ASK_AGAIN = 1.0
+"""Time after which an unanswered request is repeated [s]."""
+
 PARAMETERS = """
 /**/sic_node: {ros__parameters: {compensation: 1}}
 /rig2/plant_sim_node: {ros__parameters: {telemetry_rate: 20, timing: realtime}}
@@ -70,13 +74,25 @@ class TestGraph(unittest.TestCase):
             self.executor.spin_once(PATIENCE)
         return received[0]
 
+    def find(self, nodes):
+        """Wait until nodes of these names are found in the namespace."""
+        deadline = time.monotonic() + PATIENCE
+        found = set()
+        while not nodes <= found:
+            assert time.monotonic() < deadline, f"found only {found}"
+            self.executor.spin_once(0.1)
+            found = {name for name, namespace in self.node.get_node_names_and_namespaces() if namespace == f"/{NAMESPACE}"}
+
     def ask(self, kind, service, request):
-        """Return a service's answer."""
+        """Return a service's answer; the request is repeated until the first answer, as DDS may lose one."""
         client = self.node.create_client(kind, service)
-        assert client.wait_for_service(PATIENCE)
-        future = client.call_async(request)
-        self.executor.spin_until_future_complete(future, PATIENCE)
-        return future.result()
+        asked, deadline = [], time.monotonic() + PATIENCE
+        while not any(future.done() for future in asked):
+            assert time.monotonic() < deadline, f"{service} does not answer"
+            assert client.wait_for_service(PATIENCE)
+            asked.append(client.call_async(request))
+            self.executor.spin_until_future_complete(asked[-1], ASK_AGAIN)
+        return next(future.result() for future in asked if future.done())
 
     def value(self, node, name):
         """Return a parameter's value."""
@@ -88,8 +104,7 @@ class TestGraph(unittest.TestCase):
         assert abs(state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec - 1e-3 * state.cycle) < 1e-6
         assert self.first(Clock, "/clock").clock.sec < 10**6
         assert self.first(DiagnosticArray, "/diagnostics").status[0].hardware_id == NAMESPACE
-        nodes = {name for name, namespace in self.node.get_node_names_and_namespaces() if namespace == f"/{NAMESPACE}"}
-        assert {"reference_node", "disturbance_node", "sic_node", "plant_sim_node"} <= nodes
+        self.find({"reference_node", "disturbance_node", "sic_node", "plant_sim_node"})
         assert not [topic for topic, _ in self.node.get_topic_names_and_types() if topic.startswith("/ehls/")]
         assert self.value("sic_node", "compensation").double_value == 1.0
         assert self.value("sic_node", "use_sim_time").bool_value

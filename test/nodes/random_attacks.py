@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from commanded_rig import BRIDGE, CommandedRig, Pace, truth_of
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from patience import PATIENCE
 from std_srvs.srv import SetBool, Trigger
 
@@ -183,7 +185,8 @@ class RandomAttacks:
 
     def invalid_transition(self) -> None:
         wrong = {"active": "configure", "inactive": "configure", "unconfigured": "activate"}
-        assert not self.rig.transition(wrong[self._lifecycle])
+        transition = Transition(label=wrong[self._lifecycle])
+        assert not self.rig.ask(ChangeState, f"{BRIDGE}/change_state", transition=transition).success
 
     def parameter(self) -> None:
         declared = self.random.choice(list(DECLARED.values()))

@@ -69,9 +69,9 @@ def judge(attack, truth, since, takes=0.0, until=np.inf):
 
 
 INVALID = {
-    "configure while active": lambda rig: rig.transition("configure"),
-    "transition 77": lambda rig: rig.ask(ChangeState, f"{BRIDGE}/change_state", transition=Transition(id=77)).success,
-    "activate while active": lambda rig: rig.transition("activate"),
+    "configure while active": lambda rig: changes(rig, Transition(label="configure")),
+    "transition 77": lambda rig: changes(rig, Transition(id=77)),
+    "activate while active": lambda rig: changes(rig, Transition(label="activate")),
     "parameter of type 255": lambda rig: set_raw(rig, "force_error", ParameterValue(type=255)),
     "parameter without name": lambda rig: set_raw(rig, "", ParameterValue(type=3, double_value=1.0)),
     "parameter removed": lambda rig: set_raw(rig, "force_error", ParameterValue(type=0)),
@@ -83,6 +83,10 @@ INVALID = {
         ).result.successful
     ),
 }
+
+
+def changes(rig, transition):
+    return rig.ask(ChangeState, f"{BRIDGE}/change_state", transition=transition).success
 
 
 def set_raw(rig, name, value):

@@ -79,6 +79,6 @@ def test_in_lockstep_all_nodes_have_the_cycles_time(graph, participant, spec_fil
         """Return who has reported at a time of the cycles."""
         return {status.name for array in diagnostics for status in array.status if 0.0 < seconds(array) < 1000.0}
 
-    participant.until(lambda: told() == set(nodes))
+    participant.until(lambda: told() == set(nodes) and states and references)
     assert [seconds(states[0]), seconds(references[0])] == pytest.approx([1e-3 * states[0].cycle, 1e-3 * references[0].cycle])
     assert max(map(seconds, diagnostics)) < 1000.0

@@ -62,11 +62,18 @@ def test_acknowledging_reaches_the_monitor(participant):
     participant.node.create_service(Trigger, "monitor_acknowledge", answer)
     link = Link("ehls")
     try:
+        pressed = []
         with ThreadPoolExecutor(1) as pool:
-            given = pool.submit(link.acknowledge_changes)
-            participant.until(given.done)
-        assert given.result() == (True, "1 changes")
-        assert len(asked) == 1
+
+            def answered():
+                # Its patience is some seconds; DDS may take longer to find the service, or lose the answer.
+                if not pressed or (pressed[-1].done() and not pressed[-1].result().done):
+                    pressed.append(pool.submit(link.acknowledge_changes))
+                return pressed[-1].done() and pressed[-1].result().done
+
+            participant.until(answered)
+        assert pressed[-1].result() == (True, "1 changes")
+        assert 1 <= len(asked) <= len(pressed)
     finally:
         link.close()
 

@@ -38,7 +38,9 @@ def test_a_controller_with_the_default_profile_drives_the_plant_and_one_that_is_
         if waiting and waiting[-1] in references:
             cycle = waiting.pop()
             answered.append(cycle)
-            disturbances.publish(Disturbance(cycle=cycle))
+            # The first disturbance gets lost, as one does that is sent before it can be received.
+            if len(answered) > 1:
+                disturbances.publish(Disturbance(cycle=cycle))
             commands.publish(ValveCommand(cycle=cycle))
 
     def open_cycle(state):

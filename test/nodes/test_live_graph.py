@@ -11,8 +11,6 @@ import pytest
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
 from diagnostic_msgs.msg import DiagnosticArray
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from patience import PATIENCE
 from std_srvs.srv import Trigger
 
@@ -51,11 +49,6 @@ def figure(participant, diagnostics, node, name, holds):
     return found()[0]
 
 
-def change(participant, node, transition):
-    request = ChangeState.Request(transition=Transition(id=transition))
-    assert participant.call(ChangeState, f"{node}/change_state", request).success
-
-
 def test_a_graph_is_retuned_loses_its_estimator_regains_it_and_ends_cleanly(running, participant, graph, spec_file):
     diagnostics = participant.collect(DiagnosticArray, "/diagnostics")
     # With the recorder and the test's own participant.
@@ -75,10 +68,10 @@ def test_a_graph_is_retuned_loses_its_estimator_regains_it_and_ends_cleanly(runn
 
 def a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, participant, diagnostics):
     # While the plant is inactive, the cycle in which the new k is accepted is known.
-    change(participant, "plant_sim_node", Transition.TRANSITION_DEACTIVATE)
+    assert participant.change("plant_sim_node", "deactivate")
     under_way = figure(participant, diagnostics, "plant_sim_node", "cycle", lambda message, _: message == "inactive")
     assert participant.set_parameter("fasmc_node", "k", 14.0).successful
-    change(participant, "plant_sim_node", Transition.TRANSITION_ACTIVATE)
+    assert participant.change("plant_sim_node", "activate")
     tuned_at = figure(participant, diagnostics, "fasmc_node", "tuned_at_cycle", lambda _, cycle: cycle >= 0)
     assert under_way <= tuned_at <= under_way + 2
     assert participant.get_parameter("fasmc_node", "k").double_value == 14.0

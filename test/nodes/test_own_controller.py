@@ -11,11 +11,17 @@ from docs_snippets import blocks
 
 pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
 
-from ehls_msgs.msg import ForceReference, LoaderState
+from ehls_msgs.msg import LoaderState
 from ehls_ros.experiments.files import config_folder
+from ehls_ros.experiments.loop import sampled
+from ehls_ros.experiments.spec import load_spec
 
-CYCLES = 1000
 SETTLED = 500
+"""Cycle from which on the error counts."""
+
+HEARD = 500
+"""Settled cycles that are compared at least: half a period of the disturbance."""
+
 LARGEST_ERROR = 500.0
 """What the page promises [N]."""
 
@@ -33,18 +39,22 @@ def folder(tmp_path):
 
 
 def largest_error(graph, participant):
-    """Run the simulated rig in lockstep beside the node and return the largest settled force error [N]."""
+    """Run the simulated rig in lockstep beside the node and return the largest settled force error [N].
+
+    The rig runs on until enough has been heard: what is sent before the test's own reader is matched may be lost to it.
+    """
+    path = config_folder() / "experiments" / "sine_fd2.yaml"
+    spec = load_spec(path)
+    wanted = sampled(spec.reference, spec.settings.control_period)
     states = participant.collect(LoaderState, "loader_state")
-    references = participant.collect(ForceReference, "force_reference")
-    common = {"spec": config_folder() / "experiments" / "sine_fd2.yaml", "timing": "lockstep"}
-    graph.start("reference_node", **common)
-    graph.start("disturbance_node", **common)
-    graph.start("plant_sim_node", cycles=CYCLES, **common)
-    participant.until(lambda: states and states[-1].cycle == CYCLES - 1)
-    wanted = {reference.cycle: reference.force for reference in references}
-    errors = [abs(state.force - wanted[state.cycle]) for state in states if state.cycle >= SETTLED]
-    assert len(errors) == CYCLES - SETTLED
-    return max(errors)
+    for name in ("reference_node", "disturbance_node", "plant_sim_node"):
+        graph.start(name, spec=path, timing="lockstep")
+
+    def settled():
+        return {state.cycle: state.force for state in states if state.cycle >= SETTLED}
+
+    participant.until(lambda: len(states) > HEARD and len(settled()) >= HEARD)
+    return max(abs(force - wanted.row(cycle)[0]) for cycle, force in settled().items())
 
 
 def test_the_python_node_holds_the_force(graph, participant, folder):

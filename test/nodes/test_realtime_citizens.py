@@ -115,14 +115,14 @@ def test_a_simulated_rig_waits_for_a_controller_that_is_too_slow_and_says_so(gra
         return 0.0 < float(each.get("cycles_per_second_reached", 0.0)) < 0.9 * float(each["cycles_per_second_asked"])
 
     until(lambda: any(map(too_slow, figures(heard))))
-    begun = len(heard) - 1
+    begun = next(index for index, each in enumerate(figures(heard)) if too_slow(each))
 
     def hardly_misses(before, after):
         cycles, missed, slipped = (float(after[key]) - float(before[key]) for key in ("cycle", "missed", "slipped_s"))
         return cycles > 50 and missed < 0.1 * cycles and slipped > 0.0
 
     # From now on each cycle waits for its own command; only if this process is held up, its commands are not waited for.
-    until(lambda: any(itertools.starmap(hardly_misses, itertools.pairwise(figures(heard[begun:])))))
+    until(lambda: any(itertools.starmap(hardly_misses, itertools.pairwise(figures(heard)[begun:]))))
     # The gate does not trip, unless this process was held up for nearly as long as the gate waits.
     said = figures(heard)[begun]["message"], figures(heard)[-1]["message"]
     complaint = "too slow: ", "the simulated time runs slower than the wall's"

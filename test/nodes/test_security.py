@@ -81,9 +81,6 @@ def test_only_controllers_command_the_valve_and_only_plant_nodes_open_a_cycle():
 
 
 def test_the_nodes_stay_within_the_policy(graph, participant, spec_file, tmp_path: Path):
-    from lifecycle_msgs.msg import Transition
-    from lifecycle_msgs.srv import ChangeState
-
     rights = policy()
     spec = spec_file()
     position = tmp_path / "position.yaml"
@@ -103,8 +100,7 @@ def test_the_nodes_stay_within_the_policy(graph, participant, spec_file, tmp_pat
         # A configured node has all its topics and services.
         graph.start(name, spec=spec if follows == "force" else position, autostart=False, **more)
     for name in NODES:
-        configure = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
-        assert participant.call(ChangeState, f"{name}/change_state", configure).success, graph.log(name)
+        assert participant.change(name, "configure"), graph.log(name)
     known = [topic.resolve() for topic in CYCLE_TOPICS]
     ask = participant.node
     for name in NODES:

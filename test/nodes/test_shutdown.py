@@ -6,8 +6,6 @@ import pytest
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetState
 from patience import PATIENCE
 
 from ehls_msgs.msg import ControllerStatus
@@ -29,15 +27,11 @@ def test_a_node_shut_down_while_active_stops_publishing(graph, participant, spec
     statuses = participant.collect(ControllerStatus, "controller_status")
     participant.until(lambda: len(statuses) > 200, PATIENCE)
 
-    def transition(name, label):
-        request = ChangeState.Request(transition=Transition(label=label))
-        return participant.call(ChangeState, f"{name}/change_state", request).success
-
     for name, topic in TOPICS.items():
-        assert transition(name, "shutdown"), name
-        assert participant.call(GetState, f"{name}/get_state", GetState.Request()).current_state.label == "finalized"
+        assert participant.change(name, "shutdown"), name
+        assert participant.state_of(name) == "finalized"
         participant.until(lambda topic=topic: participant.node.count_publishers(topic) == 0, PATIENCE)
-        assert not transition(name, "configure")
+        assert not participant.change(name, "configure")
     for name in TOPICS:
         assert graph.stop(name) == 0, graph.log(name)
         assert "Traceback" not in graph.log(name)

@@ -12,6 +12,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from ehls_msgs.msg import ValveCommand
 from ehls_ros.nodes.transport import Inbox, Outbox
+from ehls_ros.process import Stopping
 
 
 class ToldNode(NamedTuple):
@@ -27,13 +28,13 @@ class ToldNode(NamedTuple):
     inbox: Inbox
     outbox: Outbox
     told: Callable[[], str]
-    stopping: threading.Event
+    stopping: Stopping
 
 
 @contextlib.contextmanager
 def told_node(name: str, message: Any, topic: str, first: str) -> Iterator[ToldNode]:
     """Run a node until SIGINT; ``first`` is used until a line arrives."""
-    lines, stopping = [first], threading.Event()
+    lines, stopping = [first], Stopping()
     threading.Thread(target=lambda: [lines.append(line.strip()) for line in sys.stdin], daemon=True).start()
     signal.signal(signal.SIGINT, lambda *_: stopping.set())
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

@@ -6,7 +6,6 @@ import socket
 import struct
 import subprocess
 import sys
-import threading
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,6 +26,7 @@ from ehls_ros.cli.main import main
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.spec import load_spec
 from ehls_ros.extras import install_command
+from ehls_ros.process import Stopping
 from ehls_ros.recording.bag_writer import write_trajectory
 from ehls_ros.recording.topics import CYCLE_TOPICS
 from ehls_ros.report.foxglove import TICK, play
@@ -206,7 +206,7 @@ def test_messages_are_sent_when_they_are_due(monkeypatch):
 
 
 def test_a_play_that_is_stopped_sends_nothing_more():
-    stopping = threading.Event()
+    stopping = Stopping()
     sent: list[int] = []
     messages = [(0, "topic", b""), (3600 * 10**9, "topic", b"")]
     play(messages, 1.0, lambda m: sent.append(m[0]), lambda _: stopping.set(), stopping)

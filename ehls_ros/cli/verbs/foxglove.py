@@ -1,7 +1,6 @@
 """`ehls foxglove`: stream recordings and simulations to Foxglove."""
 
 import signal
-import threading
 from argparse import ArgumentParser, Namespace
 from functools import partial
 from ipaddress import ip_address
@@ -14,6 +13,7 @@ from ehls_ros.experiments.loop import run_in_stretches
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import load_spec
 from ehls_ros.extras import missing
+from ehls_ros.process import Stopping
 from ehls_ros.recording.columns import read_columns
 from ehls_ros.recording.load import load
 from ehls_ros.recording.topics import NAMESPACE, Topic
@@ -54,7 +54,7 @@ def run(options: Namespace) -> int:
     except ImportError as error:
         raise missing(f"foxglove-sdk is missing ({error})", "foxglove", "this Python") from None
     sources, topics = _sources(options)
-    stopping = threading.Event()
+    stopping = Stopping()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopping.set())
     with FoxgloveServer(options.host, options.port, topics) as server:

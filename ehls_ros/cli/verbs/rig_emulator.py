@@ -27,6 +27,7 @@ from ehls_ros.hardware.target import Target
 from ehls_ros.hardware.truth_log import TruthLog
 from ehls_ros.hardware.wire import BadWire, Impairments, Wire
 from ehls_ros.physics.rig import Rig, rig_to_mapping
+from ehls_ros.process import Stopping
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import parse
 
@@ -122,7 +123,7 @@ def run(options: Namespace) -> int:
 
 
 def _run(options: Namespace, emulator: Emulator, target: Target, wire: Wire, delays: Delays, address: Any) -> None:
-    stop = threading.Event()
+    stop = Stopping()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     cycles = sys.maxsize if options.duration is None else round(options.duration / emulator.period)
