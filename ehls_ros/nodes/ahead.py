@@ -12,7 +12,7 @@ from ehls_ros.control.references.base import SampledReference
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import signal_kind, uses_actuator
 from ehls_ros.nodes.codec import NANOSECONDS
-from ehls_ros.nodes.control import CLOCK_TOPIC, OK, PATIENCE, WAIT, ControlNode
+from ehls_ros.nodes.control import CLOCK_TOPIC, OK, PATIENCE, ControlNode
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class, newest_qos
 from ehls_ros.recording.topics import ACTUATOR_TOPICS
 
@@ -61,7 +61,7 @@ class AheadNode(ControlNode):
             self.actuator = Outbox(self, message_class(topic.type), topic.name), signal
         if self.lead == 1:
             self.progress = Inbox(self, LoaderState, "loader_state")
-        elif self.lockstep:
+        elif self.lockstep and self.links is None:
             self.progress = Inbox(self, Clock, CLOCK_TOPIC, control_qos(1), self._cycle_of_clock)
         else:
             self.progress = Inbox(self, LoaderState, "loader_state", newest_qos())
@@ -70,6 +70,7 @@ class AheadNode(ControlNode):
         self.last = -1
         self.epoch_ns = 0
         self.moved = time.perf_counter()
+        self.resting = 0.0
 
     def _cycle_of_clock(self, message: bytes) -> tuple[int, int]:
         """Return stamp [ns] and cycle, the first two fields of a loader_state."""
@@ -91,9 +92,21 @@ class AheadNode(ControlNode):
         self.epoch_ns = 0 if self.lockstep else self.now_ns() or 0
         self._publish_to(self.lead - 1, None)
 
+    def awaited_inputs(self) -> Waiter:
+        """Return what tells the cycle."""
+        return self.waiter
+
     def once(self) -> None:
         """Publish up to ``lead`` cycles beyond the newest one."""
-        self.waiter.wait(WAIT)
+        super().once()
+        if self.lead > 1 and not self.lockstep:
+            time.sleep(REST)
+
+    def react(self) -> bool:
+        """Publish up to ``lead`` cycles beyond the newest one, if there is a newer one."""
+        before = self.next
+        if self.hosted and self.lead > 1 and not self.lockstep and self._rests():
+            return False
         while (state := self.progress.take()) is not None:
             stamp, cycle = state[:2]
             if cycle < self.last or cycle > self.next:
@@ -102,10 +115,17 @@ class AheadNode(ControlNode):
             self.last, self.moved = cycle, time.perf_counter()
             self.epoch_ns = stamp - round(cycle * self.period_ns)
             self._publish_to(cycle + self.lead, state if self.lead == 1 else None)
-        if self.lead > 1 and not self.lockstep:
-            time.sleep(REST)
-        elif self.lead > 1 and time.perf_counter() - self.moved > PATIENCE:
+        if self.lead > 1 and self.lockstep and time.perf_counter() - self.moved > PATIENCE:
             self._repeat()
+        return self.next != before
+
+    def _rests(self) -> bool:
+        """Tell whether the next look at the newest snapshot can wait, where the loop must not sleep."""
+        now = time.perf_counter()
+        if now < self.resting:
+            return True
+        self.resting = now + REST
+        return False
 
     def _repeat(self) -> None:
         """Publish the rows ahead again: the cycles may wait for a reader that receives nothing sent before it was matched."""

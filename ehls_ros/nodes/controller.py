@@ -114,6 +114,8 @@ class ControllerNode(ControlNode):
     sliding takes its place, and status and diagnostics say so.
     """
 
+    longest_wait = TURN
+
     def __init__(self, law: str) -> None:
         """Declare the law's parameters, with the spec's values if the spec is for this law.
 
@@ -224,9 +226,12 @@ class ControllerNode(ControlNode):
         self.leaving.publish(String(data=self.sender))
         self.leaving.wait_for_all_acked(Duration(seconds=FAREWELL))
 
-    def once(self) -> None:
-        """Wait for what the next cycle lacks; answer the newest cycle that has all it needs."""
-        self.arrivals[self.cycles.lacks].wait(TURN)
+    def awaited_inputs(self) -> Waiter:
+        """Return what the next cycle lacks."""
+        return self.arrivals[self.cycles.lacks]
+
+    def react(self) -> bool:
+        """Answer the newest cycle that has all it needs."""
         arrived = time.perf_counter()
         while (message := self.friction.take()) is not None:
             self.cycles.add_friction(message[1], message[2:4])
@@ -240,13 +245,15 @@ class ControllerNode(ControlNode):
             while (message := self.reference.take()) is not None:
                 self.cycles.add_reference(message[1], message[2:5])
         if not self._knows_who_drives():
-            return
+            return False
         if not self.sent and self._driver_of(self.answered[1]) == self.sender:
             # The snapshot of the first cycle after a switch was faster than the word of the switch.
             self._send()
-        if (ready := self.cycles.take(arrived)) is not None:
-            self._answer(ready)
-            self.latency.add(time.perf_counter() - arrived)
+        if (ready := self.cycles.take(arrived)) is None:
+            return False
+        self._answer(ready)
+        self.latency.add(time.perf_counter() - arrived)
+        return True
 
     def _knows_who_drives(self) -> bool:
         """Note who drives from which cycle on; return False while that is not certain.

@@ -32,11 +32,14 @@ from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos
-from ehls_ros.recording.topics import DEPTH, DRIVER, DRIVING, LEAVING, STANDBY_COMMAND
+from ehls_ros.recording.topics import DEPTH, DRIVER, DRIVING, LEAVING, LOADER_STATE, STANDBY_COMMAND
 from ehls_ros.schema import quantity, text
 
 CLOCK_CYCLES = 10
 """Cycles between two clock messages in lockstep; nodes that run ahead of the cycles follow the clock."""
+
+CLOCK_CYCLES_TOGETHER = 100
+"""The same where nodes are in one process with the plant: they are many times faster, and see each cycle anyway."""
 
 NOTICE = 2.0
 """Time for which diagnostics tell a jump of the stamps [s]; the last jump's size stays among the figures."""
@@ -78,6 +81,8 @@ class PlantNode(ControlNode):
 
     Subclasses implement :meth:`once` and run the rig behind the gate.
     """
+
+    alone_sends = (LOADER_STATE.name,)
 
     gate_defaults: Mapping[str, Any] = MappingProxyType({})
     """Gate parameters that differ from the declared defaults."""
@@ -163,6 +168,7 @@ class PlantNode(ControlNode):
         self.driving = self.create_publisher(Bool, DRIVING.name, control_qos(1))
         self.told_driving: bool | None = None
         self.clock = self.create_publisher(Clock, CLOCK_TOPIC, control_qos(1)) if self.lockstep else None
+        self.clock_cycles = CLOCK_CYCLES if self.links is None else CLOCK_CYCLES_TOGETHER
         self.stamps = Stamps(self.period)
         self.jumped = -math.inf
         self.telemetry = Telemetry(self, float(self.get_parameter("telemetry_rate").value), self.sensed)
@@ -214,7 +220,7 @@ class PlantNode(ControlNode):
         self.asked = self.published
         self.standby.cycle = cycle
         self.state.send(stamp_ns, cycle, *signals)
-        if self.clock is not None and cycle % CLOCK_CYCLES == 0:
+        if self.clock is not None and cycle % self.clock_cycles == 0:
             self.clock.publish(Clock(clock=time_of(stamp_ns)))
         self.untold = (cycle * self.period, stamp_ns, signals)
 

@@ -1,0 +1,194 @@
+"""Several nodes as one process, in which a control cycle is one call: `ehls run plant_sim_node+fasmc_node+…`.
+
+The nodes are those that otherwise are processes, with their own names, parameters, services and diagnostics. The plant's loop
+runs in the main thread; where it would wait, the others react to what they have been handed over, estimator before
+controller, and the command is back before anything is published. What others want to see is published after that.
+"""
+
+import gc
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import NoReturn
+
+from ehls_ros.errors import BadInput
+from ehls_ros.nodes import controller_of
+from ehls_ros.nodes.control import WAIT, ControlNode, be_punctual, run_nodes
+from ehls_ros.nodes.controller import ControllerNode
+from ehls_ros.nodes.disturbance_node import DisturbanceNode
+from ehls_ros.nodes.friction_estimator_node import FrictionEstimatorNode
+from ehls_ros.nodes.hardware_bridge_node import HardwareBridgeNode
+from ehls_ros.nodes.links import Links
+from ehls_ros.nodes.plant import PlantNode
+from ehls_ros.nodes.plant_sim_node import PlantSimNode
+from ehls_ros.nodes.reference_node import ReferenceNode
+from ehls_ros.nodes.transport import Waiter
+from ehls_ros.process import end
+
+PLUS = "+"
+"""Stands between the names of nodes that are to be one process."""
+
+BEFORE: Mapping[str, Callable[[], ControlNode]] = MappingProxyType(
+    {
+        "reference_node": ReferenceNode,
+        "disturbance_node": DisturbanceNode,
+        "friction_estimator_node": FrictionEstimatorNode,
+    }
+)
+"""Nodes that a controller's inputs come from, in the order in which they become active; the controller's comes next."""
+
+HOSTS: Mapping[str, Callable[[], ControlNode]] = MappingProxyType(
+    {"plant_sim_node": PlantSimNode, "hardware_bridge_node": HardwareBridgeNode}
+)
+"""Nodes whose loop the others take part in: one of them is needed, and becomes active last."""
+
+GATHERED = 100
+"""Messages that gather in lockstep before they are published: one by one, each would wake up its readers."""
+
+
+def may_be_composed(name: str) -> bool:
+    """Tell whether a node can share a process with others."""
+    return name in BEFORE or name in HOSTS or controller_of(name) is not None
+
+
+def in_order(names: Sequence[str]) -> list[str]:
+    """Return the names of nodes in the order in which they become active.
+
+    Raises:
+        BadInput: these nodes cannot be one process.
+    """
+    where = PLUS.join(names)
+    for name in names:
+        if not may_be_composed(name):
+            raise BadInput(f"{name} cannot share a process", where, f"{', '.join((*BEFORE, *HOSTS))} or a controller's node")
+    hosts, laws = [n for n in names if n in HOSTS], [n for n in names if controller_of(n) is not None]
+    if len(hosts) != 1:
+        raise BadInput(f"{len(hosts)} plant nodes are named", where, f"one of {', '.join(HOSTS)}")
+    if len(laws) > 1:
+        raise BadInput(f"{len(laws)} controllers are named", where, "one; another that stands by is a process of its own")
+    if len(set(names)) < len(names):
+        raise BadInput("a node is named twice", where, "each once")
+    return [*(name for name in BEFORE if name in names), *laws, *hosts]
+
+
+def _maker(name: str) -> Callable[[], ControlNode]:
+    law = controller_of(name)
+    return {**BEFORE, **HOSTS}[name] if law is None else lambda: ControllerNode(law)
+
+
+class Composition:
+    """Runs the loops of several nodes in one thread."""
+
+    def __init__(self, nodes: Sequence[ControlNode]) -> None:
+        """Connect the nodes.
+
+        Args:
+            nodes: in the order in which they become active; the last is the plant.
+        """
+        *partners, self._host = nodes
+        self._answering = [node for node in partners if node.answers]
+        self._ahead = [node for node in partners if not node.answers]
+        self._links = Links({topic for node in nodes for topic in node.alone_sends}, self._wait)
+        self._running: list[ControlNode] = []
+        self._inside = False
+        for node in nodes:
+            node.links = self._links
+        for node in partners:
+            node.be_hosted()
+        # The plant stops first: the others may end once nobody asks them.
+        self._nodes = [self._host, *partners]
+        self._gathered = GATHERED if self._host.lockstep else 1
+
+    def work(self, stopping: threading.Event) -> None:
+        """Run the loops of those that are active, until told to stop."""
+        be_punctual()
+        gc.disable()
+        try:
+            while not stopping.is_set():
+                self._follow_lifecycle()
+                if self._host in self._running:
+                    self._host.once()
+                    self._host.look_after()
+                    if self._links.pending >= self._gathered:
+                        self._links.publish()
+                else:
+                    self._turn_without_plant()
+        finally:
+            gc.enable()
+            for node in self._nodes:
+                if node in self._running:
+                    node.leave()
+            self._links.publish()
+
+    def _follow_lifecycle(self) -> None:
+        """Begin and end the loops of the nodes that have become active or inactive."""
+        for node in self._nodes:
+            if node.is_to_run != (node in self._running):
+                if node.is_to_run:
+                    self._running.append(node)
+                    node.enter()
+                else:
+                    self._running.remove(node)
+                    node.leave()
+                    self._links.publish()
+
+    def _turn_without_plant(self) -> None:
+        self._react(self._answering)
+        self._react(self._ahead)
+        self._links.publish()
+        self._block([], WAIT)
+
+    def _react(self, nodes: Sequence[ControlNode]) -> bool:
+        """Let nodes react to what has arrived; return whether any did."""
+        self._inside = True
+        try:
+            return any([node.react() for node in nodes if node in self._running])
+        finally:
+            self._inside = False
+
+    def _wait(self, waiter: Waiter, seconds: float) -> None:
+        """Do what the others have to do in place of waiting; wait for other processes once nothing is left to do."""
+        if self._inside:
+            if not waiter.arrived:
+                waiter.block(seconds)
+            return
+        self._react(self._answering)
+        if waiter.arrived or self._react(self._ahead):
+            return
+        self._links.publish()
+        self._block([waiter], seconds)
+
+    def _block(self, waiters: Sequence[Waiter], seconds: float) -> None:
+        """Wait for a message of another process, for any of the nodes, at most for a time [s]."""
+        waiters = [*waiters, *(node.awaited_inputs() for node in self._answering if node in self._running)]
+        if waiters:
+            waiters[0].block(seconds, waiters[1:])
+        else:
+            time.sleep(seconds)
+
+
+def run_composed(names: Sequence[str]) -> NoReturn:
+    """Run nodes as one process.
+
+    Args:
+        names: of the nodes, in any order.
+    """
+    try:
+        makes = [_maker(name) for name in in_order(names)]
+    except BadInput as error:
+        print(error, file=sys.stderr)
+        end(2)
+    run_nodes(makes, lambda nodes: Composition(nodes).work)
+
+
+def main() -> NoReturn:
+    """Run the nodes that the command line names before `--ros-args`."""
+    given = sys.argv[1:]
+    names = given[: given.index("--ros-args")] if "--ros-args" in given else given
+    run_composed([name for word in names for name in word.split(PLUS)])
+
+
+if __name__ == "__main__":
+    main()
