@@ -21,7 +21,6 @@ from ehls_ros.nodes.disturbance_node import DisturbanceNode
 from ehls_ros.nodes.friction_estimator_node import FrictionEstimatorNode
 from ehls_ros.nodes.hardware_bridge_node import HardwareBridgeNode
 from ehls_ros.nodes.links import Links
-from ehls_ros.nodes.plant import PlantNode
 from ehls_ros.nodes.plant_sim_node import PlantSimNode
 from ehls_ros.nodes.reference_node import ReferenceNode
 from ehls_ros.nodes.transport import Waiter
@@ -44,8 +43,12 @@ HOSTS: Mapping[str, Callable[[], ControlNode]] = MappingProxyType(
 )
 """Nodes whose loop the others take part in: one of them is needed, and becomes active last."""
 
-GATHERED = 100
-"""Messages that gather in lockstep before they are published: one by one, each would wake up its readers."""
+GATHERED = 20
+"""Messages that gather before they are published, four cycles: one by one, each would wake up its readers. Not where a node of
+another process takes part in the cycles."""
+
+GATHERED_IN_LOCKSTEP = 100
+"""The same in lockstep."""
 
 
 def may_be_composed(name: str) -> bool:
@@ -90,8 +93,7 @@ class Composition:
         *partners, self._host = nodes
         self._answering = [node for node in partners if node.answers]
         self._ahead = [node for node in partners if not node.answers]
-        self._links = Links({topic for node in nodes for topic in node.alone_sends}, self._wait)
-        self._running: list[ControlNode] = []
+        self._links = Links(self._wait)
         self._inside = False
         for node in nodes:
             node.links = self._links
@@ -99,7 +101,7 @@ class Composition:
             node.be_hosted()
         # The plant stops first: the others may end once nobody asks them.
         self._nodes = [self._host, *partners]
-        self._gathered = GATHERED if self._host.lockstep else 1
+        self._gathered = GATHERED_IN_LOCKSTEP if self._host.lockstep else GATHERED
 
     def work(self, stopping: threading.Event) -> None:
         """Run the loops of those that are active, until told to stop."""
@@ -108,31 +110,27 @@ class Composition:
         try:
             while not stopping.is_set():
                 self._follow_lifecycle()
-                if self._host in self._running:
+                if self._host.is_running:
                     self._host.once()
                     self._host.look_after()
-                    if self._links.pending >= self._gathered:
-                        self._links.publish()
+                    self._publish_what_gathered()
                 else:
                     self._turn_without_plant()
         finally:
             gc.enable()
             for node in self._nodes:
-                if node in self._running:
+                if node.is_running:
                     node.leave()
             self._links.publish()
 
     def _follow_lifecycle(self) -> None:
         """Begin and end the loops of the nodes that have become active or inactive."""
         for node in self._nodes:
-            if node.is_to_run != (node in self._running):
-                if node.is_to_run:
-                    self._running.append(node)
-                    node.enter()
-                else:
-                    self._running.remove(node)
-                    node.leave()
-                    self._links.publish()
+            if node.is_to_run and not node.is_running:
+                node.enter()
+            elif node.is_running and not node.is_to_run:
+                node.leave()
+                self._links.publish()
 
     def _turn_without_plant(self) -> None:
         self._react(self._answering)
@@ -143,10 +141,14 @@ class Composition:
     def _react(self, nodes: Sequence[ControlNode]) -> bool:
         """Let nodes react to what has arrived; return whether any did."""
         self._inside = True
+        reacted = False
         try:
-            return any([node.react() for node in nodes if node in self._running])
+            for node in nodes:
+                if node.is_running and node.react():
+                    reacted = True
         finally:
             self._inside = False
+        return reacted
 
     def _wait(self, waiter: Waiter, seconds: float) -> None:
         """Do what the others have to do in place of waiting; wait for other processes once nothing is left to do."""
@@ -157,12 +159,16 @@ class Composition:
         self._react(self._answering)
         if waiter.arrived or self._react(self._ahead):
             return
-        self._links.publish()
+        self._publish_what_gathered()
         self._block([waiter], seconds)
+
+    def _publish_what_gathered(self) -> None:
+        if self._links.apart or self._links.pending >= self._gathered:
+            self._links.publish()
 
     def _block(self, waiters: Sequence[Waiter], seconds: float) -> None:
         """Wait for a message of another process, for any of the nodes, at most for a time [s]."""
-        waiters = [*waiters, *(node.awaited_inputs() for node in self._answering if node in self._running)]
+        waiters = [*waiters, *(node.awaited_inputs() for node in self._answering if node.is_running)]
         if waiters:
             waiters[0].block(seconds, waiters[1:])
         else:

@@ -113,9 +113,6 @@ class ControlNode(DeclaredParameters):
     background = False
     """Whether it takes no priority at all, whatever the parameter says: it has time."""
 
-    alone_sends: tuple[str, ...] = ()
-    """Topics that a graph has from this node only: in one process with their readers they need not pass through DDS."""
-
     def __init__(self, name: str) -> None:
         """Declare the common parameters and read the spec.
 
@@ -135,6 +132,7 @@ class ControlNode(DeclaredParameters):
         self._parent = int(os.environ.get(PARENT, "0"))
         self.links: Links | None = None
         self.hosted = False
+        self.is_running = False
         self.configured = False
         self.not_permitted: tuple[str, ...] = ()
         self.courtesy: Courtesy | None = None
@@ -207,7 +205,11 @@ class ControlNode(DeclaredParameters):
             return TransitionCallbackReturn.FAILURE
         # The middleware's receiver threads hold locks that senders need too. Even if the loop itself runs at a lower
         # priority, its receivers must not be preempted while they hold one.
-        loops = () if self.answers or self.links is not None else [thread.native_id for thread in threading.enumerate() if thread.native_id]
+        loops = (
+            ()
+            if self.answers or self.links is not None
+            else [thread.native_id for thread in threading.enumerate() if thread.native_id]
+        )
         priority = 0 if self.lockstep or self.background else int(self.get_parameter("priority").value)
         self.not_permitted = claim(priority, loops)
         if priority and not self.hosted:
@@ -292,15 +294,17 @@ class ControlNode(DeclaredParameters):
     def enter(self) -> None:
         """Begin the loop."""
         self._silence, self._turned = 0.0, time.monotonic()
+        self.is_running = True
         self.start()
 
     def leave(self) -> None:
         """End the loop."""
+        self.is_running = False
         self.stop()
         self._idle.set()
 
     def look_after(self) -> None:
-        """Check, after each turn, the heartbeat of the service thread, which handles the emergency stop, and the loop's demand."""
+        """Check after each turn the heartbeat of the service thread, which handles the emergency stop, and the loop's demand."""
         now = time.monotonic()
         self._silence = 0.0 if self._beaten else self._silence + min(now - self._turned, LONGEST_TURN)
         self._beaten, self._turned = False, now
@@ -316,6 +320,8 @@ class ControlNode(DeclaredParameters):
             self.get_logger().error("the process that started this node has ended, so the node ends")
             signal.raise_signal(signal.SIGINT)
         self._mismatches.look()
+        if self.links is not None:
+            self.links.look_outside()
         self.report()
 
     def unheard(self, silence: float) -> None:

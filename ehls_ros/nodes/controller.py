@@ -30,7 +30,7 @@ from ehls_ros.nodes.codec import Decoder
 from ehls_ros.nodes.control import OK, PATIENCE, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
-from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class
+from ehls_ros.nodes.transport import Inbox, Notice, Outbox, Waiter, control_qos, message_class
 from ehls_ros.physics import sensors
 from ehls_ros.physics.rig import SENSED, rig_from_mapping
 from ehls_ros.recording.topics import (
@@ -174,7 +174,7 @@ class ControllerNode(ControlNode):
         accepts = bool(self.get_parameter("accept_rig").value)
         kept = control_qos(ACCEPTED_RIG.depth)
         self.accepted = self.create_subscription(String, ACCEPTED_RIG.name, self._on_accepted, kept) if accepts else None
-        self.leaving = self.create_publisher(String, LEAVING.name, control_qos(1))
+        self.leaving = Notice(self, String, LEAVING.name, 1)
         self.driver = Inbox(self, Driver, DRIVER.name, decode=Decoder(Driver, sender=True))
         self.others = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
         self.drivers: deque[tuple[int, str]] = deque(maxlen=HEARD)
@@ -215,16 +215,17 @@ class ControllerNode(ControlNode):
         for ahead in filter(None, (self.actuator, self.points)):
             ahead.destroy()
         self.company.save()
-        for outbox in (self.commands, self.status, self.shadow):
+        for outbox in (self.commands, self.status, self.shadow, self.leaving):
             outbox.destroy()
-        self.destroy_publisher(self.leaving)
         if self.accepted is not None:
             self.destroy_subscription(self.accepted)
 
     def stop(self) -> None:
         """Say that the node leaves, so that one that stands by can take over."""
-        self.leaving.publish(String(data=self.sender))
-        self.leaving.wait_for_all_acked(Duration(seconds=FAREWELL))
+        self.leaving.tell(String(data=self.sender), self.sender)
+        if not self.hosted:
+            # A process that goes on sends it anyway, and must not wait.
+            self.leaving.publisher.wait_for_all_acked(Duration(seconds=FAREWELL))
 
     def awaited_inputs(self) -> Waiter:
         """Return what the next cycle lacks."""
@@ -265,7 +266,7 @@ class ControllerNode(ControlNode):
             # The time of the first answer since then is yet to come.
             self.named, self.replied = time.perf_counter(), math.nan
         if not self.drivers:
-            return bool(self.driver.handle.get_publisher_count() == 0)
+            return self.driver.publishers() == 0
         newest = self.drivers[-1][1]
         if newest == "" and self.lockstep and time.perf_counter() - self.replied < HEARING:
             # Before the plant opens the next cycle, it says whose answer came first.

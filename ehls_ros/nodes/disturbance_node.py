@@ -9,13 +9,10 @@ from ehls_ros.nodes.ahead import LEAD, AheadNode
 from ehls_ros.nodes.control import run_node
 from ehls_ros.nodes.transport import Outbox
 from ehls_ros.physics import sensors
-from ehls_ros.recording.topics import DISTURBANCE
 
 
 class DisturbanceNode(AheadNode):
     """Publishes the spec's disturbance."""
-
-    alone_sends = (DISTURBANCE.name,)
 
     def __init__(self) -> None:
         """Choose the lead: a disturbance that reacts to the loader can run only one cycle ahead."""

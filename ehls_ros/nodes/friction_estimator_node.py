@@ -12,7 +12,6 @@ from ehls_ros.nodes.control import OK, WARN, ControlNode, run_node
 from ehls_ros.nodes.parameters import declare, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
 from ehls_ros.physics import sensors
-from ehls_ros.recording.topics import FRICTION_ESTIMATE
 from ehls_ros.schema import text
 
 
@@ -24,8 +23,6 @@ class Parameters(NamedTuple):
 
 class FrictionEstimatorNode(ControlNode):
     """Runs a friction observer along the measured velocity."""
-
-    alone_sends = (FRICTION_ESTIMATE.name,)
 
     def __init__(self) -> None:
         """Declare the parameters."""

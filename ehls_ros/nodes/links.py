@@ -4,8 +4,9 @@
 know whether its partners are in its process. :mod:`ehls_ros.nodes.composed` runs the loops.
 """
 
+import threading
 from collections import deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from ehls_ros.recording.topics import DEPTH
@@ -27,12 +28,14 @@ class Topic:
     Attributes:
         queues: of the readers.
         senders: number of open senders in this process.
+        named: those senders, as messages name them: what they send would come back over DDS, and is left out.
     """
 
     def __init__(self) -> None:
         """Start without readers and senders."""
         self.queues: list[deque[Message]] = []
         self.senders = 0
+        self.named: set[str] = set()
         self._kept: deque[Message] = deque(maxlen=DEPTH)
 
     def hand_over(self, message: Message) -> None:
@@ -58,26 +61,49 @@ class Topic:
             self._kept.clear()
 
 
+class Reader(Protocol):
+    """Reads a topic, over DDS too once it has to."""
+
+    def look_outside(self) -> bool:
+        """Read over DDS too if there is a publisher outside this process; return whether it does."""
+
+
 class Links:
     """Connects the topics of the nodes of one process.
 
     Attributes:
-        here: topics, by name, that only nodes of this process send: nothing of them is read over DDS.
-        named: senders of this process, as messages name them: what they send comes back over DDS, and is left out.
+        apart: whether a node of another process takes part: it sends what is read here.
         wait: what a loop does in place of waiting: ``wait(waiter, seconds)`` lets the other nodes do their part first.
     """
 
-    def __init__(self, here: Collection[str], wait: Callable[[Any, float], None]) -> None:
+    def __init__(self, wait: Callable[[Any, float], None]) -> None:
         """Start without topics."""
-        self.here = frozenset(here)
-        self.named: set[str] = set()
+        self.apart = False
         self.wait = wait
         self._topics: dict[str, Topic] = {}
         self._later: list[tuple[Publisher, Message]] = []
+        self._readers: list[Reader] = []
+        self._looking = threading.Lock()
 
     def topic(self, name: str) -> Topic:
         """Return a topic by its name below the namespace."""
         return self._topics.setdefault(name, Topic())
+
+    def watch(self, reader: Reader) -> None:
+        """Let a reader look for publishers outside this process, now and until there is one."""
+        with self._looking:
+            self._readers.append(reader)
+            self.apart = reader.look_outside() or self.apart
+
+    def forget(self, reader: Reader) -> None:
+        """Let a reader look no more."""
+        with self._looking:
+            self._readers = [other for other in self._readers if other is not reader]
+
+    def look_outside(self) -> None:
+        """Let all readers look; to be called by the thread that serves the nodes, now and then."""
+        with self._looking:
+            self.apart = any([reader.look_outside() for reader in self._readers])
 
     def later(self, publisher: Publisher, message: Message) -> None:
         """Publish a message with the next :meth:`publish`."""

@@ -31,8 +31,8 @@ from ehls_ros.nodes.control import CLOCK_TOPIC, OK, PATIENCE, WAIT, WARN, Contro
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
-from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos
-from ehls_ros.recording.topics import DEPTH, DRIVER, DRIVING, LEAVING, LOADER_STATE, STANDBY_COMMAND
+from ehls_ros.nodes.transport import Inbox, Notice, Outbox, Waiter, control_qos
+from ehls_ros.recording.topics import DEPTH, DRIVER, DRIVING, LEAVING, STANDBY_COMMAND
 from ehls_ros.schema import quantity, text
 
 CLOCK_CYCLES = 10
@@ -81,8 +81,6 @@ class PlantNode(ControlNode):
 
     Subclasses implement :meth:`once` and run the rig behind the gate.
     """
-
-    alone_sends = (LOADER_STATE.name,)
 
     gate_defaults: Mapping[str, Any] = MappingProxyType({})
     """Gate parameters that differ from the declared defaults."""
@@ -159,13 +157,13 @@ class PlantNode(ControlNode):
         self.shadows = Inbox(self, ValveCommand, STANDBY_COMMAND.name, decode=Decoder(ValveCommand, sender=True))
         self.shadow = Waiter([self.shadows])
         self.leaving = Inbox(self, String, LEAVING.name, control_qos(HANDOVER_DEPTH), decode_text)
-        self.driver = self.create_publisher(Driver, DRIVER.name, control_qos(HANDOVER_DEPTH))
+        self.driver = Notice(self, Driver, DRIVER.name, HANDOVER_DEPTH)
         self.told_driver: str | None = None
         # The first cycle that the driving controller answers; until which one others may not know of it; how long they may not.
         self.first = 0
         self.unaware = -1
         self.grace = math.ceil(self.gate.parameters.command_timeout / self.period)
-        self.driving = self.create_publisher(Bool, DRIVING.name, control_qos(1))
+        self.driving = Notice(self, Bool, DRIVING.name, 1)
         self.told_driving: bool | None = None
         self.clock = self.create_publisher(Clock, CLOCK_TOPIC, control_qos(1)) if self.lockstep else None
         self.clock_cycles = CLOCK_CYCLES if self.links is None else CLOCK_CYCLES_TOGETHER
@@ -175,11 +173,9 @@ class PlantNode(ControlNode):
 
     def release(self) -> None:
         """Close the topics."""
-        for part in (self.answer, self.shadow, self.commands, self.shadows, self.leaving, self.reference, self.state):
+        inboxes = self.commands, self.shadows, self.leaving, self.reference
+        for part in (self.answer, self.shadow, *inboxes, self.state, self.driver, self.driving, self.telemetry):
             part.destroy()
-        self.destroy_publisher(self.driver)
-        self.telemetry.destroy()
-        self.destroy_publisher(self.driving)
         if self.clock is not None:
             self.destroy_publisher(self.clock)
 
@@ -245,7 +241,7 @@ class PlantNode(ControlNode):
         """Tell the controllers when their commands stop or start reaching the valve: in an open loop they would wind up."""
         if driving != self.told_driving:
             self.told_driving = driving
-            self.driving.publish(Bool(data=driving))
+            self.driving.tell(Bool(data=driving), driving)
 
     def take_commands(self, cycle: int) -> None:
         """Pass the received commands to the gate.
@@ -338,8 +334,9 @@ class PlantNode(ControlNode):
             self.told_driver = driver
             self.standby.forget(driver)
             message = Driver(cycle=self.first if driver else cycle, sender=driver)
-            message.header.stamp = self.get_clock().now().to_msg()
-            self.driver.publish(message)
+            now = self.get_clock().now()
+            message.header.stamp = now.to_msg()
+            self.driver.tell(message, (now.nanoseconds, message.cycle, driver))
 
     def end_cycles(self) -> None:
         """Leave the active state from the service thread: the last cycle is done."""

@@ -12,7 +12,7 @@ from ehls_ros.nodes.control import run_node
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, message_class
 from ehls_ros.physics import sensors
-from ehls_ros.recording.topics import ACTUATOR_TOPICS, REFERENCE_TOPICS
+from ehls_ros.recording.topics import REFERENCE_TOPICS
 from ehls_ros.schema import quantity
 
 MEASURED = {"force": sensors.FORCE, "position": sensors.POSITION}
@@ -32,7 +32,6 @@ class ReferenceNode(AheadNode):
     """Publishes the spec's reference."""
 
     tells_actuator = True
-    alone_sends = tuple(topic.name for topic in (*REFERENCE_TOPICS.values(), *ACTUATOR_TOPICS.values()))
 
     def __init__(self) -> None:
         """Declare the parameters."""

@@ -81,14 +81,14 @@ class Outbox:
             sender: content of the text field, if there is one.
         """
         self._node = node
-        self._publisher = node.create_publisher(message, topic, control_qos())
         self._encode = Encoder(message, loader_frame(node.get_namespace()), lengths, sender)
         self._sender = (sender,) if sender else ()
         self._links = _links_of(node)
         if self._links is not None:
             self._local = self._links.topic(topic)
             self._local.senders += 1
-            self._links.named.update(self._sender)
+            self._local.named.update(self._sender)
+        self._publisher = node.create_publisher(message, topic, control_qos())
 
     def send(self, stamp_ns: int, *values: float) -> None:
         """Publish one message: header stamp [ns], then the fields in order."""
@@ -112,6 +112,43 @@ class Outbox:
             self._links.publish()
             self._local.leave()
         self._node.destroy_publisher(self._publisher)
+
+
+class Notice:
+    """Publishes what is said now and then, at once; readers in the same process have it before that."""
+
+    def __init__(self, node: Node, message: Any, topic: str, depth: int) -> None:
+        """Create the publisher.
+
+        Args:
+            node: owner.
+            message: message class.
+            topic: name below the node's namespace.
+            depth: messages kept for readers that come later.
+        """
+        self._node = node
+        links = _links_of(node)
+        self._local = None if links is None else links.topic(topic)
+        if self._local is not None:
+            self._local.senders += 1
+        self.publisher = node.create_publisher(message, topic, control_qos(depth))
+
+    def tell(self, message: Any, decoded: Any) -> None:
+        """Publish a message.
+
+        Args:
+            message: as ROS has it.
+            decoded: the same as an :class:`Inbox` returns it.
+        """
+        if self._local is not None:
+            self._local.hand_over(decoded)
+        self.publisher.publish(message)
+
+    def destroy(self) -> None:
+        """Destroy the publisher."""
+        if self._local is not None:
+            self._local.leave()
+        self._node.destroy_publisher(self.publisher)
 
 
 class Inbox:
@@ -150,14 +187,23 @@ class Inbox:
         if self.links is not None:
             self._local = self.links.topic(topic)
             self.queue = self._local.open(self._qos.depth)
-            self._own = self.links.named
+            self._own = self._local.named
         self.handle: Any = None
-        if self.links is None or topic not in self.links.here:
-            self.handle = self._subscription()
-            self._watch()
+        if self.links is None:
+            self._subscribe()
+        else:
+            self.links.watch(self)
 
-    def _watch(self) -> None:
-        """Look out for publishers that do not offer what is asked for."""
+    def look_outside(self) -> bool:
+        """Subscribe if there is a publisher outside this process; return whether there is."""
+        outside = self._node.count_publishers(self._topic) > self._local.senders
+        if outside and self.handle is None:
+            self._subscribe()
+        return outside
+
+    def _subscribe(self) -> None:
+        """Subscribe, and look out for publishers that do not offer what is asked for."""
+        self.handle = self._subscription()
         events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible, use_default_callbacks=False)
         self._handlers = events.create_event_handlers(self._node.default_callback_group, self.handle, self._topic)
         for handler in self._handlers:
@@ -210,6 +256,7 @@ class Inbox:
     def destroy(self) -> None:
         """Destroy the subscription."""
         if self.links is not None:
+            self.links.forget(self)
             self._local.close(self.queue)
         if self.handle is None:
             return
