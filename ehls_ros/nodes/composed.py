@@ -23,25 +23,20 @@ from ehls_ros.nodes.hardware_bridge_node import HardwareBridgeNode
 from ehls_ros.nodes.links import Links
 from ehls_ros.nodes.plant_sim_node import PlantSimNode
 from ehls_ros.nodes.reference_node import ReferenceNode
+from ehls_ros.nodes.together import PLUS, in_order
 from ehls_ros.nodes.transport import Waiter
 from ehls_ros.process import end
 
-PLUS = "+"
-"""Stands between the names of nodes that are to be one process."""
-
-BEFORE: Mapping[str, Callable[[], ControlNode]] = MappingProxyType(
+NODES: Mapping[str, Callable[[], ControlNode]] = MappingProxyType(
     {
         "reference_node": ReferenceNode,
         "disturbance_node": DisturbanceNode,
         "friction_estimator_node": FrictionEstimatorNode,
+        "plant_sim_node": PlantSimNode,
+        "hardware_bridge_node": HardwareBridgeNode,
     }
 )
-"""Nodes that a controller's inputs come from, in the order in which they become active; the controller's comes next."""
-
-HOSTS: Mapping[str, Callable[[], ControlNode]] = MappingProxyType(
-    {"plant_sim_node": PlantSimNode, "hardware_bridge_node": HardwareBridgeNode}
-)
-"""Nodes whose loop the others take part in: one of them is needed, and becomes active last."""
+"""Nodes that can share a process, besides the controllers'."""
 
 GATHERED = 20
 """Messages that gather before they are published, four cycles: one by one, each would wake up its readers. Not where a node of
@@ -51,34 +46,9 @@ GATHERED_IN_LOCKSTEP = 100
 """The same in lockstep."""
 
 
-def may_be_composed(name: str) -> bool:
-    """Tell whether a node can share a process with others."""
-    return name in BEFORE or name in HOSTS or controller_of(name) is not None
-
-
-def in_order(names: Sequence[str]) -> list[str]:
-    """Return the names of nodes in the order in which they become active.
-
-    Raises:
-        BadInput: these nodes cannot be one process.
-    """
-    where = PLUS.join(names)
-    for name in names:
-        if not may_be_composed(name):
-            raise BadInput(f"{name} cannot share a process", where, f"{', '.join((*BEFORE, *HOSTS))} or a controller's node")
-    hosts, laws = [n for n in names if n in HOSTS], [n for n in names if controller_of(n) is not None]
-    if len(hosts) != 1:
-        raise BadInput(f"{len(hosts)} plant nodes are named", where, f"one of {', '.join(HOSTS)}")
-    if len(laws) > 1:
-        raise BadInput(f"{len(laws)} controllers are named", where, "one; another that stands by is a process of its own")
-    if len(set(names)) < len(names):
-        raise BadInput("a node is named twice", where, "each once")
-    return [*(name for name in BEFORE if name in names), *laws, *hosts]
-
-
 def _maker(name: str) -> Callable[[], ControlNode]:
     law = controller_of(name)
-    return {**BEFORE, **HOSTS}[name] if law is None else lambda: ControllerNode(law)
+    return NODES[name] if law is None else lambda: ControllerNode(law)
 
 
 class Composition:

@@ -304,7 +304,7 @@ class ControlNode(DeclaredParameters):
         self._idle.set()
 
     def look_after(self) -> None:
-        """Check after each turn the heartbeat of the service thread, which handles the emergency stop, and the loop's demand."""
+        """Check after a turn the heartbeat of the service thread, which handles the emergency stop, and the loop's demand."""
         now = time.monotonic()
         self._silence = 0.0 if self._beaten else self._silence + min(now - self._turned, LONGEST_TURN)
         self._beaten, self._turned = False, now

@@ -32,8 +32,8 @@ from ehls_ros.errors import WorkFailed
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, signal_kind, uses_actuator
 from ehls_ros.hardware.realtime import preferring_what_starts
-from ehls_ros.nodes.composed import PLUS, may_be_composed
 from ehls_ros.nodes.control import CLOCK_TOPIC, LOCKSTEP, NAMESPACE, PARENT, REALTIME
+from ehls_ros.nodes.together import PLUS, processes_of
 from ehls_ros.recording.bag_reader import is_closed
 from ehls_ros.recording.topics import ACTUATOR_TOPICS, CYCLE_TOPICS, FRICTION_ESTIMATE, PROGRAMME_POINT, REFERENCE_TOPICS
 from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
@@ -128,17 +128,6 @@ def reference_node(spec: Spec) -> str:
     return PROGRAMME if spec.reference.name == "programme" else REFERENCE
 
 
-def process_of_each(names: Sequence[str], *, compose: bool) -> list[str]:
-    """Return the processes that nodes are run as, in order of activation.
-
-    Args:
-        names: of the nodes, in order of activation; the plant comes last.
-        compose: whether those of the cycle are one process.
-    """
-    together = [name for name in names if compose and may_be_composed(name)]
-    return [name for name in names if name not in together] + ([PLUS.join(together)] if together else [])
-
-
 def expected_topics(spec: Spec, plant: Plant) -> list[str]:
     """Return the control-path topics that an experiment's nodes publish."""
     law = CONTROLLERS.load(spec.controller.name)
@@ -185,7 +174,7 @@ def run_graph(
     os.environ.update({key: environment[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
     folder.logs.mkdir()
     parameters = node_parameters(spec, plant, folder, timing, storage)
-    processes = process_of_each(list(parameters), compose=compose)
+    processes = processes_of(list(parameters), compose=compose)
     # The nodes end with this process, even when it is interrupted.
     with _interrupts_noted() as interrupted, node_processes(processes, parameters, folder.logs, environment) as running:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -283,7 +272,7 @@ def node_processes(
     """Start the nodes; on exit, stop them with SIGINT and kill those that stay. If this process is killed, they end too.
 
     Args:
-        processes: names of nodes; with :data:`~ehls_ros.nodes.composed.PLUS` between them, those that are one process.
+        processes: names of nodes; with :data:`~ehls_ros.nodes.together.PLUS` between them, those that are one process.
         parameters: of each node.
         logs: folder for what the processes say, and for their parameters.
         environment: of the processes.

@@ -103,7 +103,8 @@ class Links:
     def look_outside(self) -> None:
         """Let all readers look; to be called by the thread that serves the nodes, now and then."""
         with self._looking:
-            self.apart = any([reader.look_outside() for reader in self._readers])
+            outside = [reader.look_outside() for reader in self._readers]
+        self.apart = any(outside)
 
     def later(self, publisher: Publisher, message: Message) -> None:
         """Publish a message with the next :meth:`publish`."""
