@@ -168,7 +168,7 @@ class ControllerNode(ControlNode):
         self.reference = Inbox(self, message_class(topic.type), topic.name)
         # The process number tells two nodes of one name apart.
         self.sender = sender = f"{self.get_fully_qualified_name()}-{os.getpid()}"
-        self.commands = Outbox(self, ValveCommand, "valve_command", sender=sender)
+        self.commands = Outbox(self, ValveCommand, "valve_command", sender=sender, answers=True)
         self.status = Outbox(self, ControllerStatus, "controller_status", sender=sender)
         self.shadow = Outbox(self, ValveCommand, STANDBY_COMMAND.name, sender=sender)
         accepts = bool(self.get_parameter("accept_rig").value)

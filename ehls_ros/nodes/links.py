@@ -82,6 +82,7 @@ class Links:
         self.wait = wait
         self._topics: dict[str, Topic] = {}
         self._later: list[tuple[Publisher, Message]] = []
+        self._answers: list[tuple[Publisher, Message]] = []
         self._readers: list[Reader] = []
         self._looking = threading.Lock()
 
@@ -106,17 +107,24 @@ class Links:
             outside = [reader.look_outside() for reader in self._readers]
         self.apart = any(outside)
 
-    def later(self, publisher: Publisher, message: Message) -> None:
-        """Publish a message with the next :meth:`publish`."""
-        self._later.append((publisher, message))
+    def later(self, publisher: Publisher, message: Message, *, answers: bool = False) -> None:
+        """Publish a message with the next :meth:`publish`.
+
+        Args:
+            publisher: its publisher.
+            message: the message.
+            answers: whether it answers a snapshot: such are published first, so that nobody takes the time between the two
+                for the time of the answer. That has been given before.
+        """
+        (self._answers if answers else self._later).append((publisher, message))
 
     @property
     def pending(self) -> int:
         """Number of messages yet to be published."""
-        return len(self._later)
+        return len(self._answers) + len(self._later)
 
     def publish(self) -> None:
-        """Publish what has gathered, in the order of sending."""
-        gathered, self._later = self._later, []
+        """Publish what has gathered, in the order of sending; answers come first."""
+        gathered, self._answers, self._later = [*self._answers, *self._later], [], []
         for publisher, message in gathered:
             publisher.publish(message)

@@ -69,7 +69,14 @@ class Outbox:
     """Publishes one control-path topic; readers in the same process have a message before it is published."""
 
     def __init__(
-        self, node: Node, message: Any, topic: str, lengths: Mapping[str, int] | None = None, sender: str = ""
+        self,
+        node: Node,
+        message: Any,
+        topic: str,
+        lengths: Mapping[str, int] | None = None,
+        sender: str = "",
+        *,
+        answers: bool = False,
     ) -> None:
         """Create the publisher.
 
@@ -79,8 +86,10 @@ class Outbox:
             topic: name below the node's namespace.
             lengths: length of each sequence field.
             sender: content of the text field, if there is one.
+            answers: whether its messages answer snapshots.
         """
         self._node = node
+        self._answers = answers
         self._encode = Encoder(message, loader_frame(node.get_namespace()), lengths, sender)
         self._sender = (sender,) if sender else ()
         self._links = _links_of(node)
@@ -96,7 +105,7 @@ class Outbox:
             self._publisher.handle.publish_raw(self._encode(stamp_ns, *values))
             return
         self._local.hand_over((stamp_ns, *values, *self._sender))
-        self._links.later(self, (stamp_ns, *values))
+        self._links.later(self, (stamp_ns, *values), answers=self._answers)
 
     def publish(self, message: Message) -> None:
         """Publish a message to other processes: header stamp [ns], then the fields in order."""
