@@ -184,7 +184,11 @@ class ControlNode(DeclaredParameters):
     def once(self) -> None:
         """Run one turn of the loop, waiting no longer than :data:`WAIT`."""
         self.awaited_inputs().wait(self.longest_wait)
-        self.react()
+        if not self.react():
+            self.rest()
+
+    def rest(self) -> None:
+        """Run after a turn in which there was nothing to do."""
 
     def stop(self) -> None:
         """Run after the last turn of the loop."""

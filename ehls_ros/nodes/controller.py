@@ -50,6 +50,9 @@ from ehls_ros.schema import quantity, text
 TURN = 0.005
 """Longest wait for one topic before the others are read [s]."""
 
+STATUS_TOGETHER = 5
+"""Status messages that are published together, as no cycle waits for them."""
+
 LOCKSTEP_PATIENCE = 10.0
 """friction_patience in lockstep, and longest wait for another's command [s]: nothing is late there, and a run must not depend
 on what else the machine does."""
@@ -169,7 +172,7 @@ class ControllerNode(ControlNode):
         # The process number tells two nodes of one name apart.
         self.sender = sender = f"{self.get_fully_qualified_name()}-{os.getpid()}"
         self.commands = Outbox(self, ValveCommand, "valve_command", sender=sender, answers=True)
-        self.status = Outbox(self, ControllerStatus, "controller_status", sender=sender)
+        self.status = Outbox(self, ControllerStatus, "controller_status", sender=sender, together=STATUS_TOGETHER)
         self.shadow = Outbox(self, ValveCommand, STANDBY_COMMAND.name, sender=sender)
         accepts = bool(self.get_parameter("accept_rig").value)
         kept = control_qos(ACCEPTED_RIG.depth)
@@ -184,6 +187,7 @@ class ControllerNode(ControlNode):
         self.named = 0.0
         self.replied = math.nan
         self.sent = True
+        self.replied_at = 0.0
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
         self.driving = Inbox(self, Bool, DRIVING.name, control_qos(1), _is_true)
         patience = PATIENCE if self.lockstep else 0.0
@@ -220,8 +224,14 @@ class ControllerNode(ControlNode):
         if self.accepted is not None:
             self.destroy_subscription(self.accepted)
 
+    def rest(self) -> None:
+        """Publish the status of the last cycles, if no other follows soon."""
+        if time.perf_counter() - self.replied_at > TURN:
+            self.status.flush()
+
     def stop(self) -> None:
         """Say that the node leaves, so that one that stands by can take over."""
+        self.status.flush()
         self.leaving.tell(String(data=self.sender), self.sender)
         if not self.hosted:
             # A process that goes on sends it anyway, and must not wait.
@@ -253,7 +263,8 @@ class ControllerNode(ControlNode):
         if (ready := self.cycles.take(arrived)) is None:
             return False
         self._answer(ready)
-        self.latency.add(time.perf_counter() - arrived)
+        self.replied_at = time.perf_counter()
+        self.latency.add(self.replied_at - arrived)
         return True
 
     def _knows_who_drives(self) -> bool:

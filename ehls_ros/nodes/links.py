@@ -15,11 +15,9 @@ Message = tuple[Any, ...]
 """Header stamp [ns], the fields in order and, if the type has one, the sender."""
 
 
-class Publisher(Protocol):
-    """Publishes a message to other processes."""
-
-    def publish(self, message: Message) -> None:
-        """Encode and publish it."""
+Encode = Callable[..., bytes]
+Publish = Callable[[bytes], None]
+"""How a message is encoded, and published to other processes."""
 
 
 class Topic:
@@ -81,8 +79,8 @@ class Links:
         self.apart = False
         self.wait = wait
         self._topics: dict[str, Topic] = {}
-        self._later: list[tuple[Publisher, Message]] = []
-        self._answers: list[tuple[Publisher, Message]] = []
+        self._later: list[tuple[Publish, Encode, Message]] = []
+        self._answers: list[tuple[Publish, Encode, Message]] = []
         self._readers: list[Reader] = []
         self._looking = threading.Lock()
 
@@ -107,16 +105,17 @@ class Links:
             outside = [reader.look_outside() for reader in self._readers]
         self.apart = any(outside)
 
-    def later(self, publisher: Publisher, message: Message, *, answers: bool = False) -> None:
+    def later(self, publish: Publish, encode: Encode, message: Message, *, answers: bool = False) -> None:
         """Publish a message with the next :meth:`publish`.
 
         Args:
-            publisher: its publisher.
-            message: the message.
+            publish: publishes bytes.
+            encode: makes them of the message.
+            message: the message, without a sender.
             answers: whether it answers a snapshot: such are published first, so that nobody takes the time between the two
                 for the time of the answer. That has been given before.
         """
-        (self._answers if answers else self._later).append((publisher, message))
+        (self._answers if answers else self._later).append((publish, encode, message))
 
     @property
     def pending(self) -> int:
@@ -126,5 +125,5 @@ class Links:
     def publish(self) -> None:
         """Publish what has gathered, in the order of sending; answers come first."""
         gathered, self._answers, self._later = [*self._answers, *self._later], [], []
-        for publisher, message in gathered:
-            publisher.publish(message)
+        for publish, encode, message in gathered:
+            publish(encode(*message))

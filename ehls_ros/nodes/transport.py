@@ -77,6 +77,7 @@ class Outbox:
         sender: str = "",
         *,
         answers: bool = False,
+        together: int = 1,
     ) -> None:
         """Create the publisher.
 
@@ -87,9 +88,13 @@ class Outbox:
             lengths: length of each sequence field.
             sender: content of the text field, if there is one.
             answers: whether its messages answer snapshots.
+            together: messages that are published together, if nobody waits for them: each that comes alone wakes up a thread in
+                every reader. :meth:`flush` publishes those that have gathered.
         """
         self._node = node
         self._answers = answers
+        self._together = together
+        self._gathered: list[bytes] = []
         self._encode = Encoder(message, loader_frame(node.get_namespace()), lengths, sender)
         self._sender = (sender,) if sender else ()
         self._links = _links_of(node)
@@ -98,18 +103,23 @@ class Outbox:
             self._local.senders += 1
             self._local.named.update(self._sender)
         self._publisher = node.create_publisher(message, topic, control_qos())
+        self._publish = self._publisher.handle.publish_raw
 
     def send(self, stamp_ns: int, *values: float) -> None:
         """Publish one message: header stamp [ns], then the fields in order."""
         if self._links is None:
-            self._publisher.handle.publish_raw(self._encode(stamp_ns, *values))
+            self._gathered.append(self._encode(stamp_ns, *values))
+            if len(self._gathered) >= self._together:
+                self.flush()
             return
         self._local.hand_over((stamp_ns, *values, *self._sender))
-        self._links.later(self, (stamp_ns, *values), answers=self._answers)
+        self._links.later(self._publish, self._encode, (stamp_ns, *values), answers=self._answers)
 
-    def publish(self, message: Message) -> None:
-        """Publish a message to other processes: header stamp [ns], then the fields in order."""
-        self._publisher.handle.publish_raw(self._encode(*message))
+    def flush(self) -> None:
+        """Publish the messages that have gathered."""
+        for message in self._gathered:
+            self._publish(message)
+        self._gathered.clear()
 
     def has_volatile_reader(self) -> bool:
         """Return whether a reader does not ask for the messages sent before it joined."""
@@ -120,6 +130,7 @@ class Outbox:
         if self._links is not None:
             self._links.publish()
             self._local.leave()
+        del self._publish
         self._node.destroy_publisher(self._publisher)
 
 
