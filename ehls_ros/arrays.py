@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+import numba
 import numpy as np
-from numba import typeof
 from numba.core.dispatcher import Dispatcher
 from numpy.typing import NDArray
 
@@ -43,7 +43,8 @@ def direct(compiled: _Function, *arguments: Any) -> _Function:
     """
     if not isinstance(compiled, Dispatcher):
         return compiled
-    return cast(_Function, compiled.compile(tuple(typeof(argument) for argument in arguments)))
+    type_of: Callable[[Any], Any] = numba.typeof
+    return cast(_Function, compiled.compile(tuple(type_of(argument) for argument in arguments)))
 
 
 def plain(array: Array) -> Array:

@@ -185,9 +185,9 @@ class ControlNode(DeclaredParameters):
         """Run one turn of the loop, waiting no longer than :data:`WAIT`."""
         self.awaited_inputs().wait(self.longest_wait)
         if not self.react():
-            self.rest()
+            self.have_nothing_to_do()
 
-    def rest(self) -> None:
+    def have_nothing_to_do(self) -> None:
         """Run after a turn in which there was nothing to do."""
 
     def stop(self) -> None:

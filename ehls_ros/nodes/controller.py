@@ -224,7 +224,7 @@ class ControllerNode(ControlNode):
         if self.accepted is not None:
             self.destroy_subscription(self.accepted)
 
-    def rest(self) -> None:
+    def have_nothing_to_do(self) -> None:
         """Publish the status of the last cycles, if no other follows soon."""
         if time.perf_counter() - self.replied_at > TURN:
             self.status.flush()

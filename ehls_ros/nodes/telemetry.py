@@ -39,7 +39,7 @@ JOINT_SIGNALS = {"position": "position", "velocity": "velocity", "effort": "forc
 class _Signal(NamedTuple):
     """One reading, its message and its publisher."""
 
-    index: int
+    place: int
     zero: float
     template: Template
     publisher: Any
@@ -85,8 +85,8 @@ class Telemetry:
         if time_s < self._next:
             return
         self._next += self._period
-        for index, zero, template, publisher in self._single:
-            value = measured[index]
+        for place, zero, template, publisher in self._single:
+            value = measured[place]
             if not math.isnan(value) and publisher.get_subscription_count():
                 publisher.handle.publish_raw(template(stamp_ns, [value - zero]))
         if self._joints.get_subscription_count():
