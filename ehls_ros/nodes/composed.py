@@ -26,6 +26,7 @@ from ehls_ros.nodes.reference_node import ReferenceNode
 from ehls_ros.nodes.together import PLUS, in_order
 from ehls_ros.nodes.transport import Waiter
 from ehls_ros.process import end
+from ehls_ros.recording.topics import DEPTH
 
 NODES: Mapping[str, Callable[[], ControlNode]] = MappingProxyType(
     {
@@ -45,6 +46,9 @@ another process takes part in the cycles."""
 GATHERED_IN_LOCKSTEP = 100
 """The same in lockstep."""
 
+KEPT_IN_LOCKSTEP = 5 * DEPTH
+"""Messages that a topic keeps in lockstep, where some thousand cycles may pass before a recorder on a busy machine reads."""
+
 
 def _maker(name: str) -> Callable[[], ControlNode]:
     law = controller_of(name)
@@ -63,7 +67,8 @@ class Composition:
         *partners, self._host = nodes
         self._answering = [node for node in partners if node.answers]
         self._ahead = [node for node in partners if not node.answers]
-        self._links = Links(self._wait)
+        lockstep = self._host.lockstep
+        self._links = Links(self._wait, KEPT_IN_LOCKSTEP if lockstep else DEPTH, patient=lockstep)
         self._inside = False
         for node in nodes:
             node.links = self._links
@@ -71,7 +76,7 @@ class Composition:
             node.be_hosted()
         # The plant stops first: the others may end once nobody asks them.
         self._nodes = [self._host, *partners]
-        self._gathered = GATHERED_IN_LOCKSTEP if self._host.lockstep else GATHERED
+        self._gathered = GATHERED_IN_LOCKSTEP if lockstep else GATHERED
 
     def work(self, stopping: threading.Event) -> None:
         """Run the loops of those that are active, until told to stop."""
@@ -83,7 +88,10 @@ class Composition:
                 if self._host.is_running:
                     self._host.once()
                     self._host.look_after()
-                    self._publish_what_gathered()
+                    if not self._links.open:
+                        # A bridge has handed the command to the rig and has time until the next sample.
+                        self._react(self._ahead)
+                        self._publish_what_gathered()
                 else:
                     self._turn_without_plant()
         finally:
@@ -127,12 +135,21 @@ class Composition:
                 waiter.block(seconds)
             return
         self._react(self._answering)
-        if waiter.arrived or self._react(self._ahead):
+        if waiter.arrived:
+            if self._host.lockstep:
+                self._publish_what_gathered()
             return
-        self._publish_what_gathered()
+        if self._react(self._ahead):
+            return
+        if self._links.open:
+            # What it waits for may have to come from elsewhere.
+            self._links.publish()
+        else:
+            self._publish_what_gathered()
         self._block([waiter], seconds)
 
     def _publish_what_gathered(self) -> None:
+        """Publish if enough has gathered, or somebody takes part; not between a snapshot and its answer."""
         if self._links.apart or self._links.pending >= self._gathered:
             self._links.publish()
 

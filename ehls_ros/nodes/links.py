@@ -15,6 +15,9 @@ Message = tuple[Any, ...]
 """Header stamp [ns], the fields in order and, if the type has one, the sender."""
 
 
+PATIENCE = 1.0
+"""Longest wait for readers to have received what was published [s]: one that hangs must not hold up the others for good."""
+
 Encode = Callable[..., bytes]
 Publish = Callable[[bytes], None]
 """How a message is encoded, and published to other processes."""
@@ -66,16 +69,37 @@ class Reader(Protocol):
         """Read over DDS too if there is a publisher outside this process; return whether it does."""
 
 
+class Sender(Protocol):
+    """Publishes a topic."""
+
+    def wait_until_heard(self, seconds: float) -> None:
+        """Wait until all readers have received what was published, at most for a time [s]."""
+
+
 class Links:
     """Connects the topics of the nodes of one process.
 
     Attributes:
+        kept: messages that a publisher keeps for readers that have not received them yet, and for those that come later.
+        open: whether a snapshot has been sent that has no answer yet.
         apart: whether a node of another process takes part: it sends what is read here.
         wait: what a loop does in place of waiting: ``wait(waiter, seconds)`` lets the other nodes do their part first.
     """
 
-    def __init__(self, wait: Callable[[Any, float], None]) -> None:
-        """Start without topics."""
+    def __init__(self, wait: Callable[[Any, float], None], kept: int = DEPTH, *, patient: bool = False) -> None:
+        """Start without topics.
+
+        Args:
+            wait: see above.
+            kept: see above.
+            patient: whether to wait for the readers before a message is dropped that one has not received; where cycles
+                follow the wall clock, they cannot.
+        """
+        self.kept = kept
+        self._patient = patient
+        self._unheard = 0
+        self._senders: list[Sender] = []
+        self.open = False
         self.apart = False
         self.wait = wait
         self._topics: dict[str, Topic] = {}
@@ -127,3 +151,18 @@ class Links:
         gathered, self._answers, self._later = [*self._answers, *self._later], [], []
         for publish, encode, message in gathered:
             publish(encode(*message))
+        self._unheard += len(gathered)
+        # A cycle has four topics at least, and a bunch of rows ahead is short beside what is kept.
+        if self._patient and self._unheard >= 3 * self.kept:
+            self._unheard = 0
+            for sender in self._senders:
+                sender.wait_until_heard(PATIENCE)
+
+    def join(self, sender: Sender) -> None:
+        """Add the publisher of a topic."""
+        self._senders = [*self._senders, sender]
+
+    def leave(self, sender: Sender) -> None:
+        """Publish what has gathered, and remove a publisher."""
+        self.publish()
+        self._senders = [other for other in self._senders if other is not sender]

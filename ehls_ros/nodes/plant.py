@@ -147,7 +147,7 @@ class PlantNode(ControlNode):
         self.references: dict[int, float] = {}
         self.latency = Latency()
         self.published = self.begun = time.perf_counter()
-        self.state = Outbox(self, LoaderState, "loader_state")
+        self.state = Outbox(self, LoaderState, "loader_state", opens=True)
         self.commands = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
         self.reference = Inbox(self, ForceReference, "force_reference")
         self.answer = Waiter([self.commands])

@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import Any
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -76,6 +77,7 @@ class Outbox:
         lengths: Mapping[str, int] | None = None,
         sender: str = "",
         *,
+        opens: bool = False,
         answers: bool = False,
         together: int = 1,
     ) -> None:
@@ -87,12 +89,13 @@ class Outbox:
             topic: name below the node's namespace.
             lengths: length of each sequence field.
             sender: content of the text field, if there is one.
-            answers: whether its messages answer snapshots.
+            opens: whether its messages are snapshots, each of which opens a cycle.
+            answers: whether its messages answer them.
             together: messages that are published together, if nobody waits for them: each that comes alone wakes up a thread in
                 every reader. :meth:`flush` publishes those that have gathered.
         """
         self._node = node
-        self._answers = answers
+        self._opens, self._answers = opens, answers
         self._together = together
         self._gathered: list[bytes] = []
         self._encode = Encoder(message, loader_frame(node.get_namespace()), lengths, sender)
@@ -102,7 +105,10 @@ class Outbox:
             self._local = self._links.topic(topic)
             self._local.senders += 1
             self._local.named.update(self._sender)
-        self._publisher = node.create_publisher(message, topic, control_qos())
+        kept = DEPTH if self._links is None else self._links.kept
+        self._publisher = node.create_publisher(message, topic, control_qos(kept))
+        if self._links is not None:
+            self._links.join(self)
         self._publish = self._publisher.handle.publish_raw
 
     def send(self, stamp_ns: int, *values: float) -> None:
@@ -112,8 +118,14 @@ class Outbox:
             if len(self._gathered) >= self._together:
                 self.flush()
             return
+        if self._opens or self._answers:
+            self._links.open = self._opens
         self._local.hand_over((stamp_ns, *values, *self._sender))
         self._links.later(self._publish, self._encode, (stamp_ns, *values), answers=self._answers)
+
+    def wait_until_heard(self, seconds: float) -> None:
+        """Wait until all readers have received what was published, at most for a time [s]."""
+        self._publisher.wait_for_all_acked(Duration(seconds=seconds))
 
     def flush(self) -> None:
         """Publish the messages that have gathered."""
@@ -128,7 +140,7 @@ class Outbox:
     def destroy(self) -> None:
         """Destroy the publisher."""
         if self._links is not None:
-            self._links.publish()
+            self._links.leave(self)
             self._local.leave()
         del self._publish
         self._node.destroy_publisher(self._publisher)
