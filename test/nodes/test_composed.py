@@ -96,7 +96,9 @@ def test_a_controller_apart_takes_over_and_gives_back(graph, participant, spec_f
     graph.start("sic_node", spec=spec, timing="lockstep")
     participant.until(lambda: any("sic_node" in shadow.sender for shadow in shadows))
     for name, node in (("sic_node", "/ehls/sic_node-"), ("fasmc_node", f"/ehls/fasmc_node-{process.pid}")):
-        assert participant.call(SwitchController, "switch_controller", SwitchController.Request(controller=name)).success
+        # The plant notices within a second that somebody stands by.
+        request = SwitchController.Request(controller=name)
+        participant.until(lambda request=request: participant.call(SwitchController, "switch_controller", request).success)
         participant.until(lambda node=node: drivers[-1].sender.startswith(node))
         first = drivers[-1].cycle
         participant.until(lambda first=first: commands[-1].cycle > first + 100)
