@@ -109,6 +109,8 @@ class Composition:
             elif node.is_running and not node.is_to_run:
                 node.leave()
                 self._links.publish()
+            elif not node.is_running:
+                node.settle()
 
     def _turn_without_plant(self) -> None:
         self._react(self._answering)

@@ -28,7 +28,7 @@ from rclpy.signals import SignalHandlerOptions
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import chosen_spec
 from ehls_ros.hardware.courtesy import Courtesy, statistics_of
-from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups
+from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups, keep_to, processors_of
 from ehls_ros.nodes.links import Links
 from ehls_ros.nodes.mismatches import Mismatches
 from ehls_ros.nodes.parameters import DeclaredParameters, declare
@@ -94,6 +94,7 @@ class Common(NamedTuple):
         float,
         quantity("1", "share of a processor above which the loop gives up its priority; 1: never", minimum=0.05, maximum=1.0),
     ] = 0.9
+    processors: Annotated[str, text("processors that the node's process keeps to, such as 1 or 0,2-3; empty: any")] = ""
     autostart: Annotated[bool, text("configure and activate at start; false: wait for lifecycle requests")] = True
 
 
@@ -129,6 +130,7 @@ class ControlNode(DeclaredParameters):
         if self.lockstep:
             # The plant's cycles are the only clock of such a graph.
             self.set_parameters([Parameter(USE_SIM_TIME, value=True)])
+        self._processors = processors_of(self.text_parameter("processors"), self.get_name())
         self._parent = int(os.environ.get(PARENT, "0"))
         self.links: Links | None = None
         self.hosted = False
@@ -216,6 +218,8 @@ class ControlNode(DeclaredParameters):
         )
         priority = 0 if self.lockstep or self.background else int(self.get_parameter("priority").value)
         self.not_permitted = claim(priority, loops)
+        if self._processors and not self.hosted:
+            keep_to(self._processors)
         if priority and not self.hosted:
             # The loop runs in the main thread, whose id is the process's.
             self.courtesy = Courtesy(float(self.get_parameter("processor_share").value), statistics_of(os.getpid()))
@@ -297,6 +301,7 @@ class ControlNode(DeclaredParameters):
 
     def enter(self) -> None:
         """Begin the loop."""
+        self._idle.clear()
         self._silence, self._turned = 0.0, time.monotonic()
         self.is_running = True
         self.start()
@@ -305,6 +310,10 @@ class ControlNode(DeclaredParameters):
         """End the loop."""
         self.is_running = False
         self.stop()
+        self._idle.set()
+
+    def settle(self) -> None:
+        """Note that the loop does not run, as the node was active for too short a time."""
         self._idle.set()
 
     def look_after(self) -> None:
