@@ -108,8 +108,8 @@ def graph(
     """Run the graph on the emulated rig.
 
     Returns:
-        Its recording, what the monitor took if there was one, what the plant said last, and what a cycle took of a processor, over
-        all processes but the emulator [s].
+        Its recording, what the monitor took if there was one, what the plant said last, and what a cycle took of a processor,
+        over all processes but the emulator [s].
     """
     spec = load_spec(SPEC)
     spec = spec._replace(
@@ -199,7 +199,7 @@ def composed(options: argparse.Namespace, number: int, before: np.ndarray) -> No
         print(f"{what:34s}{''.join(f'{1e6 * told.response[part]:9.0f}' for part in PARTS)}")
         lost = int(np.sum(~np.isfinite(trajectory["force_n"])))
         print(
-            f"  {told.missed} missed of {len(trajectory)} cycles, {lost} lost in the bag, {1e6 * cost:.0f} us of a processor a cycle"
+            f"  {told.missed} missed of {len(trajectory)} cycles, {lost} lost in the bag, processor {1e6 * cost:.0f} us a cycle"
         )
     print(f"  ratio of processor time {runs[True][3] / runs[False][3]:.2f}")
     print(f"  empty rclpy echo, round trip      {percentiles(floor)}")

@@ -109,8 +109,8 @@ def processors_of(text: str, where: str) -> frozenset[int]:
     chosen: set[int] = set()
     try:
         for part in filter(None, text.split(",")):
-            first, _, last = part.partition("-")
-            chosen |= set(range(int(first), int(last or first) + 1))
+            first, dash, last = part.partition("-")
+            chosen |= set(range(int(first), int(last if dash else first) + 1))
     except ValueError:
         chosen = {-1}
     if not chosen <= allowed or (text and not chosen):
