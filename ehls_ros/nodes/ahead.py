@@ -20,7 +20,17 @@ LEAD = 200
 """Cycles by which a signal of time alone runs ahead; far more than the cycles between two clock messages."""
 
 REST = 0.005
-"""In realtime, time between two looks of a signal of time alone at the newest snapshot [s]."""
+"""In realtime, longest time between two looks at the newest snapshot, where the loop shares its process or may be few cycles
+ahead [s]."""
+
+LONG_REST = 0.02
+"""The same where neither holds: each look wakes up all who read what it sends [s]."""
+
+SHARE = 0.1
+"""Largest part of the cycles ahead that may pass between two looks."""
+
+ROWS_TOGETHER = 5
+"""Cycles between two looks of a loop that shares its process: more rows at once could delay the next cycle."""
 
 
 class AheadNode(ControlNode):
@@ -70,6 +80,8 @@ class AheadNode(ControlNode):
         self.last = -1
         self.epoch_ns = 0
         self.moved = time.perf_counter()
+        period = self.spec.settings.control_period
+        self.pause = min(REST, ROWS_TOGETHER * period) if self.hosted else min(LONG_REST, SHARE * self.lead * period)
         self.resting = 0.0
 
     def _cycle_of_clock(self, message: bytes) -> tuple[int, int]:
@@ -100,7 +112,7 @@ class AheadNode(ControlNode):
         """Publish up to ``lead`` cycles beyond the newest one."""
         super().once()
         if self.lead > 1 and not self.lockstep:
-            time.sleep(REST)
+            time.sleep(self.pause)
 
     def react(self) -> bool:
         """Publish up to ``lead`` cycles beyond the newest one, if there is a newer one."""
@@ -124,7 +136,7 @@ class AheadNode(ControlNode):
         now = time.perf_counter()
         if now < self.resting:
             return True
-        self.resting = now + REST
+        self.resting = now + self.pause
         return False
 
     def _repeat(self) -> None:
