@@ -158,7 +158,8 @@ class ControlNode(DeclaredParameters):
 
     def now_ns(self) -> int | None:
         """Return the time of the node's clock [ns]: the system's or, with use_sim_time, /clock's; None before the first."""
-        return self.get_clock().now().nanoseconds or None
+        clock = self.get_clock()
+        return clock.now().nanoseconds or None if clock.ros_time_is_active else time.time_ns()
 
     def text_parameter(self, name: str) -> str:
         """Return a text parameter's value."""
