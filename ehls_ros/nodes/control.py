@@ -17,7 +17,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.exceptions import ParameterException
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -159,7 +159,9 @@ class ControlNode(DeclaredParameters):
     def now_ns(self) -> int | None:
         """Return the time of the node's clock [ns]: the system's or, with use_sim_time, /clock's; None before the first."""
         clock = self.get_clock()
-        return clock.now().nanoseconds or None if clock.ros_time_is_active else time.time_ns()
+        if isinstance(clock, ROSClock) and not clock.ros_time_is_active:
+            return time.time_ns()
+        return clock.now().nanoseconds or None
 
     def text_parameter(self, name: str) -> str:
         """Return a text parameter's value."""
