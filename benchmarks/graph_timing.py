@@ -1,6 +1,7 @@
 """Speed of the node graph: lockstep cycles per second and realtime latency, compared with an empty rclpy echo.
 
-usage: python -m benchmarks.graph_timing [--lockstep-seconds 10] [--realtime-seconds 30] [--rounds 5] [--compose] [--period 1e-3]
+usage: python -m benchmarks.graph_timing [--lockstep-seconds 10] [--realtime-seconds 30] [--rounds 5]
+                                         [--compose] [--period 1e-3]
 
 Each node is a process, over Fast DDS on this host. The echo is the lower bound: the round trip of one small, reliable message
 between two processes with rclpy's events executor. It has two hops, a cycle has three.

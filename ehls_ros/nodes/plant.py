@@ -148,6 +148,8 @@ class PlantNode(ControlNode):
         self.references: dict[int, float] = {}
         self.latency = Latency()
         self.published = self.begun = time.perf_counter()
+        # Topics are discovered in this order: who receives a snapshot is to know who drives.
+        self.driver = Notice(self, Driver, DRIVER.name, HANDOVER_DEPTH)
         self.state = Outbox(self, LoaderState, "loader_state", opens=True)
         self.commands = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
         self.reference = Inbox(self, ForceReference, "force_reference")
@@ -158,7 +160,6 @@ class PlantNode(ControlNode):
         self.shadows = Inbox(self, ValveCommand, STANDBY_COMMAND.name, decode=Decoder(ValveCommand, sender=True))
         self.shadow = Waiter([self.shadows])
         self.leaving = Inbox(self, String, LEAVING.name, control_qos(HANDOVER_DEPTH), decode_text)
-        self.driver = Notice(self, Driver, DRIVER.name, HANDOVER_DEPTH)
         self.told_driver: str | None = None
         # The first cycle that the driving controller answers; until which one others may not know of it; how long they may not.
         self.first = 0
