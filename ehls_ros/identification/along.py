@@ -36,7 +36,7 @@ class Run(NamedTuple):
 
 def build(friction: FrictionModel) -> Run:
     """Build the run of one friction model along a motion."""
-    level, force, advance = friction.level, friction.force, driven(friction)
+    level, force, advance = friction.level, friction.force, integrator(*driven(friction))
     relaxation_rate = kernel(friction.relaxation_rate)
 
     @kernel
