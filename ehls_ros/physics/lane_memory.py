@@ -84,6 +84,20 @@ def _place(context: Any, builder: Any, block: Any, arguments: Any) -> Any:
     return builder.gep(make_array(block)(context, builder, memory).data, [index])
 
 
+@intrinsic
+def wide_vectors(typing: Any) -> Any:
+    """Let the compiled function that calls this use the widest vectors there are; it must not be inlined.
+
+    LLVM would keep to half the width of AVX-512, as programs with few vector instructions are faster with it.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        # llvmlite's own method of this set refuses attributes that are no keywords.
+        set.add(builder.function.attributes, '"prefer-vector-width"="512"')
+
+    return types.none(), generate
+
+
 def numbers_in(like: Any) -> int:
     """Return how many numbers a number, or a named tuple of such, has: the rows that :func:`numbers` reads."""
     return sum(map(numbers_in, like)) if isinstance(like, tuple) else 1

@@ -12,7 +12,7 @@ from numba import njit
 
 from ehls_ros.arrays import Array, lean
 from ehls_ros.physics.integration import MOST_EVENTS, WORK_ROWS, steps_of
-from ehls_ros.physics.lane_memory import LANES, Rows, column, stack
+from ehls_ros.physics.lane_memory import LANES, Rows, column, stack, wide_vectors
 
 RATE = 2
 """Row of the integrator's workspace with the rates at the start of a step, and after it at its end."""
@@ -115,7 +115,8 @@ def lanes_integrator(
         block[AFTER * LANES + lane] = 1.0 if changed else 0.0
         return dense
 
-    @lean
+    # Not inlined, as it has its own width of vectors.
+    @njit(error_model="numpy", _nrt=False)
     def advance(t: float, block: Array, like: Any, step: float, steps: int, work: Array) -> int:
         """Advance all lanes.
 
@@ -130,6 +131,7 @@ def lanes_integrator(
         Returns:
             Number of steps with more events than were located, of all lanes.
         """
+        wide_vectors()
         dense = 0
         evaluate_all(t, block, like)
         for index in range(steps):
