@@ -10,6 +10,7 @@ place is left empty where it is not installed; it is not among the package's ext
 """
 
 import argparse
+import importlib
 import importlib.util
 import os
 import platform
@@ -43,6 +44,7 @@ SIZE, MODES = FRICTION + ELEMENTS, 1 + ELEMENTS
 STEPS = round(PERIOD / DEFAULT_STEP)
 VARIED = ("supply_pressure", "bulk_modulus", "total_volume", "moving_mass", "viscous_damping", "valve_bandwidth")
 NATIVE = ("cc", "-O3", "-march=native")
+TWIN = "C -march=native"
 
 
 def rigs_like(rig: Rig, count: int) -> list[Rig]:
@@ -88,9 +90,11 @@ class Lanes:
         self._like = Known(rigs[0].plant, rigs[0].friction)
         blocks = -(-len(rigs) // LANES)
         self._blocks = np.zeros((blocks, rows.count, LANES))
-        self._blocks[:, known:] = np.array([flat(Known(rig.plant, rig.friction)) for rig in _filled(rigs, blocks * LANES)]).reshape(
-            blocks, LANES, -1
-        ).swapaxes(1, 2)
+        self._blocks[:, known:] = (
+            np.array([flat(Known(rig.plant, rig.friction)) for rig in _filled(rigs, blocks * LANES)])
+            .reshape(blocks, LANES, -1)
+            .swapaxes(1, 2)
+        )
         self._run = _lanes_kernel(self._rows, inputs, known)
         self._work = [np.empty((WORK_ROWS, SIZE)) for _ in range(blocks)]
 
@@ -176,8 +180,8 @@ def equations(xp: Any) -> Callable[..., list[Any]]:
             p[12] * (p[13] * u - spool),
         ]
         for i in range(3):
-            slips = xp.sign(v) * y[4 + i] >= a[i] * level
-            made.append(xp.where(slips, f[5] * (xp.sign(v) * a[i] - y[4 + i] / level), k[i] * v))
+            slips = 1.0 * (xp.sign(v) * y[4 + i] >= a[i] * level)
+            made.append(slips * f[5] * (xp.sign(v) * a[i] - y[4 + i] / level) + (1.0 - slips) * k[i] * v)
         return made
 
     return rates
@@ -220,11 +224,9 @@ class Diffrax:
     """Tsit5 with the package's step, all rigs at once on one processor."""
 
     def __init__(self, rigs: list[Rig]) -> None:
-        """Import."""
+        """Prepare."""
         os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
-        import diffrax
-        import jax
-
+        diffrax, jax = importlib.import_module("diffrax"), importlib.import_module("jax")
         jax.config.update("jax_enable_x64", True)
         jnp, rates = jax.numpy, equations(jax.numpy)
 
@@ -274,38 +276,51 @@ def plants(rig: Rig, options: argparse.Namespace, folder: Path) -> None:
     cycles = 200 if options.quick else 500
     large = motions(cycles * PERIOD)[0]
     spec = load_spec(HERE.parent / "config" / "experiments" / "sine_fd2.yaml")
-    cases = [
-        (Motion("1000 rigs, large sine", large.inputs[:50] if options.quick else large.inputs, STEPS), 1000),
+    contestants = NumbaKernel(rig), CKernel(rig, NATIVE, folder)
+    for motion, count in (
+        (Motion("large sine", large.inputs, STEPS), 200 if options.quick else 1000),
         (Motion("Table 3 sine-fd2", sine_fd2(spec, 4 * cycles), STEPS), LANES),
         (Motion("stick-slip", creeping(4 * cycles), STEPS), LANES),
-    ]
-    ours, twin = NumbaKernel(rig), CKernel(rig, NATIVE, folder)
-    for motion, count in cases:
-        rigs = rigs_like(rig, count)
-        lanes = Lanes(rigs)
-        some = rigs[: max(1, count // 60)] if count > LANES else rigs
-        contestants: dict[str, Callable[[], None]] = {
-            "C -march=native": lambda some=some: singles(twin, some, motion),
-            "numba, one by one": lambda some=some: singles(ours, some, motion),
-            "lanes": lambda: (lanes.reset(), lanes.run(motion)),
-        }
-        counts = {"C -march=native": len(some), "numba, one by one": len(some), "lanes": len(rigs)}
-        if not options.own:
-            few = rigs[:2]
-            scipy = SciPy(few)
-            contestants["SciPy LSODA"], counts["SciPy LSODA"] = lambda: scipy.run(motion), len(few)
-            if importlib.util.find_spec("diffrax"):
-                diffrax = Diffrax(rigs[:64])
-                contestants["diffrax, vmap"], counts["diffrax, vmap"] = lambda: diffrax.run(motion), min(64, len(rigs))
-        steps = len(motion.inputs) * motion.steps
-        times = turns(contestants, options.runs, time.process_time)
-        counts = {name: value * steps for name, value in counts.items()}
-        print(f"\n{motion.name}: {count} rigs, {steps} steps each")
-        print("\n".join(shown(times, 1e9, "ns/step", "C -march=native", counts)))
-        print(f"greatest difference between lanes and one by one: {difference(lanes, ours, some, motion):g}")
-        both = {f"{n} threads": (lambda n=n: (lanes.reset(), lanes.run(motion, n))) for n in (1, 2)}
-        wall = turns(both, options.runs, time.perf_counter)
-        print(f"2 threads: {np.median(wall['1 threads'] / wall['2 threads']):.2f} x 1 (wall)")
+    ):
+        plant(motion, rigs_like(rig, count), *contestants, options)
+
+
+def plant(motion: Motion, rigs: list[Rig], ours: NumbaKernel, twin: CKernel, options: argparse.Namespace) -> None:
+    """Print the table of one motion of some rigs."""
+    lanes, steps = Lanes(rigs), len(motion.inputs) * motion.steps
+    # Whoever takes rigs one by one takes no more than are needed to time it.
+    some, few, many = rigs[:LANES], rigs[:2], rigs[: 4 * LANES]
+
+    def together(threads: int) -> None:
+        lanes.reset()
+        lanes.run(motion, threads)
+
+    contestants: dict[str, Callable[[], None]] = {
+        TWIN: lambda: singles(twin, some, motion),
+        "numba, one by one": lambda: singles(ours, some, motion),
+        "lanes": lambda: together(1),
+    }
+    counts = dict(zip(contestants, (len(some), len(some), len(rigs)), strict=True))
+    if not options.own:
+        scipy = SciPy(few)
+        contestants["SciPy LSODA"], counts["SciPy LSODA"] = lambda: scipy.run(motion), len(few)
+        if importlib.util.find_spec("diffrax"):
+            diffrax = Diffrax(many)
+            contestants["diffrax, vmap"], counts["diffrax, vmap"] = lambda: diffrax.run(motion), len(many)
+    times = turns(contestants, options.runs, time.process_time)
+    print(f"\n{motion.name}: {len(rigs)} rigs, {steps} steps each")
+    print("\n".join(shown(times, 1e9, "ns/step", TWIN, {name: count * steps for name, count in counts.items()})))
+    print(f"greatest difference between lanes and one by one: {difference(lanes, ours, some, motion):g}")
+    if len(rigs) > LANES:
+        two_threads(together, options.runs)
+
+
+def two_threads(work: Callable[[int], None], runs: int) -> None:
+    """Print what a second thread gains: in wall time, and in processor time, which on a busy machine says more."""
+    for clock, what in ((time.perf_counter, "wall time"), (time.process_time, "processor time, of two threads together")):
+        times = turns({"one": lambda: work(1), "two": lambda: work(2)}, runs, clock)
+        low, middle, high = np.percentile(times["one"] / times["two"], [25, 50, 75])
+        print(f"one thread over two, {what}: {middle:.2f} ({low:.2f}-{high:.2f})")
 
 
 def singles(kernel: NumbaKernel | CKernel, rigs: list[Rig], motion: Motion) -> None:
@@ -349,8 +364,7 @@ def experiments(options: argparse.Namespace) -> None:
     counts = {"one by one": 4.0, "batch": float(len(specs))}
     print(f"\nsine-fd2, FASMC II: whole experiments of {base.settings.duration:g} s, {len(specs)} rigs")
     print("\n".join(shown(turns(contestants, options.runs, time.process_time), 1e3, "ms/run", "one by one", counts)))
-    wall = turns({"1": lambda: batch(1), "2": lambda: batch(2)}, options.runs, time.perf_counter)
-    print(f"2 threads: {np.median(wall['1'] / wall['2']):.2f} x 1 (wall)")
+    two_threads(batch, options.runs)
 
 
 def main() -> None:

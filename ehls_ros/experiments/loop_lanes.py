@@ -250,14 +250,14 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
         for i in range(given.shape[1]):
             k = first + i
             for lane in range(LANES):
-                for column in range(given_size):
-                    block[(GIVEN + column) * LANES + lane] = given[lane, i, column]
+                for place in range(given_size):
+                    block[(GIVEN + place) * LANES + lane] = given[lane, i, place]
             read_sensors(k, block, like, timing)
             observe(block, like, timing, forces_work)
             command_valves(k, block, like, timing)
             for lane in range(LANES):
-                for column in range(record_size):
-                    record[lane, k, column] = block[(RECORD + column) * LANES + lane]
+                for place in range(record_size):
+                    record[lane, k, place] = block[(RECORD + place) * LANES + lane]
             dense += integrate(k * timing.period, block, like, timing.step, timing.steps, work)
             warm(block, like, timing)
         return dense

@@ -135,9 +135,7 @@ def steps_of(
         return high
 
     @lean
-    def located_step(
-        t: float, y: Array, mode: Array, c: Any, step: float, changed: bool, work: Array
-    ) -> tuple[bool, int]:
+    def located_step(t: float, y: Array, mode: Array, c: Any, step: float, changed: bool, work: Array) -> tuple[bool, int]:
         now, remaining = t, step
         located = dense = 0
         while remaining > EVENT_TOLERANCE * step:

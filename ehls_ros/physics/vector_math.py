@@ -71,9 +71,7 @@ def _power(shifted: float, f: float) -> float:
     f2 = f * f
     f4 = f2 * f2
     first = fma(fma(0.05550410866482162, f, 0.24022650695910158), f2, fma(0.6931471805599453, f, 1.0))
-    second = fma(
-        fma(1.5252733841556773e-05, f, 0.00015403530463724353), f2, fma(0.001333355814640647, f, 0.009618129107587256)
-    )
+    second = fma(fma(1.5252733841556773e-05, f, 0.00015403530463724353), f2, fma(0.001333355814640647, f, 0.009618129107587256))
     third = fma(
         fma(4.4558179083360645e-10, f, 7.074194297288521e-09), f2, fma(1.0178057087733941e-07, f, 1.3215432535912375e-06)
     )
@@ -84,8 +82,9 @@ def _power(shifted: float, f: float) -> float:
 @kernel
 def _clipped(x: float, low: float, high: float) -> float:
     """Return x within bounds; NaN stays NaN."""
-    x = low if x < low else x
-    return high if x > high else x
+    # Not min and max, which may turn NaN into a bound.
+    x = low if x < low else x  # noqa: FURB136
+    return high if x > high else x  # noqa: FURB136
 
 
 @kernel

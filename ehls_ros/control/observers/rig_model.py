@@ -73,9 +73,7 @@ def around(model: FrictionModel) -> tuple[Callable[..., tuple[Motion, int]], Cal
     relaxation_rate = kernel(model.relaxation_rate)
 
     @kernel
-    def before(
-        velocity: float, period: float, friction: Any, p: Parameters, state: ObserverState
-    ) -> tuple[Motion, int]:
+    def before(velocity: float, period: float, friction: Any, p: Parameters, state: ObserverState) -> tuple[Motion, int]:
         last, started = state.last[0], state.last[1] == 1.0
         velocity = held(velocity, state)
         # At least one step for each time constant of the forces.
