@@ -23,9 +23,9 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from kernel_vs_c import HERE, PERIOD, RIG, CKernel, Motion, NumbaKernel, at_rest, motions
 from scipy.integrate import solve_ivp
 
+from benchmarks.kernel_vs_c import HERE, PERIOD, RIG, CKernel, Motion, NumbaKernel, at_rest, motions
 from ehls_ros.arrays import Array, lean
 from ehls_ros.experiments.batch import run_batch
 from ehls_ros.experiments.loop import run_in_process
@@ -45,6 +45,9 @@ STEPS = round(PERIOD / DEFAULT_STEP)
 VARIED = ("supply_pressure", "bulk_modulus", "total_volume", "moving_mass", "viscous_damping", "valve_bandwidth")
 NATIVE = ("cc", "-O3", "-march=native")
 TWIN = "C -march=native"
+TOLERANCES = np.array([1e-9, 1e-8, 10.0, 1e-10, 1e-3, 1e-3, 1e-3])
+TURNING_SPEED = 1e-5
+"""Speed over which the other solvers' direction of motion changes [m/s]."""
 
 
 def rigs_like(rig: Rig, count: int) -> list[Rig]:
@@ -90,11 +93,8 @@ class Lanes:
         self._like = Known(rigs[0].plant, rigs[0].friction)
         blocks = -(-len(rigs) // LANES)
         self._blocks = np.zeros((blocks, rows.count, LANES))
-        self._blocks[:, known:] = (
-            np.array([flat(Known(rig.plant, rig.friction)) for rig in _filled(rigs, blocks * LANES)])
-            .reshape(blocks, LANES, -1)
-            .swapaxes(1, 2)
-        )
+        own = np.array([flat(Known(rig.plant, rig.friction)) for rig in rigs + rigs[:1] * (blocks * LANES - len(rigs))])
+        self._blocks[:, known:] = own.reshape(blocks, LANES, -1).swapaxes(1, 2)
         self._run = _lanes_kernel(self._rows, inputs, known)
         self._work = [np.empty((WORK_ROWS, SIZE)) for _ in range(blocks)]
 
@@ -123,10 +123,6 @@ class Lanes:
         return state
 
 
-def _filled(rigs: list[Rig], count: int) -> list[Rig]:
-    return rigs + rigs[:1] * (count - len(rigs))
-
-
 def _lanes_kernel(rows: LaneRows, inputs: int, known: int) -> Callable[..., None]:
     """Return the compiled run of a block."""
 
@@ -138,7 +134,7 @@ def _lanes_kernel(rows: LaneRows, inputs: int, known: int) -> Callable[..., None
     def none(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
         return
 
-    hooks = dict.fromkeys(Chains._fields, same) | {"received": None, "jump": None, "rates": none}
+    hooks: dict[str, Any] = dict.fromkeys(Chains._fields, same) | {"received": None, "jump": None, "rates": none}
     evaluate, switch = system(gms, ELEMENTS, Chains(**hooks))
     inputs_of, nothing = column(INPUTS), column(0)
 
@@ -164,7 +160,8 @@ def _lanes_kernel(rows: LaneRows, inputs: int, known: int) -> Callable[..., None
 def equations(xp: Any) -> Callable[..., list[Any]]:
     """Return the paper's equations for other solvers, written with the functions of a module like NumPy.
 
-    The modes follow from the state: an element slips where its force has reached its share of the level.
+    The modes follow from the state: an element slips where its force has reached its share of the level. The direction of
+    motion changes over a small speed, as a solver of variable step would hardly advance otherwise.
     """
 
     def rates(y: Any, u: Any, load: Any, p: Any, f: Any, k: Any, a: Any) -> list[Any]:
@@ -172,6 +169,7 @@ def equations(xp: Any) -> Callable[..., list[Any]]:
         level = f[0] + (f[1] - f[0]) * xp.exp(-(xp.abs(v / f[2]) ** f[3]))
         drop = p[0] - xp.sign(spool) * pressure
         flow = p[3] * p[4] * spool * xp.sign(drop) * xp.sqrt(xp.abs(drop) / p[1])
+        direction = xp.tanh(v / TURNING_SPEED)
         friction = f[4] * v + y[4] + y[5] + y[6]
         made = [
             v,
@@ -180,8 +178,8 @@ def equations(xp: Any) -> Callable[..., list[Any]]:
             p[12] * (p[13] * u - spool),
         ]
         for i in range(3):
-            slips = 1.0 * (xp.sign(v) * y[4 + i] >= a[i] * level)
-            made.append(slips * f[5] * (xp.sign(v) * a[i] - y[4 + i] / level) + (1.0 - slips) * k[i] * v)
+            slips = 1.0 * (direction * y[4 + i] >= a[i] * level)
+            made.append(slips * f[5] * (direction * a[i] - y[4 + i] / level) + (1.0 - slips) * k[i] * v)
         return made
 
     return rates
@@ -214,10 +212,8 @@ class SciPy:
     def run(self, motion: Motion) -> None:
         """Run a motion with all rigs."""
         for rig in self._rigs:
-            end = len(motion.inputs) * PERIOD
-            solve_ivp(
-                self._right, (0.0, end), np.zeros(7), "LSODA", args=(motion.inputs, *rig), max_step=PERIOD, rtol=1e-6, atol=1e-9
-            )
+            span, given = (0.0, len(motion.inputs) * PERIOD), (motion.inputs, *rig)
+            solve_ivp(self._right, span, np.zeros(7), "LSODA", args=given, max_step=PERIOD, rtol=1e-6, atol=TOLERANCES)
 
 
 class Diffrax:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from ehls_ros.inlining import Inlined
@@ -27,6 +28,15 @@ def lean(function: _Function) -> _Function:
     For a function that passes many array views, counting their references would cost ten times the work itself.
     """
     return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy", "_nrt": False}))
+
+
+def compiler_function(build: Callable[..., Any]) -> Callable[..., Any]:
+    """Make a function of compiled code that has no Python form: ``build`` types it and writes its intermediate code.
+
+    Args:
+        build: see :func:`numba.extending.intrinsic`; its first argument is numba's.
+    """
+    return cast(Callable[..., Any], intrinsic(build))
 
 
 def in_python(compiled: _Function) -> _Function:

@@ -12,8 +12,8 @@ from collections.abc import Hashable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple, cast
 
-import numba
 import numpy as np
+from numba import typeof
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.controllers import CONTROLLERS
@@ -77,7 +77,7 @@ class Structure(NamedTuple):
 class _Lane(NamedTuple):
     """A run before its first cycle."""
 
-    index: int
+    place: int
     spec: Spec
     plant: Simulated
     control: Control
@@ -121,7 +121,7 @@ def run_batch(specs: Iterable[Spec], *, check: bool = True, threads: int | None 
                 under_way.append(pool.submit(_run_block, alike))
         for alike in waiting.values():
             if len(alike) < FEWEST:
-                yield from ((lane.index, _alone(lane.spec)) for lane in alike)
+                yield from ((lane.place, _alone(lane.spec)) for lane in alike)
         while under_way:
             yield from under_way.popleft().result()
 
@@ -168,7 +168,7 @@ def _lane(index: int, spec: Spec, check: bool) -> _Lane | None:
         ),
         Timing(constants.period, constants.step, constants.steps),
         spec.cycles,
-        numba.typeof(known),
+        typeof(known),
     )
     return _Lane(index, spec, plant, control, known, structure)
 
@@ -244,7 +244,7 @@ def _run_block(lanes: list[_Lane]) -> list[tuple[int, Result]]:
         made = trajectory_of(lane.spec, columns, record[place, :end], wanted[place, :end], disturbance[place, :end])
         if place in lost:
             lost[place].trajectory = made
-        results.append((lane.index, lost.get(place, made)))
+        results.append((lane.place, lost.get(place, made)))
     return results
 
 

@@ -17,10 +17,9 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic
 from numba.np.arrayobj import make_array, populate_array
 
-from ehls_ros.arrays import Array
+from ehls_ros.arrays import Array, compiler_function
 
 LANES = 16
 """Lanes of a block: some vectors' worth, so that their latencies overlap, in a block that stays in the fastest cache."""
@@ -49,7 +48,7 @@ def stack(*shape: int) -> Callable[[], Array]:
     """
     kind = types.Array(types.float64, len(shape), "C")
 
-    @intrinsic
+    @compiler_function
     def array(typing: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             memory = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), max(math.prod(shape), 1)))
@@ -57,15 +56,14 @@ def stack(*shape: int) -> Callable[[], Array]:
 
         return kind(), generate
 
-    function: Callable[[], Array] = array
-    return function
+    return array
 
 
 def column(*shape: int) -> Callable[[Array, int, int], Array]:
     """Return a compiled ``view(block, row, lane)``: a lane's numbers in the rows from ``row`` on, as an array of a shape."""
     kind = types.Array(types.float64, len(shape), "A")
 
-    @intrinsic
+    @compiler_function
     def view(typing: Any, block: Any, row: Any, lane: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             data = _place(context, builder, block, arguments)
@@ -73,8 +71,7 @@ def column(*shape: int) -> Callable[[Array, int, int], Array]:
 
         return kind(block, types.int64, types.int64), generate
 
-    function: Callable[[Array, int, int], Array] = view
-    return function
+    return view
 
 
 def _place(context: Any, builder: Any, block: Any, arguments: Any) -> Any:
@@ -84,15 +81,16 @@ def _place(context: Any, builder: Any, block: Any, arguments: Any) -> Any:
     return builder.gep(make_array(block)(context, builder, memory).data, [index])
 
 
-@intrinsic
+@compiler_function
 def wide_vectors(typing: Any) -> Any:
-    """Let the compiled function that calls this use the widest vectors there are; it must not be inlined.
+    """Let the compiled function that calls this use the widest vectors there are; it is not inlined.
 
     LLVM would keep to half the width of AVX-512, as programs with few vector instructions are faster with it.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        # llvmlite's own method of this set refuses attributes that are no keywords.
+        builder.function.attributes.add("noinline")
+        # The set's own method refuses attributes that are no keywords.
         set.add(builder.function.attributes, '"prefer-vector-width"="512"')
 
     return types.none(), generate
@@ -108,7 +106,7 @@ def flat(like: Any) -> list[float]:
     return [value for field in like for value in flat(field)] if isinstance(like, tuple) else [float(like)]
 
 
-@intrinsic
+@compiler_function
 def numbers(typing: Any, like: Any, block: Any, row: Any, lane: Any) -> Any:
     """Return a named tuple of numbers, or of such tuples, from the rows of a block.
 
@@ -125,7 +123,7 @@ def numbers(typing: Any, like: Any, block: Any, row: Any, lane: Any) -> Any:
 
         def load(wanted: Any) -> Any:
             nonlocal taken
-            if isinstance(wanted, types.BaseTuple):
+            if isinstance(wanted, (types.NamedTuple, types.NamedUniTuple, types.Tuple, types.UniTuple)):
                 return context.make_tuple(builder, wanted, [load(field) for field in wanted])
             place = builder.gep(first, [ir.Constant(ir.IntType(64), taken * LANES)])
             taken += 1

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
-from ehls_ros.arrays import kernel
+from ehls_ros.arrays import compiler_function, kernel
 
 ROUNDER = 6755399441055744.0
 """1.5 2^52: the sum of it and a number below 2^51 has no fraction, and the last bits of the sum are the rounded number."""
@@ -34,7 +33,7 @@ LOG2_E, LOG2_E_REST = 1.4426950408889634, 2.0355273740931033e-17
 """Logarithm of e to base 2, and what its rounding leaves."""
 
 
-@intrinsic
+@compiler_function
 def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """Return a b + c, rounded once."""
 
@@ -44,7 +43,7 @@ def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), generate
 
 
-@intrinsic
+@compiler_function
 def bits_of(typing: Any, value: Any) -> Any:
     """Return the bits of a float as an integer."""
 
@@ -54,7 +53,7 @@ def bits_of(typing: Any, value: Any) -> Any:
     return types.int64(types.float64), generate
 
 
-@intrinsic
+@compiler_function
 def float_of(typing: Any, bits: Any) -> Any:
     """Return the float that has these bits."""
 
