@@ -8,7 +8,7 @@ resembles. Each run has the numbers it has by itself, to the last bit.
 
 import os
 from collections import deque
-from collections.abc import Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple, cast
 
@@ -113,12 +113,12 @@ def run_batch(specs: Iterable[Spec], *, check: bool = True, threads: int | None 
             alike = waiting.setdefault(lane.structure, [])
             alike.append(lane)
             if len(alike) == LANES:
-                under_way.append(pool.submit(_run_block, waiting.pop(lane.structure)))
+                under_way.append(pool.submit(_run_block, loop_kernel(lane.structure), waiting.pop(lane.structure)))
                 while len(under_way) > count:
                     yield from under_way.popleft().result()
         for alike in waiting.values():
             if len(alike) >= FEWEST:
-                under_way.append(pool.submit(_run_block, alike))
+                under_way.append(pool.submit(_run_block, loop_kernel(alike[0].structure), alike))
         for alike in waiting.values():
             if len(alike) < FEWEST:
                 yield from ((lane.place, _alone(lane.spec)) for lane in alike)
@@ -197,11 +197,11 @@ class _Signals:
         given[:, SIGNALS + FOLLOWED :] = disturbance
 
 
-def _run_block(lanes: list[_Lane]) -> list[tuple[int, Result]]:
-    """Run up to :data:`LANES` runs of one structure."""
+def _run_block(run: Callable[..., int], lanes: list[_Lane]) -> list[tuple[int, Result]]:
+    """Run up to :data:`LANES` runs of one structure by its compiled loop."""
     structure = lanes[0].structure
     sizes, timing, cycles = structure.sizes, structure.timing, structure.cycles
-    rows, run = loop_rows(sizes), loop_kernel(structure)
+    rows = loop_rows(sizes)
     columns = Columns.of(rows.status - rows.estimate)
     block = np.zeros((rows.end, LANES))
     for place in range(LANES):
@@ -248,8 +248,8 @@ def _run_block(lanes: list[_Lane]) -> list[tuple[int, Result]]:
     return results
 
 
-def loop_kernel(structure: Structure) -> Any:
-    """Return the compiled loop of a structure."""
+def loop_kernel(structure: Structure) -> Callable[..., int]:
+    """Return the compiled loop of a structure; threads must not ask for one at the same time."""
     friction, law, observer, believed = structure.members
     members = {
         "friction": FRICTION_MODELS.load(friction),
@@ -258,7 +258,10 @@ def loop_kernel(structure: Structure) -> Any:
         "believed": FRICTION_MODELS.load(believed),
     }
     entry = "first, timing, block, like, given, record, work, forces_work"
-    return compiled(build, {"run": entry}, members, structure.sizes._asdict(), structure.effects, threads=True).run
+    run: Callable[..., int] = compiled(
+        build, {"run": entry}, members, structure.sizes._asdict(), structure.effects, threads=True
+    ).run
+    return run
 
 
 def _fill(numbers: Array, rows: LoopRows, lane: _Lane) -> None:

@@ -300,7 +300,7 @@ def _observation(observer: Any, believed: Any, rows: LoopRows, sizes: Sizes) -> 
     together = lanes_integrator(evaluate, switch, motion, rows.elements, size, size)
     alone = integrator(evaluate, switch, size)
 
-    @njit(error_model="numpy")
+    @njit(error_model="numpy", forceinline=False)
     def run_alone(block: Array, like: Known, timing: Timing, lane: int, work: Array) -> None:
         state, steps = observed(block, lane, work), int(block[STEPS * LANES + lane])
         if steps > 0:

@@ -102,7 +102,7 @@ def lanes_integrator(
             copy(work[0], states(block, END, lane))
             copy(work[RATE], states(block, END_RATE, lane))
 
-    @njit(error_model="numpy")
+    @njit(error_model="numpy", forceinline=False)
     def step_one(t: float, block: Array, like: Any, step: float, lane: int, work: Array) -> int:
         """Take a step of one lane, with its events located."""
         y, mode = w0(), modes_of(block, MODE, lane)
@@ -115,7 +115,7 @@ def lanes_integrator(
         block[AFTER * LANES + lane] = 1.0 if changed else 0.0
         return dense
 
-    @njit(error_model="numpy")
+    @njit(error_model="numpy", forceinline=False)
     def advance(t: float, block: Array, like: Any, step: float, steps: int, work: Array) -> int:
         """Advance all lanes.
 
