@@ -1,9 +1,12 @@
 """Many experiments at once: those of the same structure side by side, as lanes of one compiled call.
 
 Runs have the same structure if they differ only in numbers, references, disturbances and seeds: see
-:func:`structure_of`. What has no place in lanes runs by itself, as in :mod:`ehls_ros.experiments.loop`: experiments with
+:class:`Structure`. What has no place in lanes runs by itself, as in :mod:`ehls_ros.experiments.loop`: experiments with
 companions, with a disturbance that feels the loader, with an effect that delays the command; and runs that nothing else
 resembles. Each run has the numbers it has by itself, to the last bit.
+
+The first batch of a structure compiles its loop, which takes longer than that of a single run and pays off from several hundred
+runs of 10 s on; later ones find it in the cache.
 """
 
 import os
@@ -44,6 +47,7 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.integration import WORK_ROWS
 from ehls_ros.physics.lane_memory import LANES, flat, numbers_in
+from ehls_ros.physics.rig import EffectiveRig
 from ehls_ros.physics.simulator import Simulated
 from ehls_ros.trajectory import Trajectory
 
@@ -176,15 +180,15 @@ def _lane(index: int, spec: Spec, check: bool) -> _Lane | None:
 class _Signals:
     """What comes from outside in a run."""
 
-    def __init__(self, spec: Spec) -> None:
-        """Begin before the first cycle."""
+    def __init__(self, spec: Spec, rig: EffectiveRig) -> None:
+        """Begin before the first cycle of an experiment, whose loader is a rig."""
         period = spec.settings.control_period
         kind = DISTURBANCES.load(spec.disturbance.name)
         self._reference: SampledReference = sampled(spec.reference, period)
         signal = sampled(spec.disturbance.signal, period)
         self._disturbance = cast(Planned, kind.build(spec.disturbance.parameters, signal, spec.rig, period))
         self._random = np.random.default_rng(spec.settings.seed)
-        self._noisy = any(sensor.noise_std > 0.0 for sensor in spec.loader_rig().effective().sensors.values())
+        self._noisy = any(sensor.noise_std > 0.0 for sensor in rig.sensors.values())
 
     def write(self, first: int, given: Array, wanted: Array, disturbance: Array) -> None:
         """Write the rows of some cycles: what the loop is given, the reference, and the disturbance."""
@@ -210,7 +214,7 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane]) -> list[tuple[int, R
     memory = block.reshape(-1)
     record = np.empty((LANES, cycles, columns.status.stop))
     wanted, disturbance = np.empty((len(lanes), cycles, FORESEEN)), np.empty((len(lanes), cycles, DISTURBED))
-    signals = [_Signals(lane.spec) for lane in lanes]
+    signals = [_Signals(lane.spec, lane.plant.rig) for lane in lanes]
     work, forces_work = np.empty((WORK_ROWS, rows.plant.rate - rows.plant.y)), np.empty((WORK_ROWS, sizes.forces))
     lost: dict[int, Implausible] = {}
     ends = [cycles] * len(lanes)
