@@ -6,6 +6,7 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy as np
 from numba.core.dispatcher import Dispatcher
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from ehls_ros.inlining import Inlined
@@ -50,6 +51,15 @@ def direct(compiled: _Function, *arguments: Any) -> _Function:
 def plain(array: Array) -> Array:
     """Return an array as a :func:`direct` entry takes it: of floats, contiguous; the array itself if it is that."""
     return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def compiler_function(build: Callable[..., Any]) -> Callable[..., Any]:
+    """Make a function of compiled code that has no Python form: ``build`` types it and writes its intermediate code.
+
+    Args:
+        build: see :func:`numba.extending.intrinsic`; its first argument is numba's.
+    """
+    return cast(Callable[..., Any], intrinsic(build))
 
 
 def in_python(compiled: _Function) -> _Function:

@@ -14,7 +14,7 @@ from ehls_ros.identification.motion import Motion
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.friction.base import FrictionModel
-from ehls_ros.physics.integration import WORK_ROWS
+from ehls_ros.physics.integration import WORK_ROWS, integrator
 
 MOST_PARTS = 60
 """Most parts into which a block is divided."""
@@ -36,7 +36,7 @@ class Run(NamedTuple):
 
 def build(friction: FrictionModel) -> Run:
     """Build the run of one friction model along a motion."""
-    level, force, advance = friction.level, friction.force, driven(friction)
+    level, force, advance = friction.level, friction.force, integrator(*driven(friction))
     relaxation_rate = kernel(friction.relaxation_rate)
 
     @kernel
