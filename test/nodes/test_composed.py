@@ -102,8 +102,10 @@ def test_a_controller_apart_takes_over_and_gives_back(graph, participant, spec_f
         participant.until(lambda node=node: drivers[-1].sender.startswith(node))
         first = drivers[-1].cycle
         participant.until(lambda first=first: commands[-1].cycle > first + 100)
-    # No cycle is left out, and each has one answer.
-    assert_contiguous(commands)
+    # No cycle is left out, and each has one answer; those of two controllers may arrive in any order.
+    every = range(commands[0].cycle, commands[-1].cycle + 1)
+    participant.until(lambda: set(every) <= {command.cycle for command in commands})
+    assert len({command.cycle for command in commands}) == len(commands)
     taken_over = [command.cycle for command in commands if "sic_node" in command.sender]
     assert taken_over == list(range(taken_over[0], taken_over[-1] + 1))
     assert graph.stop("sic_node") == 0
@@ -129,8 +131,11 @@ def test_an_estimator_apart_is_waited_for(spec_file, graph, participant, tmp_pat
     assert main(["experiment", str(spec), "--out", str(reference), "--in-process"]) == 0
     commands = participant.collect(ValveCommand, "valve_command")
     names = TOGETHER.replace("friction_estimator_node+", "")
+    start_together(graph, spec, names, timing="lockstep", partners="friction_estimator_node")
+    # The first cycle is to find the test's reader.
+    participant.until(commands.publishers)
     graph.start("friction_estimator_node", spec=spec, timing="lockstep")
-    start_together(graph, spec, names, timing="lockstep", cycles=501, partners="friction_estimator_node")
-    participant.until(lambda: len(commands) == 501)
+    participant.until(lambda: len(commands) >= 501)
     wanted = read_bag(Path(json.loads((reference / "metrics.json").read_text())["bag"]))["valve_command_m"]
-    assert np.max(np.abs(np.array([command.spool for command in commands]) - wanted)) <= 1e-9 * np.max(np.abs(wanted))
+    sent = np.array([command.spool for command in commands[:501]])
+    assert np.max(np.abs(sent - wanted)) <= 1e-9 * np.max(np.abs(wanted))
