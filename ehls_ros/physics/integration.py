@@ -16,6 +16,7 @@ from typing import Any, Literal
 from numba import njit
 
 from ehls_ros.arrays import Array, lean
+from ehls_ros.duals import length_to_event, varies
 
 WORK_ROWS = 6
 """Rows of an integrator's workspace, each as long as the state."""
@@ -128,7 +129,7 @@ def integrator(
                 after *= 0.5 if side == -1 else 1.0
                 side = -1
             halve = high - low > 0.5 * width
-        return high
+        return length_to_event(take_step, evaluate, t, y, mode, c, high, work)
 
     @lean
     def advance(t: float, y: Array, mode: Array, c: Any, step: float, steps: int, work: Array) -> int:
@@ -153,7 +154,7 @@ def integrator(
             now = t + index * step
             remaining = step
             located = 0
-            while remaining > EVENT_TOLERANCE * step:
+            while remaining > EVENT_TOLERANCE * step or varies(remaining):
                 if changed and evaluate(now, y, mode, c, work[2]) > 0.0:
                     switch(now, y, mode, c)
                     evaluate(now, y, mode, c, work[2])
