@@ -13,7 +13,7 @@ at once, as vectors of the processor. The last tangent is that by the length of 
 
 import math
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,8 @@ from numba.extending import (
     register_model,
 )
 
+from ehls_ros.arrays import Array
+
 LANES = 8
 """Most floats in one vector; a processor with shorter vectors takes two."""
 
@@ -43,6 +45,91 @@ UNIT = 4
 def width_of(parameters: int) -> int:
     """Return the floats in a dual: the value, a tangent for each parameter and one for the length of a step, rounded up."""
     return UNIT * math.ceil((parameters + 2) / UNIT)
+
+
+# --- duals in Python ---------------------------------------------------------------------------
+
+
+class Dual:
+    """A dual for what is computed once and in Python, such as the parameters of a rig from those of its effects.
+
+    Attributes:
+        value: its value.
+        tangents: derivatives by the parameters, shape (parameters,).
+    """
+
+    __hash__ = None  # type: ignore[assignment]  # as for all that can change its value
+
+    def __init__(self, value: float, tangents: Array) -> None:
+        """Take value and tangents."""
+        self.value = value
+        self.tangents = tangents
+
+    def __add__(self, other: "float | Dual") -> "Dual":
+        return Dual(self.value + value_of(other), self.tangents + tangents_of(other))
+
+    def __sub__(self, other: "float | Dual") -> "Dual":
+        return Dual(self.value - value_of(other), self.tangents - tangents_of(other))
+
+    def __rsub__(self, other: float) -> "Dual":
+        return Dual(other - self.value, -self.tangents)
+
+    def __mul__(self, other: "float | Dual") -> "Dual":
+        factor = value_of(other)
+        return Dual(self.value * factor, factor * self.tangents + self.value * tangents_of(other))
+
+    def __truediv__(self, other: "float | Dual") -> "Dual":
+        quotient = self.value / value_of(other)
+        return Dual(quotient, (self.tangents - quotient * tangents_of(other)) / value_of(other))
+
+    def __rtruediv__(self, other: float) -> "Dual":
+        return Dual(other / self.value, -other / self.value**2 * self.tangents)
+
+    def __neg__(self) -> "Dual":
+        return Dual(-self.value, -self.tangents)
+
+    def __lt__(self, other: "float | Dual") -> bool:
+        return self.value < value_of(other)
+
+    def __le__(self, other: "float | Dual") -> bool:
+        return self.value <= value_of(other)
+
+    def __gt__(self, other: "float | Dual") -> bool:
+        return self.value > value_of(other)
+
+    def __ge__(self, other: "float | Dual") -> bool:
+        return self.value >= value_of(other)
+
+    def __eq__(self, other: object) -> bool:
+        return self.value == (other.value if isinstance(other, Dual) else other)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
+def value_of(number: float | Dual) -> float:
+    """Return the value of a number."""
+    return number.value if isinstance(number, Dual) else number
+
+
+def tangents_of(number: float | Dual) -> Array | float:
+    """Return the tangents of a number; 0 for a float."""
+    return number.tangents if isinstance(number, Dual) else 0.0
+
+
+def rows_of(numbers: Iterable[Any], width: int) -> Array:
+    """Return numbers as duals in memory, shape (n, width); of a tuple, its numbers.
+
+    Args:
+        numbers: floats, duals of Python and tuples of them.
+        width: of a dual.
+    """
+    flat = [n for number in numbers for n in (number if isinstance(number, tuple) else (number,))]
+    out = np.zeros((len(flat), width))
+    for row, number in zip(out, flat, strict=True):
+        row[0] = value_of(number)
+        if isinstance(number, Dual):
+            row[1 : 1 + len(number.tangents)] = number.tangents
+    return out
 
 
 # --- types -------------------------------------------------------------------------------------
