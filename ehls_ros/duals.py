@@ -861,9 +861,7 @@ def _varies(typingctx: Any, value: Any) -> Any:
     return types.boolean(value), lower
 
 
-def length_to_event(
-    take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c: Any, length: Any, work: Any
-) -> Any:
+def length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c: Any, length: Any, work: Any) -> Any:
     """Return the length of a step that ends on an event; of duals, with the derivatives of the event's time.
 
     These follow from the event function g, which is zero at the event whatever the parameters: dh/dp = -(dg/dp) / (dg/dh).

@@ -98,7 +98,9 @@ def sensitivities(
     Raises:
         BadInput: a coefficient is unknown or given twice; or something has no derivative, with its name.
     """
-    rows = np.column_stack([np.broadcast_to(np.asarray(column, dtype=np.float64), np.shape(inputs.command)) for column in inputs])
+    rows = np.column_stack(
+        [np.broadcast_to(np.asarray(column, dtype=np.float64), np.shape(inputs.command)) for column in inputs]
+    )
     for path in (*coefficients, *(start or {})):
         _check(path, rig, start or {}, coefficients)
     at_once = max(1, math.ceil(len(coefficients) / MOST_AT_ONCE))
@@ -193,13 +195,17 @@ def _run(
     except NumbaError as error:
         used = ", ".join((rig.friction_model, *parts.effects.names))
         last = str(error).strip().splitlines()[-1]
-        raise BadInput(f"a compiled function of {used} is not differentiable: {last}", WHERE, "operations of ehls_ros.duals") from error
+        raise BadInput(
+            f"a compiled function of {used} is not differentiable: {last}", WHERE, "operations of ehls_ros.duals"
+        ) from error
     for column, signal in enumerate(SENSED):
         # The sensors' table holds no duals: a reading is gain (what was seen) + bias.
         sensor = varied.sensors[signal]
         seen = (out[:, column, 0] - value_of(sensor.bias)) / value_of(sensor.gain)
         for part, factor in ((sensor.gain, seen), (sensor.bias, np.ones(len(rows)))):
-            out[:, column, 1 : 1 + len(coefficients)] += np.multiply.outer(factor, tangents_of(part) + np.zeros(len(coefficients)))
+            out[:, column, 1 : 1 + len(coefficients)] += np.multiply.outer(
+                factor, tangents_of(part) + np.zeros(len(coefficients))
+            )
     return out, dense
 
 
