@@ -88,6 +88,11 @@ class Dual:
     def __neg__(self) -> "Dual":
         return Dual(-self.value, -self.tangents)
 
+    def exp(self) -> "Dual":
+        """Return the exponential; numpy calls it so."""
+        value = math.exp(self.value)
+        return Dual(value, value * self.tangents)
+
     def __lt__(self, other: "float | Dual") -> bool:
         return self.value < value_of(other)
 
@@ -114,6 +119,11 @@ def value_of(number: float | Dual) -> float:
 def tangents_of(number: float | Dual) -> Array | float:
     """Return the tangents of a number; 0 for a float."""
     return number.tangents if isinstance(number, Dual) else 0.0
+
+
+def exp(number: Any) -> Any:
+    """Return the exponential of a number."""
+    return number.exp() if isinstance(number, Dual) else math.exp(number)
 
 
 def rows_of(numbers: Iterable[Any], width: int) -> Array:
@@ -395,7 +405,7 @@ def _any(builder: Any, tangents: Sequence[ir.Value]) -> ir.Value:
         lanes = vector.type.count
         if index == 0:
             vector = builder.insert_element(vector, _number(0.0), ir.Constant(ir.IntType(32), 0))
-        differs = builder.fcmp_unordered("!=", vector, _zeros(lanes))
+        differs = builder.fcmp_ordered("!=", vector, _zeros(lanes))
         bits = builder.bitcast(differs, ir.IntType(lanes))
         found = builder.or_(found, builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(lanes), 0)))
     return found
@@ -897,6 +907,19 @@ def _length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c
         return length
 
     return differentiated
+
+
+def alike(array: Any, number: Any) -> Any:
+    """Return a number as the elements of an array are: a dual for duals, else itself."""
+    return number
+
+
+@overload(alike, inline="always", strict=False)
+def _alike(array: Any, number: Any) -> Any:
+    if not isinstance(array, DualArrayType) or isinstance(number, DualType):
+        return lambda array, number: number
+    width = array.dtype.width
+    return lambda array, number: constant(number, width)
 
 
 def varies(value: Any) -> bool:

@@ -16,7 +16,7 @@ from typing import Any, Literal
 from numba import njit
 
 from ehls_ros.arrays import Array, lean
-from ehls_ros.duals import length_to_event, varies
+from ehls_ros.duals import alike, length_to_event, varies
 
 WORK_ROWS = 6
 """Rows of an integrator's workspace, each as long as the state."""
@@ -148,6 +148,7 @@ def integrator(
             Number of steps with more events than were located, normally 0.
         """
         dense = 0
+        t, step = alike(y, t), alike(y, step)
         # Inputs may have jumped since the last call.
         changed = True
         for index in range(steps):
