@@ -47,7 +47,7 @@ class Coordinates(Protocol):
         """Return the coordinates of a friction, shape (len(names),)."""
 
     def unpack(self, z: Array) -> Any:
-        """Return the friction at coordinates ``z``, which may be duals; a viscous part that the linear coefficients hold is 0."""
+        """Return the friction at coordinates ``z``, maybe duals; a viscous part that the linear coefficients hold is 0."""
 
     def bounds(self, z: Array, period: float) -> tuple[Array, Array]:
         """Return the lowest and the highest coordinates of a search.

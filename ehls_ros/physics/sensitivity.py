@@ -98,18 +98,14 @@ def sensitivities(
     Raises:
         BadInput: a coefficient is unknown or given twice; or something has no derivative, with its name.
     """
-    rows = np.column_stack(
-        [np.broadcast_to(np.asarray(column, dtype=np.float64), np.shape(inputs.command)) for column in inputs]
-    )
-    for path in (*coefficients, *(start or {})):
-        _check(path, rig, start or {}, coefficients)
     at_once = max(1, math.ceil(len(coefficients) / MOST_AT_ONCE))
-    readings, derivatives, dense = np.empty((len(rows), len(SENSED))), list[Array](), 0
+    readings, derivatives, dense = np.empty(0), list[Array](), 0
     for group in np.array_split(np.arange(len(coefficients)), at_once):
-        chosen = [coefficients[i] for i in group]
-        out, dense = _run(rig, chosen, rows, period, step, start or {})
-        readings = out[:, :, 0].copy()
-        derivatives.append(out[:, :, 1 : 1 + len(chosen)])
+        ready = prepared(rig, [coefficients[i] for i in group], inputs, period, step, start)
+        dense = ready.run()
+        found = ready.readings()
+        readings = found[:, :, 0].copy()
+        derivatives.append(found[:, :, 1:])
     return Sensitivities(readings, np.concatenate(derivatives, axis=2), dense)
 
 
@@ -156,7 +152,7 @@ def _varied(rig: Rig, coefficients: Sequence[str]) -> Rig:
     )
 
 
-def _check_corners(rig: Rig, coefficients: Sequence[str], period: float, readers: Mapping[str, Any]) -> None:
+def _check_differentiable(rig: Rig, coefficients: Sequence[str], period: float, readers: Mapping[str, Any]) -> None:
     """Refuse what has no derivative."""
     for use in rig.effects:
         corner: Callable[[Any, float], str] | None = getattr(EFFECTS.load(use.name), "corner", None)
@@ -172,41 +168,6 @@ def _check_corners(rig: Rig, coefficients: Sequence[str], period: float, readers
         if value_of(sensor.resolution) > 0.0:
             what = f"the sensor of {signal} has a resolution of {value_of(sensor.resolution):g}, so it reads in steps"
             raise BadInput(what, WHERE, "a resolution of 0, as in rig.quiet()")
-
-
-def _run(
-    rig: Rig, coefficients: Sequence[str], rows: Array, period: float, step: float, start: Mapping[str, float]
-) -> tuple[Array, int]:
-    """Run one group of coefficients; return the readings as duals, shape (n, signals, width), and the dense steps."""
-    varied = _varied(rig, coefficients).effective()
-    _check_corners(rig, coefficients, period, varied.sensors)
-    parts, plain = parts_of(rig), at_rest(rig, period, step)
-    width = width_of(len(coefficients))
-    for path, value in start.items():
-        plain.state.y[STARTS[path]] = value
-    given, state = _given(varied, plain, width), _start(plain.state, width)
-    for lane, path in enumerate(coefficients):
-        if path in STARTS:
-            state.y[STARTS[path], 1 + lane] = 1.0
-    out = np.empty((len(rows), len(SENSED), width))
-    run = compiled(build, ENTRIES, parts.members, {**parts.numbers, "width": width}, parts.effects).run
-    try:
-        dense: int = run(given, state, rows, out)
-    except NumbaError as error:
-        used = ", ".join((rig.friction_model, *parts.effects.names))
-        last = str(error).strip().splitlines()[-1]
-        raise BadInput(
-            f"a compiled function of {used} is not differentiable: {last}", WHERE, "operations of ehls_ros.duals"
-        ) from error
-    for column, signal in enumerate(SENSED):
-        # The sensors' table holds no duals: a reading is gain (what was seen) + bias.
-        sensor = varied.sensors[signal]
-        seen = (out[:, column, 0] - value_of(sensor.bias)) / value_of(sensor.gain)
-        for part, factor in ((sensor.gain, seen), (sensor.bias, np.ones(len(rows)))):
-            out[:, column, 1 : 1 + len(coefficients)] += np.multiply.outer(
-                factor, tangents_of(part) + np.zeros(len(coefficients))
-            )
-    return out, dense
 
 
 class Given(NamedTuple):
@@ -241,6 +202,88 @@ class Start(NamedTuple):
     past: Array
     truth: Array
     measured: Array
+
+
+class Prepared(NamedTuple):
+    """A run with derivatives, ready to start once.
+
+    Attributes:
+        compiled: the compiled run.
+        given, start: its constants and its state.
+        rows: the inputs, shape (n, 6).
+        out: the readings as duals, as the sensors' own coefficients leave them, shape (n, signals, width).
+        sensors: the sensors, with duals for what was chosen of them.
+        count: number of coefficients.
+        members: names of the models and effects in it, for errors.
+    """
+
+    compiled: Callable[..., int]
+    given: Given
+    start: Start
+    rows: Array
+    out: Array
+    sensors: Mapping[str, Sensor]
+    count: int
+    members: tuple[str, ...]
+
+    def run(self) -> int:
+        """Run it, and return the number of steps with more events than could be located.
+
+        Raises:
+            BadInput: a compiled function does what has no derivative.
+        """
+        try:
+            return self.compiled(self.given, self.start, self.rows, self.out)
+        except NumbaError as error:
+            last = str(error).strip().splitlines()[-1]
+            what = f"a compiled function of {', '.join(self.members)} is not differentiable: {last}"
+            raise BadInput(what, WHERE, "operations that ehls_ros.duals knows") from error
+
+    def readings(self) -> Array:
+        """Return the readings and their derivatives after the run, shape (n, signals, 1 + coefficients)."""
+        found = self.out[:, :, : 1 + self.count].copy()
+        for column, signal in enumerate(SENSED):
+            # The kernel's sensors hold no duals: a reading is gain (what was seen) + bias.
+            sensor = self.sensors[signal]
+            seen = (found[:, column, 0] - value_of(sensor.bias)) / value_of(sensor.gain)
+            for part, factor in ((sensor.gain, seen), (sensor.bias, np.ones(len(seen)))):
+                found[:, column, 1:] += np.multiply.outer(factor, np.broadcast_to(tangents_of(part), self.count))
+        return found
+
+
+def prepared(
+    rig: Rig,
+    coefficients: Sequence[str],
+    inputs: Inputs,
+    period: float = 1e-3,
+    step: float = DEFAULT_STEP,
+    start: Mapping[str, float] | None = None,
+) -> Prepared:
+    """Return a run with the derivatives by some coefficients; arguments and errors are those of :func:`sensitivities`."""
+    for path in (*coefficients, *(start or {})):
+        _check(path, rig, start or {}, coefficients)
+    varied = _varied(rig, coefficients).effective()
+    _check_differentiable(rig, coefficients, period, varied.sensors)
+    parts, plain = parts_of(rig), at_rest(rig, period, step)
+    for path, value in (start or {}).items():
+        plain.state.y[STARTS[path]] = value
+    width = width_of(len(coefficients))
+    state = _start(plain.state, width)
+    for lane, path in enumerate(coefficients):
+        if path in STARTS:
+            state.y[STARTS[path], 1 + lane] = 1.0
+    columns = [np.broadcast_to(np.asarray(c, dtype=np.float64), np.shape(inputs.command)) for c in inputs]
+    rows = np.column_stack(columns)
+    return Prepared(
+        compiled(build, ENTRIES, parts.members, {**parts.numbers, "width": width}, parts.effects).run,
+        _given(varied, plain, width),
+        state,
+        rows,
+        np.zeros((len(rows), len(SENSED), width)),
+        varied.sensors,
+        len(coefficients),
+        (rig.friction_model, *parts.effects.names),
+    )
 
 
 def _given(varied: EffectiveRig, plain: Simulated, width: int) -> Given:
