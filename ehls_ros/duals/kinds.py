@@ -1,0 +1,113 @@
+"""The types of duals, of their arrays and of their records."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core.datamodel import models
+from numba.core.typeconv import Conversion
+from numba.extending import register_model
+
+LANES = 8
+"""Most floats in one vector; a processor with shorter vectors takes two."""
+
+UNIT = 4
+"""A width is a multiple of this."""
+
+
+def width_of(parameters: int) -> int:
+    """Return the floats in a dual: the value, a tangent for each parameter and one for the length of a step, rounded up."""
+    return UNIT * math.ceil((parameters + 2) / UNIT)
+
+
+class VectorType(types.Type):
+    """Part of the tangents, as one vector."""
+
+    def __init__(self, lanes: int) -> None:
+        """Name the type by its length."""
+        super().__init__(f"Vector({lanes})")
+        self.lanes = lanes
+
+
+class DualType(types.Type):
+    """A dual of a width."""
+
+    def __init__(self, width: int) -> None:
+        """Name the type by the width."""
+        super().__init__(f"Dual({width})")
+        self.width = width
+
+    @property
+    def lanes(self) -> list[int]:
+        """Lengths of the vectors that hold it; the first lane is the value's place in memory."""
+        return [min(LANES, self.width - first) for first in range(0, self.width, LANES)]
+
+    def unify(self, typingctx: Any, other: types.Type) -> "DualType | None":
+        """Return the type of what is a dual in one branch and a plain number in another."""
+        return self if isinstance(other, types.Number) else None
+
+    def can_convert_from(self, typingctx: Any, other: types.Type) -> Conversion | None:
+        """Tell that a plain number is a dual without tangents."""
+        return Conversion.safe if isinstance(other, types.Number) else None
+
+
+class DualArrayType(types.Type):
+    """An array of duals of one or two dimensions, or a part of it."""
+
+    def __init__(self, width: int, ndim: int) -> None:
+        """Name the type by width and dimensions."""
+        super().__init__(f"DualArray({width}, {ndim})")
+        self.dtype = DualType(width)
+        self.ndim = ndim
+
+
+class DualRecordType(types.Type):
+    """Parameters by name; one that is a tuple is an array of duals."""
+
+    def __init__(self, width: int, layout: tuple[tuple[str, int, int], ...]) -> None:
+        """Name the type by width and layout.
+
+        Args:
+            width: of a dual.
+            layout: name, first row and number of rows of each parameter; 0: it is no tuple.
+        """
+        super().__init__(f"DualRecord({width}, {layout})")
+        self.dtype = DualType(width)
+        self.layout = layout
+
+
+@register_model(VectorType)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, ir.VectorType(ir.DoubleType(), fe_type.lanes))
+
+
+@register_model(DualType)
+class _DualModel(models.StructModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        members = [(f"tangents{i}", VectorType(lanes)) for i, lanes in enumerate(fe_type.lanes)]
+        super().__init__(dmm, fe_type, [("value", types.float64), *members])
+
+
+@register_model(DualArrayType)
+class _ArrayModel(models.StructModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        members = [("data", types.CPointer(types.float64)), ("rows", types.intp), ("columns", types.intp)]
+        super().__init__(dmm, fe_type, members)
+
+
+@register_model(DualRecordType)
+class _RecordModel(models.StructModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, [("data", types.CPointer(types.float64))])
+
+
+def layout_of(fields: Sequence[tuple[str, Any]]) -> tuple[tuple[str, int, int], ...]:
+    """Return name, first row and number of rows of parameters; ``fields`` has the lengths of those that are tuples, else 0."""
+    out, first = [], 0
+    for name, rows in fields:
+        out.append((name, first, rows))
+        first += max(rows, 1)
+    return tuple(out)
