@@ -6,11 +6,16 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
+from numba.extending import intrinsic as _intrinsic
 
 from ehls_ros.duals.kinds import DualType
 
 DOUBLE = ir.DoubleType()
 FUSED = ("contract",)
+
+
+intrinsic: Any = _intrinsic
+"""Numba's decorator; what it decorates is called with other arguments than it is defined with."""
 
 
 class CodeDual:

@@ -4,9 +4,9 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, overload
+from numba.extending import overload
 
-from ehls_ros.duals.code import ONE, CodeDual, any_tangent, chain, number, or_zero, read, written, zeros
+from ehls_ros.duals.code import ONE, CodeDual, any_tangent, chain, intrinsic, number, or_zero, read, written, zeros
 from ehls_ros.duals.kinds import DualArrayType, DualType
 from ehls_ros.duals.memory import constant
 
@@ -94,7 +94,11 @@ def length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c:
     return length
 
 
-@overload(length_to_event, strict=False, jit_options={"_nrt": False, "error_model": "numpy"})
+_LEAN: Any = {"_nrt": False, "error_model": "numpy"}
+"""As :func:`~ehls_ros.arrays.lean`."""
+
+
+@overload(length_to_event, strict=False, jit_options=_LEAN)
 def _length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c: Any, length: Any, work: Any) -> Any:
     if not isinstance(y, DualArrayType):
         return lambda take_step, evaluate, t, y, mode, c, length, work: length

@@ -7,9 +7,9 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_getattr, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, lower_getattr, lower_getattr_generic
+from numba.extending import lower_builtin, lower_getattr, lower_getattr_generic
 
-from ehls_ros.duals.code import DOUBLE, CodeDual, packed, read, written, zeros
+from ehls_ros.duals.code import DOUBLE, CodeDual, intrinsic, packed, read, written, zeros
 from ehls_ros.duals.kinds import LANES, DualArrayType, DualRecordType, DualType, layout_of
 
 
@@ -177,7 +177,7 @@ def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
 class _RecordAttributes(AttributeTemplate):
     key = DualRecordType
 
-    def generic_resolve(self, record: Any, attr: str) -> Any:
+    def generic_resolve(self, record: Any, attr: str) -> Any:  # type: ignore[override]  # numba's base has a placeholder
         for name, _, rows in record.layout:
             if name == attr:
                 return DualArrayType(record.dtype.width, 1) if rows else record.dtype

@@ -10,9 +10,22 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, lower_cast, overload
+from numba.extending import lower_builtin, lower_cast, overload
 
-from ehls_ros.duals.code import MINUS, ONE, CodeDual, Plain, any_tangent, chain, number, or_zero, read, written, zeros
+from ehls_ros.duals.code import (
+    MINUS,
+    ONE,
+    CodeDual,
+    Plain,
+    any_tangent,
+    chain,
+    intrinsic,
+    number,
+    or_zero,
+    read,
+    written,
+    zeros,
+)
 from ehls_ros.duals.kinds import DualType
 
 _Rule = Callable[..., CodeDual | tuple[ir.Value, list[tuple[Any, CodeDual]]]]
@@ -228,8 +241,8 @@ def _by_value(function: Any, count: int) -> None:
             lower_builtin(function, *kinds)(lower)
 
 
-for _function in (operator.lt, operator.le, operator.gt, operator.ge, operator.eq, operator.ne):
-    _by_value(_function, count=2)
+for _comparison in (operator.lt, operator.le, operator.gt, operator.ge, operator.eq, operator.ne):
+    _by_value(_comparison, count=2)
 for _function in (math.ceil, math.floor, math.isfinite, math.isnan):
     _by_value(_function, count=1)
 

@@ -123,7 +123,7 @@ def _numbers(rig: Rig) -> dict[str, float]:
     parts: dict[str, Any] = {"plant": rig.plant, "friction": rig.friction}
     parts |= {f"effects.{use.name}": use.parameters for use in rig.effects}
     parts |= {f"sensors.{signal}": rig.sensors.get(signal, Sensor()) for signal in SENSED}
-    out = {}
+    out = dict[str, float]()
     for section, parameters in parts.items():
         for name, value in parameters._asdict().items():
             values = {f"_{i + 1}": v for i, v in enumerate(value)} if isinstance(value, tuple) else {"": value}
@@ -213,7 +213,7 @@ class Prepared(NamedTuple):
         rows: the inputs, shape (n, 6).
         out: the readings as duals, as the sensors' own coefficients leave them, shape (n, signals, width).
         sensors: the sensors, with duals for what was chosen of them.
-        count: number of coefficients.
+        chosen: number of coefficients.
         members: names of the models and effects in it, for errors.
     """
 
@@ -223,7 +223,7 @@ class Prepared(NamedTuple):
     rows: Array
     out: Array
     sensors: Mapping[str, Sensor]
-    count: int
+    chosen: int
     members: tuple[str, ...]
 
     def run(self) -> int:
@@ -241,13 +241,13 @@ class Prepared(NamedTuple):
 
     def readings(self) -> Array:
         """Return the readings and their derivatives after the run, shape (n, signals, 1 + coefficients)."""
-        found = self.out[:, :, : 1 + self.count].copy()
+        found = self.out[:, :, : 1 + self.chosen].copy()
         for column, signal in enumerate(SENSED):
             # The kernel's sensors hold no duals: a reading is gain (what was seen) + bias.
             sensor = self.sensors[signal]
             seen = (found[:, column, 0] - value_of(sensor.bias)) / value_of(sensor.gain)
             for part, factor in ((sensor.gain, seen), (sensor.bias, np.ones(len(seen)))):
-                found[:, column, 1:] += np.multiply.outer(factor, np.broadcast_to(tangents_of(part), self.count))
+                found[:, column, 1:] += np.multiply.outer(factor, np.broadcast_to(tangents_of(part), self.chosen))
         return found
 
 
@@ -289,8 +289,9 @@ def prepared(
 def _given(varied: EffectiveRig, plain: Simulated, width: int) -> Given:
     c = plain.constants
     effects = [value for use in varied.effects if use.name in plain.parts.effects.names for value in use.parameters]
-    duals = (rows_of(numbers, width) for numbers in (varied.plant, varied.friction, effects))
-    return Given(c.plant, c.friction, *duals, plain.state.sensors.table, c.period, c.step, c.steps)
+    plant, friction = rows_of(varied.plant, width), rows_of(varied.friction, width)
+    table = plain.state.sensors.table
+    return Given(c.plant, c.friction, plant, friction, rows_of(effects, width), table, c.period, c.step, c.steps)
 
 
 def _start(state: State, width: int) -> Start:
