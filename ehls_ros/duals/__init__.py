@@ -13,8 +13,8 @@ at once, as vectors of the processor. The last tangent is that by the length of 
 
 from ehls_ros.duals import rules as _rules  # noqa: F401 - registers the rules
 from ehls_ros.duals.events import alike, length_to_event, varies
-from ehls_ros.duals.in_python import Dual, exp, rows_of, tangents_of, value_of
-from ehls_ros.duals.kinds import DualArrayType, DualRecordType, DualType, layout_of, width_of
+from ehls_ros.duals.in_python import Dual, exp, record_rows, rows_of, tangents_of, value_of
+from ehls_ros.duals.kinds import DualArrayType, DualRecordType, DualType, width_of
 from ehls_ros.duals.memory import constant, dual_array, dual_record
 
 __all__ = [
@@ -27,8 +27,8 @@ __all__ = [
     "dual_array",
     "dual_record",
     "exp",
-    "layout_of",
     "length_to_event",
+    "record_rows",
     "rows_of",
     "tangents_of",
     "value_of",

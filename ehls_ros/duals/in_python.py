@@ -98,16 +98,22 @@ def exp(number: Any) -> Any:
 
 
 def rows_of(numbers: Iterable[Any], width: int) -> Array:
-    """Return numbers as duals in memory, shape (n, width); of a tuple, its numbers.
+    """Return numbers as duals in memory, shape (n, width).
 
     Args:
-        numbers: floats, duals of Python and tuples of them.
+        numbers: floats and duals of Python.
         width: of a dual.
     """
-    flat = [n for number in numbers for n in (number if isinstance(number, tuple) else (number,))]
-    out = np.zeros((len(flat), width))
-    for row, number in zip(out, flat, strict=True):
+    all_of_them = list(numbers)
+    out = np.zeros((len(all_of_them), width))
+    for row, number in zip(out, all_of_them, strict=True):
         row[0] = value_of(number)
         if isinstance(number, Dual):
             row[1 : 1 + len(number.tangents)] = number.tangents
     return out
+
+
+def record_rows(parameters: Any, width: int) -> Array:
+    """Return a named tuple as duals in memory, its numbers first and then its lists, shape (n, width)."""
+    lists = [entry for value in parameters if isinstance(value, tuple) for entry in value]
+    return rows_of([*(value for value in parameters if not isinstance(value, tuple)), *lists], width)

@@ -1,7 +1,6 @@
 """The types of duals, of their arrays and of their records."""
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 from llvmlite import ir
@@ -64,18 +63,25 @@ class DualArrayType(types.Type):
 
 
 class DualRecordType(types.Type):
-    """Parameters by name; one that is a tuple is an array of duals."""
+    """Parameters by name: numbers, and lists of equal length, which are arrays of duals.
 
-    def __init__(self, width: int, layout: tuple[tuple[str, int, int], ...]) -> None:
-        """Name the type by width and layout.
+    In memory the numbers come first, then the lists.
+    """
+
+    def __init__(self, width: int, numbers: tuple[str, ...], lists: tuple[str, ...] = (), entries: int = 0) -> None:
+        """Name the type by all that tells it.
 
         Args:
             width: of a dual.
-            layout: name, first row and number of rows of each parameter; 0: it is no tuple.
+            numbers: names of the numbers.
+            lists: names of the lists.
+            entries: length of each list; 0: it is known at run time only.
         """
-        super().__init__(f"DualRecord({width}, {layout})")
+        super().__init__(f"DualRecord({width}, {numbers}, {lists}, {entries})")
         self.dtype = DualType(width)
-        self.layout = layout
+        self.numbers = numbers
+        self.lists = lists
+        self.entries = entries
 
 
 @register_model(VectorType)
@@ -101,13 +107,4 @@ class _ArrayModel(models.StructModel):
 @register_model(DualRecordType)
 class _RecordModel(models.StructModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
-        super().__init__(dmm, fe_type, [("data", types.CPointer(types.float64))])
-
-
-def layout_of(fields: Sequence[tuple[str, Any]]) -> tuple[tuple[str, int, int], ...]:
-    """Return name, first row and number of rows of parameters; ``fields`` has the lengths of those that are tuples, else 0."""
-    out, first = [], 0
-    for name, rows in fields:
-        out.append((name, first, rows))
-        first += max(rows, 1)
-    return tuple(out)
+        super().__init__(dmm, fe_type, [("data", types.CPointer(types.float64)), ("entries", types.intp)])

@@ -10,7 +10,7 @@ from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, inf
 from numba.extending import lower_builtin, lower_getattr, lower_getattr_generic
 
 from ehls_ros.duals.code import DOUBLE, CodeDual, intrinsic, packed, read, written, zeros
-from ehls_ros.duals.kinds import LANES, DualArrayType, DualRecordType, DualType, layout_of
+from ehls_ros.duals.kinds import LANES, DualArrayType, DualRecordType, DualType
 
 
 def _row(context: Any, builder: Any, kind: DualType, data: Any, index: Any) -> Any:
@@ -178,22 +178,26 @@ class _RecordAttributes(AttributeTemplate):
     key = DualRecordType
 
     def generic_resolve(self, record: Any, attr: str) -> Any:  # type: ignore[override]  # numba's base has a placeholder
-        for name, _, rows in record.layout:
-            if name == attr:
-                return DualArrayType(record.dtype.width, 1) if rows else record.dtype
-        return None
+        if attr in record.lists:
+            return DualArrayType(record.dtype.width, 1)
+        return record.dtype if attr in record.numbers else None
 
 
 @lower_getattr_generic(DualRecordType)
 def _(context: Any, builder: Any, kind: Any, value: Any, attr: str) -> Any:
-    data = _array(context, builder, kind, value).data
-    first, rows = next((first, rows) for name, first, rows in kind.layout if name == attr)
-    if not rows:
-        return _load(context, builder, kind.dtype, data, context.get_constant(types.intp, first))
+    record = _array(context, builder, kind, value)
+    if attr in kind.numbers:
+        return _load(context, builder, kind.dtype, record.data, context.get_constant(types.intp, kind.numbers.index(attr)))
+    entries = context.get_constant(types.intp, kind.entries) if kind.entries else record.entries
+    before = builder.mul(entries, context.get_constant(types.intp, kind.lists.index(attr)))
+    first = builder.add(before, context.get_constant(types.intp, len(kind.numbers)))
     part = _array(context, builder, DualArrayType(kind.dtype.width, 1), None)
-    part.data = _row(context, builder, kind.dtype, data, context.get_constant(types.intp, first))
-    part.rows = part.columns = context.get_constant(types.intp, rows)
+    part.data = _row(context, builder, kind.dtype, record.data, first)
+    part.rows = part.columns = entries
     return packed(part)
+
+
+# --- views of memory ---------------------------------------------------------------------------
 
 
 @intrinsic(prefer_literal=True)
@@ -212,13 +216,19 @@ def dual_array(typingctx: Any, array: Any, width: Any) -> Any:
 
 @intrinsic(prefer_literal=True)
 def dual_record(typingctx: Any, array: Any, width: Any, like: Any) -> Any:
-    """Return the duals in an array of floats, shape (n, width), named as the fields of the named tuple ``like``."""
-    rows = [len(kind) if isinstance(kind, types.BaseTuple) else 0 for kind in like.types]
-    kind = DualRecordType(width.literal_value, layout_of(list(zip(like.fields, rows, strict=True))))
+    """Return the duals in an array of floats, shape (n, width), as :func:`~ehls_ros.duals.in_python.record_rows` writes it.
+
+    They have the names of the named tuple ``like``, of which no value counts. Empty lists in it stand for any length.
+    """
+    lists = {name: len(kind) for name, kind in zip(like.fields, like.types, strict=True) if isinstance(kind, types.BaseTuple)}
+    numbers = tuple(name for name in like.fields if name not in lists)
+    kind = DualRecordType(width.literal_value, numbers, tuple(lists), max(lists.values(), default=0))
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        out = _array(context, builder, kind, None)
-        out.data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        given = context.make_array(sig.args[0])(context, builder, args[0])
+        out, rows = _array(context, builder, kind, None), cgutils.unpack_tuple(builder, given.shape)[0]
+        left = builder.sub(rows, context.get_constant(types.intp, len(numbers)))
+        out.data, out.entries = given.data, builder.udiv(left, context.get_constant(types.intp, max(len(lists), 1)))
         return packed(out)
 
     return kind(array, types.literal(width.literal_value), like), lower

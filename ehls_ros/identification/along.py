@@ -10,7 +10,7 @@ import numpy as np
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.observers.rig_model import Motion as Straight
 from ehls_ros.control.observers.rig_model import driven
-from ehls_ros.duals import dual_array, dual_record, rows_of, value_of, width_of
+from ehls_ros.duals import dual_array, dual_record, record_rows, width_of
 from ehls_ros.identification.motion import Motion
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.friction import FRICTION_MODELS
@@ -147,8 +147,9 @@ def slopes_along(motion: Motion, model: str, friction: Any) -> Array:
         friction: its parameters, of which some are :class:`~ehls_ros.duals.Dual`.
     """
     elements, out = FRICTION_MODELS.load(model).states(friction), np.empty((len(motion.velocity), WIDTH))
-    plain = type(friction)(*(tuple(map(value_of, p)) if isinstance(p, tuple) else value_of(p) for p in friction))
+    # The names alone, so that one kernel serves any number of elements.
+    names = type(friction)(*(() if isinstance(p, tuple) else 0.0 for p in friction))
     forces, work = np.zeros((elements, WIDTH)), np.zeros((WORK_ROWS, elements, WIDTH))
-    rows = Rows(rows_of(friction, WIDTH), forces, np.zeros(elements), work)
-    compiled_slopes(model)(motion.velocity, motion.fresh, motion.period, plain, rows, out)
+    rows = Rows(record_rows(friction, WIDTH), forces, np.zeros(elements), work)
+    compiled_slopes(model)(motion.velocity, motion.fresh, motion.period, names, rows, out)
     return out[:, 1:]

@@ -18,7 +18,7 @@ import numpy as np
 from numba.core.errors import NumbaError
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.duals import Dual, constant, dual_array, dual_record, rows_of, tangents_of, value_of, width_of
+from ehls_ros.duals import Dual, constant, dual_array, dual_record, record_rows, rows_of, tangents_of, value_of, width_of
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.physics import sensors, simulator
 from ehls_ros.physics.composition import compiled
@@ -289,7 +289,7 @@ def prepared(
 def _given(varied: EffectiveRig, plain: Simulated, width: int) -> Given:
     c = plain.constants
     effects = [value for use in varied.effects if use.name in plain.parts.effects.names for value in use.parameters]
-    plant, friction = rows_of(varied.plant, width), rows_of(varied.friction, width)
+    plant, friction = record_rows(varied.plant, width), record_rows(varied.friction, width)
     table = plain.state.sensors.table
     return Given(c.plant, c.friction, plant, friction, rows_of(effects, width), table, c.period, c.step, c.steps)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numba import types
 
-from ehls_ros.duals import DualArrayType, DualRecordType, DualType, layout_of
+from ehls_ros.duals import DualArrayType, DualRecordType, DualType
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS
@@ -185,8 +185,8 @@ DUAL, DUALS, FLOATS = DualType(WIDTH), DualArrayType(WIDTH, 1), types.Array(type
 
 
 def record(parameters: Any) -> DualRecordType:
-    rows = [(name, 3 if "element" in name else 0) for name in parameters._fields]
-    return DualRecordType(WIDTH, layout_of(rows))
+    lists = tuple(name for name in parameters._fields if name.startswith("element_"))
+    return DualRecordType(WIDTH, tuple(name for name in parameters._fields if name not in lists), lists)
 
 
 @pytest.mark.parametrize("name", FRICTION_MODELS.names())
