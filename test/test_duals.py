@@ -84,12 +84,29 @@ def test_a_derivative_at_a_root_s_zero_is_finite(exponent):
     assert out[0, :3].tolist() == [0.0, 1.0 if exponent == 1.0 else 0.0, 0.0]
 
 
+def test_a_short_cut_for_a_special_value_is_not_taken_by_what_varies():
+    @njit(error_model="numpy")
+    def softened(rows, out):
+        x, result = dual_array(rows, 4), dual_array(out, 4)
+        result[0] = x[0] if x[1] == 1.0 else x[0] ** x[1]
+        result[1] = x[0] ** x[1] if x[1] != 1.0 else x[0]
+
+    for lane, slope in ((np.array([0.0, 1.0]), 0.5 * math.log(0.5)), (np.zeros(2), 0.0)):
+        out = np.zeros((2, WIDTH))
+        softened(rows_of([Dual(0.5, np.array([1.0, 0.0])), Dual(1.0, lane)], WIDTH), out)
+        assert out[:, 0].tolist() == [0.5, 0.5]
+        assert out[:, 1] == pytest.approx([1.0, 1.0])
+        assert out[:, 2] == pytest.approx([slope, slope])
+
+
 def test_duals_of_python_follow_the_same_rules():
     a, b = Dual(0.8, np.array([1.0, 0.0])), Dual(1.7, np.array([0.0, 1.0]))
     found = (2.0 - a) / b + 3.0 * a * b - 1.0 / b - (-a) + max(a, 0.0) + (b - a) / 4.0
     assert found.value == pytest.approx(1.2 / 1.7 + 3.0 * 0.8 * 1.7 - 1.0 / 1.7 + 0.8 + 0.8 + 0.9 / 4.0)
     assert found.tangents == pytest.approx([-1.0 / 1.7 + 5.1 + 2.0 - 0.25, -1.2 / 1.7**2 + 2.4 + 1.0 / 1.7**2 + 0.25])
-    assert [a < b, a <= 0.8, b > a, b >= 1.7, a == 0.8, b < a] == [True] * 5 + [False]
+    assert [a < b, a <= 0.8, b > a, b >= 1.7, b < a] == [True] * 4 + [False]
+    # What varies is at no special value.
+    assert [a == 0.8, Dual(0.8, np.zeros(2)) == 0.8] == [False, True]
     assert value_of(a) == 0.8
 
 

@@ -214,8 +214,8 @@ def _(builder: Any, plain: Plain, a: CodeDual, b: CodeDual) -> Any:
     return _chosen(builder, builder.fcmp_ordered(">", b.value, a.value), a, b)
 
 
-def _by_value(function: Any, count: int) -> None:
-    """Register a function of the values alone, such as a comparison."""
+def _typed_by_value(function: Any, count: int) -> None:
+    """Register the type of a function of the values alone."""
 
     @infer_global(function)
     class _Typing(AbstractTemplate):
@@ -230,19 +230,41 @@ def _by_value(function: Any, count: int) -> None:
             result = self.context.resolve_function_type(plain, (types.float64,) * count, {})
             return signature(result.return_type, *(a if isinstance(a, DualType) else types.float64 for a in args))
 
+
+_PAIRS = ((DualType, DualType), (DualType, types.Float), (types.Float, DualType))
+
+
+def _by_value(function: Any, count: int) -> None:
+    """Register a function of the values alone, such as a comparison."""
+    _typed_by_value(function, count)
+
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         duals = [read(context, builder, kind, value) for kind, value in zip(sig.args, args, strict=True)]
         return Plain(context, builder)(function, *(dual.value for dual in duals))
 
-    if count == 1:
-        lower_builtin(function, DualType)(lower)
-    else:
-        for kinds in ((DualType, DualType), (DualType, types.Float), (types.Float, DualType)):
-            lower_builtin(function, *kinds)(lower)
+    for kinds in ((DualType,),) if count == 1 else _PAIRS:
+        lower_builtin(function, *kinds)(lower)
 
 
-for _comparison in (operator.lt, operator.le, operator.gt, operator.ge, operator.eq, operator.ne):
+def _equality(function: Any, *, equal: bool) -> None:
+    """Register a test of equality: what varies equals no number, so that short cuts for special values are not taken."""
+    _typed_by_value(function, count=2)
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        duals = [read(context, builder, kind, value) for kind, value in zip(sig.args, args, strict=True)]
+        same = builder.fcmp_ordered("==", *(dual.value for dual in duals))
+        for dual in duals:
+            same = builder.and_(same, builder.not_(any_tangent(builder, dual.tangents or [])))
+        return same if equal else builder.not_(same)
+
+    for kinds in _PAIRS:
+        lower_builtin(function, *kinds)(lower)
+
+
+for _comparison in (operator.lt, operator.le, operator.gt, operator.ge):
     _by_value(_comparison, count=2)
+_equality(operator.eq, equal=True)
+_equality(operator.ne, equal=False)
 for _function in (math.ceil, math.floor, math.isfinite, math.isnan):
     _by_value(_function, count=1)
 

@@ -6,8 +6,9 @@ are located, and what their times change is counted (saltation): where friction 
 sides, at impacts, and as delayed commands arrive.
 
 A trajectory is not differentiable where an event touches its threshold without crossing it; a coefficient at a corner of its
-model, such as a play of zero, has the derivative to one side. Readings have no derivative through a converter of finite
-resolution.
+model, such as a play of zero, has the derivative to one side. Corners that are no located events, such as those of a play, are
+stepped over, and so the derivatives by its width scatter by about a thousandth from step to step. Readings have no derivative
+through a converter of finite resolution.
 """
 
 import math
