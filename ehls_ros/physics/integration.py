@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple
 from numba import njit
 
 from ehls_ros.arrays import Array, lean
+from ehls_ros.duals import alike, length_to_event, varies
 
 WORK_ROWS = 6
 """Rows of an integrator's workspace, each as long as the state."""
@@ -132,13 +133,13 @@ def steps_of(
                 after *= 0.5 if side == -1 else 1.0
                 side = -1
             halve = high - low > 0.5 * width
-        return high
+        return length_to_event(take_step, evaluate, t, y, mode, c, high, work)
 
     @lean
     def located_step(t: float, y: Array, mode: Array, c: Any, step: float, changed: bool, work: Array) -> tuple[bool, int]:
         now, remaining = t, step
         located = dense = 0
-        while remaining > EVENT_TOLERANCE * step:
+        while remaining > EVENT_TOLERANCE * step or varies(remaining):
             if changed and evaluate(now, y, mode, c, work[2]) > 0.0:
                 switch(now, y, mode, c)
                 evaluate(now, y, mode, c, work[2])
@@ -198,6 +199,7 @@ def integrator(
             Number of steps with more events than were located, normally 0.
         """
         dense = 0
+        t, step = alike(y, t), alike(y, step)
         # Inputs may have jumped since the last call.
         changed = True
         for index in range(steps):

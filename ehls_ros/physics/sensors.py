@@ -84,7 +84,7 @@ def measure(cycle: int, truth: Array, noise: Array, state: SensorState, measured
         smoothing, delay, gain, bias, deviation, resolution = state.table[row]
         if cycle == 0:
             state.lagged[row] = truth[row]
-            state.past[row, :] = truth[row]
+            state.past[row][:] = truth[row]
         state.lagged[row] += smoothing * (truth[row] - state.lagged[row])
         state.past[row, place] = state.lagged[row]
         whole = int(delay)

@@ -14,6 +14,7 @@ from llvmlite import ir
 from numba import types
 
 from ehls_ros.arrays import compiler_function, kernel
+from ehls_ros.duals import sloped, value_alone
 
 ROUNDER = 6755399441055744.0
 """1.5 2^52: the sum of it and a number below 2^51 has no fraction, and the last bits of the sum are the rounded number."""
@@ -97,9 +98,10 @@ def exp2(x: float) -> float:
 @kernel
 def exp(x: float) -> float:
     """Return e^x, within 2 units in the last place, for x clipped to where that is a normal number."""
-    x = _clipped(x, SMALLEST_EXPONENT / LOG2_E, LARGEST_EXPONENT / LOG2_E)
-    shifted = fma(x, LOG2_E, ROUNDER)
-    return _power(shifted, fma(x, LOG2_E_REST, fma(x, LOG2_E, ROUNDER - shifted)))
+    clipped = _clipped(value_alone(x), SMALLEST_EXPONENT / LOG2_E, LARGEST_EXPONENT / LOG2_E)
+    shifted = fma(clipped, LOG2_E, ROUNDER)
+    power = _power(shifted, fma(clipped, LOG2_E_REST, fma(clipped, LOG2_E, ROUNDER - shifted)))
+    return sloped(power, power, x)
 
 
 @kernel
@@ -126,5 +128,12 @@ def log2(x: float) -> float:
 
 @kernel
 def stretched_decay(x: float, exponent: float) -> float:
-    """Return exp(-x^exponent) of a number x >= 0, within 2e-16 of it."""
-    return exp2(-LOG2_E * exp2(exponent * log2(x)))
+    """Return exp(-x^exponent) of a number x >= 0, within 2e-16 of it; an infinite slope at 0 counts as zero."""
+    base, power = value_alone(x), value_alone(exponent)
+    bits = log2(base)
+    raised = exp2(power * bits)
+    decay = exp2(-LOG2_E * raised)
+    by_power = -raised * decay
+    positive = base > 0.0
+    by_x = sloped(decay, by_power * power / base if positive else 0.0, x)
+    return sloped(by_x, by_power * bits / LOG2_E if positive else 0.0, exponent)
