@@ -45,6 +45,8 @@ STEPS = round(PERIOD / DEFAULT_STEP)
 VARIED = ("supply_pressure", "bulk_modulus", "total_volume", "moving_mass", "viscous_damping", "valve_bandwidth")
 NATIVE = ("cc", "-O3", "-march=native")
 TWIN = "C -march=native"
+BRIEF = 200
+"""Cycles that are enough to time SciPy by."""
 TOLERANCES = np.array([1e-9, 1e-8, 10.0, 1e-10, 1e-3, 1e-3, 1e-3])
 TURNING_SPEED = 1e-5
 """Speed over which the other solvers' direction of motion changes [m/s]."""
@@ -258,7 +260,7 @@ def turns(contestants: dict[str, Callable[[], None]], runs: int, clock: Callable
     return {name: np.array(values) for name, values in times.items()}
 
 
-def shown(times: dict[str, Array], unit: float, per: str, reference: str, counts: dict[str, float]) -> Iterator[str]:
+def shown(times: dict[str, Array], unit: float, per: str, reference: str, counts: dict[str, int]) -> Iterator[str]:
     """Return the lines of a table: medians per unit of work, and how many times faster than a reference, with quartiles."""
     yield f"{'':34}{per:>12}{f'x {reference}':>14}{'quartiles':>16}"
     each = {name: values / counts[name] for name, values in times.items()}
@@ -285,7 +287,7 @@ def plant(motion: Motion, rigs: list[Rig], ours: NumbaKernel, twin: CKernel, opt
     """Print the table of one motion of some rigs."""
     lanes, steps = Lanes(rigs), len(motion.inputs) * motion.steps
     # Whoever takes rigs one by one takes no more than are needed to time it.
-    some, few, many = rigs[:LANES], rigs[:2], rigs[: 4 * LANES]
+    some, many, brief = rigs[:LANES], rigs[: 4 * LANES], motion._replace(inputs=motion.inputs[:BRIEF])
 
     def together(threads: int) -> None:
         lanes.reset()
@@ -296,16 +298,18 @@ def plant(motion: Motion, rigs: list[Rig], ours: NumbaKernel, twin: CKernel, opt
         "numba, one by one": lambda: singles(ours, some, motion),
         "lanes": lambda: together(1),
     }
-    counts = dict(zip(contestants, (len(some), len(some), len(rigs)), strict=True))
+    counts = dict(zip(contestants, (len(some) * steps, len(some) * steps, len(rigs) * steps), strict=True))
     if not options.own:
-        scipy = SciPy(few)
-        contestants["SciPy LSODA"], counts["SciPy LSODA"] = lambda: scipy.run(motion), len(few)
+        scipy = SciPy(rigs[:1])
+        contestants["SciPy LSODA"] = lambda: scipy.run(brief)
+        counts["SciPy LSODA"] = len(brief.inputs) * motion.steps
         if importlib.util.find_spec("diffrax"):
             diffrax = Diffrax(many)
-            contestants["diffrax, vmap"], counts["diffrax, vmap"] = lambda: diffrax.run(motion), len(many)
+            contestants["diffrax, vmap"] = lambda: diffrax.run(motion)
+            counts["diffrax, vmap"] = len(many) * steps
     times = turns(contestants, options.runs, time.process_time)
     print(f"\n{motion.name}: {len(rigs)} rigs, {steps} steps each")
-    print("\n".join(shown(times, 1e9, "ns/step", TWIN, {name: count * steps for name, count in counts.items()})))
+    print("\n".join(shown(times, 1e9, "ns/step", TWIN, counts)))
     print(f"greatest difference between lanes and one by one: {difference(lanes, ours, some, motion):g}")
     if len(rigs) > LANES:
         two_threads(together, options.runs)
@@ -357,7 +361,7 @@ def experiments(options: argparse.Namespace) -> None:
                 raise result
 
     contestants = {"one by one": one_by_one, "batch": lambda: batch(1)}
-    counts = {"one by one": 4.0, "batch": float(len(specs))}
+    counts = {"one by one": 4, "batch": len(specs)}
     print(f"\nsine-fd2, FASMC II: whole experiments of {base.settings.duration:g} s, {len(specs)} rigs")
     print("\n".join(shown(turns(contestants, options.runs, time.process_time), 1e3, "ms/run", "one by one", counts)))
     two_threads(batch, options.runs)
