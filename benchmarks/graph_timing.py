@@ -140,9 +140,10 @@ def echo_round_trips() -> np.ndarray:
 def paced_echo(period: float) -> tuple[np.ndarray, float]:
     """Return the round trips of an empty echo, one per period [s], and what a round trip took of a processor [s]."""
     environment = graph_environment()
-    answering = subprocess.Popen([sys.executable, __file__, "--echo"], env=environment)
+    echo = [sys.executable, str(Path(__file__).with_name("bridge_timing.py")), "--period", str(period), "--be"]
+    answering = subprocess.Popen([*echo, "echo"], env=environment)
     asking = subprocess.Popen(
-        [sys.executable, str(Path(__file__).with_name("bridge_timing.py")), "--be", "asker", "--period", str(period)],
+        [*echo, "asker"],
         env=environment,
         stdout=subprocess.PIPE,
         text=True,
