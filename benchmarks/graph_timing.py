@@ -144,9 +144,10 @@ def echo_round_trips() -> np.ndarray:
 def paced_echo(period: float) -> tuple[np.ndarray, float]:
     """Return the round trips of an empty echo, one per period [s], and what a round trip took of a processor [s]."""
     environment = graph_environment()
-    answering = subprocess.Popen([*ITSELF, "--echo"], cwd=ROOT, env=environment)
+    echo = [sys.executable, "-m", "benchmarks.bridge_timing", "--period", str(period), "--be"]
+    answering = subprocess.Popen([*echo, "echo"], cwd=ROOT, env=environment)
     asking = subprocess.Popen(
-        [sys.executable, "-m", "benchmarks.bridge_timing", "--be", "asker", "--period", str(period)],
+        [*echo, "asker"],
         cwd=ROOT,
         env=environment,
         stdout=subprocess.PIPE,

@@ -118,7 +118,7 @@ def _process(name: str, own: dict[str, dict[str, object]], controller: str, chos
     together = PLUS in name
     parameters: object = own.get(name)
     if together:
-        by_node = {f"/**/{node}": {"ros__parameters": own[node]} for node in name.split(PLUS)}
+        by_node = {f"/**/{node}": {"ros__parameters": own[node]} for node in name.split(PLUS) if own[node]}
         with tempfile.NamedTemporaryFile("w", prefix="ehls_", suffix=".yaml", delete=False) as file:
             yaml.safe_dump(by_node, file)
         parameters = file.name

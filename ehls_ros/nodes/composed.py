@@ -73,8 +73,8 @@ class Composition:
             node.links = self._links
         for node in partners:
             node.be_hosted()
-        # The plant stops first: the others may end once nobody asks them.
-        self._nodes = [self._host, *partners]
+        # The plant begins last and stops first: the others are there before it asks, and may end once it does not.
+        self._beginning, self._ending = list(nodes), [self._host, *partners]
         self._gathered = GATHERED_IN_LOCKSTEP if lockstep else GATHERED
 
     def work(self, stopping: Stopping) -> None:
@@ -95,19 +95,20 @@ class Composition:
                     self._turn_without_plant()
         finally:
             gc.enable()
-            for node in self._nodes:
+            for node in self._ending:
                 if node.is_running:
                     node.leave()
             self._links.publish()
 
     def _follow_lifecycle(self) -> None:
         """Begin and end the loops of the nodes that have become active or inactive."""
-        for node in self._nodes:
-            if node.is_to_run and not node.is_running:
-                node.enter()
-            elif node.is_running and not node.is_to_run:
+        for node in self._ending:
+            if node.is_running and not node.is_to_run:
                 node.leave()
                 self._links.publish()
+        for node in self._beginning:
+            if node.is_to_run and not node.is_running:
+                node.enter()
             elif not node.is_running:
                 node.settle()
 

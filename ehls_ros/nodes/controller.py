@@ -50,6 +50,9 @@ from ehls_ros.schema import quantity, text
 TURN = 0.005
 """Longest wait for one topic before the others are read [s]."""
 
+ROWS = 4
+"""References taken in after each answer."""
+
 STATUS_TOGETHER = 5
 """Status messages that are published together, as no cycle waits for them."""
 
@@ -253,8 +256,7 @@ class ControllerNode(ControlNode):
                 continue
             self.cycles.add_snapshot(message[1], message[0], message[2:], arrived)
         if self.cycles.lacks_reference:
-            while (message := self.reference.take()) is not None:
-                self.cycles.add_reference(message[1], message[2:5])
+            self._take_references(math.inf)
         if not self._knows_who_drives():
             return False
         if not self.sent and self._driver_of(self.answered[1]) == self.sender:
@@ -265,7 +267,15 @@ class ControllerNode(ControlNode):
         self._answer(ready)
         self.replied_at = time.perf_counter()
         self.latency.add(self.replied_at - arrived)
+        # The cycles ahead come in bunches; all at once they would delay the answer to the cycle that needs the first of them.
+        self._take_references(ROWS)
         return True
+
+    def _take_references(self, most: float) -> None:
+        """Take in the references of cycles to come, at most so many."""
+        while most > 0 and (message := self.reference.take()) is not None:
+            self.cycles.add_reference(message[1], message[2:5])
+            most -= 1
 
     def _knows_who_drives(self) -> bool:
         """Note who drives from which cycle on; return False while that is not certain.

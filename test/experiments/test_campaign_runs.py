@@ -9,6 +9,7 @@ from campaign_cases import BASE, CONFIG, DRAWS, write
 
 from ehls_ros.cli.main import main
 from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.experiments.batch import FEWEST
 from ehls_ros.experiments.campaign import conduct as conducting
 from ehls_ros.experiments.campaign import work
 from ehls_ros.experiments.campaign.backends import local
@@ -19,6 +20,7 @@ from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.spec import spec_from_mapping
 from ehls_ros.extras import install_command
+from ehls_ros.physics.lane_memory import LANES
 
 pyarrow_parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow, of the extra campaign, is not installed")
 

@@ -93,6 +93,8 @@ def test_a_controller_apart_takes_over_and_gives_back(graph, participant, spec_f
     drivers = participant.collect(Driver, "driver")
     shadows = participant.collect(ValveCommand, STANDBY_COMMAND.name)
     process = start_together(graph, spec, timing="lockstep", speed=1.0)
+    # Two that answer the first cycle would both be heard, until the plant says whom it obeys.
+    participant.until(lambda: len(commands) > 100 and drivers)
     graph.start("sic_node", spec=spec, timing="lockstep")
     participant.until(lambda: any("sic_node" in shadow.sender for shadow in shadows))
     for name, node in (("sic_node", "/ehls/sic_node-"), ("fasmc_node", f"/ehls/fasmc_node-{process.pid}")):
