@@ -156,11 +156,11 @@ def _varied(rig: Rig, coefficients: Sequence[str]) -> Rig:
 def _check_differentiable(rig: Rig, coefficients: Sequence[str], period: float, readers: Mapping[str, Any]) -> None:
     """Refuse what has no derivative."""
     for use in rig.effects:
-        corner: Callable[[Any, float], str] | None = getattr(EFFECTS.load(use.name), "corner", None)
-        if corner is not None and any(path.startswith(f"effects.{use.name}.") for path in coefficients):
-            reason = corner(use.parameters, period)
+        corner: Callable[[Any, float, bool], str] | None = getattr(EFFECTS.load(use.name), "corner", None)
+        if corner is not None:
+            reason = corner(use.parameters, period, any(path.startswith(f"effects.{use.name}.") for path in coefficients))
             if reason:
-                raise BadInput(f"{use.name} has {reason}", WHERE, "another value, or other coefficients")
+                raise BadInput(f"{use.name} has {reason}", WHERE, "parameters with which a trajectory has derivatives")
     for signal, sensor in readers.items():
         for name in ("bandwidth", "delay"):
             if isinstance(getattr(sensor, name), Dual):
