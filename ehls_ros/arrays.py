@@ -53,12 +53,15 @@ def plain(array: Array) -> Array:
     return np.ascontiguousarray(array, dtype=np.float64)
 
 
-def compiler_function(build: Callable[..., Any]) -> Callable[..., Any]:
-    """Make a function of compiled code that has no Python form: ``build`` types it and writes its intermediate code.
+def compiler_function(build: Callable[..., Any], python: Callable[..., Any] | None = None) -> Callable[..., Any]:
+    """Make a function of compiled code from its intermediate code, which ``build`` types and writes.
 
     Args:
         build: see :func:`numba.extending.intrinsic`; its first argument is numba's.
+        python: takes its place where nothing is compiled.
     """
+    if numba.config.DISABLE_JIT and python is not None:  # type: ignore[attr-defined]  # set when numba reads the environment
+        return python
     return cast(Callable[..., Any], intrinsic(build))
 
 

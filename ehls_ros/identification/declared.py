@@ -219,7 +219,8 @@ def fit_declared(
     free = tuple(name for name in coordinates.names if name not in told.free)
     if not small:
         remark = "No presliding is recorded: parameters that sliding does not tell are the rig file's."
-        return DeclaredFit(joint.placed(joint.fit(far, told), wide, motions), (remark,) if free and not rigid else ())
+        fit = joint.with_doubt(joint.fit(far, told), far)
+        return DeclaredFit(joint.placed(fit, wide, motions), (remark,) if free and not rigid else ())
     tell("presliding")
     begin = _best_fit(near, told._replace(free=free)).friction if free else told.friction
     both = sorted([*small, *wide])

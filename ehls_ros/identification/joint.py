@@ -16,7 +16,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.duals import Dual
 from ehls_ros.identification.along import MOST_TANGENTS
 from ehls_ros.identification.balance import Recorded, linear_columns
-from ehls_ros.identification.covariance import clustered_covariance, correlation_time, normal_covariance
+from ehls_ros.identification.covariance import DOUBT, clustered_covariance, correlation_time, normal_covariance
 from ehls_ros.identification.motion import Motion
 from ehls_ros.samples import GAUSS
 
@@ -278,6 +278,22 @@ def fit(recorded: Recorded, start: Start, *, turned: Turned | None = None, round
         residuals=tuple(np.where(u, r, np.nan) for r, u in zip(left, recorded.usable, strict=True)),
         converged=converged,
     )
+
+
+def with_doubt(fit: JointFit, recorded: Recorded) -> JointFit:
+    """Return a fit whose covariance counts that what was not searched for may be wrong, by as much as without any data.
+
+    Args:
+        fit: the fit.
+        recorded: its recordings.
+    """
+    usable = tuple(np.isfinite(residuals) for residuals in fit.residuals)
+    everything = Start(fit.coordinates, fit.friction, fit.coordinates.names)
+    problem = Problem(recorded._replace(usable=usable), everything, fit.z, fit.noise)
+    slopes, searched = problem.slopes(fit.z), np.array([name in fit.free for name in fit.coordinates.names])
+    # What is fitted moves with what is held, so as to keep the force.
+    moved = np.linalg.lstsq(np.column_stack([-slopes[:, searched], problem.rows]), slopes[:, ~searched])[0]
+    return fit._replace(covariance=fit.covariance + DOUBT**2 * moved @ moved.T)
 
 
 def _finite(recorded: Recorded) -> Recorded:

@@ -7,6 +7,7 @@ rounded by itself, in a loop and out of it, so that both give the same bits, on 
 Each number is split into a power of two, which is read from or written to its bits, and a remainder for a minimax polynomial.
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ LOG2_E, LOG2_E_REST = 1.4426950408889634, 2.0355273740931033e-17
 """Logarithm of e to base 2, and what its rounding leaves."""
 
 
-@compiler_function
+@partial(compiler_function, python=lambda a, b, c: a * b + c)
 def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """Return a b + c, rounded once."""
 
@@ -44,7 +45,7 @@ def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), generate
 
 
-@compiler_function
+@partial(compiler_function, python=lambda value: np.float64(value).view(np.int64))
 def bits_of(typing: Any, value: Any) -> Any:
     """Return the bits of a float as an integer."""
 
@@ -54,7 +55,7 @@ def bits_of(typing: Any, value: Any) -> Any:
     return types.int64(types.float64), generate
 
 
-@compiler_function
+@partial(compiler_function, python=lambda bits: np.int64(bits).view(np.float64))
 def float_of(typing: Any, bits: Any) -> Any:
     """Return the float that has these bits."""
 
